@@ -1,0 +1,21 @@
+#include <pybind11/pybind11.h>
+
+#include "core/error.h"
+
+namespace py = pybind11;
+
+// One topic a file; each adds its functions to the module.
+void BindCameras(py::module_& m);
+void BindProblem(py::module_& m);
+void BindBal(py::module_& m);
+void BindColmap(py::module_& m);
+
+PYBIND11_MODULE(_core, m) {
+  m.doc() = "C++ core of bundle. Private: use the Python package.";
+  m.attr("__version__") = BUNDLE_VERSION;
+  py::register_exception<bundle::InputError>(m, "InputError", PyExc_ValueError);
+  BindCameras(m);
+  BindProblem(m);
+  BindBal(m);
+  BindColmap(m);
+}

@@ -1,0 +1,41 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+namespace bundle {
+
+struct CameraModel;
+
+/// The arrays of a bundle adjustment problem, owned by somebody else (NumPy, a test), row-major.
+/// Units are pixels for everything in an image and the reconstruction's length unit elsewhere.
+///
+/// One struct serves readers and the solver: it never writes through these pointers.
+struct ProblemView {
+  int num_images = 0;
+  int num_cameras = 0;
+  int num_points = 0;
+  int64_t num_observations = 0;
+
+  const double* cam_from_world = nullptr;  ///< num_images x 7: qx qy qz qw tx ty tz
+  const int64_t* image_ids = nullptr;      ///< num_images, for messages
+  const int32_t* image_camera = nullptr;   ///< num_images: index of the camera
+
+  const int64_t* camera_ids = nullptr;             ///< num_cameras, for messages
+  std::vector<const CameraModel*> camera_models;   ///< num_cameras; nullptr: a model we do not know
+  const double* camera_params = nullptr;           ///< num_cameras x camera_params_stride
+  int camera_params_stride = 0;
+
+  const double* points = nullptr;      ///< num_points x 3
+  const int64_t* point_ids = nullptr;  ///< num_points, for messages
+
+  const int32_t* observation_image = nullptr;  ///< num_observations
+  const int32_t* observation_point = nullptr;  ///< num_observations
+  const double* observation_xy = nullptr;      ///< num_observations x 2
+
+  const double* ParamsOf(int camera) const {
+    return camera_params + static_cast<int64_t>(camera) * camera_params_stride;
+  }
+};
+
+}  // namespace bundle
