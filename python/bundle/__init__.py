@@ -1,0 +1,20 @@
+"""Bundle adjustment that explains itself: load, refine, save reconstructions."""
+
+from bundle._core import __version__
+from bundle.errors import InputError
+from bundle.io import load, save
+from bundle.options import SolveOptions
+from bundle.problem import Problem
+from bundle.result import ReprojectionError, Result, Summary
+
+__all__ = [
+    "InputError",
+    "Problem",
+    "ReprojectionError",
+    "Result",
+    "SolveOptions",
+    "Summary",
+    "__version__",
+    "load",
+    "save",
+]
