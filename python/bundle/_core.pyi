@@ -11,6 +11,9 @@ class InputError(ValueError): ...
 
 # bind_problem.cpp
 def validate(problem: Problem) -> None: ...
+def reprojection_errors(
+    problem: Problem, num_threads: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
 
 # bind_cameras.cpp
 PROJECTION_VALID: int
