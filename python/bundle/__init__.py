@@ -1,6 +1,7 @@
 """Bundle adjustment that explains itself: load, refine, save reconstructions."""
 
 from bundle._core import __version__
+from bundle.cameras import camera_models, project
 from bundle.errors import InputError
 from bundle.io import load, save
 from bundle.options import SolveOptions
@@ -15,6 +16,8 @@ __all__ = [
     "SolveOptions",
     "Summary",
     "__version__",
+    "camera_models",
     "load",
+    "project",
     "save",
 ]
