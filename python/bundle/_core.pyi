@@ -1,5 +1,8 @@
 """Types of the C++ core, one section a binding file."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,3 +38,11 @@ def project(
 # bind_colmap.cpp
 
 # bind_solve.cpp
+CERES_VERSION: str
+
+def hardware_threads() -> int: ...
+def solve(
+    problem: Problem,
+    options: dict[str, Any],
+    progress: Callable[[dict[str, Any]], None] | None,
+) -> dict[str, Any]: ...
