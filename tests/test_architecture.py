@@ -20,8 +20,8 @@ PACKAGE = ROOT / "python" / "bundle"
 CORE_MAY_INCLUDE = {
     "geometry": set(),
     "cameras": {"geometry"},
-    "problem": {"cameras", "geometry"},
     "residuals": {"cameras", "geometry"},
+    "problem": {"residuals", "cameras", "geometry"},
     "io": {"problem", "cameras", "geometry"},
     "solve": {"problem", "residuals", "cameras", "geometry"},
     "ceres": {"solve", "problem", "residuals", "cameras", "geometry"},
@@ -34,7 +34,7 @@ PYTHON_MAY_IMPORT = {
     "cameras": {"_core", "errors"},
     "problem": {"_core", "errors"},
     "result": {"errors", "options", "problem"},
-    "reprojection": {"_core", "problem", "result"},
+    "reprojection": {"_core", "errors", "problem", "result"},
     "io": {"_core", "cameras", "errors", "problem"},
     "statistics": {"cameras", "errors", "problem", "reprojection", "result"},
     "synthetic": {"cameras", "errors", "problem"},
