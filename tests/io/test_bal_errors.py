@@ -111,8 +111,9 @@ def test_large_counts_take_no_memory(tmp_path: Path, pad: bytes) -> None:
 
 
 def test_what_the_system_refuses_stays_an_os_error(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="missing"):
+    with pytest.raises(FileNotFoundError) as missing:
         bundle.load(tmp_path / "missing")
+    assert str(missing.value) == f"[Errno 2] No such file or directory: '{tmp_path}/missing'"
     problem = load_bytes(tmp_path, bal_text(*make_bal(12)))
     with pytest.raises(OSError, match="No space left on device"):
         bal.save(problem, Path("/dev/full"))

@@ -27,9 +27,10 @@ def colmap(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, bool]]:
         calls.append(("load", str(path), True))
         return "a model"
 
-    def save(_: bundle.Problem, folder: Path, binary: bool = True) -> None:
+    def save(_: bundle.Problem, folder: Path, binary: bool = True) -> tuple[str, ...]:
         calls.append(("save", str(folder), binary))
         write_model(folder, ".bin" if binary else ".txt")
+        return ("colours",)
 
     module.load, module.save = load, save  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "bundle.io.colmap", module)
@@ -110,7 +111,7 @@ def test_choice_of_format(
     problem = problem.replace(format=source)
     assert bundle.io.output_format(problem, target, format) == expected
     bundle.io.check_target(problem, target, format)
-    assert bundle.save(problem, target, format) == ()
+    assert bundle.save(problem, target, format) == (() if expected == "bal" else ("colours",))
     if expected == "bal":
         assert not colmap
         assert bundle.load(target).num_observations == problem.num_observations

@@ -70,8 +70,8 @@ def save(
     from bundle.io import colmap
 
     with atomic.replace_folder(path) as temporary:
-        colmap.save(problem, temporary, binary=chosen == "colmap")
-    return ()
+        lost = colmap.save(problem, temporary, binary=chosen == "colmap")
+    return lost
 
 
 def output_format(
