@@ -70,8 +70,7 @@ def save(
     from bundle.io import colmap
 
     with atomic.replace_folder(path) as temporary:
-        lost = colmap.save(problem, temporary, binary=chosen == "colmap")
-    return lost
+        return colmap.save(problem, temporary, binary=chosen == "colmap")
 
 
 def output_format(
