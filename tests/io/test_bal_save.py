@@ -9,12 +9,14 @@ import bundle
 from tests.io.bal_files import bal_text, colmap_residuals, load_bytes, make_bal, parse_bal
 
 
-def with_cameras(problem: bundle.Problem, model: str, params: list[list[float]]) -> bundle.Problem:
+def with_cameras(
+    problem: bundle.Problem, model: str, params: list[list[float]], **changes: object
+) -> bundle.Problem:
     return problem.replace(
         camera_models=(model,) * len(params),
         camera_params=np.array(params),
         camera_ids=np.arange(len(params)),
-        camera_sizes=np.zeros((len(params), 2), np.int64),
+        **{"camera_sizes": np.zeros((len(params), 2), np.int64), **changes},
     )
 
 
@@ -69,8 +71,8 @@ def test_everything_lost_is_named(tmp_path: Path) -> None:
     losses = bundle.save(shared, tmp_path / "out.txt")
     assert losses == (
         "Cameras of model SIMPLE_RADIAL come back as RADIAL.",
-        "1 cameras shared by 3 images become one camera an image.",
-        "1 cameras without an image are left out.",
+        "Cameras shared by several images (1) become one an image.",
+        "Cameras without an image (1) are left out.",
         "Principal points, up to 2 px, are subtracted from the observations.",
         "Names of images are left out.",
         "Ids are renumbered from 0: camera, point.",
