@@ -57,9 +57,9 @@ def test_principal_points_move_into_the_observations(tmp_path: Path) -> None:
 def test_everything_lost_is_named(tmp_path: Path) -> None:
     problem = load_bytes(tmp_path, bal_text(*make_bal(15)))
     shared = with_cameras(
-        problem, "SIMPLE_RADIAL", [[500, 1, 0, 0.1], [600, 0, 2, 0.2], [7, 0, 0, 0]]
-    )
-    shared = shared.replace(
+        problem,
+        "SIMPLE_RADIAL",
+        [[500, 1, 0, 0.1], [600, 0, 2, 0.2], [7, 0, 0, 0]],
         image_camera=np.array([0, 0, 1, 0]),
         image_names=("a.jpg", "b.jpg", "c.jpg", "d.jpg"),
         point_ids=np.arange(1, 10),
