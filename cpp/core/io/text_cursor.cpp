@@ -1,0 +1,131 @@
+#include "core/io/text_cursor.h"
+
+#include <charconv>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <locale>
+#include <sstream>
+
+#include "core/io/colmap_index.h"
+
+namespace bundle {
+namespace {
+
+bool IsSpace(char c) { return c == ' ' || (c >= '\t' && c <= '\r'); }
+
+/// What COLMAP strips from both ends of a line.
+bool IsTrimmed(char c) { return c == ' ' || c == '\t' || c == '\r'; }
+
+/// std::from_chars takes no plus sign, the streams that COLMAP reads with do.
+const char* SkipPlus(const char* begin, const char* end) {
+  const bool has_plus = end - begin > 1 && *begin == '+' && begin[1] != '-' && begin[1] != '+';
+  return has_plus ? begin + 1 : begin;
+}
+
+}  // namespace
+
+TextCursor::TextCursor(const ModelFile& file)
+    : file_(file),
+      next_line_(file.contents().data()),
+      end_(file.contents().data() + file.contents().size()) {}
+
+bool TextCursor::NextRecord() {
+  while (NextLine()) {
+    if (cursor_ != end_of_line_ && *cursor_ != '#') return true;
+  }
+  return false;
+}
+
+bool TextCursor::NextLine() {
+  if (next_line_ == end_) return false;
+  const void* newline = std::memchr(next_line_, '\n', static_cast<size_t>(end_ - next_line_));
+  cursor_ = next_line_;
+  end_of_line_ = newline == nullptr ? end_ : static_cast<const char*>(newline);
+  next_line_ = newline == nullptr ? end_ : end_of_line_ + 1;
+  while (cursor_ != end_of_line_ && IsTrimmed(*cursor_)) ++cursor_;
+  while (cursor_ != end_of_line_ && IsTrimmed(end_of_line_[-1])) --end_of_line_;
+  ++line_;
+  return true;
+}
+
+bool TextCursor::AtEndOfLine() {
+  while (cursor_ != end_of_line_ && IsSpace(*cursor_)) ++cursor_;
+  return cursor_ == end_of_line_;
+}
+
+std::string_view TextCursor::Token(const char* what) {
+  if (AtEndOfLine()) Fail(std::string("expected ") + what + ", found the end of the line");
+  const char* begin = cursor_;
+  while (cursor_ != end_of_line_ && !IsSpace(*cursor_)) ++cursor_;
+  return {begin, static_cast<size_t>(cursor_ - begin)};
+}
+
+template <typename T>
+T TextCursor::ParseInteger(const char* what, const std::string& range) {
+  if (AtEndOfLine()) Token(what);
+  T value{};
+  const auto [end, error] = std::from_chars(SkipPlus(cursor_, end_of_line_), end_of_line_, value);
+  if (error != std::errc() || (end != end_of_line_ && !IsSpace(*end))) {
+    FailHere(std::string(what) + range);
+  }
+  cursor_ = end;
+  return value;
+}
+
+uint64_t TextCursor::Integer(const char* what, uint64_t max) {
+  if (AtEndOfLine()) Token(what);
+  const char* const begin = cursor_;
+  const std::string range = " (a whole number from 0 to " + std::to_string(max) + ")";
+  const auto value = ParseInteger<uint64_t>(what, range);
+  if (value > max) {
+    cursor_ = begin;
+    FailHere(what + range);
+  }
+  return value;
+}
+
+int64_t TextCursor::SignedInteger(const char* what) {
+  return ParseInteger<int64_t>(what, " (a whole number below 2^63)");
+}
+
+uint32_t TextCursor::Id(const char* what) {
+  return static_cast<uint32_t>(Integer(what, kInvalidColmapId - 1));
+}
+
+double TextCursor::Number(const char* what) {
+  if (AtEndOfLine()) Token(what);
+  double value = 0.0;
+  const char* begin = SkipPlus(cursor_, end_of_line_);
+  const auto [end, error] = std::from_chars(begin, end_of_line_, value);
+  if (error == std::errc::result_out_of_range) {
+    // Too large or too close to zero: from_chars does not say which, COLMAP takes the latter.
+    std::istringstream stream(std::string(begin, end));
+    stream.imbue(std::locale::classic());
+    if (!(stream >> value)) value = std::numeric_limits<double>::infinity();
+  } else if (error != std::errc()) {
+    FailHere(std::string(what) + " (a finite number)");
+  }
+  if (!std::isfinite(value) || (end != end_of_line_ && !IsSpace(*end))) {
+    FailHere(std::string(what) + " (a finite number)");
+  }
+  cursor_ = end;
+  return value;
+}
+
+std::string_view TextCursor::Rest(const char* what) {
+  if (AtEndOfLine()) Token(what);
+  const std::string_view rest(cursor_, static_cast<size_t>(end_of_line_ - cursor_));
+  cursor_ = end_of_line_;
+  return rest;
+}
+
+void TextCursor::ExpectEndOfLine() {
+  if (!AtEndOfLine()) FailHere("the end of the line");
+}
+
+void TextCursor::FailHere(const std::string& expected) {
+  Fail("expected " + expected + ", found " + Quoted(Token("")));
+}
+
+}  // namespace bundle
