@@ -16,8 +16,8 @@
 #include <vector>
 
 #include "core/io/colmap_index.h"
+#include "core/io/colmap_text_cursor.h"
 #include "core/io/colmap_values.h"
-#include "core/io/text_cursor.h"
 
 namespace bundle {
 namespace {
@@ -25,14 +25,14 @@ namespace {
 constexpr uint64_t kMaxColor = 255;
 constexpr uint64_t kMaxKeypoint = kInvalidColmapId - 1;
 
-void ReadPose(TextCursor* cursor, const ModelFile& file, const std::string& subject) {
+void ReadPose(ColmapTextCursor* cursor, const ModelFile& file, const std::string& subject) {
   static constexpr const char* kNames[] = {"QW", "QX", "QY", "QZ", "TX", "TY", "TZ"};
   double pose[7];
   for (int i = 0; i < 7; ++i) pose[i] = cursor->Number(kNames[i]);
   CheckPose(file, cursor->line(), subject, pose);
 }
 
-ColmapIndex::Sensor ReadSensor(TextCursor* cursor) {
+ColmapIndex::Sensor ReadSensor(ColmapTextCursor* cursor) {
   const std::string_view type = cursor->Token("a sensor type");
   if (type != "CAMERA" && type != "IMU") {
     cursor->Fail("expected a sensor type (CAMERA or IMU), found " + Quoted(type));
@@ -41,7 +41,7 @@ ColmapIndex::Sensor ReadSensor(TextCursor* cursor) {
 }
 
 void ScanCameras(ColmapIndex* index) {
-  TextCursor cursor(index->cameras_file);
+  ColmapTextCursor cursor(index->cameras_file);
   while (cursor.NextRecord()) {
     const uint32_t id = cursor.Id("a camera id");
     const std::string subject = "camera " + std::to_string(id);
@@ -67,7 +67,7 @@ void ScanCameras(ColmapIndex* index) {
   }
 }
 
-void ScanKeypoints(ColmapIndex* index, TextCursor* cursor) {
+void ScanKeypoints(ColmapIndex* index, ColmapTextCursor* cursor) {
   ColmapIndex::Image& image = index->images.back();
   image.keypoints_at = cursor->line();
   while (!cursor->AtEndOfLine()) {
@@ -83,7 +83,7 @@ void ScanKeypoints(ColmapIndex* index, TextCursor* cursor) {
 }
 
 void ScanImages(ColmapIndex* index) {
-  TextCursor cursor(index->images_file);
+  ColmapTextCursor cursor(index->images_file);
   while (cursor.NextRecord()) {
     const uint64_t at = cursor.line();
     const uint32_t id = cursor.Id("an image id");
@@ -103,7 +103,7 @@ void ScanImages(ColmapIndex* index) {
 }
 
 void ScanPoints(ColmapIndex* index) {
-  TextCursor cursor(index->points_file);
+  ColmapTextCursor cursor(index->points_file);
   while (cursor.NextRecord()) {
     const uint64_t id = cursor.Integer("a point id", kMaxPoint3DId);
     cursor.Number("X");
@@ -121,7 +121,7 @@ void ScanPoints(ColmapIndex* index) {
 }
 
 void ScanRigs(ColmapIndex* index) {
-  TextCursor cursor(index->rigs_file);
+  ColmapTextCursor cursor(index->rigs_file);
   while (cursor.NextRecord()) {
     ColmapIndex::Rig rig{cursor.Id("a rig id"), cursor.line(), {}};
     const std::string subject = "rig " + std::to_string(rig.id);
@@ -139,7 +139,7 @@ void ScanRigs(ColmapIndex* index) {
 }
 
 void ScanFrames(ColmapIndex* index) {
-  TextCursor cursor(index->frames_file);
+  ColmapTextCursor cursor(index->frames_file);
   while (cursor.NextRecord()) {
     const uint32_t id = cursor.Id("a frame id");
     ColmapIndex::Frame frame{id, cursor.Id("a rig id"), cursor.line(), {}};

@@ -1,4 +1,4 @@
-#include "core/io/text_cursor.h"
+#include "core/io/colmap_text_cursor.h"
 
 #include <charconv>
 #include <cmath>
@@ -25,19 +25,19 @@ const char* SkipPlus(const char* begin, const char* end) {
 
 }  // namespace
 
-TextCursor::TextCursor(const ModelFile& file)
+ColmapTextCursor::ColmapTextCursor(const ModelFile& file)
     : file_(file),
       next_line_(file.contents().data()),
       end_(file.contents().data() + file.contents().size()) {}
 
-bool TextCursor::NextRecord() {
+bool ColmapTextCursor::NextRecord() {
   while (NextLine()) {
     if (cursor_ != end_of_line_ && *cursor_ != '#') return true;
   }
   return false;
 }
 
-bool TextCursor::NextLine() {
+bool ColmapTextCursor::NextLine() {
   if (next_line_ == end_) return false;
   const void* newline = std::memchr(next_line_, '\n', static_cast<size_t>(end_ - next_line_));
   cursor_ = next_line_;
@@ -49,12 +49,12 @@ bool TextCursor::NextLine() {
   return true;
 }
 
-bool TextCursor::AtEndOfLine() {
+bool ColmapTextCursor::AtEndOfLine() {
   while (cursor_ != end_of_line_ && IsSpace(*cursor_)) ++cursor_;
   return cursor_ == end_of_line_;
 }
 
-std::string_view TextCursor::Token(const char* what) {
+std::string_view ColmapTextCursor::Token(const char* what) {
   if (AtEndOfLine()) Fail(std::string("expected ") + what + ", found the end of the line");
   const char* begin = cursor_;
   while (cursor_ != end_of_line_ && !IsSpace(*cursor_)) ++cursor_;
@@ -62,7 +62,7 @@ std::string_view TextCursor::Token(const char* what) {
 }
 
 template <typename T>
-T TextCursor::ParseInteger(const char* what, const std::string& range) {
+T ColmapTextCursor::ParseInteger(const char* what, const std::string& range) {
   if (AtEndOfLine()) Token(what);
   T value{};
   const auto [end, error] = std::from_chars(SkipPlus(cursor_, end_of_line_), end_of_line_, value);
@@ -73,7 +73,7 @@ T TextCursor::ParseInteger(const char* what, const std::string& range) {
   return value;
 }
 
-uint64_t TextCursor::Integer(const char* what, uint64_t max) {
+uint64_t ColmapTextCursor::Integer(const char* what, uint64_t max) {
   if (AtEndOfLine()) Token(what);
   const char* const begin = cursor_;
   const std::string range = " (a whole number from 0 to " + std::to_string(max) + ")";
@@ -85,15 +85,15 @@ uint64_t TextCursor::Integer(const char* what, uint64_t max) {
   return value;
 }
 
-int64_t TextCursor::SignedInteger(const char* what) {
+int64_t ColmapTextCursor::SignedInteger(const char* what) {
   return ParseInteger<int64_t>(what, " (a whole number below 2^63)");
 }
 
-uint32_t TextCursor::Id(const char* what) {
+uint32_t ColmapTextCursor::Id(const char* what) {
   return static_cast<uint32_t>(Integer(what, kInvalidColmapId - 1));
 }
 
-double TextCursor::Number(const char* what) {
+double ColmapTextCursor::Number(const char* what) {
   if (AtEndOfLine()) Token(what);
   double value = 0.0;
   const char* begin = SkipPlus(cursor_, end_of_line_);
@@ -113,18 +113,18 @@ double TextCursor::Number(const char* what) {
   return value;
 }
 
-std::string_view TextCursor::Rest(const char* what) {
+std::string_view ColmapTextCursor::Rest(const char* what) {
   if (AtEndOfLine()) Token(what);
   const std::string_view rest(cursor_, static_cast<size_t>(end_of_line_ - cursor_));
   cursor_ = end_of_line_;
   return rest;
 }
 
-void TextCursor::ExpectEndOfLine() {
+void ColmapTextCursor::ExpectEndOfLine() {
   if (!AtEndOfLine()) FailHere("the end of the line");
 }
 
-void TextCursor::FailHere(const std::string& expected) {
+void ColmapTextCursor::FailHere(const std::string& expected) {
   Fail("expected " + expected + ", found " + Quoted(Token("")));
 }
 

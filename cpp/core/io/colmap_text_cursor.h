@@ -11,9 +11,9 @@ namespace bundle {
 /// Walks through a text file of COLMAP record by record and, within a line, token by token, with
 /// COLMAP's rules: tokens are separated by white space; blank lines and lines that begin with '#'
 /// stand between records. Everything that is not as asked for throws InputError with the line.
-class TextCursor {
+class ColmapTextCursor {
  public:
-  explicit TextCursor(const ModelFile& file);
+  explicit ColmapTextCursor(const ModelFile& file);
 
   /// Goes to the next line that is neither blank nor a comment; false at the end of the file.
   bool NextRecord();
