@@ -7,11 +7,10 @@
 
 #include "core/error.h"
 #include "core/io/colmap_index.h"
+#include "core/io/printable.h"
 
 namespace bundle {
 namespace {
-
-constexpr size_t kMaxPathLength = 4096;
 
 std::string JoinPath(const std::string& folder, const char* stem, const char* extension) {
   return (std::filesystem::path(folder) / (std::string(stem) + extension)).string();
@@ -66,9 +65,8 @@ ColmapCheck CheckColmapModel(const std::string& folder) {
   const std::string missing_binary = MissingFiles(folder, kColmapBinaryScanner);
   const std::string missing_text = MissingFiles(folder, kColmapTextScanner);
   if (!missing_binary.empty() && !missing_text.empty()) {
-    throw InputError(Printable(folder, kMaxPathLength) +
-                     ": expected the files of a COLMAP model, found no " + missing_binary +
-                     " (binary) and no " + missing_text + " (text)");
+    throw InputError(Printable(folder) + ": expected the files of a COLMAP model, found no " +
+                     missing_binary + " (binary) and no " + missing_text + " (text)");
   }
   const bool binary = missing_binary.empty();
   ColmapIndex index = ScanFiles(folder, binary ? kColmapBinaryScanner : kColmapTextScanner);

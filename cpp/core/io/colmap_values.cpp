@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "core/io/printable.h"
+
 namespace bundle {
 namespace {
 
@@ -82,7 +84,7 @@ void CheckCameraSize(const ModelFile& file, uint64_t position, const std::string
 
 void CheckImageName(const ModelFile& file, uint64_t position, const std::string& subject,
                     std::string_view name) {
-  if (IsPrintable(name)) return;
+  if (Printable(name) == name) return;
   file.Fail(position, subject + ": expected a name in UTF-8 without control characters, found " +
                           Quoted(name));
 }

@@ -10,11 +10,11 @@
 #include <utility>
 
 #include "core/error.h"
+#include "core/io/printable.h"
 
 namespace bundle {
 namespace {
 
-constexpr size_t kMaxPathLength = 4096;
 constexpr size_t kMaxQuotedLength = 40;
 
 class FileDescriptor {
@@ -34,37 +34,7 @@ class FileDescriptor {
 };
 
 [[noreturn]] void FailToRead(const std::string& path, const std::string& reason) {
-  throw InputError(Printable(path, kMaxPathLength) +
-                   ": expected a readable file, found: " + reason);
-}
-
-/// Length of the UTF-8 sequence at the start of `text` (RFC 3629), 0 where there is none.
-size_t Utf8SequenceLength(std::string_view text) {
-  const auto byte = [&](size_t i) { return static_cast<unsigned char>(text[i]); };
-  const unsigned char lead = byte(0);
-  const size_t length = lead < 0x80 ? 1 : lead < 0xC2 ? 0 : lead < 0xE0 ? 2 : lead < 0xF0 ? 3 : 4;
-  if (length == 0 || lead > 0xF4 || text.size() < length) return 0;
-  for (size_t i = 1; i < length; ++i) {
-    if ((byte(i) & 0xC0) != 0x80) return 0;
-  }
-  if (lead == 0xE0 && byte(1) < 0xA0) return 0;  // overlong
-  if (lead == 0xED && byte(1) > 0x9F) return 0;  // surrogate
-  if (lead == 0xF0 && byte(1) < 0x90) return 0;  // overlong
-  if (lead == 0xF4 && byte(1) > 0x8F) return 0;  // above U+10FFFF
-  return length;
-}
-
-/// As Utf8SequenceLength, and 0 for the control characters of ASCII and Latin-1, for the two
-/// separators that also end a line for Python (U+2028, U+2029) and for the byte order mark.
-size_t PrintableLength(std::string_view text) {
-  const size_t length = Utf8SequenceLength(text);
-  const auto lead = static_cast<unsigned char>(text[0]);
-  if (length == 1 && (lead < 0x20 || lead == 0x7F)) return 0;
-  if (length == 2 && lead == 0xC2 && static_cast<unsigned char>(text[1]) < 0xA0) return 0;
-  for (const char* hidden : {"\xE2\x80\xA8", "\xE2\x80\xA9", "\xEF\xBB\xBF"}) {
-    if (text.substr(0, 3) == hidden) return 0;
-  }
-  return length;
+  throw InputError(Printable(path) + ": expected a readable file, found: " + reason);
 }
 
 }  // namespace
@@ -95,36 +65,10 @@ void ModelFile::Release() {
 }
 
 void ModelFile::Fail(uint64_t position, const std::string& message) const {
-  const std::string path = Printable(path_, kMaxPathLength);
+  const std::string path = Printable(path_);
   const std::string place = std::to_string(position);
   throw InputError((kind_ == Kind::kText ? path + ":" + place : path + ": byte " + place) + ": " +
                    message);
-}
-
-bool IsPrintable(std::string_view text) {
-  while (!text.empty()) {
-    const size_t length = PrintableLength(text);
-    if (length == 0) return false;
-    text.remove_prefix(length);
-  }
-  return true;
-}
-
-std::string Printable(std::string_view text, size_t max_length) {
-  static constexpr char kHexDigits[] = "0123456789abcdef";
-  std::string result;
-  while (!text.empty()) {
-    if (result.size() >= max_length) return result + "...";
-    const size_t length = PrintableLength(text);
-    if (length == 0) {
-      const auto byte = static_cast<unsigned char>(text[0]);
-      result += {'\\', 'x', kHexDigits[byte >> 4], kHexDigits[byte & 15]};
-    } else {
-      result += text.substr(0, length);
-    }
-    text.remove_prefix(length == 0 ? 1 : length);
-  }
-  return result;
 }
 
 std::string Quoted(std::string_view text) {

@@ -34,14 +34,7 @@ class ModelFile {
   size_t size_ = 0;
 };
 
-/// True for well-formed UTF-8 without control characters.
-bool IsPrintable(std::string_view text);
-
-/// The text fit for one line of a message: what is not printable becomes \xNN, and what is longer
-/// than `max_length` bytes is cut.
-std::string Printable(std::string_view text, size_t max_length);
-
-/// Printable, in quotes.
+/// The text, fit for a message and not too long for it, in quotes.
 std::string Quoted(std::string_view text);
 
 }  // namespace bundle
