@@ -62,31 +62,28 @@ std::string_view ColmapTextCursor::Token(const char* what) {
 }
 
 template <typename T>
-T ColmapTextCursor::ParseInteger(const char* what, const std::string& range) {
+bool ColmapTextCursor::ParseInteger(const char* what, T max, T* value) {
   if (AtEndOfLine()) Token(what);
-  T value{};
-  const auto [end, error] = std::from_chars(SkipPlus(cursor_, end_of_line_), end_of_line_, value);
-  if (error != std::errc() || (end != end_of_line_ && !IsSpace(*end))) {
-    FailHere(std::string(what) + range);
-  }
+  const auto [end, error] = std::from_chars(SkipPlus(cursor_, end_of_line_), end_of_line_, *value);
+  if (error != std::errc() || *value > max || (end != end_of_line_ && !IsSpace(*end))) return false;
   cursor_ = end;
-  return value;
+  return true;
 }
 
 uint64_t ColmapTextCursor::Integer(const char* what, uint64_t max) {
-  if (AtEndOfLine()) Token(what);
-  const char* const begin = cursor_;
-  const std::string range = " (a whole number from 0 to " + std::to_string(max) + ")";
-  const auto value = ParseInteger<uint64_t>(what, range);
-  if (value > max) {
-    cursor_ = begin;
-    FailHere(what + range);
+  uint64_t value = 0;
+  if (!ParseInteger(what, max, &value)) {
+    FailHere(std::string(what) + " (a whole number from 0 to " + std::to_string(max) + ")");
   }
   return value;
 }
 
 int64_t ColmapTextCursor::SignedInteger(const char* what) {
-  return ParseInteger<int64_t>(what, " (a whole number below 2^63)");
+  int64_t value = 0;
+  if (!ParseInteger(what, std::numeric_limits<int64_t>::max(), &value)) {
+    FailHere(std::string(what) + " (a whole number below 2^63)");
+  }
+  return value;
 }
 
 uint32_t ColmapTextCursor::Id(const char* what) {

@@ -53,8 +53,9 @@ class ColmapTextCursor {
   [[noreturn]] void Fail(const std::string& message) const { file_.Fail(line_, message); }
 
  private:
+  /// False, with the cursor still before the token, if that is no whole number up to `max`.
   template <typename T>
-  T ParseInteger(const char* what, const std::string& range);
+  bool ParseInteger(const char* what, T max, T* value);
 
   /// Fails over the token that begins at the cursor.
   [[noreturn]] void FailHere(const std::string& expected);

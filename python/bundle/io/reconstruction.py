@@ -42,7 +42,6 @@ def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
     points = sorted(reconstruction.points3D.items())
     camera_index = {camera.camera_id: index for index, camera in enumerate(cameras)}
     point_ids = _ids_of_points([point_id for point_id, _ in points])
-    xyz = np.fromiter((point.xyz for _, point in points), np.dtype((np.float64, 3)), len(points))
     observations = _observations(images, point_ids)
     _check_tracks(points, observations)
     return Problem(
@@ -54,7 +53,7 @@ def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
         camera_models=tuple(camera.model.name for camera in cameras),
         camera_params=_padded([camera.params for camera in cameras]),
         camera_sizes=np.array([_size(camera) for camera in cameras], np.int64).reshape(-1, 2),
-        points=xyz.reshape(-1, 3),
+        points=np.array([point.xyz for _, point in points]).reshape(-1, 3),
         point_ids=point_ids,
         observation_image=observations.image,
         observation_point=observations.point,
@@ -203,9 +202,10 @@ def _replace_numbers(reconstruction: pycolmap.Reconstruction, problem: Problem) 
     _check_known("point", point_ids, reconstruction.point3D_ids())
     for camera_id, params in zip(camera_ids, problem.camera_params, strict=True):
         camera = reconstruction.camera(camera_id)
-        camera.params = params[: len(camera.params)]
+        camera.params = params[: len(camera.params)].tolist()
     for image_id, pose in zip(image_ids, problem.cam_from_world, strict=True):
-        reconstruction.image(image_id).frame.rig_from_world = _rigid3d(pose)
+        frame = reconstruction.frame(reconstruction.image(image_id).frame_id)
+        frame.rig_from_world = _rigid3d(pose)
     points = reconstruction.points3D
     for point_id, xyz in zip(point_ids, problem.points, strict=True):
         points[point_id].xyz = xyz
@@ -245,7 +245,7 @@ def _add_cameras(reconstruction: pycolmap.Reconstruction, problem: Problem) -> N
         width, height = problem.camera_sizes[index].tolist()
         model = pycolmap.CameraModelId.__members__[problem.camera_models[index]]
         camera = pycolmap.Camera.create_from_model_id(camera_id, model, 1.0, width, height)
-        camera.params = problem.camera_params[index, : len(camera.params)]
+        camera.params = problem.camera_params[index, : len(camera.params)].tolist()
         reconstruction.add_camera_with_trivial_rig(camera)
 
 
