@@ -34,7 +34,7 @@ class Orbit(Scene):
 
     def __init__(self, rng: np.random.Generator, options: SceneOptions) -> None:
         count = options.num_images
-        self.body = Body(rng, np.zeros(3), np.array([1.0, 0.9, 1.1]))
+        self.body = Body(rng, np.zeros(3), np.array([1.0, 0.9, 1.1]), 2)
         outward = _rings(rng, count, options.num_rings or int(np.clip(round(count / 40), 1, 6)))
         centers = DISTANCE * rng.uniform(0.92, 1.08, count)[:, None] * outward
         aims = rng.normal(0.0, 0.05, (count, 3))

@@ -1,6 +1,6 @@
 """Photographs of landmarks around a square, as visitors take them.
 
-A few landmarks have most of the images. Visitors stand where their lens frames what they like, from
+A few landmarks have most of the images. Visitors take a few shots each; they stand where their lens frames what they like, from
 the whole building to a detail through a telephoto lens; some step back and take two neighbouring
 landmarks at once, which ties the clusters together. Track lengths are heavy-tailed: most points are
 seen by a few images, some by a good share of their cluster.
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bundle.synthetic.body import Body
 from bundle.synthetic.options import SceneOptions
-from bundle.synthetic.rotations import look_along
+from bundle.synthetic.rotations import dot, look_along
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
 
 __all__ = ["PhotoCollection"]
@@ -29,8 +29,13 @@ EYE_HEIGHT = 1.7
 PANORAMA_SHARE = 0.1
 SHARED_FOCAL = 0.9
 # Visitors see the side of a landmark that faces the square.
-ANGLE_SPREAD = np.radians(40.0)
+ANGLE_SPREAD = np.radians(35.0)
+SHOTS_PER_VISITOR = 3
 PARETO_SHAPE = 2.3
+# Landmarks are boxes with rounded edges; the exponent of their norm.
+_SQUARENESS = 6
+# Nobody aims at a surface steeper than this, as the cosine between normal and line of sight.
+_STEEPEST_AIM = 0.5
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,8 @@ class PhotoCollection(Scene):
         count = options.num_images
         self.bodies = _landmarks(rng, max(1, round(np.sqrt(count) / 3)))
         shared = options.has_shared_camera
-        self._landmark, self._is_panorama = _subjects(rng, count, len(self.bodies))
+        self._landmark, self._is_panorama, time = _subjects(rng, count, len(self.bodies))
+        self._visitor, self._is_first = time // SHOTS_PER_VISITOR, time % SHOTS_PER_VISITOR == 0
         focal = np.clip(np.exp(rng.normal(np.log(1.1), 0.55, count)), 0.6, 6.0)
         focal = np.where(self._is_panorama, rng.uniform(0.6, 0.9, count), focal)
         focal = np.full(count, SHARED_FOCAL) if shared else focal
@@ -73,10 +79,7 @@ class PhotoCollection(Scene):
         image = close_ups[rng.integers(0, len(close_ups), count)]
         spread = 0.5 * self.images.ball_radii[image, None]
         wanted = self.images.ball_centers[image] + spread * rng.standard_normal((count, 3))
-        positions, normals = np.empty((count, 3)), np.empty((count, 3))
-        for index, body in enumerate(self.bodies):
-            mine = self._landmark[image] == index
-            positions[mine], normals[mine] = body.surface(body.toward(wanted[mine]))
+        positions, normals = self._on_landmarks(self._landmark[image], wanted)
         above_ground = positions[:, 2] > 0.2
         points = Points(positions, normals, np.full(count, np.inf), positions)
         return points.take(above_ground)
@@ -91,9 +94,7 @@ class PhotoCollection(Scene):
         return rng.standard_exponential(len(pairs)) / self.images.richness[pairs.image]
 
     def _take(self, rng: np.random.Generator, focal: Array) -> _Shots:
-        centers = np.array([body.center for body in self.bodies])[self._landmark]
-        half_axes = np.array([body.half_axes for body in self.bodies])[self._landmark]
-        close, wide = self._close_up(rng, centers, half_axes, focal), self._panorama(rng, focal)
+        close, wide = self._close_up(rng, focal), self._panorama(rng, focal)
         panorama = self._is_panorama
         return _Shots(
             centers=np.where(panorama[:, None], wide.centers, close.centers),
@@ -101,26 +102,37 @@ class PhotoCollection(Scene):
             footprints=np.where(panorama, wide.footprints, close.footprints),
         )
 
-    def _close_up(
-        self, rng: np.random.Generator, centers: Array, half_axes: Array, focal: Array
-    ) -> _Shots:
+    def _close_up(self, rng: np.random.Generator, focal: Array) -> _Shots:
+        """Aim at a landmark: a visitor first at all of it, then at details that may be anywhere."""
         count = len(focal)
-        radius = half_axes.mean(axis=1)
+        centers = np.array([body.center for body in self.bodies])[self._landmark]
+        radius = np.array([body.radius for body in self.bodies])[self._landmark]
         # The square is centred on the origin.
         front = np.arctan2(-centers[:, 1], -centers[:, 0])
-        azimuth = front + np.clip(rng.normal(0.0, ANGLE_SPREAD, count), -1.6, 1.6)
+        angle = np.clip(rng.normal(0.0, ANGLE_SPREAD, count), -1.0, 1.0)[self._visitor]
+        azimuth = front + angle + rng.normal(0.0, 0.06, count)
         outward = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], axis=1)
-        framed = radius * np.exp(rng.normal(np.log(0.7), 0.45, count))
+        typical = np.where(self._is_first, np.log(1.1), np.log(0.65))
+        framed = radius * np.exp(rng.normal(typical, np.where(self._is_first, 0.15, 0.45)))
         distance = np.clip(2.0 * focal * framed, 0.7 * radius, 12.0 * radius)
         footprint = distance / (2.0 * focal)
-        # Details are anywhere on the landmark; who frames the whole aims at its middle.
         freedom = np.clip(1.0 - 0.6 * footprint / radius, 0.15, 1.0)[:, None]
-        wander = rng.uniform(-0.6, 0.6, (count, 3)) * freedom * half_axes
-        aims = centers + 0.85 * outward * half_axes + wander
-        aims[:, 2] = np.maximum(aims[:, 2], 1.0)
-        positions = centers + outward * (radius + distance)[:, None]
+        wander = rng.uniform([-0.6, -0.6, -0.25], [0.6, 0.6, 0.6], (count, 3))[self._visitor]
+        wander = freedom * (wander + rng.normal(0.0, 0.05, (count, 3)))
+        aims, normals = self._on_landmarks(self._landmark, centers + radius[:, None] * (outward + wander))
+        steep = dot(normals, outward) < _STEEPEST_AIM
+        aims[steep] = self._on_landmarks(self._landmark, centers + radius[:, None] * outward)[0][steep]
+        positions = aims + outward * distance[:, None]
         positions[:, 2] = EYE_HEIGHT + rng.normal(0.0, 0.15, count) + rng.exponential(0.5, count)
         return _Shots(positions, aims, 1.25 * footprint)
+
+    def _on_landmarks(self, landmark: NDArray[np.int64], wanted: Array) -> tuple[Array, Array]:
+        """Move positions (n, 3) onto the surfaces of landmarks (n,); also return normals (n, 3)."""
+        positions, normals = np.empty_like(wanted), np.empty_like(wanted)
+        for index, body in enumerate(self.bodies):
+            mine = landmark == index
+            positions[mine], normals[mine] = body.surface(body.toward(wanted[mine]))
+        return positions, normals
 
     def _panorama(self, rng: np.random.Generator, focal: Array) -> _Shots:
         """Aim between a landmark and the next one around the square."""
@@ -147,14 +159,14 @@ def _landmarks(rng: np.random.Generator, count: int) -> list[Body]:
         half_axes = radius * np.array([1.0, 1.0, 1.0]) * rng.uniform(0.75, 1.25, 3)
         angle = (index + rng.uniform(-0.1, 0.1)) * 2 * np.pi / max(count, 3)
         center = np.array([circle * np.cos(angle), circle * np.sin(angle), 0.6 * half_axes[2]])
-        bodies.append(Body(rng, center, half_axes))
+        bodies.append(Body(rng, center, half_axes, _SQUARENESS))
     return bodies
 
 
 def _subjects(
     rng: np.random.Generator, count: int, num_landmarks: int
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the landmark (count,) of each image, by Zipf's law, and whether it is a panorama.
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
+    """Return landmark, by Zipf's law, whether it is a panorama, and time of each image (count,).
 
     Panoramas visit every pair of neighbours in turn; images come in no order.
     """
@@ -169,7 +181,7 @@ def _subjects(
     pairs = np.arange(num_panoramas) % max(num_landmarks - 1, 1)
     shuffle = rng.permutation(count)
     is_panorama = np.arange(count) >= count - num_panoramas
-    return np.concatenate([landmark, pairs])[shuffle], is_panorama[shuffle]
+    return np.concatenate([landmark, pairs])[shuffle], is_panorama[shuffle], shuffle
 
 
 def _vary(

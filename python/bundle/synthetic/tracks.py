@@ -109,7 +109,8 @@ def _connect(
         if len(bridge) == 0:
             raise InputError(
                 f"num_points: the scene falls into {num_components} parts that share no points; "
-                f"expected more points or longer tracks, found {num_points} points"
+                f"expected more points, longer tracks or another "
+                f"seed, found {num_points} points"
             )
         link = of_image[pairs.image[bridge]] * num_images + of_point[pairs.point[bridge]]
         by_link = np.lexsort((preference[bridge], link))
