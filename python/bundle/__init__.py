@@ -7,6 +7,7 @@ from bundle.io import load, save
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.result import ReprojectionError, Result, Summary
+from bundle.solver import solve
 
 __all__ = [
     "InputError",
@@ -20,4 +21,5 @@ __all__ = [
     "load",
     "project",
     "save",
+    "solve",
 ]
