@@ -5,7 +5,6 @@ import json
 import math
 import re
 
-import fakes
 import numpy as np
 import pytest
 
@@ -15,6 +14,7 @@ from bundle.report.refine import refinement
 from bundle.report.termination import sentence
 from bundle.report.text import number, pixels, plural, render, seconds
 from bundle.report.timing import WallTime, solver_phases
+from tests.report import fakes
 
 WALL = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, total=2.0)
 

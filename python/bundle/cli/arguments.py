@@ -7,19 +7,19 @@ import dataclasses
 from typing import Any, NoReturn
 
 from bundle.errors import InputError
+from bundle.io import FORMATS
 from bundle.options import SolveOptions
 
 __all__ = [
-    "FORMATS",
     "Parser",
     "add_common_arguments",
     "add_input",
+    "add_output",
     "add_solve_options",
     "parse_ids",
     "solve_options",
 ]
 
-FORMATS = ("bal", "colmap", "colmap-text")
 MOST_IDS = 10_000_000
 """Ids that a list may hold: a slip in a range must not fill the memory."""
 
@@ -54,6 +54,20 @@ def add_input(parser: argparse.ArgumentParser) -> None:
         metavar="INPUT",
         help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text); "
         "told by its content",
+    )
+
+
+def add_output(parser: argparse.ArgumentParser, *names: str, **settings: Any) -> None:
+    """Add OUTPUT under the given names, and --format."""
+    parser.add_argument(
+        *names,
+        metavar="OUTPUT",
+        help="what to write, which may be INPUT; NAME.txt, .txt.gz and .txt.bz2 are BAL files, "
+        "NAME/ and folders that exist COLMAP models, other names take INPUT's format",
+        **settings,
+    )
+    parser.add_argument(
+        "--format", choices=FORMATS, help="format of OUTPUT (default: what its name says)"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bundle.errors import InputError
+from bundle.io.paths import shown
 
 __all__ = ["EXIT_BAD_INPUT", "EXIT_DONE", "EXIT_NO_SOLUTION", "describe_error"]
 
@@ -33,4 +34,4 @@ def _os_error(error: OSError) -> str:
 
 
 def _one_line(message: str) -> str:
-    return " ".join(message.split())
+    return shown(" ".join(message.split()))

@@ -23,12 +23,13 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.io import load
+    from bundle.io.paths import shown
     from bundle.report import info, json
     from bundle.statistics import describe
 
-    check_json(arguments.json)
+    check_json(arguments.json, arguments.input)
     with Progress(quiet=arguments.quiet) as progress:
-        progress.stage(f"reading {arguments.input}")
+        progress.stage(f"reading {shown(arguments.input)}")
         problem = load(arguments.input)
         progress.stage("counting")
         description = describe(problem)

@@ -1,4 +1,4 @@
-"""Where results go: checks before the work starts, and writing that leaves no halves."""
+"""Where reports go: checks before the work starts, and writing that leaves no halves."""
 
 from __future__ import annotations
 
@@ -10,96 +10,69 @@ from typing import Any
 from rich.console import RenderableType
 
 from bundle.errors import InputError
-from bundle.report import json as report
+from bundle.io import atomic
+from bundle.io.paths import shown
+from bundle.report import json
 from bundle.report.text import console, render
 
-__all__ = ["check_destination", "check_json", "output_format", "show", "write_json"]
-
-BAL_NAMES = (".txt", ".txt.gz", ".txt.bz2")
+__all__ = ["check_json", "show", "write_json"]
 
 
-def output_format(path: str, requested: str | None, input_format: str) -> str:
-    """Return the format that a problem is written in: as asked, as named, or as it was read."""
-    if requested is not None:
-        return requested
-    if path.lower().endswith(BAL_NAMES) and not Path(path).is_dir():
-        return "bal"
-    folder = path.endswith(os.sep) or Path(path).is_dir()
-    return "colmap" if folder else input_format
+def check_json(path: str | None, *others: str) -> None:
+    """Refuse now a path that a report could not be written to later.
 
-
-def check_destination(path: str, kind: str) -> None:
-    """Refuse a path that a model of this format cannot be written to.
+    Args:
+        path: the argument of --json.
+        *others: what the command reads and writes besides, which a report must not replace.
 
     Raises:
-        InputError: there is no such folder to write in, it may not be written in, or something of
-            another kind stands there.
+        InputError: the path is a folder, has no folder to be in, or is one of the others.
+        OSError: there is no permission to write.
 
     """
-    target = Path(path)
-    if kind == "bal":
-        if target.is_dir():
-            raise InputError(f"{path}: expected a file to write, found a folder")
-        if target.exists() and not target.is_file():
-            raise InputError(f"{path}: expected a file to write, found a device")
-    elif target.exists() and not target.is_dir():
-        raise InputError(f"{path}: expected a folder to write, found a file")
-    _check_parent(path)
-
-
-def check_json(path: str | None) -> None:
-    """Refuse a path that a report cannot be written to."""
     if path is None or path == "-":
         return
-    if Path(path).is_dir():
-        raise InputError(f"{path}: expected a file to write, found a folder")
-    _check_parent(path)
+    target = os.path.realpath(path)
+    if any(target == os.path.realpath(other) for other in others):
+        raise InputError(f"{shown(path)}: the report would replace what the command works on")
+    if not _is_device(path):
+        atomic.check_file(Path(path))
 
 
-def write_json(path: str | None, content: dict[str, Any]) -> None:
+def write_json(path: str | None, report: dict[str, Any]) -> None:
     """Write a report to a file, whole or not at all, to standard output ("-"), or nowhere."""
     if path is None:
         return
-    text = report.dumps(content)
+    text = json.dumps(report)
     if path == "-":
-        sys.stdout.write(text)
-        sys.stdout.flush()
-        return
-    target = Path(path).resolve()
-    if target.exists() and not target.is_file():  # a pipe or a device: there is nothing to keep
-        target.write_text(text, encoding="ascii")
-        return
-    partial = target.with_name(f".{target.name}.{os.getpid()}")
-    try:
-        partial.write_text(text, encoding="ascii")
-        partial.replace(target)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, path) from None
+        _print(text)
+    elif _is_device(path):
+        Path(path).write_text(text, encoding="ascii")
+    else:
+        with atomic.replace_file(Path(path)) as temporary:
+            temporary.write_text(text, encoding="ascii")
 
 
 def show(*renderables: RenderableType) -> None:
-    """Print to standard output, as long as somebody reads it.
+    """Print to standard output, in colour if it is a terminal."""
+    screen = console(sys.stdout)
+    if screen.is_terminal:
+        screen.print(*renderables, sep="\n")
+    else:
+        _print(render(*renderables))
 
-    A reader that has seen enough (`| head`) is no failure of the work that was done.
-    """
+
+def _print(text: str) -> None:
+    """Print as long as somebody reads: `| head` is no failure of the work that was done."""
     try:
-        screen = console(sys.stdout)
-        if screen.is_terminal:
-            screen.print(*renderables, sep="\n")
-        else:
-            sys.stdout.write(render(*renderables))
+        sys.stdout.write(text)
         sys.stdout.flush()
     except BrokenPipeError:
         # The interpreter flushes once more at its exit, which must not complain either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _check_parent(path: str) -> None:
-    if not path:
-        raise InputError("expected a path to write to, found an empty one")
-    folder = Path(path).parent
-    if not folder.is_dir():
-        raise InputError(f"{path}: there is no folder {str(folder)!r} to write in")
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(f"{path}: no permission to write in {str(folder)!r}")
+def _is_device(path: str) -> bool:
+    """Whether something stands at path that is written into, not replaced: a pipe, a device."""
+    target = Path(path)
+    return target.exists() and not target.is_file() and not target.is_dir()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rich.console import RenderableType
 
+from bundle.io.paths import shown
 from bundle.problem import Problem
 from bundle.report.refine import contents
 from bundle.report.text import facts, format_name, notes
@@ -16,9 +17,9 @@ def conversion(
 ) -> list[RenderableType]:
     """Return what was read, what was written and what was lost between them."""
     rows = [
-        ("input", f"{path} ({format_name(problem.format)})"),
+        ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
-        ("output", f"{output['path']} ({format_name(output['format'])})"),
+        ("output", f"{shown(output['path'])} ({format_name(output['format'])})"),
         ("lost", "" if lost else "nothing"),
     ]
     return [facts(rows), *notes(lost)]

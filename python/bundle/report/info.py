@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import RenderableType
 from rich.table import Table
 
+from bundle.io.paths import shown
 from bundle.problem import Problem
 from bundle.report.refine import contents
 from bundle.report.text import columns, facts, format_name, notes, number, pixels, plural
@@ -23,7 +24,9 @@ def information(path: str, problem: Problem, description: Description) -> list[R
     """Return the description of a problem as tables and sentences."""
     wrong = [suspicion.sentence for suspicion in description.suspicions]
     return [
-        facts([("input", f"{path} ({format_name(problem.format)})"), ("", contents(problem))]),
+        facts(
+            [("input", f"{shown(path)} ({format_name(problem.format)})"), ("", contents(problem))]
+        ),
         "",
         _cameras(description.cameras),
         "",

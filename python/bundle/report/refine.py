@@ -6,6 +6,7 @@ import numpy as np
 from rich.console import RenderableType
 from rich.table import Table
 
+from bundle.io.paths import shown
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report.summary import sizes
@@ -28,14 +29,17 @@ def refinement(
     """Return the report on one solve; `output` is None where nothing was written."""
     summary = solved.summary
     rows = [
-        ("input", f"{path} ({format_name(problem.format)})"),
+        ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
         ("refined", _refined(solved.options)),
         ("solver", _solver(summary)),
+        *((("", summary.linear_solver_choice),) if summary.linear_solver_choice else ()),
         ("ordering", _ordering(summary)),
     ]
     written = (
-        f"{output['path']} ({format_name(output['format'])})" if output else "nothing was written"
+        f"{shown(output['path'])} ({format_name(output['format'])})"
+        if output
+        else "nothing was written"
     )
     return [
         facts(rows),
@@ -89,7 +93,7 @@ def _solver(summary: Summary) -> str:
     words = f"{summary.linear_solver_type_used} on {plural(summary.num_threads_used, 'thread')}"
     if summary.linear_solver_type_used in ("ITERATIVE_SCHUR", "CGNR"):
         words += f", preconditioner {summary.preconditioner_type_used}"
-    return f"{words}: {summary.linear_solver_choice}" if summary.linear_solver_choice else words
+    return words
 
 
 def _ordering(summary: Summary) -> str:
