@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import shutil
+import textwrap
 from typing import Any, NoReturn
 
 from bundle.errors import InputError
@@ -24,11 +26,22 @@ MOST_IDS = 10_000_000
 """Ids that a list may hold: a slip in a range must not fill the memory."""
 
 
+class _Formatter(argparse.HelpFormatter):
+    """Help that breaks lines at blanks only: "principal-point" stays one word."""
+
+    def __init__(self, prog: str) -> None:
+        width = min(shutil.get_terminal_size().columns, 100)
+        super().__init__(prog, max_help_position=28, width=width)
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+
 class Parser(argparse.ArgumentParser):
     """An argument parser whose complaints are InputErrors."""
 
     def __init__(self, **settings: Any) -> None:
-        super().__init__(allow_abbrev=False, **settings)
+        super().__init__(allow_abbrev=False, formatter_class=_Formatter, **settings)
 
     def error(self, message: str) -> NoReturn:
         """Raise what is wrong as one line that also says where to read more."""
@@ -130,15 +143,21 @@ def _is_id(text: str) -> bool:
 def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -> None:
     meta = field.metadata
     settings: dict[str, Any] = {"metavar": meta["metavar"]}
+    values = ""
     if meta["choices"] is not None:
-        settings["choices"] = [choice.replace("_", "-") for choice in meta["choices"]]
-        settings["type"] = _choice
+        choices = [choice.replace("_", "-") for choice in meta["choices"]]
+        metavar = meta["flag"].lstrip("-").upper()
+        settings = {"metavar": metavar, "choices": choices, "type": _choice}
+        values = f"one of {', '.join(choices)}; "
     elif meta["metavar"] == "IDS":
         settings["type"] = parse_ids
+        values = "such as 1,2,5-9; "
     elif isinstance(field.default, int | float):
         settings["type"] = type(field.default)
-    shown = f"{meta['help']} (default: {_shown(field.default)})".replace("%", "%%")
-    group.add_argument(meta["flag"], dest=field.name, default=None, help=shown, **settings)
+    text = f"{meta['help']} ({values}default: {_shown(field.default)})"
+    group.add_argument(
+        meta["flag"], dest=field.name, default=None, help=text.replace("%", "%%"), **settings
+    )
 
 
 def _choice(text: str) -> str:

@@ -89,8 +89,8 @@ class Progress:
         line.append(f"{self._elapsed():>7}  ", style="dim")
         if latest is None:
             return line.append(f"{self._stage} ...")
-        line.append(f"iteration {latest['iteration']}", style="bold")
-        line.append(f"  cost {latest['cost']:.5e}  change {latest['cost_change']:.1e}")
+        line.append(f"iter {latest['iteration']}", style="bold")
+        line.append(f"  cost {latest['cost']:.4e}  change {latest['cost_change']:.0e}")
         line.append(f"  gradient {latest['gradient_max_norm']:.0e}")
         return line.append(f"  radius {latest['trust_region_radius']:.0e}")
 

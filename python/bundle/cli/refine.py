@@ -28,6 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
+    from bundle.errors import InputError
     from bundle.io import check_target, load, output_format, save
     from bundle.io.paths import shown
     from bundle.report import json
@@ -43,6 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
         begun = perf_counter()
         problem = load(source)
         load_time = perf_counter() - begun
+        if problem.num_observations == 0:
+            raise InputError(f"{shown(source)}: expected observations to refine, found none")
         output = {"path": target, "format": output_format(problem, target, arguments.format)}
         check_target(problem, **output)
         progress.stage("building the problem")

@@ -64,6 +64,7 @@ def suspicions(
         behind: (num_observations,) whether the point is behind the camera.
     """
     return (
+        *_empty(problem),
         *_models(problem),
         *_images(problem, graph),
         *_lenses(problem, lenses(problem)),
@@ -73,6 +74,17 @@ def suspicions(
         *_positions(problem),
         *_unused_cameras(problem),
     )
+
+
+def _empty(problem: Problem) -> Iterator[Suspicion]:
+    if problem.num_observations == 0:
+        yield Suspicion(
+            kind="no_observations",
+            count=1,
+            of="image",
+            ids=(),
+            sentence="There are no observations: nothing can be refined.",
+        )
 
 
 def _models(problem: Problem) -> Iterator[Suspicion]:
