@@ -96,7 +96,7 @@ def test_folder_that_is_no_model(run, tmp_path):
         (["refine", "IN", "-o", "OUT", "--fix-images", "1,,2"], ["--fix-images"]),
         (["refine", "IN", "-o", "OUT", "--fix-points", "0-99999999999"], [str(MOST_IDS)]),
         (["refine", "IN", "-o", "OUT", "--fix-points", "9" * 50], ["--fix-points"]),
-        (["refine", "IN", "-o", "OUT", "--fix-images", "77"], ["77"]),
+        (["refine", "IN", "-o", "OUT", "--fix-images", "77"], ["--fix-images:", "77"]),
         (["refine", "IN", "-o", "OUT", "--format", "ply"], ["--format", "ply"]),
         (["refine", "IN", "-o", "no/such/folder/out.txt"], ["no/such/folder"]),
         (["refine", "IN", "-o", "", "--format", "bal"], []),

@@ -6,6 +6,8 @@ import argparse
 import dataclasses
 import shutil
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 from bundle.errors import InputError
@@ -18,6 +20,7 @@ __all__ = [
     "add_input",
     "add_output",
     "add_solve_options",
+    "naming_flags",
     "parse_ids",
     "solve_options",
 ]
@@ -103,8 +106,15 @@ def solve_options(arguments: argparse.Namespace) -> SolveOptions:
         for field in dataclasses.fields(SolveOptions)
         if getattr(arguments, field.name) is not None
     }
-    try:
+    with naming_flags():
         return SolveOptions(**values)
+
+
+@contextmanager
+def naming_flags() -> Iterator[None]:
+    """Let an InputError about an option of the solve name its flag, as the user typed it."""
+    try:
+        yield
     except InputError as error:
         name, _, rest = str(error).partition(":")
         for field in dataclasses.fields(SolveOptions):

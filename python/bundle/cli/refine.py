@@ -6,7 +6,13 @@ import argparse
 import sys
 from time import perf_counter
 
-from bundle.cli.arguments import add_input, add_output, add_solve_options, solve_options
+from bundle.cli.arguments import (
+    add_input,
+    add_output,
+    add_solve_options,
+    naming_flags,
+    solve_options,
+)
 from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
@@ -49,7 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
         output = {"path": target, "format": output_format(problem, target, arguments.format)}
         check_target(problem, **output)
         progress.stage("building the problem")
-        solved = solve(problem, options, progress=progress.iteration)
+        with naming_flags():
+            solved = solve(problem, options, progress=progress.iteration)
         begun = perf_counter()
         lost: tuple[str, ...] = ()
         saved = solved.summary.is_solution_usable or solved.summary.interrupted
