@@ -1,5 +1,115 @@
+#include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
+#include <pybind11/stl/filesystem.h>
+
+#include <cerrno>
+#include <filesystem>
+#include <string>
+#include <system_error>
+#include <utility>
+#include <vector>
+
+#include "core/error.h"
+#include "core/io/bal_reader.h"
+#include "core/io/bal_writer.h"
 
 namespace py = pybind11;
 
-void BindBal(py::module_&) {}
+namespace bundle {
+namespace {
+
+template <typename T>
+using Array = py::array_t<T, py::array::c_style>;
+
+/// Lets Ctrl-C end the reading or writing of a large file.
+void CheckSignals() {
+  const py::gil_scoped_acquire acquire;
+  if (PyErr_CheckSignals() != 0) throw py::error_already_set();
+}
+
+/// Hands a vector to NumPy without a copy.
+template <typename T>
+Array<T> MoveToNumpy(std::vector<T> values, py::ssize_t width) {
+  auto* owner = new std::vector<T>(std::move(values));
+  const py::capsule deleter(owner,
+                            [](void* vector) { delete static_cast<std::vector<T>*>(vector); });
+  const auto size = static_cast<py::ssize_t>(owner->size());
+  if (width == 1) return Array<T>(size, owner->data(), deleter);
+  return Array<T>({size / width, width}, owner->data(), deleter);
+}
+
+[[noreturn]] void ThrowOsError(const std::system_error& error, const std::filesystem::path& path) {
+  errno = error.code().value();
+  PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, py::cast(path).ptr());
+  throw py::error_already_set();
+}
+
+py::tuple ReadBalFile(const std::filesystem::path& path) {
+  BalProblem problem;
+  try {
+    const py::gil_scoped_release release;
+    problem = ReadBal(path, CheckSignals);
+  } catch (const std::system_error& error) {
+    ThrowOsError(error, path);
+  }
+  return py::make_tuple(MoveToNumpy(std::move(problem.cam_from_world), 7),
+                        MoveToNumpy(std::move(problem.camera_params), 5),
+                        MoveToNumpy(std::move(problem.points), 3),
+                        MoveToNumpy(std::move(problem.observation_image), 1),
+                        MoveToNumpy(std::move(problem.observation_point), 1),
+                        MoveToNumpy(std::move(problem.observation_xy), 2));
+}
+
+template <typename T>
+const T* Checked(const Array<T>& array, const char* name, int64_t rows, int64_t width) {
+  const bool fits = width == 1
+                        ? array.ndim() == 1 && array.shape(0) == rows
+                        : array.ndim() == 2 && array.shape(0) == rows && array.shape(1) == width;
+  if (!fits) {
+    throw InputError(std::string(name) + ": expected " + std::to_string(rows) + " rows of " +
+                     std::to_string(width) + " numbers");
+  }
+  return array.data();
+}
+
+Compression CompressionFromName(const std::string& name) {
+  if (name == "gzip") return Compression::kGzip;
+  if (name == "bzip2") return Compression::kBzip2;
+  if (name.empty()) return Compression::kNone;
+  throw InputError("compression: expected gzip, bzip2 or nothing, found " + name);
+}
+
+/// Values, indices among them, are those of a bundle.Problem, which has checked them.
+void WriteBalFile(const std::filesystem::path& path, const Array<double>& cam_from_world,
+                  const Array<double>& camera_params, const Array<double>& points,
+                  const Array<int32_t>& observation_image, const Array<int32_t>& observation_point,
+                  const Array<double>& observation_xy, const std::string& compression) {
+  BalView problem;
+  problem.num_images = cam_from_world.shape(0);
+  problem.num_points = points.shape(0);
+  problem.num_observations = observation_xy.shape(0);
+  problem.cam_from_world = Checked(cam_from_world, "cam_from_world", problem.num_images, 7);
+  problem.camera_params = Checked(camera_params, "camera_params", problem.num_images, 5);
+  problem.points = Checked(points, "points", problem.num_points, 3);
+  problem.observation_image =
+      Checked(observation_image, "observation_image", problem.num_observations, 1);
+  problem.observation_point =
+      Checked(observation_point, "observation_point", problem.num_observations, 1);
+  problem.observation_xy = Checked(observation_xy, "observation_xy", problem.num_observations, 2);
+  try {
+    const py::gil_scoped_release release;
+    WriteBal(problem, path, CompressionFromName(compression), CheckSignals);
+  } catch (const std::system_error& error) {
+    ThrowOsError(error, path);
+  }
+}
+
+}  // namespace
+}  // namespace bundle
+
+void BindBal(py::module_& m) {
+  m.def("read_bal", &bundle::ReadBalFile, py::arg("path"));
+  m.def("write_bal", &bundle::WriteBalFile, py::arg("path"), py::arg("cam_from_world"),
+        py::arg("camera_params"), py::arg("points"), py::arg("observation_image"),
+        py::arg("observation_point"), py::arg("observation_xy"), py::arg("compression"));
+}

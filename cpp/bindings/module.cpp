@@ -9,6 +9,7 @@ void BindCameras(py::module_& m);
 void BindProblem(py::module_& m);
 void BindBal(py::module_& m);
 void BindColmap(py::module_& m);
+void BindSolve(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of bundle. Private: use the Python package.";
@@ -18,4 +19,5 @@ PYBIND11_MODULE(_core, m) {
   BindProblem(m);
   BindBal(m);
   BindColmap(m);
+  BindSolve(m);
 }

@@ -1,5 +1,12 @@
 """Types of the C++ core, one section a binding file."""
 
+import os
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
 from bundle.problem import Problem
 
 __version__: str
@@ -8,11 +15,55 @@ class InputError(ValueError): ...
 
 # bind_problem.cpp
 def validate(problem: Problem) -> None: ...
+def reprojection_errors(
+    problem: Problem, num_threads: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
 
 # bind_cameras.cpp
+PROJECTION_VALID: int
+PROJECTION_BEHIND: int
+PROJECTION_UNDEFINED: int
+
+def camera_models() -> list[tuple[str, list[tuple[str, str]]]]: ...
+def project(
+    model: str, params: NDArray[np.float64], points: NDArray[np.float64], jacobians: bool
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.int8],
+    NDArray[np.float64] | None,
+    NDArray[np.float64] | None,
+]: ...
 
 # bind_bal.cpp
+def read_bal(
+    path: str | os.PathLike[str],
+) -> tuple[
+    NDArray[np.float64],  # cam_from_world (num_images, 7)
+    NDArray[np.float64],  # camera_params (num_images, 5): f cx cy k1 k2
+    NDArray[np.float64],  # points (num_points, 3)
+    NDArray[np.int32],  # observation_image (num_observations,)
+    NDArray[np.int32],  # observation_point (num_observations,)
+    NDArray[np.float64],  # observation_xy (num_observations, 2)
+]: ...
+def write_bal(
+    path: str | os.PathLike[str],
+    cam_from_world: NDArray[np.float64],
+    camera_params: NDArray[np.float64],
+    points: NDArray[np.float64],
+    observation_image: NDArray[np.int32],
+    observation_point: NDArray[np.int32],
+    observation_xy: NDArray[np.float64],
+    compression: str,
+) -> None: ...
 
 # bind_colmap.cpp
 
 # bind_solve.cpp
+CERES_VERSION: str
+
+def hardware_threads() -> int: ...
+def solve(
+    problem: Problem,
+    options: dict[str, Any],
+    progress: Callable[[dict[str, Any]], None] | None,
+) -> dict[str, Any]: ...

@@ -1,1 +1,27 @@
-namespace bundle {}
+#include "core/cameras/registry.h"
+
+#include <array>
+
+namespace bundle {
+namespace {
+
+template <typename... Models>
+constexpr std::array<CameraModel, sizeof...(Models)> Describe(std::tuple<Models...>) {
+  static_assert(((kNumParams<Models> <= kMaxCameraParams) && ...));
+  return {{{Models::kName, Models::kParams, kNumParams<Models>, &Models::Project}...}};
+}
+
+constexpr std::array<CameraModel, kNumCameraModels> kModels = Describe(CameraModels());
+
+}  // namespace
+
+const CameraModel* AllCameraModels() { return kModels.data(); }
+
+const CameraModel* FindCameraModel(std::string_view name) {
+  for (const CameraModel& model : kModels) {
+    if (name == model.name) return &model;
+  }
+  return nullptr;
+}
+
+}  // namespace bundle

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 namespace bundle {
@@ -21,9 +22,10 @@ struct ProblemView {
   const int64_t* image_ids = nullptr;      ///< num_images, for messages
   const int32_t* image_camera = nullptr;   ///< num_images: index of the camera
 
-  const int64_t* camera_ids = nullptr;             ///< num_cameras, for messages
-  std::vector<const CameraModel*> camera_models;   ///< num_cameras; nullptr: a model we do not know
-  const double* camera_params = nullptr;           ///< num_cameras x camera_params_stride
+  const int64_t* camera_ids = nullptr;            ///< num_cameras, for messages
+  std::vector<std::string> camera_model_names;    ///< num_cameras
+  std::vector<const CameraModel*> camera_models;  ///< num_cameras; nullptr: a model we do not know
+  const double* camera_params = nullptr;          ///< num_cameras x camera_params_stride
   int camera_params_stride = 0;
 
   const double* points = nullptr;      ///< num_points x 3

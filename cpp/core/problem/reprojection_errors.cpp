@@ -1,1 +1,54 @@
-namespace bundle {}
+#include "core/problem/reprojection_errors.h"
+
+#include <cmath>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "core/cameras/camera_model.h"
+#include "core/error.h"
+#include "core/geometry/rotation.h"
+#include "core/parallel_for.h"
+
+namespace bundle {
+
+void CheckCameraModelsKnown(const ProblemView& problem) {
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    const int image = problem.observation_image[i];
+    const int camera = problem.image_camera[image];
+    if (problem.camera_models[camera] == nullptr) {
+      throw InputError("image " + std::to_string(problem.image_ids[image]) + ": camera " +
+                       std::to_string(problem.camera_ids[camera]) + " has the camera model " +
+                       problem.camera_model_names[camera] + ", which is not supported");
+    }
+  }
+}
+
+void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, double* errors,
+                               uint8_t* behind) {
+  CheckCameraModelsKnown(problem);
+  std::vector<double> rotations(9 * static_cast<size_t>(problem.num_images));
+  for (int i = 0; i < problem.num_images; ++i) {
+    QuaternionToRotation(problem.cam_from_world + 7 * i, &rotations[9 * i]);
+  }
+  ParallelFor(problem.num_observations, num_threads, [&](int64_t begin, int64_t end) {
+    for (int64_t i = begin; i < end; ++i) {
+      const int image = problem.observation_image[i];
+      const int camera = problem.image_camera[image];
+      const double* translation = problem.cam_from_world + 7 * image + 4;
+      double point[3], xy[2];
+      MatrixVector3(&rotations[9 * image], problem.points + 3 * static_cast<int64_t>(problem.observation_point[i]),
+                    point);
+      for (int j = 0; j < 3; ++j) point[j] += translation[j];
+      const Projection projection = problem.camera_models[camera]->project(
+          problem.ParamsOf(camera), point, xy, nullptr, nullptr);
+      behind[i] = projection != Projection::kValid;
+      errors[i] = projection == Projection::kUndefined
+                      ? std::numeric_limits<double>::quiet_NaN()
+                      : std::hypot(xy[0] - problem.observation_xy[2 * i],
+                                   xy[1] - problem.observation_xy[2 * i + 1]);
+    }
+  });
+}
+
+}  // namespace bundle

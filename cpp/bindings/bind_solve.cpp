@@ -1,0 +1,224 @@
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <functional>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "bindings/problem_from_python.h"
+#include "core/ceres/solve_with_ceres.h"
+#include "core/error.h"
+#include "core/parallel_for.h"
+
+namespace py = pybind11;
+
+namespace {
+
+template <typename Enum, size_t kSize>
+void Read(const py::dict& options, const char* name,
+          const bundle::NamedValue<Enum> (&values)[kSize], Enum* out) {
+  const auto text = py::cast<std::string>(options[name]);
+  for (const auto& [value_name, value] : values) {
+    if (value_name == text) {
+      *out = value;
+      return;
+    }
+  }
+  throw bundle::InputError(std::string(name) + ": unknown value " + text);
+}
+
+template <typename T>
+void Read(const py::dict& options, const char* name, T* out) {
+  *out = py::cast<T>(options[name]);
+}
+
+bundle::SolveOptions ReadOptions(const py::dict& options) {
+  bundle::SolveOptions result;
+  Read(options, "linear_solver_type", bundle::kLinearSolverTypes, &result.linear_solver_type);
+  Read(options, "linear_solver_ordering", bundle::kEliminationOrderings,
+       &result.linear_solver_ordering);
+  Read(options, "preconditioner_type", bundle::kPreconditionerTypes, &result.preconditioner_type);
+  Read(options, "trust_region_strategy_type", bundle::kTrustRegionStrategies,
+       &result.trust_region_strategy_type);
+  Read(options, "loss", bundle::kLossTypes, &result.loss);
+  Read(options, "loss_scale", &result.loss_scale);
+  Read(options, "max_num_iterations", &result.max_num_iterations);
+  Read(options, "function_tolerance", &result.function_tolerance);
+  Read(options, "gradient_tolerance", &result.gradient_tolerance);
+  Read(options, "parameter_tolerance", &result.parameter_tolerance);
+  Read(options, "num_threads", &result.num_threads);
+  Read(options, "fixed_camera_ids", &result.fixed_camera_ids);
+  Read(options, "fixed_image_ids", &result.fixed_image_ids);
+  Read(options, "fixed_point_ids", &result.fixed_point_ids);
+  Read(options, "gauge", bundle::kGauges, &result.gauge);
+  Read(options, "cheirality", bundle::kCheiralities, &result.cheirality);
+  const auto refined = [&options](const char* what) {
+    return options["refine"].contains(py::str(what));
+  };
+  result.refine_poses = refined("poses");
+  result.refine_points = refined("points");
+  result.refine_focal = refined("focal");
+  result.refine_principal_point = refined("principal_point");
+  result.refine_extra = refined("extra");
+  return result;
+}
+
+py::dict ToDict(const bundle::SolveSummary& s) {
+  py::dict d;
+#define BUNDLE_FIELD(name) d[#name] = s.name
+  BUNDLE_FIELD(initial_cost);
+  BUNDLE_FIELD(final_cost);
+  BUNDLE_FIELD(fixed_cost);
+  BUNDLE_FIELD(termination_type);
+  BUNDLE_FIELD(message);
+  BUNDLE_FIELD(is_solution_usable);
+  BUNDLE_FIELD(num_successful_steps);
+  BUNDLE_FIELD(num_unsuccessful_steps);
+  BUNDLE_FIELD(num_parameter_blocks);
+  BUNDLE_FIELD(num_parameters);
+  BUNDLE_FIELD(num_residual_blocks);
+  BUNDLE_FIELD(num_residuals);
+  BUNDLE_FIELD(num_parameter_blocks_reduced);
+  BUNDLE_FIELD(num_parameters_reduced);
+  BUNDLE_FIELD(num_residual_blocks_reduced);
+  BUNDLE_FIELD(num_residuals_reduced);
+  BUNDLE_FIELD(trust_region_strategy_type);
+  BUNDLE_FIELD(dogleg_type);
+  BUNDLE_FIELD(linear_solver_type_given);
+  BUNDLE_FIELD(linear_solver_type_used);
+  BUNDLE_FIELD(schur_structure_given);
+  BUNDLE_FIELD(schur_structure_used);
+  BUNDLE_FIELD(preconditioner_type_given);
+  BUNDLE_FIELD(preconditioner_type_used);
+  BUNDLE_FIELD(dense_linear_algebra_library_type);
+  BUNDLE_FIELD(sparse_linear_algebra_library_type);
+  BUNDLE_FIELD(num_threads_given);
+  BUNDLE_FIELD(num_threads_used);
+  BUNDLE_FIELD(preprocessor_time_in_seconds);
+  BUNDLE_FIELD(residual_evaluation_time_in_seconds);
+  BUNDLE_FIELD(jacobian_evaluation_time_in_seconds);
+  BUNDLE_FIELD(linear_solver_time_in_seconds);
+  BUNDLE_FIELD(minimizer_time_in_seconds);
+  BUNDLE_FIELD(postprocessor_time_in_seconds);
+  BUNDLE_FIELD(total_time_in_seconds);
+  BUNDLE_FIELD(num_residual_evaluations);
+  BUNDLE_FIELD(num_jacobian_evaluations);
+  BUNDLE_FIELD(num_linear_solves);
+  BUNDLE_FIELD(linear_solver_choice);
+  BUNDLE_FIELD(interrupted);
+#undef BUNDLE_FIELD
+  d["linear_solver_ordering_given"] = py::tuple(py::cast(s.linear_solver_ordering_given));
+  d["linear_solver_ordering_used"] = py::tuple(py::cast(s.linear_solver_ordering_used));
+  d["warnings"] = py::tuple(py::cast(s.warnings));
+  return d;
+}
+
+/// Calls visit(name, pointer to member) for each field of an iteration, in Ceres' order.
+template <typename Visitor>
+void VisitFields(const Visitor& visit) {
+  using Record = bundle::IterationRecord;
+  visit("iteration", &Record::iteration);
+  visit("cost", &Record::cost);
+  visit("cost_change", &Record::cost_change);
+  visit("gradient_max_norm", &Record::gradient_max_norm);
+  visit("step_norm", &Record::step_norm);
+  visit("relative_decrease", &Record::relative_decrease);
+  visit("trust_region_radius", &Record::trust_region_radius);
+  visit("linear_solver_iterations", &Record::linear_solver_iterations);
+  visit("step_is_successful", &Record::step_is_successful);
+  visit("iteration_time_in_seconds", &Record::iteration_time_in_seconds);
+  visit("cumulative_time_in_seconds", &Record::cumulative_time_in_seconds);
+}
+
+py::dict ToDict(const bundle::IterationRecord& record) {
+  py::dict d;
+  VisitFields([&](const char* name, auto field) { d[name] = record.*field; });
+  return d;
+}
+
+/// One array a field.
+py::dict ToArrays(const std::vector<bundle::IterationRecord>& records) {
+  py::dict d;
+  VisitFields([&](const char* name, auto field) {
+    using T = std::decay_t<decltype(records[0].*field)>;
+    py::array_t<T> array(static_cast<py::ssize_t>(records.size()));
+    for (size_t i = 0; i < records.size(); ++i) array.mutable_data()[i] = records[i].*field;
+    d[name] = array;
+  });
+  return d;
+}
+
+/// The vector as an array of `columns` columns, which takes over its memory.
+py::array_t<double> ToArray(std::vector<double> values, py::ssize_t columns) {
+  auto* owned = new std::vector<double>(std::move(values));
+  const py::capsule owner(owned, [](void* p) { delete static_cast<std::vector<double>*>(p); });
+  const py::ssize_t rows = columns == 0 ? 0 : static_cast<py::ssize_t>(owned->size()) / columns;
+  return py::array_t<double>({rows, columns}, owned->data(), owner);
+}
+
+/// Tells Python of each iteration and looks for Ctrl-C. An exception of the callback stops the solve
+/// and is kept; KeyboardInterrupt only stops it.
+class PythonProgress {
+ public:
+  explicit PythonProgress(py::object callback) : callback_(std::move(callback)) {}
+
+  bool operator()(const bundle::IterationRecord& record) {
+    const py::gil_scoped_acquire acquire;
+    try {
+      if (PyErr_CheckSignals() != 0) throw py::error_already_set();
+      if (!callback_.is_none()) callback_(ToDict(record));
+      return true;
+    } catch (py::error_already_set& error) {
+      if (!error.matches(PyExc_KeyboardInterrupt)) {
+        error.restore();
+        PyErr_Fetch(&type_, &value_, &traceback_);
+      }
+      return false;
+    }
+  }
+
+  /// Raises what the callback raised. With the GIL.
+  void Rethrow() {
+    if (type_ == nullptr) return;
+    PyErr_Restore(type_, value_, traceback_);
+    throw py::error_already_set();
+  }
+
+ private:
+  py::object callback_;
+  PyObject* type_ = nullptr;
+  PyObject* value_ = nullptr;
+  PyObject* traceback_ = nullptr;
+};
+
+py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress) {
+  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::SolveOptions solve_options = ReadOptions(options);
+  PythonProgress report(progress);
+  bundle::SolveOutput output;
+  {
+    const py::gil_scoped_release release;
+    output = bundle::SolveWithCeres(view, solve_options, std::ref(report));
+  }
+  report.Rethrow();
+  py::dict result;
+  result["cam_from_world"] = ToArray(std::move(output.cam_from_world), 7);
+  result["camera_params"] = ToArray(std::move(output.camera_params), view.camera_params_stride);
+  result["points"] = ToArray(std::move(output.points), 3);
+  result["summary"] = ToDict(output.summary);
+  result["iterations"] = ToArrays(output.iterations);
+  result["build_time_in_seconds"] = output.build_time_in_seconds;
+  result["solve_time_in_seconds"] = output.solve_time_in_seconds;
+  return result;
+}
+
+}  // namespace
+
+void BindSolve(py::module_& m) {
+  m.attr("CERES_VERSION") = bundle::CeresVersion();
+  m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });
+  m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"));
+}

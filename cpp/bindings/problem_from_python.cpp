@@ -1,0 +1,91 @@
+#include "bindings/problem_from_python.h"
+
+#include <pybind11/numpy.h>
+#include <pybind11/stl.h>
+
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "core/cameras/registry.h"
+#include "core/error.h"
+
+namespace py = pybind11;
+
+namespace {
+
+std::string ShapeText(const std::vector<py::ssize_t>& shape) {
+  std::string text = "(";
+  for (size_t i = 0; i < shape.size(); ++i) {
+    if (i > 0) text += ", ";
+    text += shape[i] < 0 ? "N" : std::to_string(shape[i]);
+  }
+  return text + (shape.size() == 1 ? ",)" : ")");
+}
+
+/// The data of the array attribute `name`, whose shape must be `shape` (-1: any).
+template <typename T>
+const T* Data(const py::handle& problem, const char* name, const std::vector<py::ssize_t>& shape) {
+  const auto array = py::cast<py::array>(problem.attr(name));
+  std::vector<py::ssize_t> found(array.shape(), array.shape() + array.ndim());
+  bool fits = found.size() == shape.size();
+  for (size_t i = 0; fits && i < shape.size(); ++i) fits = shape[i] < 0 || found[i] == shape[i];
+  if (!fits) {
+    throw bundle::InputError(std::string(name) + ": expected shape " + ShapeText(shape) +
+                             ", found " + ShapeText(found));
+  }
+  if (!py::isinstance<py::array_t<T, py::array::c_style>>(array)) {
+    throw bundle::InputError(std::string(name) + ": expected a C-contiguous array of " +
+                             std::string(py::str(py::dtype::of<T>())) + ", found " +
+                             std::string(py::str(array.dtype())));
+  }
+  return static_cast<const T*>(array.data());
+}
+
+int Count(const py::handle& problem, const char* name) {
+  const auto size = static_cast<size_t>(py::len(problem.attr(name)));
+  if (size > static_cast<size_t>(std::numeric_limits<int>::max())) {
+    throw bundle::InputError(std::string(name) + ": expected at most 2147483647 entries, found " +
+                             std::to_string(size));
+  }
+  return static_cast<int>(size);
+}
+
+}  // namespace
+
+bundle::ProblemView ViewProblem(const py::handle& problem) {
+  bundle::ProblemView view;
+  view.num_images = Count(problem, "cam_from_world");
+  view.num_cameras = Count(problem, "camera_params");
+  view.num_points = Count(problem, "points");
+  view.num_observations = Count(problem, "observation_xy");
+
+  view.cam_from_world = Data<double>(problem, "cam_from_world", {-1, 7});
+  view.image_ids = Data<int64_t>(problem, "image_ids", {view.num_images});
+  view.image_camera = Data<int32_t>(problem, "image_camera", {view.num_images});
+  view.camera_ids = Data<int64_t>(problem, "camera_ids", {view.num_cameras});
+  view.camera_params = Data<double>(problem, "camera_params", {-1, -1});
+  view.camera_params_stride =
+      static_cast<int>(py::cast<py::array>(problem.attr("camera_params")).shape(1));
+  Data<int64_t>(problem, "camera_sizes", {view.num_cameras, 2});
+  view.points = Data<double>(problem, "points", {-1, 3});
+  view.point_ids = Data<int64_t>(problem, "point_ids", {view.num_points});
+  view.observation_image = Data<int32_t>(problem, "observation_image", {view.num_observations});
+  view.observation_point = Data<int32_t>(problem, "observation_point", {view.num_observations});
+  view.observation_xy = Data<double>(problem, "observation_xy", {-1, 2});
+  Data<int32_t>(problem, "observation_keypoint", {view.num_observations});
+
+  if (Count(problem, "image_names") != view.num_images) {
+    throw bundle::InputError("image_names: expected " + std::to_string(view.num_images) +
+                             " names, found " + std::to_string(Count(problem, "image_names")));
+  }
+  view.camera_model_names = py::cast<std::vector<std::string>>(problem.attr("camera_models"));
+  if (view.camera_model_names.size() != static_cast<size_t>(view.num_cameras)) {
+    throw bundle::InputError("camera_models: expected " + std::to_string(view.num_cameras) +
+                             " names, found " + std::to_string(view.camera_model_names.size()));
+  }
+  for (const std::string& name : view.camera_model_names) {
+    view.camera_models.push_back(bundle::FindCameraModel(name));
+  }
+  return view;
+}

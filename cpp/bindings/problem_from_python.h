@@ -1,0 +1,9 @@
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include "core/problem/problem_view.h"
+
+/// Views the arrays of a bundle.Problem, which must outlive the view. Throws InputError if a shape
+/// is wrong; values are not looked at.
+bundle::ProblemView ViewProblem(const pybind11::handle& problem);

@@ -1,0 +1,52 @@
+#pragma once
+
+/// The one list of camera models. To add a model: write its header, add it to `CameraModels`.
+
+#include <cstddef>
+#include <iterator>
+#include <string_view>
+#include <tuple>
+#include <utility>
+
+#include "core/cameras/camera_model.h"
+#include "core/cameras/opencv.h"
+#include "core/cameras/pinhole.h"
+#include "core/cameras/radial.h"
+#include "core/cameras/simple_pinhole.h"
+
+namespace bundle {
+
+using CameraModels = std::tuple<SimplePinhole, Pinhole, SimpleRadial, Radial, OpenCv>;
+
+inline constexpr int kNumCameraModels = static_cast<int>(std::tuple_size_v<CameraModels>);
+
+template <typename Model>
+inline constexpr int kNumParams = static_cast<int>(std::size(Model::kParams));
+
+/// The models in the order of `CameraModels`.
+const CameraModel* AllCameraModels();
+
+/// nullptr if there is no such model.
+const CameraModel* FindCameraModel(std::string_view name);
+
+namespace internal {
+
+template <typename Visitor, std::size_t... kIndices>
+void VisitCameraModelImpl(std::ptrdiff_t index, Visitor&& visitor,
+                          std::index_sequence<kIndices...>) {
+  ((index == static_cast<std::ptrdiff_t>(kIndices)
+        ? visitor(std::tuple_element_t<kIndices, CameraModels>())
+        : void()),
+   ...);
+}
+
+}  // namespace internal
+
+/// Calls visitor(Model()) with the struct behind a model, for code that wants it inlined.
+template <typename Visitor>
+void VisitCameraModel(const CameraModel& model, Visitor&& visitor) {
+  internal::VisitCameraModelImpl(&model - AllCameraModels(), std::forward<Visitor>(visitor),
+                                 std::make_index_sequence<kNumCameraModels>());
+}
+
+}  // namespace bundle

@@ -1,0 +1,28 @@
+#pragma once
+
+/// Everything that differs between the versions of Ceres we build with: 2.1 (Debian 12) and
+/// 2.2 (Debian 13).
+
+#include <ceres/ceres.h>
+
+#if CERES_VERSION_MAJOR < 2 || (CERES_VERSION_MAJOR == 2 && CERES_VERSION_MINOR < 1)
+#error "bundle needs Ceres 2.1 or newer"
+#endif
+
+#define BUNDLE_CERES_AT_LEAST_2_2 \
+  (CERES_VERSION_MAJOR > 2 || (CERES_VERSION_MAJOR == 2 && CERES_VERSION_MINOR >= 2))
+
+namespace bundle {
+
+/// Power series expansion of the Schur complement came with 2.2. Returns false without it.
+inline bool PowerSeriesPreconditioner(ceres::PreconditionerType* type) {
+#if BUNDLE_CERES_AT_LEAST_2_2
+  *type = ceres::SCHUR_POWER_SERIES_EXPANSION;
+  return true;
+#else
+  (void)type;
+  return false;
+#endif
+}
+
+}  // namespace bundle

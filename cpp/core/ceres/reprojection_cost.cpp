@@ -1,0 +1,97 @@
+#include "core/ceres/reprojection_cost.h"
+
+#include <algorithm>
+
+#include "core/cameras/registry.h"
+#include "core/residuals/reprojection.h"
+
+namespace bundle {
+namespace {
+
+template <typename Model>
+class ReprojectionCost final : public ceres::CostFunction {
+ public:
+  ReprojectionCost(const ReprojectionContext& context, int64_t observation) {
+    const ProblemView& problem = context.problem;
+    const ParameterLayout& layout = context.layout;
+    const int image = problem.observation_image[observation];
+    const int camera = problem.image_camera[image];
+    const int point = problem.observation_point[observation];
+    pose_ = &context.states.pose(image);
+    params_ = context.states.params(camera);
+    cheirality_ = context.cheirality;
+    measurement_[0] = problem.observation_xy[2 * observation];
+    measurement_[1] = problem.observation_xy[2 * observation + 1];
+
+    set_num_residuals(2);
+    if (layout.point_is_free(point)) {
+      mutable_parameter_block_sizes()->push_back(3);
+    } else {
+      fixed_point_ = problem.points + 3 * static_cast<int64_t>(point);
+    }
+    for (const int index : {layout.image_block(image), layout.camera_block(camera)}) {
+      if (index < 0) continue;
+      const CameraSideBlock& block = layout.blocks()[index];
+      blocks_[num_blocks_++] = &block;
+      mutable_parameter_block_sizes()->push_back(block.size);
+    }
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
+    const double* point = fixed_point_ != nullptr ? fixed_point_ : parameters[0];
+    if (jacobians == nullptr) {
+      EvaluateReprojection<Model, kParams>(*pose_, params_, point, measurement_, cheirality_,
+                                           residuals, nullptr);
+      return true;
+    }
+    ReprojectionJacobian<kParams> jacobian;
+    EvaluateReprojection<Model>(*pose_, params_, point, measurement_, cheirality_, residuals,
+                                &jacobian);
+    if (fixed_point_ == nullptr) {
+      if (jacobians[0] != nullptr) std::copy_n(jacobian.point, 6, jacobians[0]);
+      ++jacobians;
+    }
+    for (int b = 0; b < num_blocks_; ++b) {
+      if (jacobians[b] != nullptr) Gather(jacobian, *blocks_[b], jacobians[b]);
+    }
+    return true;
+  }
+
+ private:
+  static constexpr int kParams = kNumParams<Model>;
+
+  static void Gather(const ReprojectionJacobian<kParams>& jacobian, const CameraSideBlock& block,
+                     double* out) {
+    for (int k = 0; k < block.size; ++k) {
+      const int column = block.columns[k];
+      const bool is_pose = column < kPoseSize;
+      const double* x = is_pose ? jacobian.pose + column : jacobian.params + (column - kPoseSize);
+      out[k] = x[0];
+      out[block.size + k] = x[is_pose ? kPoseSize : kParams];
+    }
+  }
+
+  const PoseState* pose_;
+  const double* params_;
+  const double* fixed_point_ = nullptr;
+  double measurement_[2];
+  const CameraSideBlock* blocks_[2] = {};
+  int num_blocks_ = 0;
+  Cheirality cheirality_;
+};
+
+}  // namespace
+
+std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
+                                                          int64_t observation) {
+  const ProblemView& problem = context.problem;
+  const int camera = problem.image_camera[problem.observation_image[observation]];
+  std::unique_ptr<ceres::CostFunction> cost;
+  VisitCameraModel(*problem.camera_models[camera], [&](auto model) {
+    cost = std::make_unique<ReprojectionCost<decltype(model)>>(context, observation);
+  });
+  return cost;
+}
+
+}  // namespace bundle

@@ -1,0 +1,257 @@
+#include "core/ceres/solve_with_ceres.h"
+
+#include <chrono>
+#include <memory>
+#include <string>
+#include <utility>
+
+#include "core/ceres/losses.h"
+#include "core/ceres/ordering.h"
+#include "core/ceres/process_settings.h"
+#include "core/ceres/reprojection_cost.h"
+#include "core/ceres/summarize.h"
+#include "core/ceres/translate_options.h"
+#include "core/error.h"
+#include "core/problem/reprojection_errors.h"
+#include "core/solve/camera_states.h"
+#include "core/solve/choose_solver.h"
+#include "core/solve/free_parameters.h"
+#include "core/solve/gauge.h"
+#include "core/solve/memory.h"
+#include "core/solve/parameter_layout.h"
+#include "core/solve/problem_shape.h"
+
+namespace bundle {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double SecondsSince(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+/// Expands the camera side once an evaluation.
+class UpdateCameraStates final : public ceres::EvaluationCallback {
+ public:
+  UpdateCameraStates(const double* state, CameraStates* states) : state_(state), states_(states) {}
+
+  void PrepareForEvaluation(bool /*evaluate_jacobians*/, bool new_evaluation_point) override {
+    if (new_evaluation_point) states_->Update(state_);
+  }
+
+ private:
+  const double* state_;
+  CameraStates* states_;
+};
+
+class ReportProgress final : public ceres::IterationCallback {
+ public:
+  ReportProgress(const ProgressCallback& progress, double fixed_cost)
+      : progress_(progress), fixed_cost_(fixed_cost) {}
+
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
+    if (progress_(ToRecord(iteration, fixed_cost_))) return ceres::SOLVER_CONTINUE;
+    interrupted_ = true;
+    return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
+  }
+
+  bool interrupted() const { return interrupted_; }
+
+ private:
+  const ProgressCallback& progress_;
+  const double fixed_cost_;
+  bool interrupted_ = false;
+};
+
+/// One solve, in the order of its methods.
+class CeresSolve {
+ public:
+  CeresSolve(const ProblemView& problem, const SolveOptions& options)
+      : problem_(problem),
+        options_(options),
+        layout_(problem, SelectFree()),
+        states_(problem, layout_),
+        context_{problem_, layout_, states_, options.cheirality},
+        points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
+        state_(layout_.InitialState(problem)),
+        update_states_(state_.data(), &states_),
+        loss_(MakeLoss(options.loss, options.loss_scale)) {}
+
+  SolveOutput Run(const ProgressCallback& progress) {
+    const Clock::time_point start = Clock::now();
+    BuildProblem();
+    ceres::Solver::Options ceres_options = ChooseSolver();
+    ReportProgress report(progress, fixed_cost_);
+    if (progress) ceres_options.callbacks.push_back(&report);
+
+    const ProcessSettings settings(BlasThreads(ceres_options));
+    const Clock::time_point solve_start = Clock::now();
+    ceres::Solver::Summary summary;
+    ceres::Solve(ceres_options, ceres_problem_.get(), &summary);
+    const double solve_time = SecondsSince(solve_start);
+
+    SolveOutput output = Collect(summary);
+    output.summary.interrupted = report.interrupted();
+    output.solve_time_in_seconds = solve_time;
+    output.build_time_in_seconds = SecondsSince(start) - solve_time;
+    return output;
+  }
+
+ private:
+  FreeParameters SelectFree() {
+    CheckCameraModelsKnown(problem_);
+    FreeParameters free = SelectFreeParameters(problem_, options_);
+    warnings_ = FixGauge(problem_, options_.gauge, &free);
+    return free;
+  }
+
+  void BuildProblem() {
+    ceres::Problem::Options problem_options;
+    problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+    problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+    problem_options.disable_all_safety_checks = true;  // the layout makes every block once
+    problem_options.evaluation_callback = &update_states_;
+    ceres_problem_ = std::make_unique<ceres::Problem>(problem_options);
+
+    // In the order of memory, so that Ceres walks through ours as it walks through its own.
+    for (int p = 0; p < problem_.num_points; ++p) {
+      if (layout_.point_is_free(p)) ceres_problem_->AddParameterBlock(PointData(p), 3);
+    }
+    for (const CameraSideBlock& block : layout_.blocks()) {
+      ceres_problem_->AddParameterBlock(state_.data() + block.offset, block.size);
+    }
+    costs_.reserve(problem_.num_observations);
+    for (int64_t i = 0; i < problem_.num_observations; ++i) AddObservation(i);
+  }
+
+  void AddObservation(int64_t i) {
+    const int image = problem_.observation_image[i];
+    const int point = problem_.observation_point[i];
+    double* blocks[3];
+    int num_blocks = 0;
+    if (layout_.point_is_free(point)) blocks[num_blocks++] = PointData(point);
+    for (const int index :
+         {layout_.image_block(image), layout_.camera_block(problem_.image_camera[image])}) {
+      if (index >= 0) blocks[num_blocks++] = state_.data() + layout_.blocks()[index].offset;
+    }
+    std::unique_ptr<ceres::CostFunction> cost = MakeReprojectionCost(context_, i);
+    if (num_blocks == 0) {
+      fixed_cost_ += Cost(*cost);
+      return;
+    }
+    ceres_problem_->AddResidualBlock(cost.get(), loss_.get(), blocks, num_blocks);
+    costs_.push_back(std::move(cost));
+  }
+
+  /// 1/2 rho(||r||^2) of an observation with nothing to refine.
+  double Cost(const ceres::CostFunction& cost) const {
+    double residual[2];
+    cost.Evaluate(nullptr, residual, nullptr);
+    const double squared = residual[0] * residual[0] + residual[1] * residual[1];
+    if (loss_ == nullptr) return 0.5 * squared;
+    double rho[3];
+    loss_->Evaluate(squared, rho);
+    return 0.5 * rho[0];
+  }
+
+  ceres::Solver::Options ChooseSolver() {
+    const ProblemShape shape = ShapeOf(layout_, 2 * static_cast<int64_t>(costs_.size()));
+    SolveOptions options = options_;
+    if (options.linear_solver_type == LinearSolverType::kAuto) {
+      SolverChoice choice = ChooseLinearSolver(problem_, layout_, shape);
+      options.linear_solver_type = choice.type;
+      linear_solver_choice_ = std::move(choice.reason);
+    }
+    ceres::Solver::Options result = TranslateOptions(options);
+    if (!IsIterative(options.linear_solver_type) &&
+        options.preconditioner_type != PreconditionerType::kAuto) {
+      warnings_.push_back("The preconditioner is not used: " +
+                          std::string(LinearSolverTypeToString(result.linear_solver_type)) +
+                          " is a direct solver.");
+    }
+    RefuseTooMuchMemory(options, shape);
+    result.linear_solver_ordering =
+        MakeOrdering(options.linear_solver_ordering, layout_, problem_.num_points, points_.data(),
+                     state_.data());
+    return result;
+  }
+
+  /// With nothing to eliminate, Ceres replaces DENSE_SCHUR by DENSE_QR without a word.
+  void RefuseTooMuchMemory(const SolveOptions& options, const ProblemShape& shape) const {
+    const std::string name = LinearSolverTypeToString(ToCeres(options.linear_solver_type));
+    if (options.linear_solver_type == LinearSolverType::kDenseSchur &&
+        NothingToEliminate(options.linear_solver_ordering, layout_) && !costs_.empty()) {
+      const double bytes = PredictDenseMatrixBytes(LinearSolverType::kDenseQr, shape, false);
+      throw InputError(
+          "linear_solver_type: DENSE_SCHUR has nothing to eliminate (nothing of its first group is "
+          "refined) and would fall back to DENSE_QR of the whole Jacobian, " +
+          FormatBytes(bytes) + "; use auto or sparse_normal_cholesky");
+    }
+    const double bytes = PredictDenseMatrixBytes(
+        options.linear_solver_type, shape,
+        options.linear_solver_ordering == EliminationOrdering::kCamerasFirst);
+    const double available = AvailableMemoryBytes();
+    if (bytes > 0.9 * available) {
+      throw InputError("linear_solver_type: " + name + " needs " + FormatBytes(bytes) +
+                       " for its dense matrices, of which this machine has " +
+                       FormatBytes(available) + " free; use sparse_schur or iterative_schur");
+    }
+  }
+
+  /// OpenBLAS' own threads pay for large dense factorisations only.
+  int BlasThreads(const ceres::Solver::Options& options) const {
+    const bool large = options.linear_solver_type == ceres::DENSE_SCHUR &&
+                       layout_.state_size() >= kColumnsWorthBlasThreads;
+    return large ? options.num_threads : 1;
+  }
+
+  SolveOutput Collect(const ceres::Solver::Summary& summary) {
+    SolveOutput output;
+    output.summary = Summarize(summary, fixed_cost_);
+    output.summary.linear_solver_choice = std::move(linear_solver_choice_);
+    if (summary.linear_solver_type_used != summary.linear_solver_type_given) {
+      warnings_.push_back("Ceres replaced " + output.summary.linear_solver_type_given + " by " +
+                          output.summary.linear_solver_type_used +
+                          ": there was nothing to eliminate.");
+    }
+    output.summary.warnings = std::move(warnings_);
+    for (const ceres::IterationSummary& iteration : summary.iterations) {
+      output.iterations.push_back(ToRecord(iteration, fixed_cost_));
+    }
+    states_.Update(state_.data());
+    output.cam_from_world = states_.CamFromWorld();
+    output.camera_params = states_.camera_params();
+    output.points = std::move(points_);
+    return output;
+  }
+
+  double* PointData(int point) { return points_.data() + 3 * static_cast<int64_t>(point); }
+
+  static constexpr int kColumnsWorthBlasThreads = 1000;
+
+  const ProblemView& problem_;
+  const SolveOptions& options_;
+  std::vector<std::string> warnings_;
+  std::string linear_solver_choice_;
+  ParameterLayout layout_;
+  CameraStates states_;
+  ReprojectionContext context_;
+  std::vector<double> points_;
+  std::vector<double> state_;
+  UpdateCameraStates update_states_;
+  std::unique_ptr<ceres::LossFunction> loss_;
+  std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
+  std::unique_ptr<ceres::Problem> ceres_problem_;
+  double fixed_cost_ = 0;
+};
+
+}  // namespace
+
+SolveOutput SolveWithCeres(const ProblemView& problem, const SolveOptions& options,
+                           const ProgressCallback& progress) {
+  return CeresSolve(problem, options).Run(progress);
+}
+
+const char* CeresVersion() { return CERES_VERSION_STRING; }
+
+}  // namespace bundle

@@ -1,0 +1,136 @@
+#include "core/ceres/translate_options.h"
+
+#include <string>
+
+#include "core/error.h"
+#include "core/parallel_for.h"
+
+namespace bundle {
+namespace {
+
+bool IsSparseDirect(LinearSolverType type) {
+  return type == LinearSolverType::kSparseSchur || type == LinearSolverType::kSparseNormalCholesky;
+}
+
+ceres::PreconditionerType ToCeres(PreconditionerType type, LinearSolverType solver) {
+  switch (type) {
+    case PreconditionerType::kAuto:
+      return solver == LinearSolverType::kIterativeSchur ? ceres::SCHUR_JACOBI : ceres::JACOBI;
+    case PreconditionerType::kIdentity:
+      return ceres::IDENTITY;
+    case PreconditionerType::kJacobi:
+      return ceres::JACOBI;
+    case PreconditionerType::kSchurJacobi:
+      return ceres::SCHUR_JACOBI;
+    case PreconditionerType::kClusterJacobi:
+      return ceres::CLUSTER_JACOBI;
+    case PreconditionerType::kClusterTridiagonal:
+      return ceres::CLUSTER_TRIDIAGONAL;
+    case PreconditionerType::kSchurPowerSeriesExpansion: {
+      ceres::PreconditionerType result;
+      if (PowerSeriesPreconditioner(&result)) return result;
+      throw InputError(
+          "preconditioner_type: schur_power_series_expansion needs Ceres 2.2, this is "
+          "Ceres " CERES_VERSION_STRING);
+    }
+  }
+  throw InputError("preconditioner_type: expected a preconditioner");
+}
+
+/// Ceres 2.1 aborts the process on CGNR with anything but IDENTITY and JACOBI.
+void CheckPreconditioner(const SolveOptions& options, ceres::PreconditionerType preconditioner) {
+  const bool plain = preconditioner == ceres::IDENTITY || preconditioner == ceres::JACOBI;
+  const std::string name = ceres::PreconditionerTypeToString(preconditioner);
+  if (options.linear_solver_type == LinearSolverType::kCgnr && !plain) {
+    throw InputError("preconditioner_type: expected identity or jacobi with cgnr, found " + name);
+  }
+  const bool clusters =
+      preconditioner == ceres::CLUSTER_JACOBI || preconditioner == ceres::CLUSTER_TRIDIAGONAL;
+  if (clusters && !ceres::IsSparseLinearAlgebraLibraryTypeAvailable(ceres::SUITE_SPARSE)) {
+    throw InputError("preconditioner_type: " + name +
+                     " needs SuiteSparse, which this Ceres was built without");
+  }
+}
+
+void SetLinearSolver(const SolveOptions& options, ceres::Solver::Options* result) {
+  const LinearSolverType type = options.linear_solver_type;
+  result->linear_solver_type = bundle::ToCeres(type);
+  const bool has_suite_sparse =
+      ceres::IsSparseLinearAlgebraLibraryTypeAvailable(ceres::SUITE_SPARSE);
+  if (IsSparseDirect(type) && !has_suite_sparse) {
+    throw InputError("linear_solver_type: " + std::string(LinearSolverTypeToString(
+                                                  result->linear_solver_type)) +
+                     " needs SuiteSparse, which this Ceres was built without");
+  }
+  if (has_suite_sparse) result->sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
+  if (ceres::IsDenseLinearAlgebraLibraryTypeAvailable(ceres::LAPACK)) {
+    result->dense_linear_algebra_library_type = ceres::LAPACK;
+  }
+  if (IsIterative(type)) {
+    result->preconditioner_type = ToCeres(options.preconditioner_type, type);
+    CheckPreconditioner(options, result->preconditioner_type);
+  }
+}
+
+void SetTrustRegion(const SolveOptions& options, ceres::Solver::Options* result) {
+  if (options.trust_region_strategy_type == TrustRegionStrategy::kLevenbergMarquardt) {
+    result->trust_region_strategy_type = ceres::LEVENBERG_MARQUARDT;
+    return;
+  }
+  if (IsIterative(options.linear_solver_type)) {
+    throw InputError(
+        "trust_region_strategy_type: expected levenberg_marquardt with an iterative solver; dogleg "
+        "needs exact steps");
+  }
+  result->trust_region_strategy_type = ceres::DOGLEG;
+  result->dogleg_type = options.trust_region_strategy_type == TrustRegionStrategy::kDogleg
+                            ? ceres::TRADITIONAL_DOGLEG
+                            : ceres::SUBSPACE_DOGLEG;
+}
+
+}  // namespace
+
+bool IsIterative(LinearSolverType type) {
+  return type == LinearSolverType::kIterativeSchur || type == LinearSolverType::kCgnr;
+}
+
+ceres::LinearSolverType ToCeres(LinearSolverType type) {
+  switch (type) {
+    case LinearSolverType::kDenseSchur:
+      return ceres::DENSE_SCHUR;
+    case LinearSolverType::kSparseSchur:
+      return ceres::SPARSE_SCHUR;
+    case LinearSolverType::kIterativeSchur:
+      return ceres::ITERATIVE_SCHUR;
+    case LinearSolverType::kDenseNormalCholesky:
+      return ceres::DENSE_NORMAL_CHOLESKY;
+    case LinearSolverType::kSparseNormalCholesky:
+      return ceres::SPARSE_NORMAL_CHOLESKY;
+    case LinearSolverType::kDenseQr:
+      return ceres::DENSE_QR;
+    case LinearSolverType::kCgnr:
+      return ceres::CGNR;
+    case LinearSolverType::kAuto:
+      break;
+  }
+  throw InputError("linear_solver_type: expected a solver");
+}
+
+ceres::Solver::Options TranslateOptions(const SolveOptions& options) {
+  ceres::Solver::Options result;
+  result.minimizer_type = ceres::TRUST_REGION;
+  result.logging_type = ceres::SILENT;
+  result.minimizer_progress_to_stdout = false;
+  result.max_num_iterations = options.max_num_iterations;
+  result.function_tolerance = options.function_tolerance;
+  result.gradient_tolerance = options.gradient_tolerance;
+  result.parameter_tolerance = options.parameter_tolerance;
+  result.num_threads = EffectiveNumThreads(options.num_threads);
+  SetLinearSolver(options, &result);
+  SetTrustRegion(options, &result);
+  std::string error;
+  if (!result.IsValid(&error)) throw InputError("options: " + error);
+  return result;
+}
+
+}  // namespace bundle

@@ -1,0 +1,118 @@
+#pragma once
+
+/// Rotations of three-space: the exponential map, its left Jacobian, and unit quaternions.
+///
+/// For w in R^3 with angle a = |w| and W = [w]x (the matrix with W v = w x v), Rodrigues' formula is
+///
+///   Exp(w) = I + A W + B W^2,         A = sin(a) / a,      B = (1 - cos(a)) / a^2,
+///
+/// and the left Jacobian, defined by Exp(w + d) = Exp(J_l(w) d) Exp(w) + O(|d|^2), is
+///
+///   J_l(w) = I + B W + C W^2,         C = (a - sin(a)) / a^3
+///
+/// (Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, eq. 145).
+/// All three coefficients are entire functions of a^2; below a^2 = 1e-4 we take their Taylor series
+/// to a^6, whose first dropped term is under 1e-20, because C by its formula loses all its digits.
+///
+/// Matrices are 3x3, row-major. Quaternions are stored as COLMAP stores them: x y z w.
+
+#include <cmath>
+
+namespace bundle {
+
+struct RotationCoefficients {
+  double a, b, c;
+};
+
+/// A, B and C of the derivation above, as functions of the squared angle.
+inline RotationCoefficients ExpCoefficients(double angle_squared) {
+  const double s = angle_squared;
+  if (s < 1e-4) {
+    return {1 - s / 6 * (1 - s / 20 * (1 - s / 42)), 0.5 - s / 24 * (1 - s / 30 * (1 - s / 56)),
+            1.0 / 6 - s / 120 * (1 - s / 42 * (1 - s / 72))};
+  }
+  const double angle = std::sqrt(s);
+  // 1 - cos(a) = 2 sin^2(a/2) keeps its digits for small a.
+  const double sin_half = std::sin(0.5 * angle);
+  const double sin_angle = std::sin(angle);
+  return {sin_angle / angle, 2 * sin_half * sin_half / s, (angle - sin_angle) / (s * angle)};
+}
+
+/// out = I + p [w]x + q [w]x^2
+inline void SkewPolynomial(const double w[3], double p, double q, double out[9]) {
+  const double xx = w[0] * w[0], yy = w[1] * w[1], zz = w[2] * w[2];
+  const double xy = w[0] * w[1], xz = w[0] * w[2], yz = w[1] * w[2];
+  out[0] = 1 - q * (yy + zz);
+  out[1] = q * xy - p * w[2];
+  out[2] = q * xz + p * w[1];
+  out[3] = q * xy + p * w[2];
+  out[4] = 1 - q * (xx + zz);
+  out[5] = q * yz - p * w[0];
+  out[6] = q * xz - p * w[1];
+  out[7] = q * yz + p * w[0];
+  out[8] = 1 - q * (xx + yy);
+}
+
+inline void ExpRotation(const double w[3], double rotation[9], double left_jacobian[9]) {
+  const RotationCoefficients k = ExpCoefficients(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
+  SkewPolynomial(w, k.a, k.b, rotation);
+  SkewPolynomial(w, k.b, k.c, left_jacobian);
+}
+
+/// The quaternion (x y z w) of Exp(w).
+inline void ExpQuaternion(const double w[3], double q[4]) {
+  const double angle_squared = w[0] * w[0] + w[1] * w[1] + w[2] * w[2];
+  const double sinc_half = 0.5 * ExpCoefficients(0.25 * angle_squared).a;
+  q[0] = sinc_half * w[0];
+  q[1] = sinc_half * w[1];
+  q[2] = sinc_half * w[2];
+  q[3] = std::cos(0.5 * std::sqrt(angle_squared));
+}
+
+/// The rotation of a quaternion (x y z w) of any nonzero norm.
+inline void QuaternionToRotation(const double q[4], double rotation[9]) {
+  const double x = q[0], y = q[1], z = q[2], w = q[3];
+  const double s = 2 / (x * x + y * y + z * z + w * w);
+  rotation[0] = 1 - s * (y * y + z * z);
+  rotation[1] = s * (x * y - z * w);
+  rotation[2] = s * (x * z + y * w);
+  rotation[3] = s * (x * y + z * w);
+  rotation[4] = 1 - s * (x * x + z * z);
+  rotation[5] = s * (y * z - x * w);
+  rotation[6] = s * (x * z - y * w);
+  rotation[7] = s * (y * z + x * w);
+  rotation[8] = 1 - s * (x * x + y * y);
+}
+
+/// out = a b, the rotation b followed by a.
+inline void QuaternionProduct(const double a[4], const double b[4], double out[4]) {
+  out[0] = a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1];
+  out[1] = a[3] * b[1] - a[0] * b[2] + a[1] * b[3] + a[2] * b[0];
+  out[2] = a[3] * b[2] + a[0] * b[1] - a[1] * b[0] + a[2] * b[3];
+  out[3] = a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2];
+}
+
+inline void MatrixVector3(const double m[9], const double v[3], double out[3]) {
+  out[0] = m[0] * v[0] + m[1] * v[1] + m[2] * v[2];
+  out[1] = m[3] * v[0] + m[4] * v[1] + m[5] * v[2];
+  out[2] = m[6] * v[0] + m[7] * v[1] + m[8] * v[2];
+}
+
+/// out = v^T m
+inline void VectorMatrix3(const double v[3], const double m[9], double out[3]) {
+  out[0] = v[0] * m[0] + v[1] * m[3] + v[2] * m[6];
+  out[1] = v[0] * m[1] + v[1] * m[4] + v[2] * m[7];
+  out[2] = v[0] * m[2] + v[1] * m[5] + v[2] * m[8];
+}
+
+inline void MatrixProduct3(const double a[9], const double b[9], double out[9]) {
+  for (int row = 0; row < 3; ++row) VectorMatrix3(a + 3 * row, b, out + 3 * row);
+}
+
+inline void Cross3(const double a[3], const double b[3], double out[3]) {
+  out[0] = a[1] * b[2] - a[2] * b[1];
+  out[1] = a[2] * b[0] - a[0] * b[2];
+  out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+}  // namespace bundle

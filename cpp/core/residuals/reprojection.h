@@ -1,0 +1,101 @@
+#pragma once
+
+/// The reprojection residual and its derivatives.
+///
+/// Image i starts the solve with rotation R0 and translation t0. Its pose is parameterised by
+/// x = (w, t) in R^6, which starts at (0, t0), so that a world point X appears in the camera at
+///
+///   P = Exp(w) R0 X + t,          r = pi(theta, P) - m          [pixels],
+///
+/// where pi is the camera model with parameters theta and m the measurement. This chart is a vector
+/// space: Ceres adds steps to it without a manifold, hence without a dynamic-size product with a
+/// plus-Jacobian per residual block, and the Jacobian is written once, where it is needed. At w = 0
+/// it is the tangent space of the left perturbation Exp(d) R0; further out the left Jacobian J_l of
+/// SO(3) corrects for it, once an image and evaluation (`PoseState`). It is regular for |w| < 2 pi.
+///
+/// With q = Exp(w) R0 X, the derivative of P follows from Exp(w + d) ~ Exp(J_l d) Exp(w):
+///
+///   dP/dw = -[q]x J_l(w),    dP/dt = I,    dP/dX = Exp(w) R0 =: R.
+///
+/// With a row a^T of dpi/dP (2x3), -a^T [q]x = (q x a)^T, so that row of the residual's Jacobian is
+///
+///   d/dw = (q x a)^T J_l,    d/dt = a^T,    d/dX = a^T R,    d/dtheta as the model gives it.
+
+#include <limits>
+
+#include "core/cameras/camera_model.h"
+#include "core/geometry/rotation.h"
+
+namespace bundle {
+
+/// What all observations of an image share in one evaluation.
+struct PoseState {
+  double rotation[9];       ///< cam_from_world, Exp(w) R0
+  double translation[3];    ///< t
+  double left_jacobian[9];  ///< J_l(w)
+};
+
+/// What becomes of an observation behind its camera.
+enum class Cheirality {
+  kAlgebraic,  ///< keeps the residual that the formula gives, as the BAL reference costs do
+  kZero,       ///< contributes nothing, as in COLMAP
+};
+
+/// Derivatives of one residual, rows x then y.
+template <int kNumModelParams>
+struct ReprojectionJacobian {
+  double pose[2 * 6];
+  double params[2 * kNumModelParams];
+  double point[2 * 3];
+};
+
+/// Pixels of a world point, and how it projects.
+template <typename Model>
+Projection ProjectWorldPoint(const PoseState& pose, const double* params, const double* point,
+                             double* xy) {
+  double camera_point[3];
+  MatrixVector3(pose.rotation, point, camera_point);
+  for (int i = 0; i < 3; ++i) camera_point[i] += pose.translation[i];
+  return Model::Project(params, camera_point, xy, nullptr, nullptr);
+}
+
+/// True if an observation contributes.
+inline bool Counts(Projection projection, Cheirality cheirality) {
+  return projection == Projection::kValid ||
+         (projection == Projection::kBehind && cheirality == Cheirality::kAlgebraic);
+}
+
+/// The residual, and its derivatives unless `jacobian` is nullptr. Returns false, with everything
+/// set to zero, if the observation does not count.
+template <typename Model, int kNumModelParams>
+bool EvaluateReprojection(const PoseState& pose, const double* params, const double* point,
+                          const double* measurement, Cheirality cheirality, double* residual,
+                          ReprojectionJacobian<kNumModelParams>* jacobian) {
+  double rotated[3], camera_point[3], xy[2], d_point[6];
+  MatrixVector3(pose.rotation, point, rotated);
+  for (int i = 0; i < 3; ++i) camera_point[i] = rotated[i] + pose.translation[i];
+  const Projection projection =
+      jacobian == nullptr
+          ? Model::Project(params, camera_point, xy, nullptr, nullptr)
+          : Model::Project(params, camera_point, xy, d_point, jacobian->params);
+  if (!Counts(projection, cheirality)) {
+    residual[0] = residual[1] = 0;
+    if (jacobian != nullptr) *jacobian = {};
+    return false;
+  }
+  residual[0] = xy[0] - measurement[0];
+  residual[1] = xy[1] - measurement[1];
+  if (jacobian == nullptr) return true;
+  for (int row = 0; row < 2; ++row) {
+    const double* a = d_point + 3 * row;
+    double* d_pose = jacobian->pose + 6 * row;
+    double torque[3];
+    Cross3(rotated, a, torque);
+    VectorMatrix3(torque, pose.left_jacobian, d_pose);
+    for (int i = 0; i < 3; ++i) d_pose[3 + i] = a[i];
+    VectorMatrix3(a, pose.rotation, jacobian->point + 3 * row);
+  }
+  return true;
+}
+
+}  // namespace bundle

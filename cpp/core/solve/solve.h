@@ -1,0 +1,25 @@
+#pragma once
+
+#include <functional>
+#include <vector>
+
+#include "core/problem/problem_view.h"
+#include "core/solve/options.h"
+#include "core/solve/summary.h"
+
+namespace bundle {
+
+/// Called after each iteration; false stops the solve, which then keeps the best state.
+using ProgressCallback = std::function<bool(const IterationRecord&)>;
+
+struct SolveOutput {
+  std::vector<double> cam_from_world;  ///< as in ProblemView
+  std::vector<double> camera_params;   ///< as in ProblemView
+  std::vector<double> points;          ///< as in ProblemView
+  SolveSummary summary;
+  std::vector<IterationRecord> iterations;
+  double build_time_in_seconds = 0;  ///< outside the solver
+  double solve_time_in_seconds = 0;  ///< inside it
+};
+
+}  // namespace bundle

@@ -1,0 +1,74 @@
+#pragma once
+
+/// What a solve reports, whichever backend ran it, in Ceres' vocabulary.
+
+#include <string>
+#include <vector>
+
+namespace bundle {
+
+/// ceres::IterationSummary; times in seconds.
+struct IterationRecord {
+  int iteration = 0;
+  double cost = 0;
+  double cost_change = 0;
+  double gradient_max_norm = 0;
+  double step_norm = 0;
+  double relative_decrease = 0;
+  double trust_region_radius = 0;
+  int linear_solver_iterations = 0;
+  bool step_is_successful = false;
+  double iteration_time_in_seconds = 0;
+  double cumulative_time_in_seconds = 0;
+};
+
+/// ceres::Solver::Summary; enumerations by Ceres' names, times in seconds, -1 where not measured.
+struct SolveSummary {
+  double initial_cost = -1;
+  double final_cost = -1;
+  double fixed_cost = -1;  ///< of observations with nothing to refine; part of the other two
+  std::string termination_type;
+  std::string message;
+  bool is_solution_usable = false;
+  int num_successful_steps = -1;
+  int num_unsuccessful_steps = -1;
+  int num_parameter_blocks = -1;
+  int num_parameters = -1;
+  int num_residual_blocks = -1;
+  int num_residuals = -1;
+  int num_parameter_blocks_reduced = -1;
+  int num_parameters_reduced = -1;
+  int num_residual_blocks_reduced = -1;
+  int num_residuals_reduced = -1;
+  std::string trust_region_strategy_type;
+  std::string dogleg_type;
+  std::string linear_solver_type_given;
+  std::string linear_solver_type_used;
+  std::vector<int> linear_solver_ordering_given;
+  std::vector<int> linear_solver_ordering_used;
+  std::string schur_structure_given;
+  std::string schur_structure_used;
+  std::string preconditioner_type_given;
+  std::string preconditioner_type_used;
+  std::string dense_linear_algebra_library_type;
+  std::string sparse_linear_algebra_library_type;
+  int num_threads_given = -1;
+  int num_threads_used = -1;
+  double preprocessor_time_in_seconds = -1;
+  double residual_evaluation_time_in_seconds = -1;
+  double jacobian_evaluation_time_in_seconds = -1;
+  double linear_solver_time_in_seconds = -1;
+  double minimizer_time_in_seconds = -1;
+  double postprocessor_time_in_seconds = -1;
+  double total_time_in_seconds = -1;
+  int num_residual_evaluations = -1;
+  int num_jacobian_evaluations = -1;
+  int num_linear_solves = -1;
+
+  // Beyond Ceres.
+  std::string linear_solver_choice;  ///< why this solver, where we chose it
+  bool interrupted = false;
+  std::vector<std::string> warnings;  ///< sentences
+};
+
+}  // namespace bundle

@@ -1,0 +1,177 @@
+"""Bundle Adjustment in the Large: text files, plain or compressed by gzip or bzip2.
+
+A BAL camera is COLMAP's RADIAL model with principal point (0, 0), its frame turned by
+diag(1, -1, -1) and the image's y negated; ``cpp/core/io/bal_convention.h`` derives it. Reading and
+writing again gives every number back: focal lengths, distortion, points and observations bit by
+bit, rotations and translations to within 1e-12 relative. The one exception is a rotation by 2 pi or
+more, which comes back as the same rotation by an angle in [0, 2 pi).
+
+Format: https://grail.cs.washington.edu/projects/bal/
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.errors import InputError
+from bundle.io.paths import shown
+from bundle.problem import Problem
+
+__all__ = ["load", "losses", "radial_params", "save"]
+
+
+class _Layout(NamedTuple):
+    """Where a model keeps what BAL has, and what must be zero for the rest to be all of it."""
+
+    focal: tuple[int, ...]
+    principal_point: tuple[int, int]
+    distortion: tuple[int, ...] = ()
+    zero: tuple[int, ...] = ()
+
+
+_LAYOUTS = {
+    "SIMPLE_PINHOLE": _Layout((0,), (1, 2)),
+    "PINHOLE": _Layout((0, 1), (2, 3)),
+    "SIMPLE_RADIAL": _Layout((0,), (1, 2), (3,)),
+    "RADIAL": _Layout((0,), (1, 2), (3, 4)),
+    "OPENCV": _Layout((0, 1), (2, 3), (4, 5), (6, 7)),
+}
+
+
+def load(path: Path) -> Problem:
+    """Read a BAL file; compression is told from the content.
+
+    Observations keep the file's order; a repeated one stays repeated.
+
+    Raises:
+        InputError: the file is not what the format says; the message has path and line, or for
+            damaged compression path and byte.
+        OSError: the file cannot be read.
+    """
+    poses, params, points, observation_image, observation_point, xy = _core.read_bal(path)
+    cameras = np.arange(len(poses))
+    return Problem(
+        cam_from_world=poses,
+        image_ids=cameras,
+        image_names=("",) * len(poses),
+        image_camera=cameras.astype(np.int32),
+        camera_ids=cameras,
+        camera_models=("RADIAL",) * len(poses),
+        camera_params=params,
+        camera_sizes=np.zeros((len(poses), 2), np.int64),
+        points=points,
+        point_ids=np.arange(len(points)),
+        observation_image=observation_image,
+        observation_point=observation_point,
+        observation_xy=xy,
+        observation_keypoint=np.full(len(xy), -1, np.int32),
+        format="bal",
+    )
+
+
+def save(problem: Problem, path: Path, compression: str = "") -> None:
+    """Write a BAL file, compressed by "gzip", "bzip2" or "" (not at all).
+
+    Every image gets a camera of its own and principal points are subtracted from the observations.
+
+    Raises:
+        InputError: see ``radial_params``.
+        OSError: the file cannot be written.
+    """
+    _core.write_bal(
+        path,
+        problem.cam_from_world,
+        radial_params(problem),
+        problem.points,
+        problem.observation_image,
+        problem.observation_point,
+        problem.observation_xy,
+        compression,
+    )
+
+
+def radial_params(problem: Problem) -> NDArray[np.float64]:
+    """Return f, cx, cy, k1, k2 of each image, in pixels: (num_images, 5).
+
+    Raises:
+        InputError: a camera has more parameters than these; the message names model and image.
+    """
+    params = np.zeros((problem.num_images, 5))
+    models = np.array(problem.camera_models, dtype=object)[problem.image_camera]
+    for model in sorted(set(models)):
+        images = np.flatnonzero(models == model)
+        if model not in _LAYOUTS:
+            raise _unsupported(problem, images[0], f"expected one of {', '.join(_LAYOUTS)}")
+        layout = _LAYOUTS[model]
+        source = problem.camera_params[problem.image_camera[images]]
+        focal = source[:, list(layout.focal)]
+        beyond = (focal != focal[:, :1]).any(axis=1)
+        beyond |= (source[:, list(layout.zero)] != 0).any(axis=1)
+        if beyond.any():
+            expected = "expected fx = fy and no tangential distortion"
+            raise _unsupported(problem, images[np.argmax(beyond)], expected)
+        params[images, 0] = focal[:, 0]
+        for column, parameter in enumerate(layout.principal_point + layout.distortion, start=1):
+            params[images, column] = source[:, parameter]
+    return params
+
+
+def _unsupported(problem: Problem, image: int, expected: str) -> InputError:
+    camera = problem.image_camera[image]
+    name = problem.image_names[image]
+    return InputError(
+        f"image {problem.image_ids[image]}{f' ({shown(name)})' if name else ''}: a BAL file cannot "
+        f"hold its camera: {expected}, found {problem.camera_models[camera]} "
+        f"(camera {problem.camera_ids[camera]})"
+    )
+
+
+def losses(problem: Problem) -> tuple[str, ...]:
+    """Return what a BAL file does not keep of this problem, one sentence each; () if nothing.
+
+    Raises:
+        InputError: see ``radial_params``.
+    """
+    params = radial_params(problem)
+    used = np.bincount(problem.image_camera, minlength=problem.num_cameras)
+    offset = np.abs(params[:, 1:3]).max(initial=0.0)
+    models = sorted({problem.camera_models[camera] for camera in np.flatnonzero(used)} - {"RADIAL"})
+    renumbered = [
+        what
+        for what, ids in (
+            ("image", problem.image_ids),
+            ("camera", problem.camera_ids[problem.image_camera]),
+            ("point", problem.point_ids),
+        )
+        if not np.array_equal(ids, np.arange(len(ids)))
+    ]
+    found = (
+        (models, f"Cameras of model {', '.join(models)} come back as RADIAL."),
+        (
+            (used > 1).any(),
+            f"{(used > 1).sum()} cameras shared by {used[used > 1].sum()} images become one camera "
+            "an image.",
+        ),
+        ((used == 0).any(), f"{(used == 0).sum()} cameras without an image are left out."),
+        (
+            offset > 0,
+            f"Principal points, up to {offset:g} px, are subtracted from the observations.",
+        ),
+        (any(problem.image_names), "Names of images are left out."),
+        (renumbered, f"Ids are renumbered from 0: {', '.join(renumbered)}."),
+        (problem.camera_sizes[problem.image_camera].any(), "Sizes of images are left out."),
+        (
+            (problem.observation_keypoint >= 0).any(),
+            "Keypoint indices, and keypoints without a point, are left out.",
+        ),
+        (
+            problem.source is not None,
+            "Point colours, rigs, frames and images without a pose are left out.",
+        ),
+    )
+    return tuple(sentence for applies, sentence in found if applies)

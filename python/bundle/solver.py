@@ -1,0 +1,75 @@
+"""Bundle adjustment: a problem and options in, a refined problem and its story out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from bundle import _core
+from bundle.options import SolveOptions
+from bundle.problem import Problem
+from bundle.reprojection import reprojection_error, resolve_cheirality
+from bundle.result import Result, Summary
+
+__all__ = ["Progress", "solve"]
+
+Progress = Callable[[dict[str, Any]], None]
+
+
+def solve(
+    problem: Problem,
+    options: SolveOptions | None = None,
+    *,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> Result:
+    """Refine a problem: minimise 1/2 sum rho(||r||^2) over what ``options.refine`` names.
+
+    r is the reprojection error of an observation in pixels, rho the loss. The GIL is released while
+    the solver runs. Ctrl-C stops it after the current iteration; the result then holds the best
+    state and ``summary.interrupted``. Not converging is a result as well, not an exception.
+
+    Args:
+        problem: left untouched.
+        options: how to solve; the defaults of :class:`SolveOptions` if not given.
+        progress: called after each iteration with a dict under the names of Ceres' IterationSummary.
+            What it raises stops the solve and comes out of this function.
+        **changes: options by name, in place of those in ``options``.
+
+    Raises:
+        InputError: a camera model that is not supported, a fixed id that does not exist, options that
+            exclude each other, or dense matrices beyond the memory of this machine.
+    """
+    options = (options or SolveOptions()).replace(**changes)
+    options = _resolve_defaults(problem, options)
+    before = reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
+    output = _core.solve(problem, options.asdict(), progress)
+    refined = problem.replace(
+        cam_from_world=output["cam_from_world"],
+        camera_params=output["camera_params"],
+        points=output["points"],
+    )
+    return Result(
+        problem=refined,
+        options=options,
+        summary=Summary(**output["summary"]),
+        iterations=output["iterations"],
+        reprojection_error_before=before,
+        reprojection_error_after=reprojection_error(
+            refined, options.cheirality, num_threads=options.num_threads
+        ),
+        build_time_in_seconds=output["build_time_in_seconds"],
+        solve_time_in_seconds=output["solve_time_in_seconds"],
+    )
+
+
+def _resolve_defaults(problem: Problem, options: SolveOptions) -> SolveOptions:
+    """Fill in what depends on where the problem comes from."""
+    gauge = options.gauge
+    if gauge == "auto":
+        gauge = "none" if problem.format == "bal" else "two_cameras"
+    return options.replace(
+        gauge=gauge,
+        cheirality=resolve_cheirality(problem, options.cheirality),
+        num_threads=options.num_threads or _core.hardware_threads(),
+    )

@@ -1,0 +1,23 @@
+"""Fixtures shared by all tests."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def bundle_data() -> Path:
+    """The folder of real data: environment variable BUNDLE_DATA, or ../shared/data.
+
+    Without it a test is skipped; under continuous integration (CI=true) it fails.
+    """
+    folder = Path(os.environ.get("BUNDLE_DATA", REPOSITORY.parent / "shared" / "data"))
+    if not folder.is_dir():
+        reason = f"no real data at {folder} (set BUNDLE_DATA)"
+        if os.environ.get("CI") == "true":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return folder
