@@ -66,7 +66,7 @@ def read(path: Path) -> Bal:
 
 
 def write(bal: Bal, path: Path) -> None:
-    """Write plain BAL text, one number a line after the observations, each exactly readable back."""
+    """Write plain BAL text; every number reads back exactly."""
     rows = np.column_stack([bal.camera_index, bal.point_index, bal.xy]).ravel().tolist()
     num_observations = len(bal.xy)
     with path.open("w") as file:

@@ -26,7 +26,7 @@ def cores() -> int:
 
 
 def describe() -> dict[str, str]:
-    """Return date, processor, cores, system and load, for the JSON and the heading of the tables."""
+    """Return date, processor, cores, system and load."""
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     return {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),

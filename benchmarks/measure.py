@@ -29,7 +29,7 @@ class Child:
 
 
 def environment(root: Path, threads: int) -> dict[str, str]:
-    """Return the environment of every child: same threads, this repository's benchmarks importable."""
+    """Return the environment of every child: same threads, ``benchmarks`` importable."""
     paths = [str(root), os.environ.get("PYTHONPATH", "")]
     return {
         **os.environ,
@@ -85,10 +85,6 @@ class Spread:
         if not numbers or len(numbers) < len(known):
             return None
         return Spread(statistics.median(numbers), min(numbers), max(numbers))
-
-    def over(self, unit: float) -> Spread:
-        """Return the spread in another unit."""
-        return Spread(self.median / unit, self.low / unit, self.high / unit)
 
 
 def time_to_cost(trace: Iterable[Sequence[float]], target: float) -> float | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,7 +70,9 @@ def verdicts(results: Results) -> list[tuple[str, float | None, float]]:
             value = _quotient(ours.step, theirs.step)
             lines.append((f"time per LM step, both {name}", value, STEP_LIMIT))
     if TARGET_PROBLEM in results.whole:
-        wall = {name: whole.spreads(runs)[0] for name, runs in results.whole[TARGET_PROBLEM].items()}
+        wall = {
+            name: whole.spreads(runs)[0] for name, runs in results.whole[TARGET_PROBLEM].items()
+        }
         value = _quotient(wall.get(whole.OURS), wall.get(whole.THEIRS))
         lines.append(("whole process, load and save included", value, WHOLE_LIMIT))
     return lines
@@ -82,29 +83,28 @@ def _quotient(ours: Any, theirs: Any) -> float | None:
 
 
 def _whole_table(results: Results) -> str:
+    header = ["problem", f"`{whole.OURS}`", "pycolmap, wall time", "pycolmap, peak memory"]
     lines = []
     for problem, processes in results.whole.items():
+        ours, theirs = processes[whole.OURS], processes[whole.THEIRS]
+        failures = [run["failure"] for run in ours + theirs if run["failure"]]
+        if failures:
+            lines.append([problem, f"no result: {failures[0]}", "", "", ""])
+            continue
         (our_wall, our_memory), (their_wall, their_memory) = (
-            whole.spreads(processes[name]) for name in (whole.OURS, whole.THEIRS)
+            whole.spreads(ours),
+            whole.spreads(theirs),
         )
-        failures = [
-            f"{name}: {run['failure']}"
-            for name, runs in processes.items()
-            for run in runs
-            if run["failure"]
-        ]
-        absolute = table.seconds(our_wall.median) if our_wall else "–"  # noqa: RUF001
         lines.append(
             [
                 problem,
-                absolute,
-                table.ratio(their_wall, our_wall, "no result"),
-                table.ratio(their_memory, our_memory, "no result"),
-                failures[0] if failures else "",
+                table.seconds(our_wall.median) if our_wall else "",
+                table.ratio(their_wall, our_wall),
+                table.ratio(their_memory, our_memory, table.megabytes),
+                f"{theirs[-1]['final_cost'] / ours[-1]['final_cost'] - 1.0:+.0e}",
             ]
         )
-    header = ["problem", f"`{whole.OURS}`", "pycolmap, wall time", "pycolmap, peak memory", "failed"]
-    return table.grid(header, lines)
+    return table.grid([*header, "pycolmap, final cost - 1"], lines)
 
 
 def _heading(results: Results) -> str:
@@ -116,7 +116,8 @@ def _heading(results: Results) -> str:
     stopping = ", ".join(f"{name} {value:g}" for name, value in settings["stopping"].items())
     return (
         f"Measured {machine['date']} on {machine['cpu']}, {machine['cores']} cores, "
-        f"{machine['system']}, load {machine['load before']} before; {settings['threads']} threads, "
+        f"{machine['system']}, load {machine['load before']} before; "
+        f"{settings['threads']} threads, "
         f"median of {settings['repeat']} interleaved runs (a run above "
         f"{settings['repeat_below']:g} s is not repeated). {listed}. Stopping rule of all: "
         f"{stopping}. `{results.command}`"
@@ -144,9 +145,14 @@ def markdown(results: Results, image: str) -> str:
             table.of_pair(pairs),
         ]
     if results.whole:
-        parts += ["Whole processes (start, load, solve, save), ratios to ours:", _whole_table(results)]
+        parts += [
+            "Whole processes (start, load, solve, save), ratios to ours:",
+            _whole_table(results),
+        ]
     for problem, mine in tables.items():
-        summary = f"{problem}, best known cost {results.best_cost(problem):.9e}, ratios to {REFERENCE}"
+        summary = (
+            f"{problem}, best known cost {results.best_cost(problem):.9e}, ratios to {REFERENCE}"
+        )
         parts.append(
             f"<details><summary>{summary}</summary>\n\n{table.of_problem(mine)}\n\n</details>"
         )

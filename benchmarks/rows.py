@@ -13,8 +13,8 @@ GAPS = (1e-3, 1e-5)
 # A final cost that the independent evaluation finds further off than this is reported as wrong.
 COST_AGREEMENT = 1e-6
 
-# One run, as it stands in the JSON: problem, solver, failure ("" or why there is no outcome), wall and
-# cpu seconds of the process, outcome (protocol.Outcome as a dict, or None).
+# One run, as it stands in the JSON: problem, solver, failure ("" or why there is no outcome), wall
+# and cpu seconds of the process, outcome (protocol.Outcome as a dict, or None).
 Run = dict[str, Any]
 
 
@@ -24,6 +24,7 @@ class Row:
 
     Attributes:
         failure: why there are no numbers; "" otherwise.
+        remark: which repeats failed, though others did not; "" otherwise.
         step: seconds per LM step.
         reached: seconds to each of GAPS; None where no run got there.
         total: seconds of build and solve.
@@ -36,6 +37,7 @@ class Row:
     problem: str
     solver: str
     failure: str
+    remark: str = ""
     used: str = ""
     num_runs: int = 0
     num_steps: int = 0
@@ -55,19 +57,20 @@ def best_known_cost(runs: Sequence[Run]) -> float:
 
 
 def row(problem: str, solver: str, runs: Sequence[Run], best_cost: float) -> Row:
-    """Return the row of the runs of one solver on one problem; one failed run fails the row."""
+    """Return the row of the runs of one solver on one problem; numbers are of the runs that ended."""
     failures = [run["failure"] for run in runs if run["failure"]]
-    if failures or not runs:
+    outcomes = [run["outcome"] for run in runs if run["outcome"] is not None]
+    if not outcomes:
         return Row(problem, solver, failures[0] if failures else "not run")
-    outcomes = [run["outcome"] for run in runs]
     last = outcomes[-1]
     steps = [_step(outcome) for outcome in outcomes]
     return Row(
         problem=problem,
         solver=solver,
         failure="",
+        remark=f"{len(failures)} of {len(runs)} runs: {failures[0]}" if failures else "",
         used=" ".join(note for note in last["notes"] if note),
-        num_runs=len(runs),
+        num_runs=len(outcomes),
         num_steps=last["num_steps"],
         step=Spread.of(steps),
         reached=tuple(

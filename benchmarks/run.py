@@ -42,8 +42,12 @@ def arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--repeat", type=int, default=3, metavar="N", help="runs of each pair (default 3)")
     add("--problems", default="", metavar="LIST", help="names; default: all in BUNDLE_DATA")
-    add("--solvers", default=",".join(sorted({s.name.split()[0] for s in solvers.SOLVERS})),
-        metavar="LIST", help="beginnings of names, such as bundle,pycolmap-auto (default: all)")
+    add(
+        "--solvers",
+        default=",".join(sorted({s.name.split()[0] for s in solvers.SOLVERS})),
+        metavar="LIST",
+        help="beginnings of names, such as bundle,pycolmap-auto (default: all)",
+    )
     add("--threads", type=int, default=machine.cores(), metavar="N", help="default: all cores")
     add("--timeout", type=float, default=90.0, metavar="SECONDS", help="of one run (default 90)")
     add("--update-readme", action="store_true", help="put tables into README.md, plot into docs/")
@@ -112,9 +116,10 @@ def run_all(
 def run_whole(
     chosen: list[problems.BenchmarkProblem], options: argparse.Namespace, folder: Path
 ) -> dict[str, dict[str, list[dict[str, Any]]]]:
-    """Run the whole processes, interleaved, and add what the last outputs cost."""
+    """Run the whole processes, interleaved; the last run of each also has its output's cost."""
     env = measure.environment(problems.ROOT, options.threads)
     results: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    outputs: list[tuple[dict[str, Any], Path, str]] = []
     for problem in chosen:
         results[problem.name] = {whole.OURS: [], whole.THEIRS: []}
         for repeat in range(options.repeat):
@@ -125,6 +130,10 @@ def run_whole(
                 results[problem.name][name].append(run)
                 said = run["failure"] or f"{run['wall']:.2f} s"
                 print(f"{problem.name}: {name}, run {repeat + 1}: {said}", file=sys.stderr)
+                if repeat == options.repeat - 1 and not run["failure"]:
+                    outputs.append((run, job.output, problem.kind))
+    for run, output, kind in outputs:
+        run["final_cost"] = whole.final_cost(output, kind)
     return results
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from benchmarks.measure import Spread
 from benchmarks.rows import GAPS, Row
@@ -20,16 +20,24 @@ def megabytes(value: float) -> str:
     return f"{value / 1e6:.0f} MB"
 
 
-def ratio(spread: Spread | None, reference: Spread | None, missing: str = "not reached") -> str:
-    """Return the ratio of the medians, and in brackets that of the extremes to the same median."""
+def ratio(
+    spread: Spread | None,
+    reference: Spread | None,
+    unit: Callable[[float], str] = seconds,
+    missing: str = "not reached",
+) -> str:
+    """Return the ratio of the medians, and in brackets that of the extremes to the same median.
+
+    Without a reference it is the absolute median, in its unit.
+    """
     if spread is None:
         return missing
     if reference is None or reference.median <= 0:
-        return "no reference"
-    scaled = spread.over(reference.median)
-    if scaled.low == scaled.high:
-        return f"{scaled.median:.2f}"
-    return f"{scaled.median:.2f} ({scaled.low:.2f}{_DASH}{scaled.high:.2f})"
+        return unit(spread.median)
+    middle, low, high = (
+        f"{value / reference.median:.2f}" for value in (spread.median, spread.low, spread.high)
+    )
+    return middle if low == high else f"{middle} ({low}{_DASH}{high})"
 
 
 def grid(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
@@ -62,15 +70,16 @@ def _relative(row: Row, reference: Row) -> list[str]:
     num_numbers = 6 + len(GAPS)
     if row.failure:
         return [row.solver, f"no result: {row.failure}", *[""] * (num_numbers - 1)]
-    name = f"{row.solver} ({row.used})" + (f"; **{row.doubt}**" if row.doubt else "")
+    warnings = "".join(f"; **{text}**" for text in (row.remark, row.doubt) if text)
+    name = f"{row.solver} ({row.used}){warnings}"
     reached = [ratio(*pair) for pair in zip(row.reached, reference.reached, strict=True)]
     return [
         name,
-        ratio(row.step, reference.step, "no step"),
+        ratio(row.step, reference.step, missing="no step"),
         str(row.num_steps),
         *reached,
         ratio(row.total, reference.total),
-        ratio(row.memory, reference.memory),
+        ratio(row.memory, reference.memory, megabytes),
         f"{max(row.gap, 0.0):.0e}",
         f"{row.cores:.1f}",
     ]
@@ -82,7 +91,9 @@ def of_pair(pairs: Sequence[tuple[Row, Row]]) -> str:
     for ours, theirs in pairs:
         if ours.failure or theirs.failure:
             reasons = [f"{r.solver}: {r.failure}" for r in (ours, theirs) if r.failure]
-            lines.append([ours.problem, "no result: " + "; ".join(reasons), *[""] * (3 + len(GAPS))])
+            lines.append(
+                [ours.problem, "no result: " + "; ".join(reasons), *[""] * (3 + len(GAPS))]
+            )
             continue
         step = seconds(ours.step.median) if ours.step else "no step"
         reached = [ratio(*pair) for pair in zip(theirs.reached, ours.reached, strict=True)]
@@ -90,10 +101,10 @@ def of_pair(pairs: Sequence[tuple[Row, Row]]) -> str:
             [
                 ours.problem,
                 step,
-                ratio(theirs.step, ours.step, "no step"),
+                ratio(theirs.step, ours.step, missing="no step"),
                 *reached,
                 ratio(theirs.total, ours.total),
-                ratio(theirs.memory, ours.memory),
+                ratio(theirs.memory, ours.memory, megabytes),
             ]
         )
     header = ["problem", "our time per LM step", "time per LM step", *_gap_header(), "total"]

@@ -34,7 +34,16 @@ def jobs(
     flags = ["--max-iterations", "--function-tolerance", "--gradient-tolerance"]
     flags.append("--parameter-tolerance")
     rule = [word for pair in zip(flags, values, strict=True) for word in pair]
-    refine = [sys.executable, "-c", _REFINE, "refine", str(problem.path), "-o", str(ours), "--quiet"]
+    refine = [
+        sys.executable,
+        "-c",
+        _REFINE,
+        "refine",
+        str(problem.path),
+        "-o",
+        str(ours),
+        "--quiet",
+    ]
     script = [sys.executable, "-m", "benchmarks.runners.pycolmap_process"]
     return {
         OURS: Job([*refine, "--threads", str(threads), *rule], ours),

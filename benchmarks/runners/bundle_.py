@@ -1,8 +1,7 @@
 """bundle itself, through its Python interface.
 
 ``build`` is everything that bundle.solve does outside Ceres, before and after, statistics of the
-reprojection error included; the trace starts after all of it, which is unfair to us by the part that
-comes after.
+reprojection error included. The trace is shifted by all of it: unfair to us by the part after.
 """
 
 from __future__ import annotations
@@ -10,9 +9,9 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import bundle
 import numpy as np
 
+import bundle
 from benchmarks import bal
 from benchmarks.runners import protocol
 
@@ -71,7 +70,7 @@ def run(request: protocol.Request) -> protocol.Outcome:
     memory = protocol.peak_memory()
     summary = result.summary
     build = solved - loaded - summary.total_time_in_seconds
-    seconds = build + result.iterations["cumulative_time_in_seconds"]
+    seconds = build + np.asarray(result.iterations["cumulative_time_in_seconds"], dtype=float)
     return protocol.Outcome(
         load=loaded - start,
         build=build,

@@ -45,7 +45,7 @@ def _optimizer(scene: Any, values: gtsam.Values, log: Path) -> Any:
 
 
 def _to_bal(values: gtsam.Values, problem: bal.Bal) -> bal.Bal:
-    """Return the problem with the refined numbers; GTSAM keeps world_from_camera, looking along +z."""
+    """Return the problem with the refined numbers; GTSAM's cameras look along +z."""
     cameras = np.empty_like(problem.cameras)
     rotations = np.empty((len(cameras), 3, 3))
     for index in range(len(cameras)):

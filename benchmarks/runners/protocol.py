@@ -16,8 +16,8 @@ from pathlib import Path
 class Request:
     """One problem for one solver.
 
-    ``path`` is a BAL file or a COLMAP folder (``kind`` "bal" or "colmap"). The tolerances are Ceres';
-    a runner whose solver lacks one leaves it out and says so in its README section.
+    ``path`` is a BAL file or a COLMAP folder (``kind`` "bal" or "colmap"). The tolerances are
+    Ceres'; a runner whose solver lacks one leaves it out.
     """
 
     path: Path

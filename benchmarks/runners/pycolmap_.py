@@ -27,7 +27,8 @@ SOLVER_TYPES = {
     "sparse-schur": "SPARSE_SCHUR",
     "iterative-schur": "ITERATIVE_SCHUR",
 }
-# iteration, cost, change, |gradient|, |step|, ratio, radius, linear iterations, seconds, seconds so far
+# Columns: iteration, cost, change, |gradient|, |step|, ratio, radius, linear solver iterations,
+# seconds of the iteration, seconds so far.
 _PROGRESS = re.compile(r"^\s*\d+\s+(\S+)(?:\s+\S+){7}\s+(\S+)\s*$", re.MULTILINE)
 
 
@@ -52,7 +53,9 @@ def to_reconstruction(problem: bal.Bal) -> pycolmap.Reconstruction:
         )
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotations[index]), translations[index])
         reconstruction.add_image_with_trivial_frame(image, pose)
-    elements = list(map(pycolmap.TrackElement, (problem.camera_index + 1).tolist(), keypoint.tolist()))
+    elements = list(
+        map(pycolmap.TrackElement, (problem.camera_index + 1).tolist(), keypoint.tolist())
+    )
     by_point = np.argsort(problem.point_index, kind="stable").tolist()
     ends = np.cumsum(np.bincount(problem.point_index, minlength=len(problem.points))).tolist()
     begin = 0
@@ -78,7 +81,7 @@ def to_bal(reconstruction: pycolmap.Reconstruction, problem: bal.Bal) -> bal.Bal
 
 
 def options(request: protocol.Request) -> pycolmap.BundleAdjustmentOptions:
-    """Return pycolmap's options: bundle's stopping rule and threads, the rest as pycolmap has it."""
+    """Return pycolmap's defaults with everybody's stopping rule and threads."""
     chosen = pycolmap.BundleAdjustmentOptions()
     chosen.print_summary = False
     chosen.refine_focal_length = True
@@ -136,8 +139,9 @@ def run(request: protocol.Request) -> protocol.Outcome:
         reconstruction = to_reconstruction(problem)
     loaded = time.perf_counter()
     chosen = options(request)
-    chosen.ceres.solver_options.minimizer_progress_to_stdout = True
-    chosen.ceres.solver_options.logging_type = "PER_MINIMIZER_ITERATION"
+    solver: Any = chosen.ceres.solver_options
+    solver.minimizer_progress_to_stdout = True
+    solver.logging_type = "PER_MINIMIZER_ITERATION"
     gauge = "TWO_CAMS_FROM_WORLD" if problem is None else "UNSPECIFIED"
     prepared = adjuster(reconstruction, chosen, gauge)
     built = time.perf_counter()

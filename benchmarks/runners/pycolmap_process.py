@@ -1,7 +1,7 @@
 """What `bundle refine INPUT -o OUTPUT` does, written against pycolmap by someone who knows both.
 
-Arguments: INPUT (BAL file or COLMAP folder), OUTPUT (of the same format), then threads, iterations and
-the three tolerances. Prints nothing.
+Arguments: INPUT (BAL file or COLMAP folder), OUTPUT (of the same format), then threads, iterations
+and the three tolerances. Prints nothing.
 """
 
 from __future__ import annotations

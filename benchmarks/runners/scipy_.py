@@ -1,8 +1,7 @@
 """scipy.optimize.least_squares as SciPy's cookbook uses it for bundle adjustment.
 
-Trust Region Reflective, finite differences grouped by the sparsity of the Jacobian, LSMR for the step,
-variables scaled by the Jacobian's columns. Residuals are vectorised NumPy (bal.residuals). SciPy has
-no points-first elimination, and its own inner loop runs on one core.
+Trust Region Reflective, finite differences grouped by the sparsity of the Jacobian, LSMR for the
+step, variables scaled by the Jacobian's columns. Residuals are vectorised NumPy (bal.residuals).
 """
 
 from __future__ import annotations
