@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings/problem_from_python.h"
+#include "core/problem/linearize.h"
 #include "core/problem/reprojection_errors.h"
 #include "core/problem/validate.h"
 
@@ -28,9 +29,31 @@ py::tuple ReprojectionErrors(const py::object& problem, int num_threads) {
   return py::make_tuple(errors, behind);
 }
 
+/// Returns (residual, d_pose, d_params, d_point); `rotation_offsets` is (num_images, 3).
+py::tuple Linearize(const py::object& problem, bool algebraic,
+                    const py::array_t<double, py::array::c_style>& rotation_offsets) {
+  const bundle::ProblemView view = ViewProblem(problem);
+  const py::ssize_t n = view.num_observations, two = 2;
+  py::array_t<double> residual({n, two});
+  py::array_t<double> d_pose({n, two, py::ssize_t{6}});
+  py::array_t<double> d_params({n, two, py::ssize_t{view.camera_params_stride}});
+  py::array_t<double> d_point({n, two, py::ssize_t{3}});
+  const bundle::Linearization out{residual.mutable_data(), d_pose.mutable_data(),
+                                  d_params.mutable_data(), d_point.mutable_data()};
+  const double* offsets = rotation_offsets.data();
+  {
+    py::gil_scoped_release release;
+    bundle::Linearize(view, offsets,
+                      algebraic ? bundle::Cheirality::kAlgebraic : bundle::Cheirality::kZero, out);
+  }
+  return py::make_tuple(residual, d_pose, d_params, d_point);
+}
+
 }  // namespace
 
 void BindProblem(py::module_& m) {
   m.def("validate", &Validate, py::arg("problem"));
   m.def("reprojection_errors", &ReprojectionErrors, py::arg("problem"), py::arg("num_threads"));
+  m.def("linearize", &Linearize, py::arg("problem"), py::arg("algebraic"),
+        py::arg("rotation_offsets"));
 }

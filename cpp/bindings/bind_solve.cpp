@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/error.h"
@@ -16,55 +17,6 @@
 namespace py = pybind11;
 
 namespace {
-
-template <typename Enum, size_t kSize>
-void Read(const py::dict& options, const char* name,
-          const bundle::NamedValue<Enum> (&values)[kSize], Enum* out) {
-  const auto text = py::cast<std::string>(options[name]);
-  for (const auto& [value_name, value] : values) {
-    if (value_name == text) {
-      *out = value;
-      return;
-    }
-  }
-  throw bundle::InputError(std::string(name) + ": unknown value " + text);
-}
-
-template <typename T>
-void Read(const py::dict& options, const char* name, T* out) {
-  *out = py::cast<T>(options[name]);
-}
-
-bundle::SolveOptions ReadOptions(const py::dict& options) {
-  bundle::SolveOptions result;
-  Read(options, "linear_solver_type", bundle::kLinearSolverTypes, &result.linear_solver_type);
-  Read(options, "linear_solver_ordering", bundle::kEliminationOrderings,
-       &result.linear_solver_ordering);
-  Read(options, "preconditioner_type", bundle::kPreconditionerTypes, &result.preconditioner_type);
-  Read(options, "trust_region_strategy_type", bundle::kTrustRegionStrategies,
-       &result.trust_region_strategy_type);
-  Read(options, "loss", bundle::kLossTypes, &result.loss);
-  Read(options, "loss_scale", &result.loss_scale);
-  Read(options, "max_num_iterations", &result.max_num_iterations);
-  Read(options, "function_tolerance", &result.function_tolerance);
-  Read(options, "gradient_tolerance", &result.gradient_tolerance);
-  Read(options, "parameter_tolerance", &result.parameter_tolerance);
-  Read(options, "num_threads", &result.num_threads);
-  Read(options, "fixed_camera_ids", &result.fixed_camera_ids);
-  Read(options, "fixed_image_ids", &result.fixed_image_ids);
-  Read(options, "fixed_point_ids", &result.fixed_point_ids);
-  Read(options, "gauge", bundle::kGauges, &result.gauge);
-  Read(options, "cheirality", bundle::kCheiralities, &result.cheirality);
-  const auto refined = [&options](const char* what) {
-    return options["refine"].contains(py::str(what));
-  };
-  result.refine_poses = refined("poses");
-  result.refine_points = refined("points");
-  result.refine_focal = refined("focal");
-  result.refine_principal_point = refined("principal_point");
-  result.refine_extra = refined("extra");
-  return result;
-}
 
 py::dict ToDict(const bundle::SolveSummary& s) {
   py::dict d;
@@ -196,7 +148,7 @@ class PythonProgress {
 
 py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress) {
   const bundle::ProblemView view = ViewProblem(problem);
-  const bundle::SolveOptions solve_options = ReadOptions(options);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
   PythonProgress report(progress);
   bundle::SolveOutput output;
   {
@@ -219,6 +171,8 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
 
 void BindSolve(py::module_& m) {
   m.attr("CERES_VERSION") = bundle::CeresVersion();
+  m.def("default_options", &DefaultOptions);
+  m.def("option_choices", &OptionChoices);
   m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });
   m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"));
 }

@@ -2,14 +2,41 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
+from bundle.errors import InputError
 from bundle.problem import Problem
 from bundle.result import ReprojectionError
 
-__all__ = ["reprojection_error", "reprojection_errors", "resolve_cheirality"]
+__all__ = [
+    "Linearization",
+    "linearize",
+    "reprojection_error",
+    "reprojection_errors",
+    "resolve_cheirality",
+]
+
+
+class Linearization(NamedTuple):
+    """Residuals and their derivatives, one row an observation.
+
+    Attributes:
+        residual: (N, 2) projection minus measurement, in pixels.
+        d_pose: (N, 2, 6) by the pose (w, t) of the observation's image, where the rotation is
+            Exp(w) R with R that of the problem, w in radians, t in the length unit.
+        d_params: (N, 2, width) by the parameters of the camera, in COLMAP's order, zero beyond those
+            of its model.
+        d_point: (N, 2, 3) by the point.
+    """
+
+    residual: NDArray[np.float64]
+    d_pose: NDArray[np.float64]
+    d_params: NDArray[np.float64]
+    d_point: NDArray[np.float64]
 
 
 def resolve_cheirality(problem: Problem, cheirality: str) -> str:
@@ -62,3 +89,25 @@ def reprojection_error(
     return ReprojectionError(
         **statistics, num_observations=len(errors), num_behind_camera=int(behind.sum())
     )
+
+
+def linearize(
+    problem: Problem, cheirality: str = "auto", *, rotation_offsets: ArrayLike | None = None
+) -> Linearization:
+    """Return residuals and analytic Jacobians of all observations, the ones a solve uses.
+
+    Args:
+        problem: where to evaluate.
+        cheirality: whether observations behind their camera count ("algebraic") or are zero.
+        rotation_offsets: (num_images, 3) evaluate at w instead of 0.
+
+    Raises:
+        InputError: an observed image has a camera model that is not supported, or the offsets have
+            the wrong shape.
+    """
+    shape = (problem.num_images, 3)
+    offsets = np.zeros(shape) if rotation_offsets is None else np.asarray(rotation_offsets, float)
+    if offsets.shape != shape:
+        raise InputError(f"rotation_offsets: expected shape {shape}, found {offsets.shape}")
+    algebraic = resolve_cheirality(problem, cheirality) == "algebraic"
+    return Linearization(*_core.linearize(problem, algebraic, np.ascontiguousarray(offsets)))

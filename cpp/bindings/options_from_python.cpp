@@ -1,0 +1,134 @@
+#include "bindings/options_from_python.h"
+
+#include <pybind11/stl.h>
+
+#include <string>
+
+#include "core/error.h"
+
+namespace py = pybind11;
+
+namespace {
+
+template <typename Enum, size_t kSize>
+std::string NameOf(Enum value, const bundle::NamedValue<Enum> (&names)[kSize]) {
+  for (const auto& [name, named] : names) {
+    if (named == value) return std::string(name);
+  }
+  return "";
+}
+
+/// Calls visit for every option but `refine`: (name, value) or (name, value, names of its choices).
+template <typename Options, typename Visitor>
+void VisitOptions(Options& o, const Visitor& visit) {
+  visit("linear_solver_type", o.linear_solver_type, bundle::kLinearSolverTypes);
+  visit("linear_solver_ordering", o.linear_solver_ordering, bundle::kEliminationOrderings);
+  visit("preconditioner_type", o.preconditioner_type, bundle::kPreconditionerTypes);
+  visit("trust_region_strategy_type", o.trust_region_strategy_type,
+        bundle::kTrustRegionStrategies);
+  visit("loss", o.loss, bundle::kLossTypes);
+  visit("loss_scale", o.loss_scale);
+  visit("max_num_iterations", o.max_num_iterations);
+  visit("function_tolerance", o.function_tolerance);
+  visit("gradient_tolerance", o.gradient_tolerance);
+  visit("parameter_tolerance", o.parameter_tolerance);
+  visit("num_threads", o.num_threads);
+  visit("fixed_camera_ids", o.fixed_camera_ids);
+  visit("fixed_image_ids", o.fixed_image_ids);
+  visit("fixed_point_ids", o.fixed_point_ids);
+  visit("gauge", o.gauge, bundle::kGauges);
+  visit("cheirality", o.cheirality, bundle::kCheiralities);
+}
+
+/// The names that `refine` may hold, each with its flag.
+template <typename Options, typename Visitor>
+void VisitRefine(Options& o, const Visitor& visit) {
+  visit("poses", o.refine_poses);
+  visit("points", o.refine_points);
+  visit("focal", o.refine_focal);
+  visit("principal_point", o.refine_principal_point);
+  visit("extra", o.refine_extra);
+}
+
+struct Reader {
+  const py::dict& options;
+
+  template <typename T>
+  void operator()(const char* name, T& value) const {
+    value = py::cast<T>(options[name]);
+  }
+
+  template <typename Enum, size_t kSize>
+  void operator()(const char* name, Enum& value,
+                  const bundle::NamedValue<Enum> (&names)[kSize]) const {
+    const auto text = py::cast<std::string>(options[name]);
+    for (const auto& [choice, named] : names) {
+      if (choice == text) {
+        value = named;
+        return;
+      }
+    }
+    throw bundle::InputError(std::string(name) + ": unknown value " + text);
+  }
+};
+
+struct Writer {
+  py::dict& options;
+
+  template <typename T>
+  void operator()(const char* name, const T& value) const {
+    options[name] = value;
+  }
+
+  template <typename Enum, size_t kSize>
+  void operator()(const char* name, const Enum& value,
+                  const bundle::NamedValue<Enum> (&names)[kSize]) const {
+    options[name] = NameOf(value, names);
+  }
+};
+
+struct ChoiceLister {
+  py::dict& choices;
+
+  template <typename T>
+  void operator()(const char*, const T&) const {}
+
+  template <typename Enum, size_t kSize>
+  void operator()(const char* name, const Enum&,
+                  const bundle::NamedValue<Enum> (&names)[kSize]) const {
+    py::list list;
+    for (const auto& [choice, value] : names) list.append(std::string(choice));
+    choices[name] = list;
+  }
+};
+
+}  // namespace
+
+bundle::SolveOptions OptionsFromPython(const py::dict& options) {
+  bundle::SolveOptions result;
+  VisitOptions(result, Reader{options});
+  const py::object refine = options["refine"];
+  VisitRefine(result, [&](const char* name, bool& value) {
+    value = refine.contains(py::str(name));
+  });
+  return result;
+}
+
+py::dict DefaultOptions() {
+  const bundle::SolveOptions defaults;
+  py::dict result;
+  VisitOptions(defaults, Writer{result});
+  py::list refine;
+  VisitRefine(defaults, [&](const char* name, bool value) {
+    if (value) refine.append(name);
+  });
+  result["refine"] = refine;
+  return result;
+}
+
+py::dict OptionChoices() {
+  const bundle::SolveOptions defaults;
+  py::dict result;
+  VisitOptions(defaults, ChoiceLister{result});
+  return result;
+}

@@ -1,0 +1,13 @@
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include "core/solve/options.h"
+
+/// Reads bundle.SolveOptions.asdict(), whose values Python has checked.
+bundle::SolveOptions OptionsFromPython(const pybind11::dict& options);
+
+/// The C++ defaults under Python's names, and the names of all choices: for the test that holds the
+/// two definitions of the options against each other.
+pybind11::dict DefaultOptions();
+pybind11::dict OptionChoices();
