@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from benchmarks.measure import Spread
 from benchmarks.rows import GAPS, Row
 
-_DASH = "–"  # noqa: RUF001 (a range is written with an en dash)
-
 
 def seconds(value: float) -> str:
     """Return a time with three digits in a unit that fits."""
@@ -37,7 +35,7 @@ def ratio(
     middle, low, high = (
         f"{value / reference.median:.2f}" for value in (spread.median, spread.low, spread.high)
     )
-    return middle if low == high else f"{middle} ({low}{_DASH}{high})"
+    return middle if low == high else f"{middle} ({low}-{high})"
 
 
 def grid(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
