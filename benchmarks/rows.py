@@ -57,7 +57,7 @@ def best_known_cost(runs: Sequence[Run]) -> float:
 
 
 def row(problem: str, solver: str, runs: Sequence[Run], best_cost: float) -> Row:
-    """Return the row of the runs of one solver on one problem; numbers are of the runs that ended."""
+    """Return one solver's row on one problem; the numbers are of the runs that ended."""
     failures = [run["failure"] for run in runs if run["failure"]]
     outcomes = [run["outcome"] for run in runs if run["outcome"] is not None]
     if not outcomes:

@@ -10,7 +10,9 @@ from benchmarks.rows import GAPS, Row
 
 def seconds(value: float) -> str:
     """Return a time with three digits in a unit that fits."""
-    return f"{value:.3g} s" if value >= 1.0 else f"{1e3 * value:.3g} ms"
+    if value >= 99.95:
+        return f"{value:.0f} s"
+    return f"{value:.3g} s" if value >= 0.9995 else f"{1e3 * value:.3g} ms"
 
 
 def megabytes(value: float) -> str:

@@ -36,7 +36,14 @@ def test_ratio(spread, reference, expected):
 
 
 @pytest.mark.parametrize(
-    ("value", "expected"), [(0.0123456, "12.3 ms"), (1.0, "1 s"), (12.34, "12.3 s")]
+    ("value", "expected"),
+    [
+        (0.0123456, "12.3 ms"),
+        (0.9996, "1 s"),
+        (0.9994, "999 ms"),
+        (1234.5, "1234 s"),
+        (12.34, "12.3 s"),
+    ],
 )
 def test_seconds_have_a_unit_that_fits(value, expected):
     assert table.seconds(value) == expected
