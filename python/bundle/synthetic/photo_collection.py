@@ -119,9 +119,13 @@ class PhotoCollection(Scene):
         freedom = np.clip(1.0 - 0.6 * footprint / radius, 0.15, 1.0)[:, None]
         wander = rng.uniform([-0.6, -0.6, -0.25], [0.6, 0.6, 0.6], (count, 3))[self._visitor]
         wander = freedom * (wander + rng.normal(0.0, 0.05, (count, 3)))
-        aims, normals = self._on_landmarks(self._landmark, centers + radius[:, None] * (outward + wander))
+        aims, normals = self._on_landmarks(
+            self._landmark, centers + radius[:, None] * (outward + wander)
+        )
         steep = dot(normals, outward) < _STEEPEST_AIM
-        aims[steep] = self._on_landmarks(self._landmark, centers + radius[:, None] * outward)[0][steep]
+        aims[steep] = self._on_landmarks(self._landmark, centers + radius[:, None] * outward)[0][
+            steep
+        ]
         positions = aims + outward * distance[:, None]
         positions[:, 2] = EYE_HEIGHT + rng.normal(0.0, 0.15, count) + rng.exponential(0.5, count)
         return _Shots(positions, aims, 1.25 * footprint)

@@ -88,7 +88,9 @@ class Street(Scene):
         positions[is_ground, 2] = rng.normal(0.0, 0.02, int(is_ground.sum()))
         normals[~is_facade] = 0.0
         normals[is_ground, 2] = 1.0
-        reach = np.where(is_facade, FACADE_REACH, np.where(is_ground, GROUND_REACH, FURNITURE_REACH))
+        reach = np.where(
+            is_facade, FACADE_REACH, np.where(is_ground, GROUND_REACH, FURNITURE_REACH)
+        )
         reach = reach * rng.uniform(0.6, 1.0, count)
         kept = np.where(is_facade, is_on, ~self._is_in_block(positions[:, :2], 0.0))
         points = Points(positions, normals, reach, positions)

@@ -117,7 +117,9 @@ def _observe(
             )
         missing = options.num_points - found
         share = max(found / drawn, 0.02) if drawn else 1.0
-        part = _draw_visible(rng, scene, cameras, options, missing, int(1.15 * missing / share) + 50)
+        part = _draw_visible(
+            rng, scene, cameras, options, missing, int(1.15 * missing / share) + 50
+        )
         parts.append(part[:3])
         found += len(part[0])
         drawn += part[3]

@@ -94,9 +94,7 @@ def _fill_images(
     chosen[spare[_ranks(pairs.image[spare]) < missing[pairs.image[spare]]]] = True
 
 
-def _connect(
-    pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int
-) -> None:
+def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int) -> None:
     """Add observations between components until there is one."""
     num_points = len(pairs.counts)
     while True:
