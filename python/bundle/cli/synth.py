@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"making {options.num_images} images of {options.num_points} points")
         scene = synthesize(options)
-        format = output_format(scene.problem, path, arguments.format)  # noqa: A001
+        format = output_format(scene.problem, path, arguments.format)
         output = {"path": path, "format": format}
         truth = {"path": truth_path, "format": format}
         check_target(scene.problem, **output)
@@ -167,12 +167,8 @@ def _tables(report: dict[str, Any]) -> list[RenderableType]:
     from bundle.report.text import columns, facts, format_name, number, pixels, plural
 
     output, truth = report["output"], report["ground_truth"]
-    cameras = plural(report["num_cameras"], "camera")
-    contents = (
-        f"{plural(report['num_images'], 'image')}, {cameras}, {plural(report['num_points'], 'point')}, "
-        f"{plural(report['num_observations'], 'observation')}, "
-        f"of which {plural(report['num_outliers'], 'outlier')}"
-    )
+    things = ("image", "camera", "point", "observation", "outlier")
+    contents = ", ".join(plural(report[f"num_{thing}s"], thing) for thing in things)
     written = [
         ("output", f"{shown(output['path'])} ({format_name(output['format'])})"),
         ("ground truth", f"{shown(truth['path'])} ({format_name(truth['format'])})"),

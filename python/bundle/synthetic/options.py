@@ -24,7 +24,7 @@ MIN_OBSERVATIONS_PER_IMAGE = 20
 def _option(
     default: Any,
     flag: str,
-    help: str,  # noqa: A002
+    help: str,
     *,
     choices: tuple[str, ...] | None = None,
     minimum: float | None = None,

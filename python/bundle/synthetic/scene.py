@@ -1,9 +1,9 @@
 """What the kinds of scenes have in common: images, points, and who may see whom.
 
 A scene answers one question twice, roughly and exactly. Roughly: every point has a *key* and every
-image a *ball*, and only points whose key lies in the ball can be seen; grid cells over the keys keep
-large scenes from testing every image with every point. Keys are whatever makes the balls tight:
-positions in a street, surface normals around an object. Exactly: see :mod:`.visibility`.
+image a *ball*, and only points whose key lies in the ball can be seen; grid cells over the keys
+keep large scenes from testing every image with every point. Keys are whatever makes the balls
+tight: positions in a street, surface normals around an object. Exactly: see :mod:`.visibility`.
 """
 
 from __future__ import annotations

@@ -105,13 +105,16 @@ class Street(Scene):
         del points
         middle = np.floor(rng.random(len(pairs.counts)) * pairs.counts)
         away = np.abs(pairs.ranks - np.repeat(middle, pairs.counts))
-        return away + rng.uniform(0.0, 1.6, len(pairs))
+        preference: Array = away + rng.uniform(0.0, 1.6, len(pairs))
+        return preference
 
     def is_clear(self, center: Array, positions: Array) -> NDArray[np.bool_]:
         """Tell whether the line of sight misses all blocks, by 12 samples along it."""
-        clear = np.ones(len(positions), dtype=np.bool_)
+        clear: NDArray[np.bool_] = np.ones(len(positions), dtype=np.bool_)
         for t in (np.arange(12) + 0.5) / 12.0:
-            clear &= ~self._is_in_block(center[:2] + t * (positions[:, :2] - center[:2]), 0.6)
+            clear = clear & ~self._is_in_block(
+                center[:2] + t * (positions[:, :2] - center[:2]), 0.6
+            )
         return clear
 
     def _from_axes(self, xy: Array) -> tuple[Array, Array]:

@@ -59,7 +59,7 @@ def select_observations(
 def _fit_lengths(
     available: NDArray[np.int64], weights: Array, mean_length: float
 ) -> NDArray[np.int64]:
-    """Scale the weights so that track lengths, cut to what is available, have the mean asked for."""
+    """Return track lengths, cut to what is available, whose scale gives the mean asked for."""
 
     def lengths(scale: float) -> NDArray[np.int64]:
         return np.minimum(wanted_lengths(weights, scale), available)
@@ -107,8 +107,8 @@ def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_ima
         if len(bridge) == 0:
             raise InputError(
                 f"num_points: the scene falls into {num_components} parts that share no points; "
-                f"expected more points, longer tracks or another "
-                f"seed, found {num_points} points"
+                f"expected more points, longer tracks or "
+                f"another seed, found {num_points} points"
             )
         link = of_image[pairs.image[bridge]] * num_images + of_point[pairs.point[bridge]]
         by_link = np.lexsort((preference[bridge], link))
@@ -120,8 +120,8 @@ def _check_images(pairs: Pairs, chosen: NDArray[np.bool_], num_images: int) -> N
     poorest = int(np.argmin(counts))
     if counts[poorest] < _FEWEST_OBSERVATIONS_PER_IMAGE:
         raise InputError(
-            f"num_points: image {poorest + 1} sees {counts[poorest]} of {len(pairs.counts)} points; "
-            f"expected enough points for {_FEWEST_OBSERVATIONS_PER_IMAGE} in every image"
+            f"num_points: image {poorest + 1} sees {counts[poorest]} of {len(pairs.counts)} "
+            f"points; expected enough points for {_FEWEST_OBSERVATIONS_PER_IMAGE} in every image"
         )
 
 
