@@ -110,12 +110,11 @@ class Street(Scene):
 
     def is_clear(self, center: Array, positions: Array) -> NDArray[np.bool_]:
         """Tell whether the line of sight misses all blocks, by 12 samples along it."""
-        clear: NDArray[np.bool_] = np.ones(len(positions), dtype=np.bool_)
+        hidden = np.zeros(len(positions), dtype=np.bool_)
         for t in (np.arange(12) + 0.5) / 12.0:
-            clear = clear & ~self._is_in_block(
-                center[:2] + t * (positions[:, :2] - center[:2]), 0.6
-            )
-        return clear
+            sample = center[:2] + t * (positions[:, :2] - center[:2])
+            hidden |= self._is_in_block(sample, 0.6)
+        return ~hidden
 
     def _from_axes(self, xy: Array) -> tuple[Array, Array]:
         """Return the offsets (n, 2) from the nearest road axes, and those axes' coordinates."""

@@ -18,7 +18,7 @@ _SHORTEST_TRACK = 2
 _FEWEST_OBSERVATIONS_PER_IMAGE = 4
 _OBSERVATIONS_PER_BRIDGE = 10
 # Less than this of the mean track length that was asked for is a failure.
-_ACCEPTED_SHORTFALL = 0.85
+_ACCEPTED_SHARE = 0.75
 
 
 def wanted_lengths(weights: Array, scale: float) -> NDArray[np.int64]:
@@ -74,7 +74,7 @@ def _fit_lengths(
         else:
             high = middle
     fitted = lengths(high)
-    if fitted.mean() < _ACCEPTED_SHORTFALL * mean_length:
+    if fitted.mean() < _ACCEPTED_SHARE * mean_length:
         raise InputError(
             f"mean_track_length: expected at most {fitted.mean():.1f}, as many images see a point "
             f"of this scene on average, found {mean_length:g}"
