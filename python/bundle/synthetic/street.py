@@ -113,7 +113,7 @@ class Street(Scene):
         hidden = np.zeros(len(positions), dtype=np.bool_)
         for t in (np.arange(12) + 0.5) / 12.0:
             sample = center[:2] + t * (positions[:, :2] - center[:2])
-            hidden |= self._is_in_block(sample, 0.6)
+            hidden = hidden | self._is_in_block(sample, 0.6)
         return ~hidden
 
     def _from_axes(self, xy: Array) -> tuple[Array, Array]:
@@ -123,7 +123,7 @@ class Street(Scene):
 
     def _is_in_block(self, xy: Array, margin: float) -> NDArray[np.bool_]:
         offset, _ = self._from_axes(xy)
-        inside: NDArray[np.bool_] = (np.abs(offset) > 0.5 * ROAD_WIDTH + margin).all(axis=1)
+        inside: NDArray[np.bool_] = np.abs(offset).min(axis=1) > 0.5 * ROAD_WIDTH + margin
         return inside
 
     def _onto_facades(
