@@ -1,61 +1,147 @@
-"""A small scene with noise, made of nothing but NumPy: cameras on an arc look at a ball of points."""
-
-from __future__ import annotations
-
-from typing import Any
+"""Small seeded problems for tests, projected by formulas of their own, not by the code under test."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from bundle.problem import Problem
+from bundle import Problem
+
+PARAMS = {
+    "SIMPLE_PINHOLE": [800.0, 400.0, 300.0],
+    "PINHOLE": [800.0, 790.0, 400.0, 300.0],
+    "SIMPLE_RADIAL": [800.0, 400.0, 300.0, -0.03],
+    "RADIAL": [800.0, 400.0, 300.0, -0.05, 0.01],
+    "OPENCV": [800.0, 790.0, 400.0, 300.0, -0.05, 0.01, 0.001, -0.002],
+}
 
 
-def rotation_y(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+def project(model, params, points):
+    """Pixels of (N, 3) points of the camera frame; also for complex numbers."""
+    u, v = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    s = u * u + v * v
+    p = np.asarray(params)
+    if model == "SIMPLE_PINHOLE":
+        return np.stack([p[0] * u + p[1], p[0] * v + p[2]], 1)
+    if model == "PINHOLE":
+        return np.stack([p[0] * u + p[2], p[1] * v + p[3]], 1)
+    if model in ("SIMPLE_RADIAL", "RADIAL"):
+        d = 1 + p[3] * s + (p[4] * s * s if model == "RADIAL" else 0)
+        return np.stack([p[0] * d * u + p[1], p[0] * d * v + p[2]], 1)
+    assert model == "OPENCV"
+    k1, k2, p1, p2 = p[4:8]
+    d = 1 + k1 * s + k2 * s * s
+    x = d * u + 2 * p1 * u * v + p2 * (s + 2 * u * u)
+    y = d * v + 2 * p2 * u * v + p1 * (s + 2 * v * v)
+    return np.stack([p[0] * x + p[2], p[1] * y + p[3]], 1)
 
 
-def scene(
-    num_images: int = 4,
-    num_points: int = 30,
+def make_problem(
     *,
-    kind: str = "bal",
-    shared_camera: bool = False,
-    noise: float = 0.5,
-    seed: int = 1,
-    **changes: Any,
-) -> Problem:
-    """Every point in every image; pixels have `noise`, the start is off by a hundredth or so."""
+    num_images=5,
+    num_points=40,
+    model="SIMPLE_RADIAL",
+    shared=False,
+    seed=0,
+    noise=0.5,
+    perturbation=1e-2,
+    track=None,
+    **changes,
+):
+    """Cameras on an arc around a cloud of points, every image seeing every point or `track` of them."""
     rng = np.random.default_rng(seed)
-    num_cameras = 1 if shared_camera else num_images
-    points = rng.normal(size=(num_points, 3))
+    points = rng.uniform(-1, 1, (num_points, 3))
     angles = np.linspace(-0.6, 0.6, num_images)
-    poses = np.zeros((num_images, 7))
-    poses[:, 1], poses[:, 3] = np.sin(angles / 2), np.cos(angles / 2)
-    poses[:, 6] = 6.0
-    focal, k1, k2 = 500.0, -0.05, 0.01
-    pixels = []
-    for angle in angles:
-        seen = points @ rotation_y(angle).T + [0, 0, 6]
-        u = seen[:, :2] / seen[:, 2:]
-        square = (u**2).sum(1, keepdims=True)
-        pixels.append(focal * u * (1 + k1 * square + k2 * square**2))
-    xy = np.concatenate([np.zeros((0, 2)), *pixels])
-    poses[:, 4:] += rng.normal(scale=0.02, size=(num_images, 3))
-    values: dict[str, Any] = {
-        "cam_from_world": poses,
+    rotations = Rotation.from_rotvec(np.stack([0.1 * angles, angles, 0.05 * angles], 1))
+    translations = np.stack([0.1 * angles, -0.05 * angles, 4 + 0.3 * angles], 1)
+    num_cameras = 1 if shared else num_images
+    params = np.tile(PARAMS[model], (num_cameras, 1))
+    params[:, 0] += np.arange(num_cameras)
+    image_camera = np.zeros(num_images, int) if shared else np.arange(num_images)
+
+    image, point, xy = [], [], []
+    for p in range(num_points):
+        seen = np.arange(num_images)
+        if track is not None:
+            seen = np.sort(rng.choice(num_images, track, replace=False))
+        for i in seen:
+            in_camera = rotations[int(i)].apply(points[p]) + translations[i]
+            image.append(i)
+            point.append(p)
+            xy.append(project(model, params[image_camera[i]], in_camera[None])[0])
+    xy = np.array(xy).reshape(-1, 2)
+    xy += noise * rng.standard_normal(xy.shape)
+
+    start = Rotation.from_rotvec(perturbation * rng.standard_normal((num_images, 3))) * rotations
+    arrays = {
+        "cam_from_world": np.hstack(
+            [
+                start.as_quat(),
+                translations + perturbation * rng.standard_normal(translations.shape),
+            ]
+        ),
+        "image_ids": np.arange(1, num_images + 1),
+        "image_names": [f"image{i}.jpg" for i in range(num_images)],
+        "image_camera": image_camera,
+        "camera_ids": np.arange(1, num_cameras + 1),
+        "camera_models": [model] * num_cameras,
+        "camera_params": params,
+        "camera_sizes": np.tile([800, 600], (num_cameras, 1)),
+        "points": points + perturbation * rng.standard_normal(points.shape),
+        "point_ids": np.arange(1, num_points + 1),
+        "observation_image": image,
+        "observation_point": point,
+        "observation_xy": xy,
+        "observation_keypoint": np.full(len(image), -1),
+    }
+    return Problem(**{**arrays, **changes})
+
+
+def scene(num_images=4, num_points=30, *, kind="bal", shared_camera=False, seed=1, **changes):
+    """A problem as a BAL file has it: RADIAL, ids from 0, no names, principal point at 0."""
+    problem = make_problem(
+        num_images=num_images, num_points=num_points, model="RADIAL", shared=shared_camera, seed=seed
+    )
+    bal = {
+        "camera_params": problem.camera_params * [1, 0, 0, 1, 1],
+        "observation_xy": problem.observation_xy - problem.camera_params[0, 1:3],
+        "camera_sizes": np.zeros((problem.num_cameras, 2)),
+        "image_names": [""] * num_images,
         "image_ids": np.arange(num_images),
-        "image_names": ("",) * num_images,
-        "image_camera": np.zeros(num_images) if shared_camera else np.arange(num_images),
-        "camera_ids": np.arange(num_cameras),
-        "camera_models": ("RADIAL",) * num_cameras,
-        "camera_params": np.tile([focal + 3, 0, 0, 0, 0], (num_cameras, 1)),
-        "camera_sizes": np.zeros((num_cameras, 2)),
-        "points": points + rng.normal(scale=0.02, size=points.shape),
+        "camera_ids": np.arange(problem.num_cameras),
         "point_ids": np.arange(num_points),
-        "observation_image": np.repeat(np.arange(num_images), num_points),
-        "observation_point": np.tile(np.arange(num_points), num_images),
-        "observation_xy": xy + rng.normal(scale=noise, size=xy.shape),
-        "observation_keypoint": np.full(len(xy), -1),
         "format": kind,
     }
-    return Problem(**{**values, **changes})
+    return problem.replace(**{**bal, **changes})
+
+
+def residuals(problem, w=None, t=None, params=None, points=None):
+    """(N, 2) residuals of a problem by formulas; any argument may be complex.
+
+    w (num_images, 3) turns the rotations, Exp(w) R, by the series of the exponential.
+    """
+    num_images = problem.num_images
+    w = np.zeros((num_images, 3)) if w is None else np.asarray(w)
+    t = problem.cam_from_world[:, 4:] if t is None else np.asarray(t)
+    params = problem.camera_params if params is None else np.asarray(params)
+    points = problem.points if points is None else np.asarray(points)
+    starts = Rotation.from_quat(problem.cam_from_world[:, :4]).as_matrix()
+    dtype = np.result_type(w, t, params, points)
+    result = np.empty((problem.num_observations, 2), dtype)
+    rotations = [exp(w[i]) @ starts[i] for i in range(num_images)]
+    for n, (i, p) in enumerate(
+        zip(problem.observation_image, problem.observation_point, strict=True)
+    ):
+        camera = problem.image_camera[i]
+        in_camera = rotations[i] @ points[p] + t[i]
+        xy = project(problem.camera_models[camera], params[camera], in_camera[None])[0]
+        result[n] = xy - problem.observation_xy[n]
+    return result
+
+
+def exp(w):
+    """The rotation matrix of a rotation vector by the power series, also for complex numbers."""
+    skew = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+    term, total = np.eye(3), np.eye(3)
+    for k in range(1, 40):
+        term = term @ skew / k
+        total = total + term
+    return total

@@ -39,8 +39,10 @@ Array<T> MoveToNumpy(std::vector<T> values, py::ssize_t width) {
 }
 
 [[noreturn]] void ThrowOsError(const std::system_error& error, const std::filesystem::path& path) {
+  const py::str name(py::cast(path));
   errno = error.code().value();
-  PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, py::cast(path).ptr());
+  // A string: OSError prints the representation, and that of a pathlib.Path is not for users.
+  PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, name.ptr());
   throw py::error_already_set();
 }
 

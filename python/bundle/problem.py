@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.errors import InputError
 
 if TYPE_CHECKING:
     import pycolmap
@@ -93,7 +94,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         for name, dtype in _DTYPES.items():
-            array = np.ascontiguousarray(getattr(self, name), dtype=dtype).view()
+            array = _as_array(name, getattr(self, name), dtype).view()
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         object.__setattr__(self, "image_names", tuple(self.image_names))
@@ -151,3 +152,15 @@ class Problem:
             f"Problem({self.format}: {self.num_images} images, {self.num_cameras} cameras, "
             f"{self.num_points} points, {self.num_observations} observations)"
         )
+
+
+def _as_array(name: str, value: Any, dtype: type) -> NDArray[Any]:
+    """Return the value as a contiguous array of the type, without a copy where it is one already."""
+    try:
+        given = np.asarray(value)
+        array = np.ascontiguousarray(given, dtype=dtype)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name}: expected numbers, found {type(value).__name__}") from None
+    if np.issubdtype(dtype, np.integer) and given.dtype != array.dtype and (given != array).any():
+        raise InputError(f"{name}: expected whole numbers of {array.dtype}, found others")
+    return array

@@ -79,8 +79,10 @@ def reprojection_error(
         statistics = {"rmse": nan, "mean": nan, "median": nan, "p95": nan, "max": nan}
     else:
         median, p95 = np.percentile(errors, [50, 95])
+        with np.errstate(over="ignore"):  # a legal problem may be that far off
+            mean_square = np.mean(errors**2)
         statistics = {
-            "rmse": float(np.sqrt(np.mean(errors**2))),
+            "rmse": float(np.sqrt(mean_square)),
             "mean": float(errors.mean()),
             "median": float(median),
             "p95": float(p95),

@@ -24,9 +24,11 @@ std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering 
 }
 
 bool NothingToEliminate(EliminationOrdering ordering, const ParameterLayout& layout) {
-  if (ordering == EliminationOrdering::kPointsFirst) return layout.num_free_points() == 0;
-  if (ordering == EliminationOrdering::kCamerasFirst) return layout.blocks().empty();
-  return layout.blocks().empty() && layout.num_free_points() == 0;
+  const bool no_points = layout.num_free_points() == 0;
+  const bool no_cameras = layout.blocks().empty();
+  if (ordering == EliminationOrdering::kPointsFirst) return no_points && !no_cameras;
+  if (ordering == EliminationOrdering::kCamerasFirst) return no_cameras && !no_points;
+  return false;
 }
 
 }  // namespace bundle

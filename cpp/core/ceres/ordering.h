@@ -17,7 +17,8 @@ std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering 
                                                             int num_points, double* points,
                                                             double* state);
 
-/// True if group 0 would be empty, so that a Schur solver has nothing to eliminate.
+/// True if group 0 would be empty although group 1 is not. Ceres then takes the one group for no
+/// ordering at all and finds an independent set by itself.
 bool NothingToEliminate(EliminationOrdering ordering, const ParameterLayout& layout);
 
 }  // namespace bundle

@@ -1,6 +1,8 @@
 #include "core/ceres/solve_with_ceres.h"
 
+#include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <memory>
 #include <string>
 #include <utility>
@@ -19,6 +21,7 @@
 #include "core/solve/gauge.h"
 #include "core/solve/memory.h"
 #include "core/solve/parameter_layout.h"
+#include "core/solve/plausibility.h"
 #include "core/solve/problem_shape.h"
 
 namespace bundle {
@@ -170,23 +173,25 @@ class CeresSolve {
                           " is a direct solver.");
     }
     RefuseTooMuchMemory(options, shape);
+    if (NothingToEliminate(options.linear_solver_ordering, layout_)) {
+      warnings_.push_back(
+          "Nothing of the ordering's first group is refined: Ceres chose what to eliminate.");
+    }
+    if (options.linear_solver_ordering == EliminationOrdering::kPointsFirst &&
+        shape.num_free_points > 0 && shape.num_camera_columns > 0) {
+      // n steps of conjugate gradients solve n equations; a further one divides zero by zero, which
+      // Ceres takes for a failure of the step.
+      result.max_linear_solver_iterations = static_cast<int>(std::min<int64_t>(
+          result.max_linear_solver_iterations, shape.num_camera_columns));
+    }
     result.linear_solver_ordering =
         MakeOrdering(options.linear_solver_ordering, layout_, problem_.num_points, points_.data(),
                      state_.data());
     return result;
   }
 
-  /// With nothing to eliminate, Ceres replaces DENSE_SCHUR by DENSE_QR without a word.
   void RefuseTooMuchMemory(const SolveOptions& options, const ProblemShape& shape) const {
     const std::string name = LinearSolverTypeToString(ToCeres(options.linear_solver_type));
-    if (options.linear_solver_type == LinearSolverType::kDenseSchur &&
-        NothingToEliminate(options.linear_solver_ordering, layout_) && !costs_.empty()) {
-      const double bytes = PredictDenseMatrixBytes(LinearSolverType::kDenseQr, shape, false);
-      throw InputError(
-          "linear_solver_type: DENSE_SCHUR has nothing to eliminate (nothing of its first group is "
-          "refined) and would fall back to DENSE_QR of the whole Jacobian, " +
-          FormatBytes(bytes) + "; use auto or sparse_normal_cholesky");
-    }
     const double bytes = PredictDenseMatrixBytes(
         options.linear_solver_type, shape,
         options.linear_solver_ordering == EliminationOrdering::kCamerasFirst);
@@ -211,8 +216,12 @@ class CeresSolve {
     output.summary.linear_solver_choice = std::move(linear_solver_choice_);
     if (summary.linear_solver_type_used != summary.linear_solver_type_given) {
       warnings_.push_back("Ceres replaced " + output.summary.linear_solver_type_given + " by " +
-                          output.summary.linear_solver_type_used +
-                          ": there was nothing to eliminate.");
+                          output.summary.linear_solver_type_used + ".");
+    }
+    if (summary.termination_type == ceres::FAILURE || !std::isfinite(summary.initial_cost)) {
+      output.summary.is_solution_usable = false;
+      std::string overflow = FindOverflow(problem_, options_.cheirality);
+      if (!overflow.empty()) warnings_.push_back(std::move(overflow));
     }
     output.summary.warnings = std::move(warnings_);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
@@ -222,6 +231,7 @@ class CeresSolve {
     output.cam_from_world = states_.CamFromWorld();
     output.camera_params = states_.camera_params();
     output.points = std::move(points_);
+    RejectImpossibleSolution(problem_, &output);
     return output;
   }
 

@@ -70,8 +70,7 @@ def save(
     from bundle.io import colmap
 
     with atomic.replace_folder(path) as temporary:
-        colmap.save(problem, temporary, binary=chosen == "colmap")
-    return ()
+        return colmap.save(problem, temporary, binary=chosen == "colmap")
 
 
 def output_format(
@@ -127,14 +126,12 @@ def _check_model(folder: Path) -> None:
     missing = missing_model_files(folder)
     if not missing:
         return
-    hint = ""
-    models = sorted(
-        child.name
-        for child in folder.iterdir()
+    found = f"found a folder without {', '.join(missing)}"
+    models = [
+        shown(child.name)
+        for child in sorted(folder.iterdir())
         if child.is_dir() and not missing_model_files(child)
-    )
+    ]
     if models:
-        hint = f"; there are models inside: {', '.join(map(shown, models[:5]))}"
-    raise InputError(
-        f"{shown(folder)}: expected a COLMAP model, found a folder without {', '.join(missing)}{hint}"
-    )
+        found += f"; there are models inside: {', '.join(models[:5])}"
+    raise InputError(f"{shown(folder)}: expected a COLMAP model, {found}")

@@ -154,10 +154,9 @@ def losses(problem: Problem) -> tuple[str, ...]:
         (models, f"Cameras of model {', '.join(models)} come back as RADIAL."),
         (
             (used > 1).any(),
-            f"{(used > 1).sum()} cameras shared by {used[used > 1].sum()} images become one camera "
-            "an image.",
+            f"Cameras shared by several images ({(used > 1).sum()}) become one an image.",
         ),
-        ((used == 0).any(), f"{(used == 0).sum()} cameras without an image are left out."),
+        ((used == 0).any(), f"Cameras without an image ({(used == 0).sum()}) are left out."),
         (
             offset > 0,
             f"Principal points, up to {offset:g} px, are subtracted from the observations.",

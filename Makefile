@@ -1,0 +1,57 @@
+# Everything a clone needs; `make help` lists it. Each target sets up what it needs first.
+
+PYTHON ?= python3
+DEMO_INPUT ?= data/street
+DEMO_OUTPUT ?= out/demo
+
+VENV := .venv
+READY := $(VENV)/ready
+READY_TO_BENCH := $(VENV)/ready-to-bench
+BUILT_FROM := pyproject.toml CMakeLists.txt $(shell find cpp -type f) tools/setup.sh
+CPP_SOURCES = $(shell find cpp -name '*.h' -o -name '*.cpp')
+LINT_BUILD := build/lint
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format bench clean
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
+
+setup: $(READY)  ## install what is missing, build the C++ core, fill .venv (PYTHON=python3.13 to choose one)
+
+$(READY): $(BUILT_FROM)
+	bash tools/setup.sh $(PYTHON) $(VENV) test,lint
+	@touch $@
+
+$(READY_TO_BENCH): $(READY)
+	bash tools/setup.sh $(PYTHON) $(VENV) test,lint,bench
+	@touch $@
+
+demo: $(READY)  ## refine the model in data/ and show where the time went
+	$(VENV)/bin/bundle refine $(DEMO_INPUT) -o $(DEMO_OUTPUT)
+
+test: $(READY)  ## run the tests
+	$(VENV)/bin/python -m pytest
+
+lint: $(READY)  ## check format, style, types and compiler warnings
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/clang-format --dry-run -Werror $(CPP_SOURCES)
+	$(VENV)/bin/mypy
+	$(VENV)/bin/python -m mypy.stubtest bundle._core --ignore-disjoint-bases
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(LINT_BUILD) -G Ninja --log-level=WARNING \
+	  -DBUNDLE_WARNINGS_AS_ERRORS=ON -DPython_EXECUTABLE=$(CURDIR)/$(VENV)/bin/python \
+	  -Dpybind11_DIR=$$($(VENV)/bin/python -m pybind11 --cmakedir)
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(LINT_BUILD)
+
+format: $(READY)  ## rewrite the sources in the house format
+	$(VENV)/bin/ruff check --fix-only .
+	$(VENV)/bin/ruff format .
+	$(VENV)/bin/clang-format -i $(CPP_SOURCES)
+
+bench: $(READY_TO_BENCH)  ## measure against the peers on real data (takes long; writes benchmarks/results)
+	$(VENV)/bin/python benchmarks/run.py
+
+clean:  ## remove all that make made, but for benchmarks/results
+	rm -rf $(VENV) build out .pytest_cache .mypy_cache .ruff_cache
+	find python tests benchmarks -name __pycache__ -prune -exec rm -rf {} +

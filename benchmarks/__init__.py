@@ -1,0 +1,1 @@
+"""Side by side measurement of bundle and its peers; see README.md."""

@@ -1,0 +1,95 @@
+"""Running one child process, and the arithmetic on what repeated runs gave."""
+
+from __future__ import annotations
+
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+# Every library that has its own idea of how many threads it may start.
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Child:
+    """How a process went: ``failure`` is "" or one line; seconds and bytes otherwise."""
+
+    failure: str
+    wall: float
+    cpu: float
+    peak_memory: int
+
+
+def environment(root: Path, threads: int) -> dict[str, str]:
+    """Return the environment of every child: same threads, ``benchmarks`` importable."""
+    paths = [str(root), os.environ.get("PYTHONPATH", "")]
+    return {
+        **os.environ,
+        **{name: str(threads) for name in _THREAD_VARIABLES},
+        "PYTHONPATH": os.pathsep.join(path for path in paths if path),
+    }
+
+
+def run_child(command: Sequence[str], env: dict[str, str], timeout: float) -> Child:
+    """Run a command in this process group, silently, killing it after ``timeout`` seconds.
+
+    The peak memory is the kernel's ru_maxrss, which cannot be below this process' own size at the
+    fork: the caller keeps small.
+    """
+    with tempfile.TemporaryFile() as errors:
+        start = time.perf_counter()
+        process = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=errors)
+        timer = threading.Timer(timeout, os.kill, (process.pid, signal.SIGKILL))
+        timer.start()
+        try:
+            _, status, usage = os.wait4(process.pid, 0)
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            timer.cancel()
+        wall = time.perf_counter() - start
+        process.returncode = os.waitstatus_to_exitcode(status)
+        errors.seek(0)
+        last_words = errors.read().decode(errors="replace").strip().splitlines()
+    failure = ""
+    if process.returncode == -signal.SIGKILL and wall >= timeout:
+        failure = f"stopped after the time limit of {timeout:g} s"
+    elif process.returncode:
+        failure = f"exit {process.returncode}: {last_words[-1] if last_words else 'no message'}"
+    unit = 1 if sys.platform == "darwin" else 1024
+    return Child(failure, wall, usage.ru_utime + usage.ru_stime, unit * usage.ru_maxrss)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The median of repeated measurements with the smallest and the largest."""
+
+    median: float
+    low: float
+    high: float
+
+    @staticmethod
+    def of(values: Iterable[float | None]) -> Spread | None:
+        """Return the spread, or None if there is no value or one of them is missing."""
+        known = list(values)
+        numbers = [value for value in known if value is not None]
+        if not numbers or len(numbers) < len(known):
+            return None
+        return Spread(statistics.median(numbers), min(numbers), max(numbers))
+
+
+def time_to_cost(trace: Iterable[Sequence[float]], target: float) -> float | None:
+    """Return the time of the first iteration with cost <= target; None if there is none.
+
+    Times between iterations are not interpolated: a cost is reached when it has been computed.
+    """
+    return next((seconds for seconds, cost in trace if cost <= target), None)

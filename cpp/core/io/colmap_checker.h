@@ -1,0 +1,28 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+
+namespace bundle {
+
+struct ColmapCheck {
+  bool binary;  ///< what COLMAP reads where the folder holds both formats
+
+  /// Full names of the images whose names COLMAP's text reader cuts at a space, by image id.
+  std::map<uint32_t, std::string> names_with_spaces;
+};
+
+/// True if the folder holds cameras, images and points3D, all binary or all text.
+bool IsColmapModel(const std::string& folder);
+
+/// Reads the files of a COLMAP model from end to end and throws InputError at the first thing that
+/// is wrong with them, naming file and line (or byte). COLMAP's own reader, for which this stands
+/// guard, may take such a file silently, allocate what a corrupt count says, or give up without
+/// saying where.
+///
+/// What COLMAP writes passes, and so does what is strange but legal: points without or with one
+/// observation, several keypoints of one image in one track, models without rigs and frames.
+ColmapCheck CheckColmapModel(const std::string& folder);
+
+}  // namespace bundle

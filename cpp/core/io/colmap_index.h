@@ -1,0 +1,109 @@
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <map>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "core/io/model_file.h"
+
+namespace bundle {
+
+// COLMAP's kInvalid*Id: what stands for "none" and can be the id of nothing.
+constexpr uint32_t kInvalidColmapId = std::numeric_limits<uint32_t>::max();
+constexpr uint64_t kInvalidPoint3DId = std::numeric_limits<uint64_t>::max();
+
+/// Point ids end here: text files, and our arrays, hold them as signed 64-bit numbers.
+constexpr uint64_t kMaxPoint3DId = std::numeric_limits<int64_t>::max();
+
+/// COLMAP's SensorType.
+enum class SensorType : int32_t { kCamera = 0, kImu = 1 };
+
+/// What the files of a COLMAP model say of each other: every id, every reference, and where it
+/// stands, but no coordinates. The scanners of the text and of the binary format fill one, after
+/// checking what can be checked on the spot; CheckColmapReferences does the rest.
+///
+/// `at` is the place of a record: its line in a text file, the byte it begins at in a binary one.
+struct ColmapIndex {
+  struct Sensor {
+    SensorType type;
+    uint32_t id;
+    bool operator==(const Sensor& other) const { return type == other.type && id == other.id; }
+  };
+  struct Camera {
+    uint32_t id;
+    uint64_t at;
+  };
+  struct Rig {
+    uint32_t id;
+    uint64_t at;
+    std::vector<Sensor> sensors;
+  };
+  struct Datum {
+    Sensor sensor;
+    uint64_t id;
+  };
+  struct Frame {
+    uint32_t id;
+    uint32_t rig_id;
+    uint64_t at;
+    std::vector<Datum> data;
+  };
+  struct Image {
+    uint32_t id;
+    uint32_t camera_id;
+    uint64_t at;
+    uint64_t keypoints_at;    ///< of the first keypoint
+    uint64_t first_keypoint;  ///< in keypoint_point_ids
+    uint64_t num_keypoints;
+  };
+  struct Point {
+    uint64_t id;
+    uint64_t at;
+    uint64_t first_element;  ///< in track_elements
+  };
+  struct TrackElement {
+    uint32_t image_id;
+    uint32_t keypoint;
+  };
+
+  ModelFile rigs_file, cameras_file, frames_file, images_file, points_file;
+  std::vector<Rig> rigs;
+  std::vector<Camera> cameras;
+  std::vector<Frame> frames;
+  std::vector<Image> images;
+  std::vector<uint64_t>
+      keypoint_point_ids;  ///< of all images, kInvalidPoint3DId where there is none
+  std::vector<Point> points;
+  std::vector<TrackElement> track_elements;  ///< of all points
+
+  /// Names with white space in them, by image id. COLMAP writes them to text files but reads only
+  /// their first word back.
+  std::map<uint32_t, std::string> names_with_spaces;
+
+  ModelFile::Kind kind = ModelFile::Kind::kText;
+
+  uint64_t KeypointPlace(const Image& image, uint64_t keypoint) const;
+  uint64_t TrackElementPlace(const Point& point, uint64_t element) const;
+};
+
+/// One of COLMAP's two formats: syntax, counts, single values. Each function scans one file of the
+/// index into its records and throws InputError, naming file and line or byte.
+struct ColmapScanner {
+  ModelFile::Kind kind;
+  const char* extension;
+  void (*scan_rigs)(ColmapIndex*);
+  void (*scan_cameras)(ColmapIndex*);
+  void (*scan_frames)(ColmapIndex*);
+  void (*scan_images)(ColmapIndex*);
+  void (*scan_points)(ColmapIndex*);
+};
+extern const ColmapScanner kColmapTextScanner;
+extern const ColmapScanner kColmapBinaryScanner;
+
+/// Checks that ids are unique and references resolve. Throws InputError as the scanners do.
+void CheckColmapReferences(const ColmapIndex& index);
+
+}  // namespace bundle

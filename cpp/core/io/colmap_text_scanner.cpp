@@ -1,0 +1,162 @@
+// COLMAP's text format, one record a line (two for an image):
+//
+//   cameras.txt   ID MODEL WIDTH HEIGHT PARAMS[]
+//   images.txt    ID QW QX QY QZ TX TY TZ CAMERA_ID NAME
+//                 (X Y POINT3D_ID)[]   -1 for none; the line is there, blank, without keypoints
+//   points3D.txt  ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]
+//   rigs.txt      ID NUM_SENSORS [REF_SENSOR_TYPE REF_SENSOR_ID
+//                 (SENSOR_TYPE SENSOR_ID HAS_POSE [QW QX QY QZ TX TY TZ])[]]
+//   frames.txt    ID RIG_ID QW QX QY QZ TX TY TZ NUM_DATA (SENSOR_TYPE SENSOR_ID DATA_ID)[]
+//
+// Stricter than COLMAP's own reader, which takes half a keypoint or track element at the end of a
+// line for the end of the list, wraps colours round at 256 and drops an image whose second line
+// is missing.
+
+#include <string>
+#include <vector>
+
+#include "core/io/colmap_index.h"
+#include "core/io/colmap_text_cursor.h"
+#include "core/io/colmap_values.h"
+
+namespace bundle {
+namespace {
+
+constexpr uint64_t kMaxColor = 255;
+constexpr uint64_t kMaxKeypoint = kInvalidColmapId - 1;
+
+void ReadPose(ColmapTextCursor* cursor, const ModelFile& file, const std::string& subject) {
+  static constexpr const char* kNames[] = {"QW", "QX", "QY", "QZ", "TX", "TY", "TZ"};
+  double pose[7];
+  for (int i = 0; i < 7; ++i) pose[i] = cursor->Number(kNames[i]);
+  CheckPose(file, cursor->line(), subject, pose);
+}
+
+ColmapIndex::Sensor ReadSensor(ColmapTextCursor* cursor) {
+  const std::string_view type = cursor->Token("a sensor type");
+  if (type != "CAMERA" && type != "IMU") {
+    cursor->Fail("expected a sensor type (CAMERA or IMU), found " + Quoted(type));
+  }
+  return {type == "CAMERA" ? SensorType::kCamera : SensorType::kImu, cursor->Id("a sensor id")};
+}
+
+void ScanCameras(ColmapIndex* index) {
+  ColmapTextCursor cursor(index->cameras_file);
+  while (cursor.NextRecord()) {
+    const uint32_t id = cursor.Id("a camera id");
+    const std::string subject = "camera " + std::to_string(id);
+    const std::string_view name = cursor.Token("a camera model");
+    const ColmapCameraModel* model = FindColmapCameraModel(name);
+    if (model == nullptr) {
+      cursor.Fail(subject + ": expected the name of a COLMAP camera model, found " + Quoted(name));
+    }
+    const uint64_t width = cursor.Integer("an image width", kMaxPoint3DId);
+    const uint64_t height = cursor.Integer("an image height", kMaxPoint3DId);
+    CheckCameraSize(index->cameras_file, cursor.line(), subject, width, height);
+    double params[kMaxColmapCameraParams];
+    for (int i = 0; i < model->num_params; ++i) {
+      if (cursor.AtEndOfLine()) {
+        cursor.Fail(subject + ": expected " + std::to_string(model->num_params) +
+                    " parameters of " + std::string(model->name) + ", found " + std::to_string(i));
+      }
+      params[i] = cursor.Number("a camera parameter");
+    }
+    cursor.ExpectEndOfLine();
+    CheckCameraParams(index->cameras_file, cursor.line(), subject, *model, params);
+    index->cameras.push_back({id, cursor.line()});
+  }
+}
+
+void ScanKeypoints(ColmapIndex* index, ColmapTextCursor* cursor) {
+  ColmapIndex::Image& image = index->images.back();
+  image.keypoints_at = cursor->line();
+  while (!cursor->AtEndOfLine()) {
+    cursor->Number("the x of a keypoint");
+    cursor->Number("the y of a keypoint");
+    const int64_t point_id = cursor->SignedInteger("the point id of a keypoint");
+    if (point_id < -1) {
+      cursor->Fail("expected a point id, or -1 for none, found " + std::to_string(point_id));
+    }
+    index->keypoint_point_ids.push_back(static_cast<uint64_t>(point_id));  // -1: kInvalidPoint3DId
+    ++image.num_keypoints;
+  }
+}
+
+void ScanImages(ColmapIndex* index) {
+  ColmapTextCursor cursor(index->images_file);
+  while (cursor.NextRecord()) {
+    const uint64_t at = cursor.line();
+    const uint32_t id = cursor.Id("an image id");
+    const std::string subject = "image " + std::to_string(id);
+    ReadPose(&cursor, index->images_file, subject);
+    const uint32_t camera_id = cursor.Id("a camera id");
+    const std::string_view name = cursor.Rest("an image name");
+    CheckImageName(index->images_file, at, subject, name);
+    if (name.find(' ') != std::string_view::npos) index->names_with_spaces.emplace(id, name);
+    if (!cursor.NextLine()) {
+      cursor.Fail(subject + ": expected a line of keypoints (blank if there are none) after this " +
+                  "one, found the end of the file");
+    }
+    index->images.push_back({id, camera_id, at, 0, index->keypoint_point_ids.size(), 0});
+    ScanKeypoints(index, &cursor);
+  }
+}
+
+void ScanPoints(ColmapIndex* index) {
+  ColmapTextCursor cursor(index->points_file);
+  while (cursor.NextRecord()) {
+    const uint64_t id = cursor.Integer("a point id", kMaxPoint3DId);
+    cursor.Number("X");
+    cursor.Number("Y");
+    cursor.Number("Z");
+    for (const char* channel : {"R", "G", "B"}) cursor.Integer(channel, kMaxColor);
+    cursor.Number("an error");
+    index->points.push_back({id, cursor.line(), index->track_elements.size()});
+    while (!cursor.AtEndOfLine()) {
+      const uint32_t image_id = cursor.Id("an image id in the track");
+      const uint64_t keypoint = cursor.Integer("a keypoint index in the track", kMaxKeypoint);
+      index->track_elements.push_back({image_id, static_cast<uint32_t>(keypoint)});
+    }
+  }
+}
+
+void ScanRigs(ColmapIndex* index) {
+  ColmapTextCursor cursor(index->rigs_file);
+  while (cursor.NextRecord()) {
+    ColmapIndex::Rig rig{cursor.Id("a rig id"), cursor.line(), {}};
+    const std::string subject = "rig " + std::to_string(rig.id);
+    const uint64_t num_sensors = cursor.Integer("a number of sensors", kInvalidColmapId);
+    for (uint64_t j = 0; j < num_sensors; ++j) {
+      rig.sensors.push_back(ReadSensor(&cursor));
+      if (j == 0) continue;  // the reference sensor
+      if (cursor.Integer("HAS_POSE", 1) == 1) {
+        ReadPose(&cursor, index->rigs_file, subject + ", sensor " + std::to_string(j));
+      }
+    }
+    cursor.ExpectEndOfLine();
+    index->rigs.push_back(std::move(rig));
+  }
+}
+
+void ScanFrames(ColmapIndex* index) {
+  ColmapTextCursor cursor(index->frames_file);
+  while (cursor.NextRecord()) {
+    const uint32_t id = cursor.Id("a frame id");
+    ColmapIndex::Frame frame{id, cursor.Id("a rig id"), cursor.line(), {}};
+    ReadPose(&cursor, index->frames_file, "frame " + std::to_string(id));
+    const uint64_t num_data = cursor.Integer("a number of data", kInvalidColmapId);
+    for (uint64_t j = 0; j < num_data; ++j) {
+      const ColmapIndex::Sensor sensor = ReadSensor(&cursor);
+      frame.data.push_back({sensor, cursor.Integer("a datum id", kInvalidPoint3DId)});
+    }
+    cursor.ExpectEndOfLine();
+    index->frames.push_back(std::move(frame));
+  }
+}
+
+}  // namespace
+
+const ColmapScanner kColmapTextScanner = {
+    ModelFile::Kind::kText, ".txt", ScanRigs, ScanCameras, ScanFrames, ScanImages, ScanPoints};
+
+}  // namespace bundle

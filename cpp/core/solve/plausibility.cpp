@@ -1,0 +1,52 @@
+#include "core/solve/plausibility.h"
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <sstream>
+#include <vector>
+
+#include "core/error.h"
+#include "core/problem/reprojection_errors.h"
+#include "core/problem/validate.h"
+
+namespace bundle {
+
+void RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
+  ProblemView refined = problem;
+  refined.cam_from_world = output->cam_from_world.data();
+  refined.camera_params = output->camera_params.data();
+  refined.points = output->points.data();
+  try {
+    ValidateProblem(refined);
+  } catch (const InputError& error) {
+    const auto restore = [](const double* from, std::vector<double>* to) {
+      to->assign(from, from + to->size());
+    };
+    restore(problem.cam_from_world, &output->cam_from_world);
+    restore(problem.camera_params, &output->camera_params);
+    restore(problem.points, &output->points);
+    output->summary.is_solution_usable = false;
+    output->summary.warnings.push_back(
+        std::string("The solver left the possible and its solution is dropped: ") + error.what() +
+        ".");
+  }
+}
+
+std::string FindOverflow(const ProblemView& problem, Cheirality cheirality) {
+  std::vector<double> errors(problem.num_observations);
+  std::vector<uint8_t> behind(problem.num_observations);
+  ComputeReprojectionErrors(problem, 1, errors.data(), behind.data());
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    const bool counts = !std::isnan(errors[i]) && (!behind[i] || cheirality == Cheirality::kAlgebraic);
+    if (!counts || std::isfinite(errors[i] * errors[i])) continue;
+    std::ostringstream sentence;
+    sentence << "The squared residual of image " << problem.image_ids[problem.observation_image[i]]
+             << ", point " << problem.point_ids[problem.observation_point[i]]
+             << " is not finite at the start (" << errors[i] << " pixels).";
+    return sentence.str();
+  }
+  return "";
+}
+
+}  // namespace bundle

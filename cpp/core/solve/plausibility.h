@@ -1,0 +1,20 @@
+#pragma once
+
+#include <string>
+
+#include "core/problem/problem_view.h"
+#include "core/residuals/reprojection.h"
+#include "core/solve/solve.h"
+
+namespace bundle {
+
+/// If the solver left something that is no reconstruction (a focal length that is not positive, a
+/// number that is not finite), puts the problem's own values back, marks the solution as not usable
+/// and says why in the warnings.
+void RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output);
+
+/// One sentence that names the first observation whose squared residual is not finite at the
+/// problem's own values; "" if there is none.
+std::string FindOverflow(const ProblemView& problem, Cheirality cheirality);
+
+}  // namespace bundle

@@ -1,0 +1,133 @@
+"""COLMAP models on disk: text or binary, with rigs and frames or from before there were any.
+
+pycolmap reads and writes them; before it reads, our own checker goes through every file, for
+pycolmap takes some broken files without a word, allocates whatever a corrupt count says and never
+says where an error is.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+from pathlib import Path
+
+import pycolmap
+
+from bundle import _core
+from bundle.errors import InputError
+from bundle.io.reconstruction import from_pycolmap, problem_of, to_pycolmap
+from bundle.problem import Problem
+
+__all__ = ["from_pycolmap", "is_model", "load", "save", "to_pycolmap"]
+
+
+def is_model(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a folder holds cameras, images and points3D, all binary or all text."""
+    return _core.is_colmap_model(os.fsencode(path))
+
+
+def load(path: str | os.PathLike[str]) -> Problem:
+    """Read the model in a folder, the binary one if there are two, as COLMAP does.
+
+    Raises:
+        InputError: it is no model, or there is something wrong with it. The message has the file
+            and the line (of text) or byte (of binary), what was expected and what was found.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        found = "something else" if folder.exists() else "nothing"
+        raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
+    binary, names_with_spaces = _core.check_colmap_model(os.fsencode(folder))
+    reconstruction = pycolmap.Reconstruction()
+    try:
+        if binary:
+            reconstruction.read_binary(folder)
+        else:
+            reconstruction.read_text(folder)
+    except (ValueError, LookupError, RuntimeError, MemoryError) as error:
+        # Nothing known comes here, but older versions of pycolmap lack the newest camera models.
+        raise InputError(
+            f"{folder}: expected a model that pycolmap {pycolmap.__version__} reads, "
+            f"found: {_first_line(error)}"
+        ) from None
+    for image_id, name in names_with_spaces.items():
+        reconstruction.image(image_id).name = name
+    try:
+        return problem_of(reconstruction)
+    except InputError as error:
+        raise InputError(f"{folder}: {error}") from None
+
+
+def save(problem: Problem, folder: Path, binary: bool = True) -> tuple[str, ...]:
+    """Write the files of a model into an existing folder.
+
+    Text has 17 digits, enough for every number to be read back as it was.
+
+    Args:
+        problem: what to write; see :func:`to_pycolmap`.
+        folder: an existing folder, best a fresh one: files of the other format stay in it.
+        binary: the format.
+
+    Returns:
+        What the files do not hold of the problem and its source, one sentence each.
+
+    Raises:
+        OSError: the files could not be written, or not whole.
+        InputError: COLMAP cannot represent the problem.
+    """
+    reconstruction = to_pycolmap(problem)
+    if not binary:
+        _make_fit_for_text(reconstruction)
+    try:
+        if binary:
+            reconstruction.write_binary(folder)
+        else:
+            reconstruction.write_text(folder)
+    except (ValueError, RuntimeError) as error:
+        raise OSError(errno.EIO, f"cannot be written: {_first_line(error)}", str(folder)) from None
+    _check_written(folder, problem)
+    return _losses(reconstruction, binary)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _make_fit_for_text(reconstruction: pycolmap.Reconstruction) -> None:
+    """Keep out of text files what COLMAP can write to them but not read back."""
+    for image_id in reconstruction.reg_image_ids():
+        if not reconstruction.image(image_id).name:
+            raise InputError(
+                f"image {image_id}: expected a name, which COLMAP's text format needs, found none"
+            )
+    for point in reconstruction.points3D.values():
+        if not math.isfinite(point.error):
+            point.error = -1.0  # COLMAP's "not known"
+
+
+def _check_written(folder: Path, problem: Problem) -> None:
+    """Look at what arrived on the disk: COLMAP does not notice when a disk is full."""
+    if problem.num_images == 0:
+        return
+    try:
+        _core.check_colmap_model(os.fsencode(folder))
+    except InputError as error:
+        raise OSError(errno.EIO, f"not written whole: {error}", str(folder)) from None
+
+
+def _losses(reconstruction: pycolmap.Reconstruction, binary: bool) -> tuple[str, ...]:
+    losses = []
+    unregistered = reconstruction.num_images() - reconstruction.num_reg_images()
+    if unregistered:
+        losses.append(
+            f"Images without a pose are not written ({unregistered} of "
+            f"{reconstruction.num_images()}): COLMAP's files hold registered images only."
+        )
+    spaces = [i for i in reconstruction.reg_image_ids() if " " in reconstruction.image(i).name]
+    if spaces and not binary:
+        losses.append(
+            f"{len(spaces)} image names have spaces: they are in the text files, but COLMAP reads "
+            "only their first word back."
+        )
+    return tuple(losses)

@@ -1,0 +1,201 @@
+"""What a synthetic scene can be asked for.
+
+Names, defaults and meaning stand here once: the command line makes its flags from these fields and
+the JSON report lists them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from bundle.errors import InputError
+
+__all__ = ["SceneOptions"]
+
+SCENES = ("street", "orbit", "photo_collection")
+CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+CAMERAS = ("auto", "shared", "individual")
+MIN_OBSERVATIONS_PER_IMAGE = 20
+
+
+def _option(
+    default: Any,
+    help: str,  # noqa: A002
+    *,
+    choices: tuple[str, ...] | None = None,
+    minimum: float | None = None,
+    below: float | None = None,
+    metavar: str | tuple[str, ...] | None = None,
+) -> Any:
+    metadata = {
+        "help": help,
+        "choices": choices,
+        "minimum": minimum,
+        "below": below,
+        "metavar": metavar,
+    }
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """Options of :func:`bundle.synthesize`.
+
+    Choices are accepted in any case, with hyphens or underscores ("photo-collection").
+
+    Raises:
+        InputError: an option has a value outside its range; the message names option and value.
+    """
+
+    scene: str = _option(
+        "street",
+        "street: a drive through a road network; orbit: rings of cameras around an object; "
+        "photo-collection: clusters of very different cameras around landmarks",
+        choices=SCENES,
+    )
+    num_images: int = _option(40, "number of images", minimum=2, metavar="N")
+    num_points: int = _option(3000, "number of points", minimum=20, metavar="N")
+    mean_track_length: float = _option(
+        6.0, "observations per point, on average", minimum=2.0, metavar="X"
+    )
+    camera_model: str = _option("SIMPLE_RADIAL", "COLMAP's camera model", choices=CAMERA_MODELS)
+    cameras: str = _option(
+        "auto",
+        "one camera for all images, or one an image; auto: individual for photo-collection, shared "
+        "for the others",
+        choices=CAMERAS,
+    )
+    image_size: tuple[int, int] = _option(
+        (1280, 960),
+        "width and height in pixels; individual cameras of a photo-collection spread around it",
+        minimum=64,
+        metavar=("WIDTH", "HEIGHT"),
+    )
+    pixel_noise: float = _option(
+        0.5, "standard deviation of x and of y, in pixels", minimum=0.0, metavar="PIXELS"
+    )
+    outlier_share: float = _option(
+        0.0,
+        "share of the observations replaced by uniformly random pixels",
+        minimum=0.0,
+        below=1.0,
+        metavar="X",
+    )
+    rotation_noise: float = _option(
+        0.5,
+        "perturbation of the start's rotations: standard deviation about each axis, in degrees",
+        minimum=0.0,
+        metavar="DEGREES",
+    )
+    translation_noise: float = _option(
+        0.005,
+        "perturbation of the start's camera centres: standard deviation along each axis, relative "
+        "to the scene's scale, which is the median distance of a point from its cameras",
+        minimum=0.0,
+        metavar="X",
+    )
+    point_noise: float = _option(
+        0.005,
+        "perturbation of the start's points, likewise relative to the scene's scale",
+        minimum=0.0,
+        metavar="X",
+    )
+    focal_noise: float = _option(
+        0.01,
+        "perturbation of the start's focal lengths: relative standard deviation",
+        minimum=0.0,
+        below=0.5,
+        metavar="X",
+    )
+    distortion_noise: float = _option(
+        0.005,
+        "perturbation of the start's radial distortion coefficients: standard deviation; a tenth "
+        "of it for tangential ones",
+        minimum=0.0,
+        metavar="X",
+    )
+    loop_closure: bool = _option(
+        True, "street only: drive laps that come back to known places, not one way"
+    )
+    num_rings: int = _option(
+        0, "orbit only: rings of cameras at different heights; 0: one per 40 images, at most 6",
+        minimum=0, metavar="N",
+    )  # fmt: skip
+    seed: int = _option(0, "same seed, same scene", minimum=0, metavar="N")
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            object.__setattr__(self, field.name, _checked(field, getattr(self, field.name)))
+        if self.mean_track_length > self.num_images:
+            raise InputError(
+                f"mean_track_length: expected at most num_images = {self.num_images}, "
+                f"found {self.mean_track_length:g}"
+            )
+        if self.num_rings > self.num_images:
+            raise InputError(
+                f"num_rings: expected at most num_images = {self.num_images}, "
+                f"found {self.num_rings}"
+            )
+
+    @property
+    def has_shared_camera(self) -> bool:
+        """Whether all images share one camera."""
+        if self.cameras == "auto":
+            return self.scene != "photo_collection"
+        return self.cameras == "shared"
+
+    def replace(self, **changes: Any) -> SceneOptions:
+        """Return a copy with some options changed."""
+        return dataclasses.replace(self, **changes)
+
+    def asdict(self) -> dict[str, Any]:
+        """Return every option by name."""
+        return dataclasses.asdict(self)
+
+
+def _checked(field: dataclasses.Field[Any], value: Any) -> Any:
+    """Return the value in canonical form, or raise an InputError that names option and value."""
+    if field.metadata["choices"] is not None:
+        return _choice(field.name, value, field.metadata["choices"])
+    if isinstance(field.default, bool):
+        if not isinstance(value, bool):
+            raise InputError(f"{field.name}: expected True or False, found {value!r}")
+        return value
+    if isinstance(field.default, tuple):
+        if not isinstance(value, tuple | list) or len(value) != len(field.default):
+            raise InputError(
+                f"{field.name}: expected {len(field.default)} whole numbers, found {value!r}"
+            )
+        return tuple(_number(field, entry, whole=True) for entry in value)
+    return _number(field, value, whole=isinstance(field.default, int))
+
+
+def _choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
+    canonical = str(value).lower().replace("-", "_")
+    for choice in choices:
+        if canonical == choice.lower():
+            return choice
+    raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
+
+
+def _number(field: dataclasses.Field[Any], value: Any, *, whole: bool) -> int | float:
+    number: int | float = 0
+    try:
+        number = int(value) if whole else float(value)
+        exact = math.isfinite(number) and (not whole or number == float(value))
+    except (TypeError, ValueError, OverflowError):
+        exact = False
+    if not exact:
+        kind = "a whole number" if whole else "a finite number"
+        raise InputError(f"{field.name}: expected {kind}, found {value!r}")
+    minimum, below = field.metadata["minimum"], field.metadata["below"]
+    if number < minimum:
+        raise InputError(f"{field.name}: expected at least {minimum:g}, found {value!r}")
+    if below is not None and number >= below:
+        raise InputError(f"{field.name}: expected less than {below:g}, found {value!r}")
+    if whole and field.name != "seed" and number > 2**31 - 1:
+        raise InputError(f"{field.name}: expected at most {2**31 - 1}, found {value!r}")
+    return number

@@ -1,0 +1,84 @@
+"""Rotations of many images at once, as matrices and as COLMAP's quaternions.
+
+Everything is spelled out element by element: matrix products through BLAS would differ in the last
+bit from machine to machine, and with them the scene of a seed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "dot",
+    "look_along",
+    "quaternion_from_matrix",
+    "quaternion_from_vector",
+    "quaternion_multiply",
+    "quaternion_rotate",
+    "rotate",
+]
+
+Array = NDArray[np.float64]
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Return the dot products of the last axes (..., 3)."""
+    product: Array = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    return product
+
+
+def rotate(matrix: Array, vectors: Array) -> Array:
+    """Return matrix (..., 3, 3) times vectors (..., 3), with broadcasting."""
+    return np.stack([dot(matrix[..., row, :], vectors) for row in range(3)], axis=-1)
+
+
+def look_along(forward: Array, roll: Array) -> Array:
+    """Return camera-from-world rotations (N, 3, 3) of cameras looking along (N, 3) directions.
+
+    The world's z axis is up; ``roll`` (N,) turns the image about its axis, in radians. No direction
+    may be vertical.
+    """
+    z = forward / np.sqrt(dot(forward, forward))[:, None]
+    x = np.stack([z[:, 1], -z[:, 0], np.zeros(len(z))], axis=-1)
+    x /= np.sqrt(dot(x, x))[:, None]
+    y = np.cross(z, x)
+    c, s = np.cos(roll)[:, None], np.sin(roll)[:, None]
+    return np.stack([c * x + s * y, c * y - s * x, z], axis=1)
+
+
+def quaternion_from_matrix(matrix: Array) -> Array:
+    """Return unit quaternions (N, 4) as qx qy qz qw, qw >= 0, of rotation matrices (N, 3, 3)."""
+    m = matrix
+    # Four times the products of the components; the row of the largest component divides safely.
+    xx = 1 + m[:, 0, 0] - m[:, 1, 1] - m[:, 2, 2]
+    yy = 1 - m[:, 0, 0] + m[:, 1, 1] - m[:, 2, 2]
+    zz = 1 - m[:, 0, 0] - m[:, 1, 1] + m[:, 2, 2]
+    ww = 1 + m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
+    xy, xz, yz = m[:, 1, 0] + m[:, 0, 1], m[:, 0, 2] + m[:, 2, 0], m[:, 2, 1] + m[:, 1, 2]
+    xw, yw, zw = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
+    rows = np.array([[xx, xy, xz, xw], [xy, yy, yz, yw], [xz, yz, zz, zw], [xw, yw, zw, ww]])
+    largest = np.argmax([xx, yy, zz, ww], axis=0)
+    q = rows[largest, :, np.arange(len(m))]
+    q /= np.sqrt(q[:, 0] ** 2 + q[:, 1] ** 2 + q[:, 2] ** 2 + q[:, 3] ** 2)[:, None]
+    return np.where(q[:, 3:] < 0, -q, q)
+
+
+def quaternion_from_vector(vector: Array) -> Array:
+    """Return unit quaternions (N, 4) of rotation vectors (N, 3) in radians."""
+    angle = np.sqrt(dot(vector, vector))
+    half_sinc = 0.5 * np.sinc(angle / (2 * np.pi))
+    return np.concatenate([vector * half_sinc[:, None], np.cos(angle / 2)[:, None]], axis=1)
+
+
+def quaternion_multiply(a: Array, b: Array) -> Array:
+    """Return the quaternions (N, 4) of the rotations b, then a."""
+    w = a[:, 3:] * b[:, 3:] - dot(a[:, :3], b[:, :3])[:, None]
+    v = a[:, 3:] * b[:, :3] + b[:, 3:] * a[:, :3] + np.cross(a[:, :3], b[:, :3])
+    return np.concatenate([v, w], axis=1)
+
+
+def quaternion_rotate(q: Array, vectors: Array) -> Array:
+    """Return vectors (N, 3) rotated by unit quaternions (N, 4)."""
+    twice = 2.0 * np.cross(q[:, :3], vectors)
+    return vectors + q[:, 3:] * twice + np.cross(q[:, :3], twice)

@@ -1,0 +1,164 @@
+"""What the kinds of scenes have in common: images, points, and who may see whom.
+
+A scene answers one question twice, roughly and exactly. Roughly: every point has a *key* and every
+image a *ball*, and only points whose key lies in the ball can be seen; grid cells over the keys keep
+large scenes from testing every image with every point. Keys are whatever makes the balls tight:
+positions in a street, surface normals around an object. Exactly: see :mod:`.visibility`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Images", "Pairs", "Points", "Scene"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Images:
+    """The true images.
+
+    Attributes:
+        centers: (N, 3) projection centres in the world, length units.
+        rotations: (N, 3, 3) camera-from-world.
+        focal: (N,) focal length relative to the longer side of the image.
+        sizes: (N, 2) width and height in pixels.
+        richness: (N,) how readily an image yields observations, relative to others.
+        ball_centers: (N, 3) in the space of the points' keys.
+        ball_radii: (N,)
+    """
+
+    centers: Array
+    rotations: Array
+    focal: Array
+    sizes: NDArray[np.int64]
+    richness: Array
+    ball_centers: Array
+    ball_radii: Array
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points on surfaces.
+
+    Attributes:
+        positions: (n, 3) in the world, length units.
+        normals: (n, 3) unit outward normals; zero for what is seen from all sides.
+        reach: (n,) distance beyond which a point is not recognised, length units.
+        keys: (n, 3)
+    """
+
+    positions: Array
+    normals: Array
+    reach: Array
+    keys: Array
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def take(self, index: NDArray[np.generic]) -> Points:
+        """Return some of the points, by index or by mask."""
+        return Points(
+            self.positions[index], self.normals[index], self.reach[index], self.keys[index]
+        )
+
+    @staticmethod
+    def concatenate(parts: list[Points]) -> Points:
+        """Return all points of the parts, in order."""
+        return Points(
+            np.concatenate([part.positions for part in parts]),
+            np.concatenate([part.normals for part in parts]),
+            np.concatenate([part.reach for part in parts]),
+            np.concatenate([part.keys for part in parts]),
+        )
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Point-image pairs, sorted by point, then image.
+
+    Attributes:
+        point: (M,) point indices.
+        image: (M,) image indices.
+        starts: (num_points + 1,) where the pairs of each point begin.
+    """
+
+    point: NDArray[np.int32]
+    image: NDArray[np.int32]
+    starts: NDArray[np.int64]
+
+    @staticmethod
+    def from_sorted(
+        point: NDArray[np.int32], image: NDArray[np.int32], num_points: int
+    ) -> Pairs:
+        """Take pairs that are sorted by point, then image."""
+        starts = np.zeros(num_points + 1, dtype=np.int64)
+        np.cumsum(np.bincount(point, minlength=num_points), out=starts[1:])
+        return Pairs(point, image, starts)
+
+    @staticmethod
+    def concatenate(parts: list[Pairs]) -> Pairs:
+        """Return the pairs of all parts; points are numbered on from part to part."""
+        num_points = np.cumsum([0] + [len(part.counts) for part in parts])
+        return Pairs.from_sorted(
+            np.concatenate(
+                [part.point + np.int32(first) for part, first in zip(parts, num_points, strict=False)]
+            ),
+            np.concatenate([part.image for part in parts]),
+            int(num_points[-1]),
+        )
+
+    def of_points(self, points: NDArray[np.int64]) -> Pairs:
+        """Return the pairs of some points, given in ascending order, which are numbered anew."""
+        number = np.full(len(self.counts), -1, dtype=np.int32)
+        number[points] = np.arange(len(points))
+        kept = number[self.point] >= 0
+        return Pairs.from_sorted(number[self.point[kept]], self.image[kept], len(points))
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Pairs of each point."""
+        return np.diff(self.starts)
+
+    @property
+    def ranks(self) -> NDArray[np.int32]:
+        """Position of each pair among those of its point."""
+        ranks = np.arange(len(self), dtype=np.int64) - np.repeat(self.starts[:-1], self.counts)
+        return ranks.astype(np.int32)
+
+
+class Scene(ABC):
+    """A kind of scene, built for given options.
+
+    Attributes:
+        images: the true images.
+        min_cosine: smallest cosine between a surface normal and the direction to the camera.
+    """
+
+    images: Images
+    min_cosine: float
+
+    @abstractmethod
+    def draw_points(self, rng: np.random.Generator, count: int) -> Points:
+        """Draw about ``count`` points where images look; some may turn out to be hidden."""
+
+    @abstractmethod
+    def draw_lengths(self, rng: np.random.Generator, count: int) -> Array:
+        """Draw how long tracks want to be, beyond 2 observations: (count,) with mean 1."""
+
+    @abstractmethod
+    def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
+        """Return (M,): of the images that could see a point, those with the smallest values do."""
+
+    def is_clear(self, center: Array, positions: Array) -> NDArray[np.bool_]:
+        """Tell whether nothing stands between a camera centre (3,) and positions (n, 3)."""
+        del center
+        return np.ones(len(positions), dtype=np.bool_)

@@ -1,0 +1,176 @@
+"""A vehicle with a forward-looking camera drives through a town of square blocks.
+
+Points lie on facades (many of them on the corners of windows), on the ground, and on what stands on
+the pavement. Blocks hide what is behind them. A point is seen over a run of consecutive images, so
+co-visibility is banded, but for places that the drive comes back to.
+
+Length unit: metre; z is up; the road is at z = 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.synthetic.options import SceneOptions
+from bundle.synthetic.rotations import look_along
+from bundle.synthetic.route import drive_laps, drive_one_way, waypoints
+from bundle.synthetic.scene import Images, Pairs, Points, Scene
+
+__all__ = ["Street"]
+
+Array = NDArray[np.float64]
+
+ROAD_WIDTH = 11.0  # from facade to facade
+CAMERA_HEIGHT = 1.9
+FACADE_REACH, GROUND_REACH, FURNITURE_REACH = 42.0, 20.0, 28.0
+FACADE_SHARE, GROUND_SHARE = 0.7, 0.2
+# Distance over which a point at the roadside stays in view, which sets the spacing of the images.
+VIEW_LENGTH = 30.0
+FOCAL = 0.8
+
+
+class Street(Scene):
+    """See the head of the file."""
+
+    min_cosine = 0.07
+
+    def __init__(self, rng: np.random.Generator, options: SceneOptions) -> None:
+        count = options.num_images
+        self.spacing = float(np.clip(VIEW_LENGTH / (2.4 * options.mean_track_length), 0.3, 3.5))
+        # Small drives get small blocks, so that they too turn and close a lap (4 blocks' length).
+        self.pitch = float(np.clip(count * self.spacing / 4.4, 20.0, 60.0))
+        self._block_heights = rng.uniform(6.0, 18.0, 512)
+        where, heading = waypoints(
+            drive_laps if options.loop_closure else drive_one_way,
+            rng,
+            pitch=self.pitch,
+            corner_radius=6.0,
+            spacing=self.spacing,
+            count=count,
+        )
+        heading = heading + _wander(rng, count, 0.02)
+        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+        # Driving on the right.
+        where = where + left * (_wander(rng, count, 0.3) - 1.5)[:, None]
+        height = CAMERA_HEIGHT + _wander(rng, count, 0.04)
+        pitch = 0.02 + _wander(rng, count, 0.012)
+        forward = np.concatenate([ahead, -np.tan(pitch)[:, None]], axis=1)
+        centers = np.concatenate([where, height[:, None]], axis=1)
+        self.images = Images(
+            centers=centers,
+            rotations=look_along(forward, _wander(rng, count, 0.01)),
+            focal=np.full(count, FOCAL),
+            sizes=np.tile(np.array(options.image_size, dtype=np.int64), (count, 1)),
+            richness=np.ones(count),
+            ball_centers=centers + 0.5 * FACADE_REACH * np.append(ahead, 0 * height[:, None], 1),
+            ball_radii=np.full(count, 0.6 * FACADE_REACH),
+        )
+        self._heading = heading
+
+    def draw_points(self, rng: np.random.Generator, count: int) -> Points:
+        """Draw points near what images look at, moved onto the nearest surface of their kind."""
+        image = rng.integers(0, len(self._heading), count)
+        bearing = self._heading[image] + rng.normal(0.0, 0.3, count)
+        distance = rng.uniform(5.0, 36.0, count)
+        xy = self.images.centers[image, :2] + distance[:, None] * np.stack(
+            [np.cos(bearing), np.sin(bearing)], axis=1
+        )
+        kind = rng.random(count)
+        is_facade = kind < FACADE_SHARE
+        is_ground = (kind >= FACADE_SHARE) & (kind < FACADE_SHARE + GROUND_SHARE)
+        on_facade, normals, is_on = self._onto_facades(rng, xy)
+        positions = np.empty((count, 3))
+        positions[:, :2] = np.where(is_facade[:, None], on_facade, xy)
+        height = self._window_height(rng, self._height_of_block(on_facade - normals[:, :2]))
+        positions[:, 2] = np.where(is_facade, height, rng.uniform(0.1, 3.5, count))
+        positions[is_ground, 2] = rng.normal(0.0, 0.02, int(is_ground.sum()))
+        normals[~is_facade] = 0.0
+        normals[is_ground, 2] = 1.0
+        reach = np.where(is_facade, FACADE_REACH, np.where(is_ground, GROUND_REACH, FURNITURE_REACH))
+        reach = reach * rng.uniform(0.6, 1.0, count)
+        kept = np.where(is_facade, is_on, ~self._is_in_block(positions[:, :2], 0.0))
+        points = Points(positions, normals, reach, positions)
+        return points.take(kept)
+
+    def draw_lengths(self, rng: np.random.Generator, count: int) -> Array:
+        """Tracks end with equal probability at every step: exponential."""
+        return rng.standard_exponential(count)
+
+    def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
+        """Prefer a run of images about a random one of those in view, with an odd one left out."""
+        del points
+        middle = np.floor(rng.random(len(pairs.counts)) * pairs.counts)
+        away = np.abs(pairs.ranks - np.repeat(middle, pairs.counts))
+        return away + rng.uniform(0.0, 1.6, len(pairs))
+
+    def is_clear(self, center: Array, positions: Array) -> NDArray[np.bool_]:
+        """Tell whether the line of sight misses all blocks, by 12 samples along it."""
+        clear = np.ones(len(positions), dtype=np.bool_)
+        for t in (np.arange(12) + 0.5) / 12.0:
+            clear &= ~self._is_in_block(center[:2] + t * (positions[:, :2] - center[:2]), 0.6)
+        return clear
+
+    def _from_axes(self, xy: Array) -> tuple[Array, Array]:
+        """Return the offsets (n, 2) from the nearest road axes, and those axes' coordinates."""
+        axes = self.pitch * np.round(xy / self.pitch)
+        return xy - axes, axes
+
+    def _is_in_block(self, xy: Array, margin: float) -> NDArray[np.bool_]:
+        offset, _ = self._from_axes(xy)
+        inside: NDArray[np.bool_] = (np.abs(offset) > 0.5 * ROAD_WIDTH + margin).all(axis=1)
+        return inside
+
+    def _onto_facades(
+        self, rng: np.random.Generator, xy: Array
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Move positions (n, 2) onto facades: positions, normals (n, 3), whether it could be done.
+
+        From a road to either of its sides, from inside a block to its nearest side; a crossing has
+        no facades.
+        """
+        offset, axes = self._from_axes(xy)
+        half = 0.5 * ROAD_WIDTH
+        in_road = np.abs(offset) <= half
+        # The coordinate to move: across the road, or the one closer to its facade.
+        closer = np.argmin(np.abs(offset), axis=1)
+        across = np.where(in_road.any(axis=1), np.argmax(in_road, axis=1), closer)
+        rows = np.arange(len(xy))
+        sides = np.where(rng.random(len(xy)) < 0.5, -1.0, 1.0)
+        sides = np.where(in_road.any(axis=1), sides, np.sign(offset[rows, across]))
+        depth = half + rng.exponential(0.12, len(xy))  # windows, doors and balconies
+        moved = self._onto_windows(rng, xy)
+        moved[rows, across] = axes[rows, across] + sides * depth
+        normals = np.zeros((len(xy), 3))
+        normals[rows, across] = -sides
+        along = self._from_axes(moved)[0][rows, 1 - across]
+        return moved, normals, ~in_road.all(axis=1) & (np.abs(along) > half)
+
+    @staticmethod
+    def _onto_windows(rng: np.random.Generator, xy: Array) -> Array:
+        """Move three of five positions to edges of windows, one every 3 m."""
+        edges = 3.0 * np.floor(xy / 3.0) + np.where(rng.random(xy.shape) < 0.5, 0.8, 2.2)
+        edges += rng.normal(0.0, 0.06, xy.shape)
+        return np.where(rng.random((len(xy), 1)) < 0.6, edges, xy)
+
+    @staticmethod
+    def _window_height(rng: np.random.Generator, top: Array) -> Array:
+        """Draw heights up to the roof, more of them low and at window sills and lintels."""
+        height = 0.3 + (top - 0.3) * rng.random(len(top)) ** 1.4
+        edges = 3.0 * np.floor(height / 3.0) + np.where(rng.random(len(top)) < 0.5, 0.9, 2.3)
+        edges += rng.normal(0.0, 0.05, len(top))
+        return np.where(rng.random(len(top)) < 0.6, edges, height)
+
+    def _height_of_block(self, xy: Array) -> Array:
+        block = np.floor(xy / self.pitch).astype(np.int64)
+        height: Array = self._block_heights[(73 * block[:, 0] + 179 * block[:, 1]) % 512]
+        return height
+
+
+def _wander(rng: np.random.Generator, count: int, sigma: float) -> Array:
+    """Return a smooth random sequence of the given standard deviation, correlated over ~5 steps."""
+    kernel = np.exp(-0.5 * (np.arange(-12, 13) / 3.5) ** 2)
+    kernel /= np.sqrt((kernel**2).sum())
+    noise = rng.standard_normal(count + len(kernel) - 1)
+    return sigma * np.convolve(noise, kernel, mode="valid")

@@ -1,0 +1,136 @@
+"""Which of the possible observations are made."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.synthetic.components import components
+from bundle.synthetic.options import MIN_OBSERVATIONS_PER_IMAGE
+from bundle.synthetic.scene import Pairs
+
+__all__ = ["select_observations", "wanted_lengths"]
+
+Array = NDArray[np.float64]
+
+_SHORTEST_TRACK = 2
+_FEWEST_OBSERVATIONS_PER_IMAGE = 4
+_OBSERVATIONS_PER_BRIDGE = 10
+# Less than this of the mean track length that was asked for is a failure.
+_ACCEPTED_SHORTFALL = 0.85
+
+
+def wanted_lengths(weights: Array, scale: float) -> NDArray[np.int64]:
+    """Return whole track lengths, at least 2, of which the part beyond is weights * scale."""
+    beyond = np.floor(weights * scale + 0.5)
+    return _SHORTEST_TRACK + np.minimum(beyond, 1e9).astype(np.int64)
+
+
+def select_observations(
+    pairs: Pairs, preference: Array, weights: Array, mean_length: float, num_images: int
+) -> Pairs:
+    """Choose the observations of every point among the images that could see it.
+
+    Args:
+        pairs: who could see what; at least two images a point.
+        preference: (M,) every point takes the pairs with its smallest values.
+        weights: (num_points,) how long each track wants to be beyond 2, relative to the others.
+        mean_length: the mean track length to reach.
+        num_images: number of images.
+
+    Returns:
+        Pairs in which images that would have had few observations have as many as they can, up to
+        20, and everything is connected.
+
+    Raises:
+        InputError: the images see too little in common.
+    """
+    lengths = _fit_lengths(pairs.counts, weights, mean_length)
+    by_preference = np.lexsort((preference, pairs.point))
+    chosen = np.zeros(len(pairs), dtype=np.bool_)
+    chosen[by_preference] = pairs.ranks < np.repeat(lengths, pairs.counts)
+    _fill_images(pairs, preference, chosen, num_images)
+    _connect(pairs, preference, chosen, num_images)
+    _check_images(pairs, chosen, num_images)
+    return Pairs.from_sorted(pairs.point[chosen], pairs.image[chosen], len(weights))
+
+
+def _fit_lengths(
+    available: NDArray[np.int64], weights: Array, mean_length: float
+) -> NDArray[np.int64]:
+    """Scale the weights so that track lengths, cut to what is available, have the mean asked for."""
+
+    def lengths(scale: float) -> NDArray[np.int64]:
+        return np.minimum(wanted_lengths(weights, scale), available)
+
+    low, high = 0.0, 1.0
+    while lengths(high).mean() < mean_length and high < 1e6:
+        low, high = high, 2.0 * high
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if lengths(middle).mean() < mean_length:
+            low = middle
+        else:
+            high = middle
+    fitted = lengths(high)
+    if fitted.mean() < _ACCEPTED_SHORTFALL * mean_length:
+        raise InputError(
+            f"mean_track_length: expected at most {fitted.mean():.1f}, as many images see a point "
+            f"of this scene on average, found {mean_length:g}"
+        )
+    return fitted
+
+
+def _fill_images(
+    pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int
+) -> None:
+    """Give images with few observations the best of what else they could see."""
+    counts = np.bincount(pairs.image[chosen], minlength=num_images)
+    poor = counts < MIN_OBSERVATIONS_PER_IMAGE
+    spare = np.flatnonzero(poor[pairs.image] & ~chosen)
+    spare = spare[np.lexsort((preference[spare], pairs.image[spare]))]
+    missing = MIN_OBSERVATIONS_PER_IMAGE - counts
+    chosen[spare[_ranks(pairs.image[spare]) < missing[pairs.image[spare]]]] = True
+
+
+def _connect(
+    pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int
+) -> None:
+    """Add observations between components until there is one."""
+    num_points = len(pairs.counts)
+    while True:
+        current = Pairs.from_sorted(pairs.point[chosen], pairs.image[chosen], num_points)
+        of_image, of_point = components(current, num_images)
+        num_components = len(np.unique(of_image))
+        if num_components == 1:
+            return
+        bridge = np.flatnonzero(of_image[pairs.image] != of_point[pairs.point])
+        if len(bridge) == 0:
+            raise InputError(
+                f"num_points: the scene falls into {num_components} parts that share no points; "
+                f"expected more points, longer tracks or another "
+                f"seed, found {num_points} points"
+            )
+        link = of_image[pairs.image[bridge]] * num_images + of_point[pairs.point[bridge]]
+        by_link = np.lexsort((preference[bridge], link))
+        chosen[bridge[by_link[_ranks(link[by_link]) < _OBSERVATIONS_PER_BRIDGE]]] = True
+
+
+def _check_images(pairs: Pairs, chosen: NDArray[np.bool_], num_images: int) -> None:
+    counts = np.bincount(pairs.image[chosen], minlength=num_images)
+    poorest = int(np.argmin(counts))
+    if counts[poorest] < _FEWEST_OBSERVATIONS_PER_IMAGE:
+        raise InputError(
+            f"num_points: image {poorest + 1} sees {counts[poorest]} of {len(pairs.counts)} points; "
+            f"expected enough points for {_FEWEST_OBSERVATIONS_PER_IMAGE} in every image"
+        )
+
+
+def _ranks(groups: NDArray[np.generic]) -> NDArray[np.int64]:
+    """Return the position of each entry in its group; equal entries are next to each other."""
+    index = np.arange(len(groups))
+    if len(groups) == 0:
+        return index
+    starts = np.concatenate([[True], groups[1:] != groups[:-1]])
+    return index - np.maximum.accumulate(np.where(starts, index, 0))

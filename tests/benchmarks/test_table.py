@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import pytest
+from benchmarks.measure import Spread
+from benchmarks.rows import Row
+
+from benchmarks import table
+
+
+def row(solver, milliseconds, failure="", **changes):
+    time = Spread(1e-3 * milliseconds, 0.5e-3 * milliseconds, 2e-3 * milliseconds)
+    if failure:
+        return Row("p", solver, failure)
+    fields = {"used": "X", "num_steps": 7, "gap": 0.0, "cores": 1.0, **changes}
+    return Row(
+        "p", solver, failure, step=time, reached=(time, None), total=time, memory=time, **fields
+    )
+
+
+def cells(text):
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("spread", "reference", "expected"),
+    [
+        (Spread(3.0, 2.0, 5.0), Spread(2.0, 1.0, 9.0), "1.50 (1.00-2.50)"),
+        (Spread(3.0, 3.0, 3.0), Spread(2.0, 2.0, 2.0), "1.50"),
+        (Spread(1.0, 0.999, 1.001), Spread(1.0, 1.0, 1.0), "1.00"),
+        (None, Spread(2.0, 1.0, 9.0), "not reached"),
+        (Spread(0.25, 0.2, 0.3), None, "250 ms"),
+    ],
+)
+def test_ratio(spread, reference, expected):
+    assert table.ratio(spread, reference) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (0.0123456, "12.3 ms"),
+        (0.9996, "1 s"),
+        (0.9994, "999 ms"),
+        (1234.5, "1234 s"),
+        (12.34, "12.3 s"),
+    ],
+)
+def test_seconds_have_a_unit_that_fits(value, expected):
+    assert table.seconds(value) == expected
+
+
+def test_every_line_has_every_cell_and_failures_are_lines():
+    text = table.of_problem([row("a b", 10), row("c d", 20), row("e f", 0, "it broke")])
+    lines = cells(text)
+    assert len({len(line) for line in lines}) == 1
+    assert lines[2][:2] == ["**a b, absolute**", "10 ms"]
+    assert lines[3][:2] == ["a b (X)", "1.00 (0.50-2.00)"]
+    assert lines[4][:3] == ["c d (X)", "2.00 (1.00-4.00)", "7"]
+    assert lines[4][4] == "not reached"
+    assert lines[5][1] == "no result: it broke"
+
+
+def test_without_our_numbers_the_others_are_absolute():
+    lines = cells(table.of_problem([row("a b", 0, "it broke"), row("c d", 20)]))
+    assert lines[2][1] == "no result: it broke"
+    assert lines[3][1] == "20 ms"
+
+
+def test_remarks_and_doubts_stand_in_the_row():
+    text = table.of_problem([row("a b", 10, remark="1 of 2 runs: lost", doubt="says 3")])
+    assert "**1 of 2 runs: lost**; **says 3**" in text
+
+
+def test_pairs_are_theirs_over_ours():
+    lines = cells(table.of_pair([(row("a", 10), row("b", 5)), (row("a", 10), row("b", 5, "gone"))]))
+    assert lines[2][1:3] == ["10 ms", "0.50 (0.25-1.00)"]
+    assert lines[3][1] == "no result: b: gone"
+    assert len({len(line) for line in lines}) == 1
+
+
+@pytest.mark.parametrize(("value", "met"), [(0.75, "yes"), (0.751, "no"), (None, "no")])
+def test_targets_are_met_up_to_their_limit(value, met):
+    assert cells(table.of_targets([("w", value, 0.75)]))[2][3] == met

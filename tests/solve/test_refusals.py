@@ -1,0 +1,111 @@
+"""What is refused before Ceres sees it, and what replaces nothing silently."""
+
+import numpy as np
+import pytest
+
+import bundle
+from tests import scenes
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"linear_solver_type": "cgnr", "preconditioner_type": p}, "expected identity or jacobi")
+        for p in ("schur_jacobi", "cluster_jacobi", "cluster_tridiagonal")
+    ]
+    + [
+        (
+            {"linear_solver_type": s, "trust_region_strategy_type": t},
+            "expected levenberg_marquardt with an iterative solver",
+        )
+        for s in ("cgnr", "iterative_schur")
+        for t in ("dogleg", "subspace_dogleg")
+    ],
+)
+def test_combinations_that_ceres_cannot_serve(options, message):
+    with pytest.raises(bundle.InputError, match=message):
+        bundle.solve(scenes.make_problem(), **options)
+
+
+def test_a_preconditioner_that_nobody_uses_is_said():
+    summary = bundle.solve(
+        scenes.make_problem(), linear_solver_type="dense_schur", preconditioner_type="jacobi"
+    ).summary
+    assert summary.warnings == ("The preconditioner is not used: DENSE_SCHUR is a direct solver.",)
+
+
+def huge_problem():
+    """16 million unknowns on the point side, in a few megabytes."""
+    base = scenes.make_problem(num_images=2, num_points=1)
+    n = 200_000
+    return base.replace(
+        points=np.random.default_rng(0).uniform(-1, 1, (n, 3)),
+        point_ids=np.arange(n),
+        observation_image=np.tile([0, 1], n),
+        observation_point=np.repeat(np.arange(n), 2),
+        observation_xy=np.zeros((2 * n, 2)),
+        observation_keypoint=np.full(2 * n, -1),
+    )
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"linear_solver_type": "dense_qr"},
+        {"linear_solver_type": "dense_normal_cholesky"},
+        {"linear_solver_type": "dense_schur", "linear_solver_ordering": "cameras_first"},
+    ],
+)
+def test_dense_matrices_beyond_memory_are_refused_with_their_size(options):
+    message = r"needs [\d.]+ [TP]iB for its dense matrices, of which this machine has .* free"
+    with pytest.raises(bundle.InputError, match=message):
+        bundle.solve(huge_problem(), **options)
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("solver", ["dense_schur", "sparse_schur", "iterative_schur"])
+@pytest.mark.parametrize(
+    ("refine", "ordering"),
+    [("poses,focal,extra", "points_first"), ("points", "cameras_first"), ("points", "points_first")],
+)
+def test_no_schur_solver_is_replaced_when_one_side_is_fixed(refine, ordering, solver, shared):
+    """Fixed blocks never reach Ceres, so its fallback to DENSE_QR of the whole Jacobian cannot."""
+    problem = scenes.make_problem(shared=shared)
+    options = {"refine": refine, "linear_solver_ordering": ordering, "function_tolerance": 1e-13}
+    summary = bundle.solve(problem, linear_solver_type=solver, **options).summary
+    assert summary.linear_solver_type_used == solver.upper()
+    expected = bundle.solve(problem, linear_solver_type="dense_qr", **options).summary
+    assert summary.final_cost == pytest.approx(expected.final_cost, rel=1e-6)
+    nothing = (refine, ordering) != ("points", "points_first")
+    assert ("Ceres chose what to eliminate" in " ".join(summary.warnings)) == nothing
+
+
+def test_auto_says_why():
+    points_fixed = bundle.solve(scenes.make_problem(), refine="poses").summary
+    assert points_fixed.linear_solver_type_used == "SPARSE_NORMAL_CHOLESKY"
+    assert points_fixed.linear_solver_choice.startswith("No point is refined")
+    small = bundle.solve(scenes.make_problem()).summary
+    assert small.linear_solver_type_used == "DENSE_SCHUR"
+    # Five images, pose and two intrinsics each, less the seven of the gauge.
+    assert small.linear_solver_choice == (
+        "The reduced camera system (33 columns) is small: its dense factorisation costs "
+        "milliseconds."
+    )
+    asked_for = bundle.solve(scenes.make_problem(), linear_solver_type="dense_schur").summary
+    assert asked_for.linear_solver_choice == ""
+
+
+@pytest.mark.parametrize(
+    ("track", "local", "used", "reason"),
+    [(2, True, "SPARSE_SCHUR", "is only"), (60, False, "DENSE_SCHUR", "% full: dense")],
+)
+def test_auto_looks_at_how_full_the_reduced_system_is(track, local, used, reason):
+    num_images = 120
+    problem = scenes.make_problem(num_images=num_images, num_points=240, track=track, seed=1)
+    if local:  # each point in two neighbouring images: S is tridiagonal
+        first = np.arange(240) % (num_images - 1)
+        images = np.stack([first, first + 1], 1).ravel()
+        problem = problem.replace(observation_image=images)
+    summary = bundle.solve(problem, max_num_iterations=1).summary
+    assert summary.linear_solver_type_used == used
+    assert reason in summary.linear_solver_choice

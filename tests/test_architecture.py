@@ -1,0 +1,150 @@
+"""Who may know whom: core C++ <- bindings <- library <- command line, and the order inside each.
+
+Each table names all that a unit may use, itself aside. A new folder or module needs a row here.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+CPP = ROOT / "cpp"
+PACKAGE = ROOT / "python" / "bundle"
+
+# Folders of cpp/core; the files directly in it (errors, threads) are open to all.
+CORE_MAY_INCLUDE = {
+    "geometry": set(),
+    "cameras": {"geometry"},
+    "residuals": {"cameras", "geometry"},
+    "problem": {"residuals", "cameras", "geometry"},
+    "io": {"problem", "cameras", "geometry"},
+    "solve": {"problem", "residuals", "cameras", "geometry"},
+    "ceres": {"solve", "problem", "residuals", "cameras", "geometry"},
+}
+
+# Modules and packages directly in python/bundle.
+PYTHON_MAY_IMPORT = {
+    "errors": {"_core"},
+    "options": {"errors"},
+    "cameras": {"_core", "errors"},
+    "problem": {"_core", "errors"},
+    "result": {"errors", "options", "problem"},
+    "reprojection": {"_core", "errors", "problem", "result"},
+    "io": {"_core", "cameras", "errors", "problem"},
+    "statistics": {"cameras", "errors", "problem", "reprojection", "result"},
+    "synthetic": {"cameras", "errors", "problem"},
+    "solver": {"_core", "errors", "options", "problem", "reprojection", "result"},
+    "report": {"_core", "errors", "options", "problem", "result", "statistics"},
+    "": {"_core", "cameras", "errors", "io", "options", "problem", "result", "solver", "synthetic"},
+}
+# The command line stands above everything, and nothing imports it.
+PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
+
+# Imports inside a function or for type checkers that point upwards on purpose: methods that are a
+# convenience for what stands above them.
+DEFERRED_IMPORTS = {"problem": {"io"}, "result": {"report"}, "synthetic": {"io"}}
+
+# Other people's packages that only some of ours may know.
+OUTSIDERS = {"argparse": {"cli"}, "rich": {"cli", "report"}, "pycolmap": {"io", "problem"}}
+
+CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})
+PYTHON_FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def names(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def includes(path: Path) -> list[str]:
+    """Return what a C++ file includes, as written, with its brackets or quotes."""
+    return re.findall(r'^\s*#\s*include\s*([<"][^>"]+[>"])', path.read_text(), re.MULTILINE)
+
+
+def unit_of(path: Path) -> str:
+    """Return a Python file's row: the module or package directly in bundle, "" for __init__."""
+    first = path.relative_to(PACKAGE).parts[0]
+    return "" if first == "__init__.py" else first.removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", CPP_FILES, ids=names)
+def test_cpp_includes_follow_the_layers(path: Path) -> None:
+    layer, *folders = path.relative_to(CPP).parts[:-1]
+    for include in includes(path):
+        header = include[1:-1]
+        if include.startswith('"'):
+            assert (CPP / header).is_file(), f"{include}: write our headers' paths from cpp/ on"
+        if layer != "core":
+            continue
+        assert not re.match(r"(pybind11|bindings)/|Python\.h", header), f"{include} in the core"
+        assert not header.startswith("ceres/") or folders == ["ceres"], f"{include} outside ceres/"
+        target = Path(header).parts[1:-1] if header.startswith("core/") else ()
+        if target and folders and target[0] != folders[0]:
+            assert target[0] in CORE_MAY_INCLUDE[folders[0]], f"{folders[0]} may not use {include}"
+
+
+def test_every_cpp_file_is_compiled() -> None:
+    listed = set(re.findall(r"\b(?:core|bindings)/\S+\.cpp", (CPP / "CMakeLists.txt").read_text()))
+    assert listed == {p.relative_to(CPP).as_posix() for p in CPP_FILES if p.suffix == ".cpp"}
+
+
+def imported(tree: ast.AST, package: str) -> Iterator[str]:
+    """Yield the dotted names that the import statements under a node ask for."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                base = ".".join([*package.split(".")[: 1 - node.level or None], base]).rstrip(".")
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def at_import_time(source: str) -> ast.Module:
+    """Return a module without what does not run on import: functions, blocks for type checkers."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        typing_only = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        if typing_only or isinstance(node, ast.FunctionDef):
+            node.body = [ast.Pass()]
+    return tree
+
+
+def own_units(imports: Iterator[str]) -> set[str]:
+    """Return the rows of bundle among dotted names; names bound in bundle/__init__ are row ""."""
+    units = set()
+    for name in imports:
+        first, _, rest = name.partition(".")
+        if first == "bundle":
+            unit = rest.partition(".")[0]
+            known = (
+                unit == "_core" or (PACKAGE / unit).is_dir() or (PACKAGE / f"{unit}.py").exists()
+            )
+            units.add(unit if known else "")
+    return units
+
+
+@pytest.mark.parametrize("path", PYTHON_FILES, ids=names)
+def test_python_imports_follow_the_layers(path: Path) -> None:
+    unit = unit_of(path)
+    package = ".".join(path.relative_to(PACKAGE.parent).parent.parts)
+    source = path.read_text()
+    allowed = PYTHON_MAY_IMPORT[unit] | {unit}
+    immediate = own_units(imported(at_import_time(source), package))
+    assert immediate <= allowed, f"{unit} may not import {immediate - allowed}"
+    every = list(imported(ast.parse(source), package))
+    deferred = own_units(iter(every)) - allowed
+    assert deferred <= DEFERRED_IMPORTS.get(unit, set()), f"{unit} may not import {deferred}"
+    for outsider, users in OUTSIDERS.items():
+        used = any(name.partition(".")[0] == outsider for name in every)
+        assert not used or unit in users, f"{outsider} is for {users} alone"
+
+
+def test_tables_name_nothing_that_is_gone() -> None:
+    folders = {path.name for path in (CPP / "core").iterdir() if path.is_dir()}
+    assert set(CORE_MAY_INCLUDE) == folders
+    assert set(PYTHON_MAY_IMPORT) == {unit_of(path) for path in PYTHON_FILES}

@@ -1,0 +1,120 @@
+"""One source for each fact: the version, the stub of the core, the commands that documents name."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import bundle
+from bundle import _core
+
+ROOT = Path(__file__).parents[1]
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+STUB = ast.parse((ROOT / "python" / "bundle" / "_core.pyi").read_text())
+
+
+def test_version_of_the_package_and_of_the_core_is_that_of_the_project() -> None:
+    assert bundle.__version__ == VERSION
+    assert _core.__version__ == VERSION
+
+
+def test_version_stands_in_one_source() -> None:
+    sources = [ROOT / "CMakeLists.txt", ROOT / "Makefile"]
+    for folder in ("cpp", "python", "tools"):
+        sources += [
+            path for path in (ROOT / folder).rglob("*") if path.suffix not in {".so", ".pyc"}
+        ]
+    written = re.compile(rf"(?<![\d.]){re.escape(VERSION)}(?![\d.])")
+    found = [path for path in sources if path.is_file() and written.search(path.read_text())]
+    assert not found
+
+
+def test_changelog_describes_this_version() -> None:
+    headings = re.findall(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert VERSION in headings or headings[0] == "Unreleased"
+
+
+def declared(body: list[ast.stmt]) -> dict[str, ast.stmt]:
+    """Return the names that a stub's module or class declares."""
+    found: dict[str, ast.stmt] = {}
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found[node.name] = node
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            found[node.target.id] = node
+    return found
+
+
+def present(namespace: type | ModuleType) -> set[str]:
+    """Return the names that a module or class of the core has of its own, but for Python's."""
+    machinery = {"pybind11_type"}
+    return {
+        name
+        for name in vars(namespace)
+        if name not in machinery and not (name.startswith("__") or name.startswith("_pybind11"))
+    }
+
+
+def test_stub_names_what_the_core_has() -> None:
+    assert set(declared(STUB.body)) - {"__version__"} == present(_core)
+
+
+@pytest.mark.parametrize(
+    "name", sorted(n for n in present(_core) if isinstance(getattr(_core, n), type))
+)
+def test_stub_names_what_a_class_has(name: str) -> None:
+    node = declared(STUB.body)[name]
+    assert isinstance(node, ast.ClassDef)
+    stubbed = {entry for entry in declared(node.body) if not entry.startswith("__")}
+    assert stubbed == present(getattr(_core, name))
+
+
+FUNCTIONS = sorted(n for n in present(_core) if not isinstance(getattr(_core, n), type))
+FUNCTIONS = [name for name in FUNCTIONS if callable(getattr(_core, name))]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_stub_names_the_parameters_of_a_function(name: str) -> None:
+    node = declared(STUB.body)[name]
+    assert isinstance(node, ast.FunctionDef)
+    signature = getattr(_core, name).__doc__.partition("\n")[0]
+    (bound,) = ast.parse(f"def {signature}: ...").body
+    assert isinstance(bound, ast.FunctionDef)
+    assert parameters(node) == parameters(bound)
+
+
+def parameters(function: ast.FunctionDef) -> list[str]:
+    arguments = function.args
+    return [
+        argument.arg for argument in arguments.posonlyargs + arguments.args + arguments.kwonlyargs
+    ]
+
+
+def make_targets() -> set[str]:
+    return set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+
+
+@pytest.mark.parametrize("document", ["README.md", "CHANGELOG.md", ".ci/run"])
+def test_documents_name_make_targets_that_exist(document: str) -> None:
+    text = (ROOT / document).read_text()
+    code = (
+        text
+        if document == ".ci/run"
+        else "\n".join(re.findall(r"```.*?```|`[^`\n]+`", text, re.DOTALL))
+    )
+    named = set(re.findall(r"(?<!\w)make (?:[A-Z_]+=\S+ )*([a-z]+)", code))
+    assert named <= make_targets()
+    assert document != "README.md" or {"demo", "test"} <= named
+
+
+def test_help_lists_every_target() -> None:
+    shown = subprocess.run(
+        ["make", "help"], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
+    assert set(re.findall(r"^make ([a-z]+)", shown, re.MULTILINE)) == make_targets()
