@@ -95,6 +95,24 @@ def make_problem(
     return Problem(**{**arrays, **changes})
 
 
+def scene(num_images=4, num_points=30, *, kind="bal", shared_camera=False, seed=1, **changes):
+    """A problem as a BAL file has it: RADIAL, ids from 0, no names, principal point at 0."""
+    problem = make_problem(
+        num_images=num_images, num_points=num_points, model="RADIAL", shared=shared_camera, seed=seed
+    )
+    bal = {
+        "camera_params": problem.camera_params * [1, 0, 0, 1, 1],
+        "observation_xy": problem.observation_xy - problem.camera_params[0, 1:3],
+        "camera_sizes": np.zeros((problem.num_cameras, 2)),
+        "image_names": [""] * num_images,
+        "image_ids": np.arange(num_images),
+        "camera_ids": np.arange(problem.num_cameras),
+        "point_ids": np.arange(num_points),
+        "format": kind,
+    }
+    return problem.replace(**{**bal, **changes})
+
+
 def residuals(problem, w=None, t=None, params=None, points=None):
     """(N, 2) residuals of a problem by formulas; any argument may be complex.
 

@@ -1,0 +1,43 @@
+"""`bundle convert`."""
+
+from __future__ import annotations
+
+import argparse
+
+from bundle.cli.arguments import add_input, add_output
+from bundle.cli.errors import EXIT_DONE
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "convert"
+HELP = "between formats, saying what is lost"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    add_input(parser)
+    add_output(parser, "output")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write INPUT in another format."""
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.io import check_target, load, output_format, save
+    from bundle.io.paths import shown
+    from bundle.report import json
+    from bundle.report.convert import conversion
+
+    path = arguments.output
+    check_json(arguments.json, arguments.input, path)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(arguments.input)}")
+        problem = load(arguments.input)
+        output = {"path": path, "format": output_format(problem, path, arguments.format)}
+        check_target(problem, **output)
+        progress.stage(f"writing {shown(path)}")
+        lost = save(problem, **output)
+    if arguments.json != "-":
+        show(*conversion(arguments.input, problem, output, lost))
+    write_json(arguments.json, json.conversion(arguments.input, problem, output, lost))
+    return EXIT_DONE

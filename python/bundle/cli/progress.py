@@ -1,0 +1,103 @@
+"""Progress on standard error: one updating line on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self
+
+from rich.live import Live
+from rich.text import Text
+
+from bundle.report.text import console
+
+__all__ = ["Progress"]
+
+_HEAD = (
+    f"{'iteration':>9}  {'cost':>12}  {'change':>9}  {'gradient':>9}  {'radius':>9}  {'elapsed':>9}"
+)
+
+
+class Progress:
+    """Shows what a command is at.
+
+    Used as a context; `stage` tells what comes next, `iteration` takes Ceres' IterationSummary. An
+    error in writing (a closed pipe) ends the progress, never the work.
+    """
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._started = time.perf_counter()
+        self._stage = ""
+        self._latest: Mapping[str, Any] | None = None
+        self._quiet = quiet
+        screen = console(sys.stderr)
+        self._live: Live | None = None
+        if screen.is_terminal and not screen.is_dumb_terminal and not quiet:
+            self._live = Live(
+                console=screen,
+                get_renderable=self._line,
+                refresh_per_second=8,
+                transient=True,
+                redirect_stdout=False,
+                redirect_stderr=False,
+            )
+
+    def __enter__(self) -> Self:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def stage(self, name: str) -> None:
+        """Begin a stage, such as "reading sparse/0"."""
+        self._stage, self._latest = name, None
+        self._print(f"{name} ...")
+
+    def iteration(self, values: Mapping[str, Any]) -> None:
+        """Show an iteration; `values` has the names of Ceres' IterationSummary."""
+        if self._latest is None:
+            self._print(_HEAD)
+        self._latest = dict(values)
+        self._print(
+            f"{values['iteration']:9d}  {values['cost']:12.6e}  {values['cost_change']:9.2e}  "
+            f"{values['gradient_max_norm']:9.2e}  {values['trust_region_radius']:9.2e}  "
+            f"{self._elapsed():>9}"
+        )
+
+    def _print(self, line: str) -> None:
+        if self._quiet or self._live is not None:
+            return
+        try:
+            print(line, file=sys.stderr, flush=True)
+        except OSError:
+            self._quiet = True
+
+    def _line(self) -> Text:
+        """Return the updating line; at most 80 columns while an iteration is shown."""
+        latest = self._latest
+        line = Text(no_wrap=True, overflow="ellipsis")
+        line.append(f"{self._elapsed():>7}  ", style="dim")
+        if latest is None:
+            return line.append(f"{self._stage} ...")
+        line.append(f"iter {latest['iteration']}", style="bold")
+        line.append(f"  cost {latest['cost']:.4e}  change {latest['cost_change']:.0e}")
+        line.append(f"  gradient {latest['gradient_max_norm']:.0e}")
+        return line.append(f"  radius {latest['trust_region_radius']:.0e}")
+
+    def _elapsed(self) -> str:
+        elapsed = time.perf_counter() - self._started
+        if elapsed < 60:
+            return f"{elapsed:.1f} s"
+        minutes, seconds = divmod(int(elapsed), 60)
+        hours, minutes = divmod(minutes, 60)
+        return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"

@@ -1,0 +1,82 @@
+"""`bundle refine`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from time import perf_counter
+
+from bundle.cli.arguments import (
+    add_input,
+    add_output,
+    add_solve_options,
+    naming_flags,
+    solve_options,
+)
+from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "refine"
+HELP = "bundle adjustment: poses, points and intrinsics that explain the observations best"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    parser.usage = "bundle refine INPUT -o OUTPUT [options]"
+    add_input(parser)
+    add_output(parser, "-o", "--output", required=True)
+    add_solve_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Refine INPUT into OUTPUT."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.errors import InputError
+    from bundle.io import check_target, load, output_format, save
+    from bundle.io.paths import shown
+    from bundle.report import json
+    from bundle.report.refine import outcome, refinement
+    from bundle.report.timing import WallTime
+    from bundle.solver import solve
+
+    options = solve_options(arguments)
+    source, target = arguments.input, arguments.output
+    check_json(arguments.json, source, target)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(source)}")
+        begun = perf_counter()
+        problem = load(source)
+        load_time = perf_counter() - begun
+        if problem.num_observations == 0:
+            raise InputError(f"{shown(source)}: expected observations to refine, found none")
+        output = {"path": target, "format": output_format(problem, target, arguments.format)}
+        check_target(problem, **output)
+        progress.stage("building the problem")
+        with naming_flags():
+            solved = solve(problem, options, progress=progress.iteration)
+        begun = perf_counter()
+        lost: tuple[str, ...] = ()
+        saved = solved.summary.is_solution_usable or solved.summary.interrupted
+        if saved:
+            progress.stage(f"writing {shown(target)}")
+            lost = save(solved.problem, **output)
+        save_time = perf_counter() - begun
+    wall = WallTime(
+        load=load_time,
+        build=solved.build_time_in_seconds,
+        solve=solved.solve_time_in_seconds,
+        save=save_time,
+        total=perf_counter() - started,
+    )
+    written = output if saved else None
+    if arguments.json != "-":
+        show(*refinement(source, problem, solved, wall, written, lost))
+    write_json(arguments.json, json.refinement(source, problem, solved, wall, written))
+    if solved.summary.is_solution_usable and not solved.summary.interrupted:
+        return EXIT_DONE
+    if arguments.json == "-":  # the report that people read was not printed
+        print(outcome(solved), file=sys.stderr)
+    return EXIT_NO_SOLUTION

@@ -1,0 +1,25 @@
+"""What `bundle convert` says."""
+
+from __future__ import annotations
+
+from rich.console import RenderableType
+
+from bundle.io.paths import shown
+from bundle.problem import Problem
+from bundle.report.refine import contents
+from bundle.report.text import facts, format_name, notes
+
+__all__ = ["conversion"]
+
+
+def conversion(
+    path: str, problem: Problem, output: dict[str, str], lost: tuple[str, ...]
+) -> list[RenderableType]:
+    """Return what was read, what was written and what was lost between them."""
+    rows = [
+        ("input", f"{shown(path)} ({format_name(problem.format)})"),
+        ("", contents(problem)),
+        ("output", f"{shown(output['path'])} ({format_name(output['format'])})"),
+        ("lost", "" if lost else "nothing"),
+    ]
+    return [facts(rows), *notes(lost)]

@@ -1,0 +1,114 @@
+"""What `bundle info` says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import RenderableType
+from rich.table import Table
+
+from bundle.io.paths import shown
+from bundle.problem import Problem
+from bundle.report.refine import contents
+from bundle.report.text import columns, facts, format_name, notes, number, pixels, plural
+from bundle.statistics import CameraGroup, Covisibility, Description, Distribution
+
+__all__ = ["information"]
+
+BAR_WIDTH = 40
+
+
+def information(path: str, problem: Problem, description: Description) -> list[RenderableType]:
+    """Return the description of a problem as tables and sentences."""
+    wrong = [suspicion.sentence for suspicion in description.suspicions]
+    return [
+        facts(
+            [("input", f"{shown(path)} ({format_name(problem.format)})"), ("", contents(problem))]
+        ),
+        "",
+        _cameras(description.cameras),
+        "",
+        _distributions(description),
+        "",
+        _histogram("track length", "points", description.track_length),
+        "",
+        _histogram("obs. of an image", "images", description.observations_per_image),
+        "",
+        facts([("covisibility", _covisibility(description.covisibility))]),
+        facts([("error now", _error(description))]),
+        "",
+        facts([("looks wrong", "" if wrong else "nothing found")]),
+        *notes(wrong, style="yellow"),
+    ]
+
+
+def _cameras(groups: Sequence[CameraGroup]) -> Table:
+    rows = [
+        (
+            group.model,
+            str(group.num_cameras),
+            str(group.num_images),
+            _range(*map(str, group.images_per_camera)),
+            _range(*map(number, group.focal)) if group.focal else "-",
+            "yes" if group.supported else "no",
+        )
+        for group in groups
+    ]
+    head = ("camera model", "cameras", "images", "images/camera", "focal length [px]", "refinable")
+    return columns(head, rows)
+
+
+def _range(low: str, high: str) -> str:
+    return low if low == high else f"{low} to {high}"
+
+
+def _distributions(description: Description) -> Table:
+    def row(name: str, values: Distribution) -> tuple[str, ...]:
+        return (name, *map(number, (values.min, values.median, values.mean, values.max)))
+
+    rows = [
+        row("observations of a point", description.track_length),
+        row("observations of an image", description.observations_per_image),
+    ]
+    return columns(("", "least", "median", "mean", "most"), rows)
+
+
+def _histogram(title: str, noun: str, values: Distribution) -> Table:
+    largest = max((count for _, _, count in values.histogram), default=1)
+    total = max(sum(count for _, _, count in values.histogram), 1)
+    rows = [
+        (
+            _range(str(low), str(high)).replace(" to ", "-"),
+            "#" * math.ceil(BAR_WIDTH * count / max(largest, 1)),
+            str(count),
+            f"{100.0 * count / total:.1f} %",
+        )
+        for low, high, count in values.histogram
+    ]
+    return columns((title, " " * BAR_WIDTH, noun, "share"), rows, left=2)
+
+
+def _covisibility(graph: Covisibility) -> str:
+    if not len(graph.neighbours):
+        return "no images"
+    mean = float(np.mean(graph.neighbours))
+    pieces = plural(len(graph.component_sizes), "connected piece")
+    return (
+        f"an image shares points with {number(mean)} others on average; {pieces}; "
+        f"{100.0 * graph.schur_fill:.1f} % of the reduced camera matrix is filled"
+    )
+
+
+def _error(description: Description) -> str:
+    error = description.reprojection_error
+    if error is None:
+        return "unknown: there are camera models that bundle does not know"
+    if error.num_observations == 0:
+        return "there is no observation that counts"
+    return (
+        f"RMSE {pixels(error.rmse)} px, mean {pixels(error.mean)}, median {pixels(error.median)}, "
+        f"95 % below {pixels(error.p95)}, largest {pixels(error.max)}, "
+        f"over {plural(error.num_observations, 'observation')}"
+    )

@@ -1,0 +1,120 @@
+"""Reports for programs: dictionaries of JSON's own types."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from bundle import __version__
+from bundle.options import SolveOptions
+from bundle.problem import Problem
+from bundle.report.timing import WallTime
+from bundle.result import Result
+from bundle.statistics import Description
+
+__all__ = [
+    "SCHEMA",
+    "conversion",
+    "dumps",
+    "heading",
+    "information",
+    "plain",
+    "refinement",
+    "result",
+]
+
+SCHEMA = 1
+
+
+def heading(command: str, path: str, problem: Problem) -> dict[str, Any]:
+    """Return what every report begins with: schema, command, version and input."""
+    return {
+        "schema": SCHEMA,
+        "command": command,
+        "version": __version__,
+        "input": {
+            "path": path,
+            "format": problem.format,
+            "num_cameras": problem.num_cameras,
+            "num_images": problem.num_images,
+            "num_points": problem.num_points,
+            "num_observations": problem.num_observations,
+        },
+    }
+
+
+def result(solved: Result) -> dict[str, Any]:
+    """Return options, summary, iterations and reprojection errors of a solve.
+
+    Enumerations are upper-case, iterations one dictionary each, and what is not finite is None.
+    """
+    names = list(solved.iterations)
+    columns = (solved.iterations[name].tolist() for name in names)
+    report: dict[str, Any] = plain(
+        {
+            "options": _options(solved.options),
+            "summary": dataclasses.asdict(solved.summary),
+            "iterations": [
+                dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)
+            ],
+            "reprojection_error": {
+                "before": dataclasses.asdict(solved.reprojection_error_before),
+                "after": dataclasses.asdict(solved.reprojection_error_after),
+            },
+        }
+    )
+    return report
+
+
+def refinement(
+    path: str, problem: Problem, solved: Result, wall: WallTime, output: dict[str, str] | None
+) -> dict[str, Any]:
+    """Return the report of `bundle refine`; `output` is None where nothing was written."""
+    return {
+        **heading("refine", path, problem),
+        **result(solved),
+        "wall_time": plain(dataclasses.asdict(wall)),
+        "output": output,
+    }
+
+
+def conversion(
+    path: str, problem: Problem, output: dict[str, str], lost: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return the report of `bundle convert`."""
+    return {**heading("convert", path, problem), "output": output, "lost": list(lost)}
+
+
+def information(path: str, problem: Problem, description: Description) -> dict[str, Any]:
+    """Return the report of `bundle info`."""
+    return {**heading("info", path, problem), **plain(dataclasses.asdict(description))}
+
+
+def dumps(report: dict[str, Any]) -> str:
+    """Return a report as text: ASCII, indented, ending in a newline."""
+    return json.dumps(report, indent=2, allow_nan=False) + "\n"
+
+
+def plain(value: Any) -> Any:
+    """Return value in JSON's own types: NumPy scalars, arrays and tuples unwrapped, NaN as None."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return value
+
+
+def _options(options: SolveOptions) -> dict[str, Any]:
+    values = options.asdict()
+    for field in dataclasses.fields(options):
+        if field.metadata["choices"] is not None:
+            values[field.name] = values[field.name].upper()
+    return values

@@ -1,0 +1,126 @@
+"""What `bundle refine` says at the end."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import RenderableType
+from rich.table import Table
+
+from bundle.io.paths import shown
+from bundle.options import SolveOptions
+from bundle.problem import Problem
+from bundle.report.summary import sizes
+from bundle.report.termination import sentence
+from bundle.report.text import columns, facts, format_name, notes, pixels, plural
+from bundle.report.timing import WallTime, wall_table
+from bundle.result import Result, Summary
+
+__all__ = ["contents", "outcome", "refinement"]
+
+
+def refinement(
+    path: str,
+    problem: Problem,
+    solved: Result,
+    wall: WallTime,
+    output: dict[str, str] | None,
+    lost: tuple[str, ...],
+) -> list[RenderableType]:
+    """Return the report on one solve; `output` is None where nothing was written."""
+    summary = solved.summary
+    rows = [
+        ("input", f"{shown(path)} ({format_name(problem.format)})"),
+        ("", contents(problem)),
+        ("refined", _refined(solved.options)),
+        ("solver", _solver(summary)),
+        *((("", summary.linear_solver_choice),) if summary.linear_solver_choice else ()),
+        ("ordering", _ordering(summary)),
+    ]
+    written = (
+        f"{shown(output['path'])} ({format_name(output['format'])})"
+        if output
+        else "nothing was written"
+    )
+    return [
+        facts(rows),
+        "",
+        _before_and_after(solved),
+        "",
+        facts([("outcome", outcome(solved))]),
+        *notes(summary.warnings, style="yellow"),
+        "",
+        wall_table(summary, wall),
+        "",
+        facts([("output", written)]),
+        *notes(f"lost: {what}" for what in lost),
+    ]
+
+
+def contents(problem: Problem) -> str:
+    """Return "16 images, 16 cameras, 22106 points, 83718 observations"."""
+    return ", ".join(
+        (
+            plural(problem.num_images, "image"),
+            plural(problem.num_cameras, "camera"),
+            plural(problem.num_points, "point"),
+            plural(problem.num_observations, "observation"),
+        )
+    )
+
+
+def outcome(solved: Result) -> str:
+    """Return how the solve ended, in plain words."""
+    # Entry 0 is the evaluation at the start, not a step.
+    accepted = np.asarray(solved.iterations["step_is_successful"], bool)[1:]
+    return sentence(solved.summary, len(accepted), int((~accepted).sum()))
+
+
+def _refined(options: SolveOptions) -> str:
+    refined = ", ".join(name.replace("_", " ") for name in options.refine) or "nothing"
+    words = [refined, f"gauge {options.gauge.replace('_', '-')}"]
+    if options.loss != "trivial":
+        words.append(f"{options.loss.replace('_', '-')} loss at {options.loss_scale:g} px")
+    fixed = (
+        (options.fixed_camera_ids, "camera"),
+        (options.fixed_image_ids, "image"),
+        (options.fixed_point_ids, "point"),
+    )
+    words += [f"{plural(len(ids), noun)} fixed" for ids, noun in fixed if ids]
+    return "; ".join(words)
+
+
+def _solver(summary: Summary) -> str:
+    words = f"{summary.linear_solver_type_used} on {plural(summary.num_threads_used, 'thread')}"
+    if summary.linear_solver_type_used in ("ITERATIVE_SCHUR", "CGNR"):
+        words += f", preconditioner {summary.preconditioner_type_used}"
+    return words
+
+
+def _ordering(summary: Summary) -> str:
+    words = sizes(summary.linear_solver_ordering_used)
+    if summary.linear_solver_ordering_given != summary.linear_solver_ordering_used:
+        words += f" (given: {sizes(summary.linear_solver_ordering_given)})"
+    if summary.schur_structure_used:
+        words += f"; Schur structure {summary.schur_structure_used}"
+    return words
+
+
+def _before_and_after(solved: Result) -> Table:
+    before, after = solved.reprojection_error_before, solved.reprojection_error_after
+    titles = {
+        "rmse": "RMSE [px]",
+        "mean": "mean error [px]",
+        "median": "median error [px]",
+        "p95": "95 % below [px]",
+        "max": "largest error [px]",
+    }
+    rows = [
+        ("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}"),
+        *(
+            (title, pixels(getattr(before, name)), pixels(getattr(after, name)))
+            for name, title in titles.items()
+        ),
+        ("observations", str(before.num_observations), str(after.num_observations)),
+        ("behind camera", str(before.num_behind_camera), str(after.num_behind_camera)),
+    ]
+    return columns(("", "before", "after"), rows)

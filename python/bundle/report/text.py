@@ -1,0 +1,123 @@
+"""How numbers, tables and paragraphs look, on a terminal and in a pipe alike."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from collections.abc import Iterable, Sequence
+from typing import TextIO
+
+from rich.console import Console, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+__all__ = [
+    "columns",
+    "console",
+    "facts",
+    "format_name",
+    "notes",
+    "number",
+    "pixels",
+    "plural",
+    "render",
+    "seconds",
+]
+
+NARROWEST, WIDEST = 60, 100
+LABEL_WIDTH = 16
+
+
+def console(file: TextIO) -> Console:
+    """Return a console that colours only a terminal and never interprets what it prints."""
+    probe = Console(file=file)
+    width = probe.width if probe.is_terminal or "COLUMNS" in os.environ else WIDEST
+    return Console(
+        file=file,
+        width=min(max(width, NARROWEST), WIDEST),
+        markup=False,
+        emoji=False,
+        highlight=False,
+    )
+
+
+def render(*renderables: RenderableType, width: int = WIDEST) -> str:
+    """Return renderables as plain lines, without colours or trailing blanks."""
+    file = io.StringIO()
+    plain = Console(
+        file=file, width=width, markup=False, emoji=False, highlight=False, color_system=None
+    )
+    for renderable in renderables:
+        plain.print(renderable)
+    return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
+
+
+def facts(rows: Iterable[tuple[str, str]]) -> Table:
+    """Return labels at the left, facts at the right; long facts wrap under themselves."""
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(style="bold", no_wrap=True, min_width=LABEL_WIDTH)
+    table.add_column(overflow="fold")
+    for label, fact in rows:
+        table.add_row(Text(label), Text(fact))
+    return table
+
+
+def columns(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> Table:
+    """Return a table without frames: `left` columns of text, then numbers flush right.
+
+    A row whose first cell starts with "total" stands out.
+    """
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    for index, title in enumerate(head):
+        table.add_column(
+            Text(title),
+            justify="left" if index < left else "right",
+            min_width=LABEL_WIDTH if index == 0 else None,
+            no_wrap=index >= left,
+        )
+    for row in rows:
+        style = "bold" if row[0].startswith("total") else None
+        table.add_row(*(Text(cell) for cell in row), style=style)
+    return table
+
+
+def notes(sentences: Iterable[str], *, style: str = "") -> list[RenderableType]:
+    """Return sentences as dashed paragraphs."""
+    table = Table.grid(padding=(0, 1, 0, 0))
+    table.add_column(style=style, no_wrap=True)
+    table.add_column(style=style, overflow="fold")
+    for sentence in sentences:
+        table.add_row(Text("-"), Text(sentence))
+    return [table] if table.row_count else []
+
+
+def number(value: float) -> str:
+    """Return a magnitude in four significant digits; "-" where there is none."""
+    if not math.isfinite(value):
+        return "-"
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+    return f"{value:.3e}"
+
+
+def pixels(value: float) -> str:
+    """Return pixels to a ten-thousandth; "-" where there is none."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.4f}" if value < 1e6 else f"{value:.4e}"
+
+
+def seconds(value: float) -> str:
+    """Return a time to the millisecond; "-" where it was not measured (Ceres' -1)."""
+    return "-" if value < 0 or not math.isfinite(value) else f"{value:.3f}"
+
+
+def plural(count: int, singular: str, many: str | None = None) -> str:
+    """Return "1 image", "2 images"."""
+    return f"{count} {singular if count == 1 else many or singular + 's'}"
+
+
+def format_name(name: str) -> str:
+    """Return a format as people write it: "COLMAP", "BAL", "COLMAP text"."""
+    return name.replace("-", " ").replace("colmap", "COLMAP").replace("bal", "BAL")

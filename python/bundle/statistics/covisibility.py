@@ -1,0 +1,131 @@
+"""Which images see common points: the graph behind the reduced camera matrix S.
+
+Block (i, j) of S is filled exactly where images i and j observe a common point (as long as no two
+images share a camera that is refined), so that the density of this graph is the fill of S.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.problem import Problem
+
+__all__ = ["Covisibility", "components", "covisibility"]
+
+# Cells of the adjacency matrix held at once: 128 MB of booleans.
+_CELLS = 2**27
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Covisibility:
+    """The covisibility graph of the images.
+
+    Attributes:
+        neighbours: (num_images,) number of other images that share a point with each image.
+        num_pairs: pairs of images with a common point.
+        schur_fill: share of the image blocks of S, diagonal included, that are not zero; NaN
+            without images.
+        component: (num_images,) number of the connected component of each image, the largest
+            component first; -1 for an image without observations.
+        component_sizes: images of each component.
+    """
+
+    neighbours: NDArray[np.int64]
+    num_pairs: int
+    schur_fill: float
+    component: NDArray[np.int64]
+    component_sizes: tuple[int, ...]
+
+
+def covisibility(problem: Problem) -> Covisibility:
+    """Return the covisibility graph; time is linear in the pairs of images that points connect."""
+    images, points = _by_point(problem)
+    neighbours = _neighbours(images, points, problem.num_images)
+    component, sizes = components(images, points, problem.num_images)
+    num_pairs, size = int(neighbours.sum()) // 2, problem.num_images
+    return Covisibility(
+        neighbours=neighbours,
+        num_pairs=num_pairs,
+        schur_fill=(size + 2 * num_pairs) / size**2 if size else float("nan"),
+        component=component,
+        component_sizes=sizes,
+    )
+
+
+def components(
+    images: NDArray[np.int64], points: NDArray[np.int64], num_images: int
+) -> tuple[NDArray[np.int64], tuple[int, ...]]:
+    """Return the component of each image (-1: no observation) and the sizes, largest first.
+
+    Observations come sorted by point. Every image starts as its own tree; in each round the root of
+    every tree hooks onto the smallest root that a common point reaches, then all paths are
+    compressed (Shiloach and Vishkin 1982), which ends after about log(num_images) rounds.
+    """
+    root = np.arange(num_images)
+    starts = np.flatnonzero(np.diff(points, prepend=-1))
+    lengths = np.diff(starts, append=len(points))
+    while len(images):
+        reached = np.repeat(np.minimum.reduceat(root[images], starts), lengths)
+        hooked = root.copy()
+        np.minimum.at(hooked, root[images], reached)
+        while not np.array_equal(hooked, shorter := hooked[hooked]):
+            hooked = shorter
+        if np.array_equal(hooked, root):
+            break
+        root = hooked
+    observed = np.zeros(num_images, bool)
+    observed[images] = True
+    component = np.full(num_images, -1)
+    _, component[observed], sizes = np.unique(
+        root[observed], return_inverse=True, return_counts=True
+    )
+    order = np.argsort(-sizes, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    component[observed] = rank[component[observed]]
+    return component, tuple(int(size) for size in sizes[order])
+
+
+def _by_point(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return image and point of each observation, sorted by point, then image, each pair once."""
+    size = max(problem.num_images, 1)
+    code = problem.observation_point.astype(np.int64) * size + problem.observation_image
+    points, images = np.divmod(np.unique(code), size)
+    return images, points
+
+
+def _neighbours(
+    images: NDArray[np.int64], points: NDArray[np.int64], num_images: int
+) -> NDArray[np.int64]:
+    """Return the number of neighbours of each image, a block of rows of the adjacency at a time."""
+    neighbours = np.zeros(num_images, np.int64)
+    rows = max(_CELLS // max(num_images, 1), 1)
+    for first in range(0, num_images, rows):
+        adjacent = np.zeros((min(rows, num_images - first), num_images), bool)
+        inside = np.flatnonzero((images >= first) & (images < first + rows))
+        for low, high in _pairs(inside, images, points):
+            adjacent[low - first, high] = True
+        neighbours[first : first + rows] += adjacent.sum(1)
+        neighbours += adjacent.sum(0)
+    return neighbours
+
+
+def _pairs(
+    chosen: NDArray[np.int64], images: NDArray[np.int64], points: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Yield the pairs (low, high) of images on common points, low among the chosen observations.
+
+    Round k pairs each observation with the k-th after it on the same point.
+    """
+    step = 1
+    while True:
+        chosen = chosen[chosen + step < len(points)]
+        chosen = chosen[points[chosen] == points[chosen + step]]
+        if len(chosen) == 0:
+            return
+        yield images[chosen], images[chosen + step]
+        step += 1

@@ -1,0 +1,186 @@
+"""What users get wrong: one line beginning "error: ", exit 2, and nothing is touched."""
+
+import os
+import resource
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import bundle
+from bundle.cli.arguments import MOST_IDS
+from bundle.cli.errors import describe_error
+from tests.cli.conftest import command, environment
+from tests.scenes import scene
+
+UNREADABLE = {
+    "missing.txt": None,
+    "empty.txt": b"",
+    "junk.txt": bytes(range(256)) * 4,
+    "truncated.txt": b"4 30 120\n0 0 1.0 2.0\n",
+    "cut.txt.bz2": b"BZh91AY&SY",
+    "two\nlines.txt": b"4 30",
+}
+
+
+def snapshot(folder: Path) -> dict[str, bytes | None]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+def assert_refused(outcome, *words):
+    assert outcome.code == 2
+    assert outcome.out == ""
+    assert outcome.err.startswith("error: ")
+    assert outcome.err.count("\n") == 1
+    for word in words:
+        assert word in outcome.err
+
+
+@pytest.fixture(params=sorted(UNREADABLE))
+def unreadable(request, tmp_path):
+    path = tmp_path / request.param
+    if UNREADABLE[request.param] is not None:
+        path.write_bytes(UNREADABLE[request.param])
+    return path
+
+
+@pytest.mark.parametrize("name", ["info", "refine", "convert"])
+def test_input_that_is_no_problem(run, unreadable, tmp_path, name):
+    kept = tmp_path / "kept.txt"
+    kept.write_text("what stood here before")
+    before = snapshot(tmp_path)
+    targets = {"info": [], "refine": ["-o", kept], "convert": [kept]}
+    stem = unreadable.name.split("\n")[0].split(".")[0]
+    report = tmp_path / "report.json"
+    assert_refused(run(name, unreadable, *targets[name], "--quiet", "--json", report), stem)
+    assert snapshot(tmp_path) == before
+
+
+def test_problem_without_observations_is_not_refined(run, tmp_path):
+    path = tmp_path / "no_images.txt"
+    path.write_bytes(b"0 0 0\n")
+    before = snapshot(tmp_path)
+    assert_refused(run("refine", path, "-o", tmp_path / "r.txt", "--quiet"), "no_images.txt")
+    assert snapshot(tmp_path) == before
+    assert "There are no observations" in run("info", path, "--quiet").out
+
+
+def test_folder_that_is_no_model(run, tmp_path):
+    (tmp_path / "photos").mkdir()
+    assert_refused(run("info", tmp_path / "photos", "--quiet"), "photos", "cameras")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], ["COMMAND", "--help"]),
+        (["polish"], ["polish", "refine"]),
+        (["refine"], ["INPUT"]),
+        (["refine", "IN"], ["--output"]),
+        (["refine", "IN", "-o", "OUT", "--solver", "magic"], ["--solver", "magic", "dense-schur"]),
+        (["refine", "IN", "-o", "OUT", "--solv", "auto"], ["--solv"]),
+        (["refine", "IN", "-o", "OUT", "--threads", "two"], ["--threads", "two"]),
+        (["refine", "IN", "-o", "OUT", "--threads", "-1"], ["--threads", "-1"]),
+        (["refine", "IN", "-o", "OUT", "--threads", "99999999999"], ["--threads", "at most"]),
+        (["refine", "IN", "-o", "OUT", "--max-iterations", "-1"], ["--max-iterations:", "-1"]),
+        (["refine", "IN", "-o", "OUT", "--max-iterations", "1.5"], ["--max-iterations", "1.5"]),
+        (["refine", "IN", "-o", "OUT", "--loss-scale", "0"], ["--loss-scale:", "more than 0"]),
+        (["refine", "IN", "-o", "OUT", "--loss-scale", "nan"], ["--loss-scale:", "finite"]),
+        (["refine", "IN", "-o", "OUT", "--function-tolerance", "-1"], ["--function-tolerance:"]),
+        (["refine", "IN", "-o", "OUT", "--refine", "poses,lens"], ["--refine:", "lens"]),
+        (["refine", "IN", "-o", "OUT", "--fix-images", "one"], ["--fix-images", "one"]),
+        (["refine", "IN", "-o", "OUT", "--fix-images", "9-5"], ["--fix-images", "9-5"]),
+        (["refine", "IN", "-o", "OUT", "--fix-images", "1,,2"], ["--fix-images"]),
+        (["refine", "IN", "-o", "OUT", "--fix-points", "0-99999999999"], [str(MOST_IDS)]),
+        (["refine", "IN", "-o", "OUT", "--fix-points", "9" * 50], ["--fix-points"]),
+        (["refine", "IN", "-o", "OUT", "--fix-images", "77"], ["--fix-images:", "77"]),
+        (["refine", "IN", "-o", "OUT", "--format", "ply"], ["--format", "ply"]),
+        (["refine", "IN", "-o", "no/such/folder/out.txt"], ["no/such/folder"]),
+        (["refine", "IN", "-o", "", "--format", "bal"], []),
+        (["refine", "IN", "-o", "DIR", "--format", "bal"], ["found a folder"]),
+        (["refine", "IN", "-o", "IN", "--format", "colmap"], ["problem.txt", "found a file"]),
+        (["refine", "IN", "-o", "OUT", "--json", "DIR"], ["found a folder"]),
+        (["refine", "IN", "-o", "OUT", "--json", "no/such/r.json"], ["no/such"]),
+        (["refine", "IN", "-o", "OUT", "--json", "OUT"], ["report would replace"]),
+        (["refine", "IN", "-o", "OUT", "--json", "IN"], ["report would replace"]),
+        (["info", "IN", "--json", "./IN"], ["report would replace"]),
+        (["convert", "IN", "DIR", "--format", "bal"], ["found a folder"]),
+        (["convert", "IN", "/dev/null", "--format", "bal"], ["device"]),
+    ],
+)
+def test_usage(run, model, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dir").mkdir()
+    names = {"IN": model.name, "./IN": f"./{model.name}", "OUT": "out.txt", "DIR": "dir"}
+    before = snapshot(tmp_path)
+    quiet = ["--quiet"] if len(arguments) > 1 else []
+    outcome = run(*(names.get(argument, argument) for argument in arguments), *quiet)
+    assert_refused(outcome, *words)
+    assert snapshot(tmp_path) == before
+    assert Path("/dev/null").is_char_device()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_folder_without_permission(run, model, tmp_path):
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o500)
+    assert_refused(run("refine", model, "-o", locked / "r.txt", "--quiet"), "locked")
+
+
+def test_output_is_refused_before_the_solve(run, model, monkeypatch):
+    def solve(*_arguments, **_options):
+        pytest.fail("solved for nothing")
+
+    monkeypatch.setattr("bundle.solver.solve", solve)
+    assert_refused(run("refine", model, "-o", "no/such/r.txt", "--quiet"), "no/such")
+
+
+def test_disk_that_fills_while_the_model_is_written(tmp_path):
+    """The limit on the size of a file stands for the end of the disk."""
+    model, kept = tmp_path / "problem.txt", tmp_path / "kept.txt"
+    bundle.save(scene(8, 400), model)
+    kept.write_text("what stood here before")
+    before = snapshot(tmp_path)
+    done = subprocess.run(
+        command("convert", model, kept, "--quiet"),
+        env=environment(), capture_output=True, text=True, timeout=60, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (40000, 40000)),
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
+    assert "kept.txt" in done.stderr
+    assert snapshot(tmp_path) == before
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+@pytest.mark.parametrize("to_file", [True, False])
+def test_disk_that_fills_while_the_report_is_written(model, to_file):
+    target = "/dev/full" if to_file else "-"
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command("info", model, "--quiet", "--json", target),
+            env=environment(), stdout=subprocess.PIPE if to_file else full,
+            stderr=subprocess.PIPE, text=True, timeout=60, check=False,
+        )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert "No space left" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert Path("/dev/full").is_char_device()
+
+
+def test_out_of_memory_and_interruption_are_one_line():
+    assert describe_error(MemoryError()) == "out of memory"
+    assert describe_error(KeyboardInterrupt()) == "interrupted; nothing was written"
+
+
+def test_a_bug_is_not_dressed_up_as_bad_input(model, monkeypatch):
+    from bundle.cli.main import main
+
+    monkeypatch.setattr("bundle.statistics.describe", lambda _: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        main(["info", str(model), "--quiet"])

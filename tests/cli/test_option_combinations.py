@@ -1,0 +1,119 @@
+"""Every combination of options that the command line lets through ends in a result or a refusal.
+
+The product of solver, ordering, preconditioner and trust region is complete, on each of the scenes
+of option_driver.py; the other options are drawn anew for each, seeded, so that every pair of values
+occurs. The solves run in processes of their own: an abort inside Ceres would take the tests along.
+"""
+
+import dataclasses
+import itertools
+import json
+import math
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bundle.options import (
+    CHEIRALITIES,
+    GAUGES,
+    LINEAR_SOLVER_TYPES,
+    LOSSES,
+    ORDERINGS,
+    PRECONDITIONER_TYPES,
+    REFINABLE,
+    TRUST_REGION_STRATEGIES,
+    SolveOptions,
+)
+from tests.cli.conftest import environment
+from tests.cli.option_driver import SCENES
+
+REPOSITORY = Path(__file__).parents[2]
+FIELDS = {field.name for field in dataclasses.fields(SolveOptions)}
+SUBSETS = [
+    ",".join(subset)
+    for size in range(len(REFINABLE) + 1)
+    for subset in itertools.combinations(REFINABLE, size)
+]
+DRAWN = {
+    "--loss": LOSSES,
+    "--gauge": GAUGES,
+    "--cheirality": CHEIRALITIES,
+    "--refine": SUBSETS,
+    "--threads": ("1", "2", "0"),
+    "--max-iterations": ("0", "1", "4"),
+    "--function-tolerance": ("1e-6", "0", "1e300"),
+    "--loss-scale": ("1", "1e-12", "1e150"),
+}
+
+
+def one_or_all(ids):
+    return str(ids[0]), ",".join(map(str, ids))
+
+
+def combinations(name):
+    """All products of the four choices about the linear algebra, the rest drawn."""
+    draw = random.Random(f"options of {name}")
+    problem = SCENES[name]()
+    drawn = DRAWN | {
+        "--fix-images": one_or_all(problem.image_ids),
+        "--fix-cameras": one_or_all(problem.camera_ids),
+        "--fix-points": one_or_all(problem.point_ids),
+    }
+    for solver, ordering, preconditioner, region in itertools.product(
+        LINEAR_SOLVER_TYPES,
+        ORDERINGS,
+        ("auto", *PRECONDITIONER_TYPES),
+        TRUST_REGION_STRATEGIES,
+    ):
+        flags = ["--solver", solver, "--ordering", ordering, "--preconditioner", preconditioner]
+        flags += ["--trust-region", region]
+        # Half of the draws keep an option at its default, so that solves also get somewhere.
+        for flag, values in drawn.items():
+            value = draw.choice(values)
+            if draw.random() < 0.5:
+                flags += [flag, value]
+        yield flags
+
+
+def run(name, sets):
+    """Return the answers of the driver, or fail naming the set that ended it."""
+    lines = "".join(json.dumps([name, flags]) + "\n" for flags in sets)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "tests.cli.option_driver"],
+            cwd=REPOSITORY, env=environment(), input=lines, capture_output=True, text=True,
+            timeout=120, check=False,
+        )  # fmt: skip
+        out, err, code = done.stdout, done.stderr, done.returncode
+    except subprocess.TimeoutExpired as late:
+        out, err, code = (late.stdout or b"").decode(), "", "a hang"
+    answers = [json.loads(line) for line in out.splitlines()]
+    if code != 0:
+        culprit = max((entry["begins"] for entry in answers if "begins" in entry), default=None)
+        flags = " ".join(sets[culprit]) if culprit is not None else "before the first"
+        pytest.fail(f"{name}: ended by {code} at: {flags}\n{err[-2000:]}")
+    return [entry for entry in answers if "begins" not in entry]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_no_combination_aborts(name):
+    sets = list(combinations(name))
+    answers = run(name, sets)
+    assert len(answers) == len(sets)
+    solved = 0
+    for flags, answer in zip(sets, answers, strict=True):
+        if "refused" in answer:
+            # The options are to blame, not what a solve made of the problem.
+            assert answer["refused"].partition(":")[0] in FIELDS, (flags, answer)
+            assert "\n" not in answer["refused"], flags
+            continue
+        assert answer["words"], flags
+        if answer["usable"]:
+            solved += 1
+            assert math.isfinite(answer["final"]), flags
+            assert answer["final"] <= answer["initial"] * (1 + 1e-9), flags
+    # Refusing everything would be no answer either.
+    assert solved > len(sets) / 4

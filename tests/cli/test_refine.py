@@ -1,0 +1,197 @@
+"""`bundle refine` from the outside."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.options import SolveOptions
+from bundle.result import Result, Summary
+from tests.report import fakes
+from tests.scenes import scene
+
+ITERATION = [
+    "iteration",
+    "cost",
+    "cost_change",
+    "gradient_max_norm",
+    "step_norm",
+    "relative_decrease",
+    "trust_region_radius",
+    "linear_solver_iterations",
+    "step_is_successful",
+    "iteration_time_in_seconds",
+    "cumulative_time_in_seconds",
+]
+
+
+def test_refines_and_reports(run, model, tmp_path):
+    output = tmp_path / "refined.txt"
+    code, out, err = run("refine", model, "-o", output)
+    assert code == 0
+    assert "Converged after" in out
+    assert "4 images, 4 cameras, 30 points, 120 observations" in out
+    assert f"{output} (BAL)" in out
+    assert "linear solver" in out
+    assert "\x1b" not in out + err
+    lines = err.splitlines()
+    assert lines[0] == f"reading {model} ..."
+    assert lines[2].split() == ["iteration", "cost", "change", "gradient", "radius", "elapsed"]
+    assert lines[-1] == f"writing {output} ..."
+    assert len({len(line) for line in lines[2:-1]}) == 1  # columns
+    refined = bundle.load(output)
+    errors, _ = bundle.reprojection.reprojection_errors(refined)
+    assert np.sqrt(np.mean(errors**2)) < 0.7  # the noise is 0.5 px in x and in y, less the fit
+
+
+def test_json_against_the_contract(run, model, tmp_path):
+    report_path = tmp_path / "report.json"
+    code, _, _ = run("refine", model, "-o", tmp_path / "r.txt", "--json", report_path)
+    assert code == 0
+    report = json.loads(report_path.read_text())
+    assert list(report) == [
+        "schema", "command", "version", "input", "options", "summary", "iterations",
+        "reprojection_error", "wall_time", "output",
+    ]  # fmt: skip
+    assert (report["schema"], report["command"]) == (1, "refine")
+    assert report["version"] == bundle.__version__
+    assert report["input"] == {
+        "path": str(model),
+        "format": "bal",
+        "num_cameras": 4,
+        "num_images": 4,
+        "num_points": 30,
+        "num_observations": 120,
+    }
+    assert set(report["options"]) == {field.name for field in dataclasses.fields(SolveOptions)}
+    assert set(report["summary"]) == {field.name for field in dataclasses.fields(Summary)}
+    assert all(list(iteration) == ITERATION for iteration in report["iterations"])
+    assert report["summary"]["termination_type"] == "CONVERGENCE"
+    assert report["summary"]["linear_solver_ordering_used"] == [30, 4]
+    statistics = {"rmse", "mean", "median", "p95", "max"}
+    errors = report["reprojection_error"]
+    assert statistics <= set(errors["before"])
+    assert statistics <= set(errors["after"])
+    # RMSE is over observations: cost = 1/2 sum ||r||^2
+    for when, cost in (("before", "initial_cost"), ("after", "final_cost")):
+        rmse = np.sqrt(2 * report["summary"][cost] / 120)
+        assert errors[when]["rmse"] == pytest.approx(rmse, rel=1e-12)
+    wall = report["wall_time"]
+    assert list(wall) == ["load", "build", "solve", "save", "total"]
+    assert all(time > 0 for time in wall.values())
+    assert wall["total"] > wall["load"] + wall["build"] + wall["solve"] + wall["save"]
+    assert report["output"] == {"path": str(tmp_path / "r.txt"), "format": "bal"}
+
+
+def test_json_to_standard_output_is_all_there_is(spawn, model, tmp_path):
+    code, out, err = spawn("refine", model, "-o", tmp_path / "r.txt", "--json", "-")
+    assert code == 0
+    assert json.loads(out)["command"] == "refine"
+    assert "iteration" in err
+
+
+def test_quiet(run, model, tmp_path):
+    code, out, err = run("refine", model, "-o", tmp_path / "r.txt", "--quiet")
+    assert (code, err) == (0, "")
+    assert "Converged" in out
+
+
+def test_output_may_be_the_input(run, model):
+    before = bundle.load(model)
+    assert run("refine", model, "-o", model).code == 0
+    after = bundle.load(model)
+    assert not np.array_equal(before.points, after.points)
+    np.testing.assert_array_equal(before.observation_xy, after.observation_xy)
+
+
+def test_no_iterations_only_evaluates(run, model, tmp_path):
+    code, out, _ = run("refine", model, "-o", tmp_path / "r.txt", "--max-iterations", 0)
+    assert code == 0
+    assert "Not converged after 0 steps" in out
+    kept, given = bundle.load(tmp_path / "r.txt"), bundle.load(model)
+    np.testing.assert_allclose(kept.points, given.points, rtol=1e-15)
+
+
+def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
+    """Each field of SolveOptions, given as anything but its default."""
+    wanted = SolveOptions(
+        linear_solver_type="iterative_schur",
+        linear_solver_ordering="automatic",
+        preconditioner_type="schur_jacobi",
+        trust_region_strategy_type="subspace_dogleg",
+        loss="soft_l1",
+        loss_scale=2.5,
+        max_num_iterations=7,
+        function_tolerance=1e-3,
+        gradient_tolerance=1e-4,
+        parameter_tolerance=1e-5,
+        num_threads=1,
+        refine=("points", "focal"),
+        fixed_camera_ids=(0, 2),
+        fixed_image_ids=(1,),
+        fixed_point_ids=(3, 4, 5, 9),
+        gauge="three_points",
+        cheirality="zero",
+    )
+    defaults = SolveOptions().asdict()
+    same = [name for name, value in wanted.asdict().items() if value == defaults[name]]
+    assert same == ["backend"]  # which has one choice
+    seen = []
+
+    def solve(problem, options, *, progress):
+        del progress
+        seen.append(options)
+        return fakes.result(problem)
+
+    monkeypatch.setattr("bundle.solver.solve", solve)
+    code, _, err = run(
+        "refine", model, "-o", tmp_path / "r.txt", "--solver", "ITERATIVE_SCHUR", "--ordering",
+        "automatic", "--preconditioner", "schur-jacobi", "--trust-region", "subspace-dogleg",
+        "--loss", "soft-l1", "--loss-scale", "2.5", "--max-iterations", 7, "--function-tolerance",
+        "1e-3", "--gradient-tolerance", "1e-4", "--parameter-tolerance", "1e-5", "--threads", 1,
+        "--refine", "points,focal", "--fix-cameras", "2,0", "--fix-images", 1, "--fix-points",
+        "3-5, 9,4", "--gauge", "three-points", "--cheirality", "zero",
+    )  # fmt: skip
+    assert code == 0, err
+    assert seen == [wanted]
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "saved"),
+    [
+        ({}, 0, True),
+        ({"termination_type": "NO_CONVERGENCE", "message": "Maximum number of"}, 0, True),
+        ({"interrupted": True, "termination_type": "USER_SUCCESS"}, 1, True),
+        ({"is_solution_usable": False, "termination_type": "FAILURE", "message": "x"}, 1, False),
+    ],
+)
+def test_exit_codes_and_what_is_saved(run, model, tmp_path, monkeypatch, changes, code, saved):
+    def solve(problem, options, progress) -> Result:
+        del options, progress
+        return fakes.result(problem, summary=fakes.summary(**changes))
+
+    monkeypatch.setattr("bundle.solver.solve", solve)
+    output, report = tmp_path / "r.txt", tmp_path / "r.json"
+    assert run("refine", model, "-o", output, "--json", report).code == code
+    assert output.exists() == saved
+    written = json.loads(report.read_text())["output"]
+    assert written == ({"path": str(output), "format": "bal"} if saved else None)
+    # Where the report for people is not printed, they still learn what happened.
+    told = run("refine", model, "-o", output, "--json", "-", "--quiet")
+    assert (told.err == "") == (code == 0)
+    assert json.loads(told.out)["summary"]["message"] == fakes.summary(**changes).message
+
+
+def test_hopeless_problem_ends_with_a_sentence(run, tmp_path):
+    """All points behind all cameras, and counted as zero: there is nothing to lower."""
+    problem = scene()
+    poses = problem.cam_from_world.copy()
+    poses[:, 6] = -6.0
+    path = tmp_path / "behind.txt"
+    bundle.save(problem.replace(cam_from_world=poses), path)
+    code, out, _ = run("refine", path, "-o", tmp_path / "r.txt", "--cheirality", "zero")
+    assert code in (0, 1)
+    assert "120" in out
+    assert "outcome" in out

@@ -1,0 +1,231 @@
+"""What the reports say, against a summary whose numbers are known."""
+
+import dataclasses
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+
+from bundle.problem import Problem
+from bundle.report import json as json_report
+from bundle.report.refine import refinement
+from bundle.report.termination import sentence
+from bundle.report.text import number, pixels, plural, render, seconds
+from bundle.report.timing import WallTime, solver_phases
+from tests.report import fakes
+
+WALL = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, total=2.0)
+
+
+@pytest.fixture
+def problem() -> Problem:
+    return Problem(
+        cam_from_world=np.array([[0, 0, 0, 1, 0, 0, 0]]),
+        image_ids=np.array([3]),
+        image_names=("a.jpg",),
+        image_camera=np.array([0]),
+        camera_ids=np.array([1]),
+        camera_models=("SIMPLE_PINHOLE",),
+        camera_params=np.array([[500.0, 320, 240]]),
+        camera_sizes=np.array([[640, 480]]),
+        points=np.array([[0.0, 0, 5]]),
+        point_ids=np.array([9]),
+        observation_image=np.array([0]),
+        observation_point=np.array([0]),
+        observation_xy=np.array([[320.0, 240]]),
+        observation_keypoint=np.array([0]),
+        format="colmap",
+    )
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    """First column to the others, of a table whose columns are two blanks apart."""
+    cells = (re.split(r" {2,}", line.strip()) for line in text.splitlines() if line.strip())
+    return {first: rest for first, *rest in cells}
+
+
+def test_breakdown_adds_up_to_the_total():
+    table = rows(fakes.CONVERGED.breakdown())
+    assert table["total"] == ["1.000", "100.0 %"]
+    # 1 - (0.25 + 0.0625 + 0.125 + 0.25 + 0.0625)
+    assert table["other"] == ["0.250", "25.0 %"]
+    shares = [float(cells[1].rstrip(" %")) for name, cells in table.items() if name != "time"]
+    assert sum(shares) == pytest.approx(200.0, abs=0.4)
+    assert sum(time for _, time in solver_phases(fakes.CONVERGED)) == pytest.approx(1.0)
+
+
+def test_times_that_ceres_did_not_measure_are_not_invented():
+    unmeasured = fakes.summary(
+        residual_evaluation_time_in_seconds=-1.0, postprocessor_time_in_seconds=-1.0
+    )
+    table = rows(unmeasured.breakdown())
+    assert table["residual evaluation"] == ["-", "-"]
+    assert table["postprocessor"] == ["-", "-"]
+    assert table["other"] == ["0.375", "37.5 %"]
+
+
+def test_breakdown_of_a_solve_that_took_no_time():
+    nothing = dict.fromkeys(
+        (f.name for f in dataclasses.fields(fakes.CONVERGED) if f.name.endswith("in_seconds")), 0.0
+    )
+    assert rows(fakes.summary(**nothing).breakdown())["total"] == ["0.000", "-"]
+
+
+def test_full_report_has_ceres_sections_in_ceres_order():
+    report = fakes.summary(warnings=("Group 0 lost a block.",)).full_report()
+    order = ["parameter blocks", "trust region", "linear solver", "ordering", "initial", "final"]
+    order += ["successful steps", "preprocessor", "termination", "Group 0 lost a block."]
+    positions = [report.index(words) for words in order]
+    assert positions == sorted(positions)
+    assert rows(report)["residuals"] == ["167436", "167434"]
+    assert "4.167625615e+06" in report  # the change of cost
+    assert "CONVERGENCE: Function tolerance reached." in report
+    assert "preconditioner" not in report
+
+
+def test_full_report_names_the_preconditioner_of_an_iterative_solver():
+    report = fakes.summary(linear_solver_type_used="ITERATIVE_SCHUR").full_report()
+    assert rows(report)["preconditioner"] == ["SCHUR_JACOBI", "IDENTITY"]
+    assert rows(report)["linear algebra"] == ["EIGEN", "EIGEN"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "message", "words"),
+    [
+        ("CONVERGENCE", "Function tolerance reached. |cost_change|/cost: 1 <= 2", "the cost by no"),
+        (
+            "CONVERGENCE",
+            "Function tolerance reached. No non-constant parameter blocks found.",
+            "every parameter is held fixed",
+        ),
+        ("CONVERGENCE", "Gradient tolerance reached. Gradient max norm: 1", "the gradient"),
+        ("CONVERGENCE", "Parameter tolerance reached. Relative step_norm: 1", "the parameters"),
+        ("CONVERGENCE", "Minimum trust region radius reached. Trust", "shrank"),
+        ("NO_CONVERGENCE", "Maximum number of iterations reached. Number: 5", "limit of iteration"),
+        ("NO_CONVERGENCE", "Maximum solver time reached. Total: 5", "limit of time"),
+        ("FAILURE", "Number of consecutive invalid steps more than 5", "several steps in a row"),
+        ("FAILURE", "Residual and Jacobian evaluation failed.", "ceased to be finite"),
+        ("FAILURE", "Initial residual and Jacobian evaluation failed.", "at the start"),
+        ("FAILURE", "Linear solver failed due to unrecoverable", "linear solver gave up"),
+        ("FAILURE", "Something\nnew", "Something new"),
+    ],
+)
+def test_termination_in_plain_words(kind, message, words):
+    verdict = {"CONVERGENCE": "Converged", "NO_CONVERGENCE": "Not converged", "FAILURE": "Failed"}
+    said = sentence(fakes.summary(termination_type=kind, message=message), 5, 2)
+    assert said.startswith(f"{verdict[kind]} after 5 steps (2 rejected): ")
+    assert words in said
+    assert "\n" not in said
+
+
+def test_interruption_comes_before_what_ceres_calls_it():
+    interrupted = fakes.summary(interrupted=True, termination_type="USER_SUCCESS", message="User")
+    assert sentence(interrupted, 1) == "Interrupted after 1 step; the best state so far is kept."
+
+
+def test_report_of_a_refinement(problem):
+    solved = fakes.result(problem)
+    output = {"path": "out.txt", "format": "bal"}
+    lost = ("image names",)
+    report = render(*refinement("[red]in", problem, solved, WALL, output, lost))
+    table = rows(report)
+    assert table["input"] == ["[red]in (COLMAP)"]  # not taken for a colour
+    assert table["cost"] == ["4.185659518e+06", "1.803390348e+04"]
+    assert table["RMSE [px]"] == ["10.0000", "1.0000"]
+    assert table["behind camera"] == ["31", "0"]
+    assert table["load"] == ["0.250", "12.5 %"]
+    assert table["everything else"] == ["0.375", "18.8 %"]
+    assert table["linear solver"] == ["0.250", "25.0 %", "12.5 %"]
+    assert "after 2 steps (1 rejected)" in report
+    assert "out.txt (BAL)" in report
+    assert "lost: image names" in report
+    assert max(map(len, report.splitlines())) <= 100
+    assert report.isascii()
+
+
+def test_report_says_when_the_ordering_was_not_used_as_given(problem):
+    changed = fakes.summary(linear_solver_ordering_used=(22000, 16))
+    solved = fakes.result(problem, summary=changed)
+    report = render(*refinement("in", problem, solved, WALL, None, ()))
+    assert rows(report)["ordering"] == ["22000, 16 (given: 22106, 16); Schur structure 2,3,9"]
+    assert rows(report)["output"] == ["nothing was written"]
+
+
+def test_json_has_what_the_contract_lists(problem):
+    solved = fakes.result(problem)
+    report = json_report.refinement("in", problem, solved, WALL, None)
+    assert list(report) == [
+        "schema",
+        "command",
+        "version",
+        "input",
+        "options",
+        "summary",
+        "iterations",
+        "reprojection_error",
+        "wall_time",
+        "output",
+    ]
+    assert report["input"] == {
+        "path": "in",
+        "format": "colmap",
+        "num_cameras": 1,
+        "num_images": 1,
+        "num_points": 1,
+        "num_observations": 1,
+    }
+    assert report["summary"]["linear_solver_ordering_used"] == [22106, 16]
+    assert report["options"]["linear_solver_type"] == "DENSE_SCHUR"
+    assert report["options"]["refine"] == ["poses", "points", "focal", "extra"]
+    assert set(report["options"]) == {field.name for field in dataclasses.fields(fakes.OPTIONS)}
+    assert report["wall_time"] == {
+        "load": 0.25,
+        "build": 0.125,
+        "solve": 1.0,
+        "save": 0.25,
+        "total": 2.0,
+    }
+    assert report["iterations"][1] == {
+        "iteration": 1,
+        "cost": 2.0,
+        "cost_change": 1.0,
+        "gradient_max_norm": 4.0,
+        "step_norm": 1.0,
+        "relative_decrease": 0.9,
+        "trust_region_radius": 3e4,
+        "linear_solver_iterations": 1,
+        "step_is_successful": True,
+        "iteration_time_in_seconds": 0.1,
+        "cumulative_time_in_seconds": 0.2,
+    }
+    # nan and -inf of the fake's last iteration
+    assert report["iterations"][2]["cost_change"] is None
+    assert report["iterations"][2]["relative_decrease"] is None
+    assert {**report, **solved.asdict()} == report
+    assert json.loads(json_report.dumps(report)) == report
+
+
+def test_json_takes_any_path(problem):
+    path = "caf\u00e9 \udcff"  # the second is how Python names a byte that is not UTF-8
+    text = json_report.dumps(json_report.heading("info", path, problem))
+    assert text.isascii()
+    assert json.loads(text)["input"]["path"] == path
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(0, "0"), (3, "3"), (4.0949, "4.095"), (12345.6, "12346"), (1.5e7, "1.500e+07")],
+)
+def test_number(value, shown):
+    assert number(value) == shown
+
+
+def test_what_does_not_exist_is_a_dash():
+    assert {number(math.nan), pixels(math.inf), seconds(-1.0), seconds(math.nan)} == {"-"}
+    assert pixels(2.5e7) == "2.5000e+07"
+
+
+def test_plural():
+    assert [plural(n, "image") for n in (0, 1, 2)] == ["0 images", "1 image", "2 images"]

@@ -1,0 +1,256 @@
+"""Statistics against counts made one observation at a time, and every suspicion provoked alone."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from bundle.statistics import covisibility as covisibility_module
+from bundle.statistics import describe
+from bundle.statistics.covisibility import covisibility
+from bundle.statistics.lenses import fold_radius, lenses
+from tests.scenes import scene
+
+
+def random_graph(seed, num_images=12, num_points=40, num_observations=90):
+    """A scene whose observations are drawn at random: repeated ones, empty images and points."""
+    rng = np.random.default_rng(seed)
+    return scene(
+        num_images,
+        num_points,
+        observation_image=rng.integers(0, num_images, num_observations),
+        observation_point=rng.integers(0, num_points, num_observations),
+        observation_xy=rng.normal(size=(num_observations, 2)),
+        observation_keypoint=np.full(num_observations, -1),
+    )
+
+
+def kinds(problem):
+    return {suspicion.kind: suspicion for suspicion in describe(problem).suspicions}
+
+
+def observe(problem, keep, **changes):
+    """The same problem with some of its observations."""
+    names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
+    return problem.replace(**{name: getattr(problem, name)[keep] for name in names}, **changes)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("cells", [2**27, 30])  # 30: two rows of the adjacency at a time
+def test_covisibility_against_sets(monkeypatch, seed, cells):
+    monkeypatch.setattr(covisibility_module, "_CELLS", cells)
+    problem = random_graph(seed, num_observations=15 * (seed + 1))
+    seen_by = {}
+    for image, point in zip(problem.observation_image, problem.observation_point, strict=True):
+        seen_by.setdefault(int(point), set()).add(int(image))
+    pairs = {pair for images in seen_by.values() for pair in itertools.combinations(images, 2)}
+    pairs = {tuple(sorted(pair)) for pair in pairs}
+    graph = covisibility(problem)
+    degree = [sum(image in pair for pair in pairs) for image in range(problem.num_images)]
+    assert graph.neighbours.tolist() == degree
+    assert graph.num_pairs == len(pairs)
+    assert graph.schur_fill == pytest.approx((12 + 2 * len(pairs)) / 144)
+
+    groups = [{image} for image in set(problem.observation_image.tolist())]
+    for a, b in pairs:
+        with_a = next(group for group in groups if a in group)
+        with_b = next(group for group in groups if b in group)
+        if with_a is not with_b:
+            groups.remove(with_b)
+            with_a |= with_b
+    assert list(graph.component_sizes) == sorted(map(len, groups), reverse=True)
+    for group in groups:
+        assert len({int(graph.component[image]) for image in group}) == 1
+    unseen = np.setdiff1d(np.arange(12), problem.observation_image)
+    assert (graph.component[unseen] == -1).all()
+    assert (graph.component >= 0).sum() == 12 - len(unseen)
+
+
+def test_components_of_a_long_chain_in_shuffled_order():
+    """A street: image i shares a point only with image i + 1."""
+    count = 2000
+    order = np.random.default_rng(0).permutation(count)
+    problem = scene(
+        count,
+        count - 1,
+        observation_image=np.concatenate([order[:-1], order[1:]]),
+        observation_point=np.tile(np.arange(count - 1), 2),
+        observation_xy=np.zeros((2 * count - 2, 2)),
+        observation_keypoint=np.full(2 * count - 2, -1),
+    )
+    graph = covisibility(problem)
+    assert graph.component_sizes == (count,)
+    assert graph.num_pairs == count - 1
+
+
+def test_counts_and_histograms():
+    problem = observe(scene(4, 30), slice(0, 100))  # image 3 sees only the first ten points
+    description = describe(problem)
+    images = description.observations_per_image
+    assert (images.min, images.median, images.mean, images.max) == (10, 30, 25, 30)
+    assert images.histogram == ((9, 16, 1), (17, 32, 3))
+    assert description.track_length.histogram == ((3, 4, 30),)
+    (group,) = description.cameras
+    assert (group.model, group.num_cameras, group.num_images) == ("RADIAL", 4, 4)
+    assert group.images_per_camera == (1, 1)
+    assert group.focal == (503, 503)
+    assert group.supported
+
+
+@pytest.mark.parametrize(
+    ("length", "low", "high"), [(0, 0, 0), (1, 1, 1), (2, 2, 2), (3, 3, 4), (4, 3, 4), (5, 5, 8)]
+)
+def test_histogram_bins(length, low, high):
+    problem = scene(6, 2)
+    keep = problem.observation_image < length
+    assert describe(observe(problem, keep)).track_length.histogram == ((low, high, 2),)
+
+
+def test_problem_without_anything():
+    empty = scene(0, 0)
+    description = describe(empty)
+    assert np.isnan(description.track_length.mean)
+    assert description.observations_per_image.histogram == ()
+    assert np.isnan(description.covisibility.schur_fill)
+    assert description.reprojection_error.num_observations == 0
+    assert [suspicion.kind for suspicion in description.suspicions] == ["no_observations"]
+
+
+def test_sound_scene_raises_no_suspicion():
+    assert kinds(scene()) == {}
+
+
+def test_images():
+    problem = scene(5, 30, image_ids=np.arange(5) + 100)
+    keep = (problem.observation_image < 3) | (
+        (problem.observation_image == 3) & (problem.observation_point < 9)
+    )
+    found = kinds(observe(problem, keep))
+    assert set(found) == {"images_without_observations", "images_with_few_observations"}
+    assert found["images_without_observations"].ids == (104,)
+    assert found["images_with_few_observations"].sentence == (
+        "1 image has fewer than 10 observations (image 103)."
+    )
+
+
+def test_points():
+    problem = scene(4, 30, point_ids=np.arange(30) + 1000)
+    keep = (problem.observation_point >= 8) | (
+        (problem.observation_point < 7) & (problem.observation_image == 0)
+    )
+    found = kinds(observe(problem, keep))
+    assert found["points_seen_once"].count == 7
+    assert found["points_seen_once"].sentence == (
+        "7 points are seen only once: the depth is free (points 1000, 1001, 1002, 1003, 1004, ...)."
+    )
+    assert found["points_not_seen"].ids == (1007,)
+
+
+def test_pieces_without_common_points():
+    problem = scene(4, 30)
+    keep = (problem.observation_image < 3) == (problem.observation_point < 15)
+    found = kinds(observe(problem, keep))
+    assert found["disconnected"].count == 2
+    assert found["disconnected"].ids == (3,)
+    assert "(of 3, 1 images)" in found["disconnected"].sentence
+
+
+def test_duplicates_are_counted_beyond_the_first():
+    problem = scene()
+    index = np.concatenate([np.arange(120), [5, 5, 40]])
+    found = kinds(observe(problem, index))
+    assert set(found) == {"duplicate_observations"}
+    assert found["duplicate_observations"].count == 3
+    assert found["duplicate_observations"].ids == (0, 1)
+
+
+def test_behind_the_camera():
+    problem = scene()
+    poses = problem.cam_from_world.copy()
+    poses[2, 6] = -6.0
+    found = kinds(problem.replace(cam_from_world=poses))
+    assert found["observations_behind_camera"].count == 30
+    assert found["observations_behind_camera"].ids == (2,)
+    assert "gross_errors" not in found
+
+
+def test_gross_errors():
+    problem = scene()
+    xy = problem.observation_xy.copy()
+    xy[[3, 70]] += 400.0
+    found = kinds(problem.replace(observation_xy=xy))
+    assert found["gross_errors"].count == 2
+    assert found["gross_errors"].ids == (0, 2)
+
+
+def test_quaternions():
+    poses = scene().cam_from_world.copy()
+    poses[1, :4] *= 1.001
+    assert kinds(scene(cam_from_world=poses))["quaternions_not_normalised"].ids == (1,)
+
+
+@pytest.mark.parametrize("known_size", [True, False])
+@pytest.mark.parametrize("focal", [2e4, 20.0])
+def test_focal_lengths(focal, known_size):
+    problem = scene(camera_sizes=np.full((4, 2), 600) if known_size else np.zeros((4, 2)))
+    params = problem.camera_params.copy()
+    params[3, 0] = focal
+    found = kinds(problem.replace(camera_params=params))
+    assert found["absurd_focal_lengths"].ids == (3,)
+
+
+def test_folding_distortion():
+    params = scene().camera_params.copy()
+    params[0, 3] = -40.0  # folds at r = 1 / sqrt(120), distorted 0.061: 31 px
+    found = kinds(scene(camera_params=params))
+    assert found["folding_distortion"].ids == (0,)
+
+
+@pytest.mark.parametrize("k1", [-0.4, -0.05, 0.0, 0.3])
+@pytest.mark.parametrize("k2", [-0.2, -0.01, 0.0, 0.01, 0.2])
+def test_fold_radius_against_sampling(k1, k2):
+    r = np.linspace(0, 20, 200_001)
+    distorted = r * (1 + k1 * r**2 + k2 * r**4)
+    falls = np.flatnonzero(np.diff(distorted) < 0)
+    expected = distorted[falls[0]] if len(falls) else np.inf
+    assert fold_radius(np.array([k1]), np.array([k2]))[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_lens_of_a_camera_that_nothing_observes():
+    problem = observe(scene(), slice(0, 60))
+    lens = lenses(problem)
+    assert np.isnan(lens.farthest[2:]).all()
+    assert np.isnan(lens.size[2:]).all()
+    assert np.isfinite(lens.farthest[:2]).all()
+
+
+def test_positions():
+    points = scene().points.copy()
+    points[4] = [0, 0, 1e6]
+    assert kinds(scene(points=points))["far_points"].ids == (4,)
+    moved = scene().points + np.array([4e6, 5e6, 0])
+    assert "6.4e+06" in kinds(scene(points=moved))["far_from_origin"].sentence
+
+
+def test_outside_the_image():
+    found = kinds(scene(kind="colmap", camera_sizes=np.full((4, 2), 4000)))
+    xy = scene().observation_xy
+    assert found["observations_outside_image"].count == int((xy < 0).any(1).sum())
+
+
+def test_cameras_that_no_image_uses():
+    found = kinds(scene(image_camera=np.array([0, 0, 1, 1])))
+    assert found["unused_cameras"].ids == (2, 3)
+
+
+def test_camera_model_that_is_not_supported():
+    problem = scene(3, kind="colmap", camera_models=("RADIAL", "FOV", "FOV"))
+    description = describe(problem)
+    assert description.reprojection_error is None
+    (found,) = description.suspicions
+    assert found.kind == "unsupported_camera_models"
+    assert found.ids == (1, 2)
+    assert "FOV" in found.sentence
+    fov = next(group for group in description.cameras if group.model == "FOV")
+    assert fov.focal is None
+    assert not fov.supported
