@@ -20,7 +20,7 @@ ENDLESS = ("--max-iterations", "100000000", "--function-tolerance", "0",
 def test_help_and_version(spawn):
     assert spawn("--version").out == f"bundle {bundle.__version__}\n"
     assert "refine" in spawn("--help").out
-    for name in ("info", "refine", "convert"):
+    for name in ("info", "refine", "convert", "synth"):
         code, out, err = spawn(name, "--help")
         assert (code, err) == (0, "")
         assert "default: " in out
