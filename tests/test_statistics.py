@@ -7,10 +7,9 @@ import pytest
 
 from bundle.statistics import covisibility as covisibility_module
 from bundle.statistics import describe
-from bundle.statistics.covisibility import covisibility
+from bundle.statistics.covisibility import components, covisibility
 from bundle.statistics.lenses import fold_radius, lenses
 from tests.scenes import scene
-
 
 PARTS = ["cam_from_world", "image_ids", "image_names", "image_camera", "camera_ids"]
 PARTS += ["camera_models", "camera_params", "camera_sizes", "points", "point_ids"]
@@ -74,17 +73,15 @@ def test_components_of_a_long_chain_in_shuffled_order():
     """A street: image i shares a point only with image i + 1."""
     count = 2000
     order = np.random.default_rng(0).permutation(count)
-    problem = scene(
-        count,
-        count - 1,
-        observation_image=np.concatenate([order[:-1], order[1:]]),
-        observation_point=np.tile(np.arange(count - 1), 2),
-        observation_xy=np.zeros((2 * count - 2, 2)),
-        observation_keypoint=np.full(2 * count - 2, -1),
-    )
-    graph = covisibility(problem)
-    assert graph.component_sizes == (count,)
-    assert graph.num_pairs == count - 1
+    images = np.stack([order[:-1], order[1:]], axis=1).ravel()
+    points = np.repeat(np.arange(count - 1), 2)
+    component, sizes = components(images, points, count)
+    assert sizes == (count,)
+    assert (component == 0).all()
+    # Without point 700 the street is in two.
+    component, sizes = components(images[points != 700], points[points != 700], count)
+    assert sizes == (count - 701, 701)
+    assert (component[order[:701]] == 1).all()
 
 
 def test_counts_and_histograms():
