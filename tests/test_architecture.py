@@ -44,6 +44,7 @@ PYTHON_MAY_IMPORT = {
 }
 # The command line stands above everything, and nothing imports it.
 PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
+PYTHON_MAY_IMPORT["__main__"] = {"cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from bundle.cli.arguments import add_output
 from bundle.cli.errors import EXIT_DONE
-from bundle.errors import InputError
-from bundle.io.paths import shown
+from bundle.errors import InputError, shown
 from bundle.reprojection import reprojection_error
 from bundle.synthetic import SceneOptions
 
