@@ -19,8 +19,8 @@ class ReprojectionError:
     """Reprojection errors ||r|| over the observations that have one, in pixels.
 
     ``rmse`` is sqrt(mean ||r||^2). Observations behind their camera, and those whose projection
-    does not exist, are counted and, unless ``cheirality`` is "algebraic", left out of the statistics.
-    Every number is NaN where there is no observation.
+    does not exist, are counted and, unless ``cheirality`` is "algebraic", left out of the
+    statistics. Every number is NaN where there is no observation.
     """
 
     rmse: float
