@@ -17,12 +17,12 @@ KINDS = {"street": Street, "orbit": Orbit, "photo_collection": PhotoCollection}
 NO_THINNING = 1e9
 
 
-def build(kind, **changes):
+def build(kind, count=1500, **changes):
     options = SceneOptions(scene=kind, camera_model="RADIAL", **changes)
     rng = np.random.default_rng(7)
     scene = KINDS[kind](rng, options)
     cameras = draw_intrinsics(rng, scene.images, "RADIAL", shared=options.has_shared_camera)
-    return scene, cameras, scene.draw_points(rng, 1500)
+    return scene, cameras, scene.draw_points(rng, count)
 
 
 def sees(scene, cameras, points, image):
@@ -69,7 +69,7 @@ def test_same_as_brute_force(kind):
 
 
 def test_thinning_takes_a_subset_and_leaves_enough():
-    scene, cameras, points = build("photo_collection", num_images=200)
+    scene, cameras, points = build("photo_collection", 20000, num_images=200)
     everything, thinned = (
         visible_pairs(
             np.random.default_rng(0), scene, cameras, points, np.full(len(points), length)
@@ -79,7 +79,7 @@ def test_thinning_takes_a_subset_and_leaves_enough():
     codes = [set((pairs.point.astype(int) * 200 + pairs.image).tolist()) for pairs in
              (everything, thinned)]  # fmt: skip
     assert codes[1] <= codes[0]
-    assert len(codes[1]) < 0.8 * len(codes[0])
+    assert len(codes[1]) < 0.7 * len(codes[0])
     assert thinned.counts.mean() > 3.0
 
 
