@@ -28,6 +28,7 @@ $(READY_TO_BENCH): $(READY)
 	@touch $@
 
 demo: $(READY)  ## refine the model in data/ and show where the time went
+	@mkdir -p $(dir $(DEMO_OUTPUT))
 	$(VENV)/bin/bundle refine $(DEMO_INPUT) -o $(DEMO_OUTPUT)
 
 test: $(READY)  ## run the tests
