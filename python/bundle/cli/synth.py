@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import os
 import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.cli.arguments import add_output
 from bundle.cli.errors import EXIT_DONE
-from bundle.errors import InputError
-from bundle.io.paths import shown
+from bundle.errors import InputError, shown
+from bundle.io import FORMATS
 from bundle.reprojection import reprojection_error
 from bundle.synthetic import SceneOptions
 
@@ -32,7 +33,15 @@ HELP = "seeded synthetic scenes with ground truth, from toy to millions of obser
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
-    add_output(parser, "output")
+    parser.add_argument(
+        "output",
+        metavar="OUTPUT",
+        help="where the start goes: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
+        "folders of COLMAP models",
+    )
+    parser.add_argument(
+        "--format", choices=FORMATS, help="format of OUTPUT (default: what its name says)"
+    )
     parser.add_argument(
         "--ground-truth",
         metavar="PATH",
@@ -51,7 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.io import check_target, output_format, save
     from bundle.synthetic import synthesize
 
-    options = _scene_options(arguments)
+    with _errors_name_flags():
+        options = _scene_options(arguments)
     path = arguments.output
     truth_path = arguments.ground_truth or _beside(path)
     if os.path.realpath(path) == os.path.realpath(truth_path):
@@ -59,7 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.json, path, truth_path)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"making {options.num_images} images of {options.num_points} points")
-        scene = synthesize(options)
+        with _errors_name_flags():
+            scene = synthesize(options)
         format = output_format(scene.problem, path, arguments.format)
         output = {"path": path, "format": format}
         truth = {"path": truth_path, "format": format}
@@ -77,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -> None:
     meta = field.metadata
-    flag, default, values = meta["flag"], str(field.default), ""
+    flag, default, values = meta["flag"], _shown(field.default), ""
     settings: dict[str, Any] = {"metavar": meta["metavar"]}
     if meta["choices"] is not None:
         choices = [_choice(choice) for choice in meta["choices"]]
@@ -88,11 +99,16 @@ def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -
         default = flag if field.default else f"--no-{flag.lstrip('-')}"
     elif isinstance(field.default, tuple):
         settings |= {"nargs": len(field.default), "type": int}
-        default = " ".join(map(str, field.default))
     else:
         settings["type"] = type(field.default)
     help_text = f"{meta['help']} ({values}default: {default})"
     group.add_argument(flag, dest=field.name, default=None, help=help_text, **settings)
+
+
+def _shown(default: Any) -> str:
+    if isinstance(default, tuple):
+        return " ".join(map(str, default))
+    return f"{default:g}" if isinstance(default, float) else str(default)
 
 
 def _choice(text: str) -> str:
@@ -100,19 +116,22 @@ def _choice(text: str) -> str:
 
 
 def _scene_options(arguments: argparse.Namespace) -> SceneOptions:
-    """Return the options that were given.
-
-    Raises:
-        InputError: a value is out of range; the message names the flag.
-    """
     fields = dataclasses.fields(SceneOptions)
     given = {field.name: getattr(arguments, field.name) for field in fields}
+    return SceneOptions(**{name: value for name, value in given.items() if value is not None})
+
+
+@contextlib.contextmanager
+def _errors_name_flags() -> Iterator[None]:
+    """Let errors that begin with the name of an option begin with its flag."""
     try:
-        return SceneOptions(**{name: value for name, value in given.items() if value is not None})
+        yield
     except InputError as error:
         name, _, rest = str(error).partition(":")
-        flags = {field.name: field.metadata["flag"] for field in fields}
-        raise InputError(f"{flags.get(name, name)}:{rest}") from None
+        for field in dataclasses.fields(SceneOptions):
+            if field.name == name:
+                raise InputError(f"{field.metadata['flag']}:{rest}") from None
+        raise
 
 
 def _beside(path: str) -> str:

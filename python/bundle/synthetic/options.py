@@ -86,6 +86,7 @@ class SceneOptions:
         "--pixel-noise",
         "standard deviation of x and of y, in pixels",
         minimum=0.0,
+        below=1e6,
         metavar="PIXELS",
     )
     outlier_share: float = _option(
@@ -101,6 +102,7 @@ class SceneOptions:
         "--rotation-noise",
         "perturbation of the start's rotations: standard deviation about each axis, in degrees",
         minimum=0.0,
+        below=180.0,
         metavar="DEGREES",
     )
     translation_noise: float = _option(
@@ -109,6 +111,7 @@ class SceneOptions:
         "perturbation of the start's camera centres: standard deviation along each axis, relative "
         "to the scene's scale, which is the median distance of a point from its cameras",
         minimum=0.0,
+        below=1e6,
         metavar="X",
     )
     point_noise: float = _option(
@@ -116,6 +119,7 @@ class SceneOptions:
         "--point-noise",
         "perturbation of the start's points, likewise relative to the scene's scale",
         minimum=0.0,
+        below=1e6,
         metavar="X",
     )
     focal_noise: float = _option(
@@ -132,6 +136,7 @@ class SceneOptions:
         "perturbation of the start's radial distortion coefficients: standard deviation; a tenth "
         "of it for tangential ones",
         minimum=0.0,
+        below=1e6,
         metavar="X",
     )
     loop_closure: bool = _option(
