@@ -39,11 +39,12 @@ PYTHON_MAY_IMPORT = {
     "statistics": {"cameras", "errors", "problem", "reprojection", "result"},
     "synthetic": {"cameras", "errors", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result"},
-    "report": {"_core", "errors", "options", "problem", "result", "statistics"},
+    "report": {"_core", "errors", "io", "options", "problem", "result", "statistics"},
     "": {"_core", "cameras", "errors", "io", "options", "problem", "result", "solver", "synthetic"},
 }
-# The command line stands above everything, and nothing imports it.
+# The command line stands above everything, and nothing imports it but __main__.
 PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
+PYTHON_MAY_IMPORT["__main__"] = {"cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.

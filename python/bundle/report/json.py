@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle import __version__
+from bundle._core import __version__
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report.timing import WallTime
