@@ -7,7 +7,10 @@ import pycolmap
 
 
 def cost(reconstruction: pycolmap.Reconstruction) -> float:
-    """Return 1/2 sum ||r||^2 in pixels over registered images; behind the camera counts as zero."""
+    """Return 1/2 sum ||r||^2 in pixels over registered images; behind the camera counts as zero.
+
+    Text models hold rounded quaternions; they are normalised here, as COLMAP's adjuster does.
+    """
     total = 0.0
     xyz_of = {id_: point.xyz for id_, point in reconstruction.points3D.items()}
     for image_id in reconstruction.reg_image_ids():
@@ -15,7 +18,9 @@ def cost(reconstruction: pycolmap.Reconstruction) -> float:
         seen = [point for point in image.points2D if point.has_point3D()]
         if not seen:
             continue
-        in_camera = image.cam_from_world() * np.array([xyz_of[point.point3D_id] for point in seen])
+        pose = image.cam_from_world()
+        pose.rotation.normalize()
+        in_camera = pose * np.array([xyz_of[point.point3D_id] for point in seen])
         front = in_camera[:, 2] > np.finfo(float).eps
         measured = np.array([point.xy for point in seen])[front]
         camera = reconstruction.cameras[image.camera_id]

@@ -39,7 +39,6 @@ class Row:
     failure: str
     remark: str = ""
     used: str = ""
-    num_runs: int = 0
     num_steps: int = 0
     step: Spread | None = None
     reached: tuple[Spread | None, ...] = (None,) * len(GAPS)
@@ -70,7 +69,6 @@ def row(problem: str, solver: str, runs: Sequence[Run], best_cost: float) -> Row
         failure="",
         remark=f"{len(failures)} of {len(runs)} runs: {failures[0]}" if failures else "",
         used=" ".join(note for note in last["notes"] if note),
-        num_runs=len(outcomes),
         num_steps=last["num_steps"],
         step=Spread.of(steps),
         reached=tuple(

@@ -1,4 +1,4 @@
-"""Small seeded problems for tests, projected by formulas of their own, not by the code under test."""
+"""Small seeded problems for tests, projected by formulas of their own."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -46,7 +46,7 @@ def make_problem(
     track=None,
     **changes,
 ):
-    """Cameras on an arc around a cloud of points, every image seeing every point or `track` of them."""
+    """Cameras on an arc around a cloud; every point is in every image, or in `track` of them."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1, 1, (num_points, 3))
     angles = np.linspace(-0.6, 0.6, num_images)
@@ -57,17 +57,16 @@ def make_problem(
     params[:, 0] += np.arange(num_cameras)
     image_camera = np.zeros(num_images, int) if shared else np.arange(num_images)
 
-    image, point, xy = [], [], []
-    for p in range(num_points):
-        seen = np.arange(num_images)
-        if track is not None:
-            seen = np.sort(rng.choice(num_images, track, replace=False))
-        for i in seen:
-            in_camera = rotations[int(i)].apply(points[p]) + translations[i]
-            image.append(i)
-            point.append(p)
-            xy.append(project(model, params[image_camera[i]], in_camera[None])[0])
-    xy = np.array(xy).reshape(-1, 2)
+    if track is None:
+        seen = np.tile(np.arange(num_images), (num_points, 1))
+    else:
+        seen = np.array([np.sort(rng.choice(num_images, track, False)) for _ in range(num_points)])
+    image = seen.ravel()
+    point = np.repeat(np.arange(num_points), seen.shape[1])
+    xy = np.empty((len(image), 2))
+    for i in range(num_images):
+        in_camera = rotations[i].apply(points[point[image == i]]) + translations[i]
+        xy[image == i] = project(model, params[image_camera[i]], in_camera)
     xy += noise * rng.standard_normal(xy.shape)
 
     start = Rotation.from_rotvec(perturbation * rng.standard_normal((num_images, 3))) * rotations
@@ -95,14 +94,27 @@ def make_problem(
     return Problem(**{**arrays, **changes})
 
 
-def scene(num_images=4, num_points=30, *, kind="bal", shared_camera=False, seed=1, **changes):
-    """A problem as a BAL file has it: RADIAL, ids from 0, no names, principal point at 0."""
+def scene(
+    num_images=4, num_points=30, *, kind="bal", shared_camera=False, seed=1, noise=0.5, **changes
+):
+    """A problem as a BAL file has it: RADIAL, ids from 0, no names, principal point at 0.
+
+    Observations are sorted by image, then by point.
+    """
     problem = make_problem(
-        num_images=num_images, num_points=num_points, model="RADIAL", shared=shared_camera, seed=seed
+        num_images=num_images,
+        num_points=num_points,
+        model="RADIAL",
+        shared=shared_camera,
+        seed=seed,
+        noise=noise,
     )
+    order = np.argsort(problem.observation_image, kind="stable")
     bal = {
         "camera_params": problem.camera_params * [1, 0, 0, 1, 1],
-        "observation_xy": problem.observation_xy - problem.camera_params[0, 1:3],
+        "observation_image": problem.observation_image[order],
+        "observation_point": problem.observation_point[order],
+        "observation_xy": problem.observation_xy[order] - PARAMS["RADIAL"][1:3],
         "camera_sizes": np.zeros((problem.num_cameras, 2)),
         "image_names": [""] * num_images,
         "image_ids": np.arange(num_images),

@@ -93,7 +93,7 @@ def test_counts_and_histograms():
     (group,) = description.cameras
     assert (group.model, group.num_cameras, group.num_images) == ("RADIAL", 4, 4)
     assert group.images_per_camera == (1, 1)
-    assert group.focal == (503, 503)
+    assert group.focal == (800, 803)
     assert group.supported
 
 

@@ -1,21 +1,47 @@
+#include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "core/io/colmap_checker.h"
 
 namespace py = pybind11;
 
+namespace bundle {
+namespace {
+
+/// Hands a vector to NumPy without a copy.
+template <typename T>
+py::array_t<T> ToNumpy(std::vector<T> values, std::vector<py::ssize_t> shape) {
+  auto* owner = new std::vector<T>(std::move(values));
+  const py::capsule deleter(owner,
+                            [](void* vector) { delete static_cast<std::vector<T>*>(vector); });
+  return py::array_t<T>(std::move(shape), owner->data(), deleter);
+}
+
+py::tuple CheckModel(const std::string& folder) {
+  ColmapCheck check;
+  {
+    const py::gil_scoped_release release;
+    check = CheckColmapModel(folder);
+  }
+  ColmapObservations& observations = check.observations;
+  const auto size = static_cast<py::ssize_t>(observations.image.size());
+  return py::make_tuple(check.binary, check.names_with_spaces,
+                        ToNumpy(std::move(observations.image), {size}),
+                        ToNumpy(std::move(observations.point), {size}),
+                        ToNumpy(std::move(observations.keypoint), {size}),
+                        ToNumpy(std::move(observations.xy), {size, 2}));
+}
+
+}  // namespace
+}  // namespace bundle
+
 void BindColmap(py::module_& m) {
   m.def("is_colmap_model", &bundle::IsColmapModel, py::arg("folder"),
         py::call_guard<py::gil_scoped_release>());
-  m.def(
-      "check_colmap_model",
-      [](const std::string& folder) {
-        bundle::ColmapCheck check = bundle::CheckColmapModel(folder);
-        return std::pair(check.binary, std::move(check.names_with_spaces));
-      },
-      py::arg("folder"), py::call_guard<py::gil_scoped_release>());
+  m.def("check_colmap_model", &bundle::CheckModel, py::arg("folder"));
 }

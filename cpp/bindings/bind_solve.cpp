@@ -111,8 +111,8 @@ py::array_t<double> ToArray(std::vector<double> values, py::ssize_t columns) {
   return py::array_t<double>({rows, columns}, owned->data(), owner);
 }
 
-/// Tells Python of each iteration and looks for Ctrl-C. An exception of the callback stops the solve
-/// and is kept; KeyboardInterrupt only stops it.
+/// Tells Python of each iteration and looks for Ctrl-C. An exception of the callback stops the
+/// solve and is kept; KeyboardInterrupt only stops it.
 class PythonProgress {
  public:
   explicit PythonProgress(py::object callback) : callback_(std::move(callback)) {}

@@ -24,8 +24,7 @@ void VisitOptions(Options& o, const Visitor& visit) {
   visit("linear_solver_type", o.linear_solver_type, bundle::kLinearSolverTypes);
   visit("linear_solver_ordering", o.linear_solver_ordering, bundle::kEliminationOrderings);
   visit("preconditioner_type", o.preconditioner_type, bundle::kPreconditionerTypes);
-  visit("trust_region_strategy_type", o.trust_region_strategy_type,
-        bundle::kTrustRegionStrategies);
+  visit("trust_region_strategy_type", o.trust_region_strategy_type, bundle::kTrustRegionStrategies);
   visit("loss", o.loss, bundle::kLossTypes);
   visit("loss_scale", o.loss_scale);
   visit("max_num_iterations", o.max_num_iterations);
@@ -108,9 +107,8 @@ bundle::SolveOptions OptionsFromPython(const py::dict& options) {
   bundle::SolveOptions result;
   VisitOptions(result, Reader{options});
   const py::object refine = options["refine"];
-  VisitRefine(result, [&](const char* name, bool& value) {
-    value = refine.contains(py::str(name));
-  });
+  VisitRefine(result,
+              [&](const char* name, bool& value) { value = refine.contains(py::str(name)); });
   return result;
 }
 

@@ -61,7 +61,16 @@ def write_bal(
 
 # bind_colmap.cpp
 def is_colmap_model(folder: str | bytes) -> bool: ...
-def check_colmap_model(folder: str | bytes) -> tuple[bool, dict[int, str]]: ...
+def check_colmap_model(
+    folder: str | bytes,
+) -> tuple[
+    bool,
+    dict[int, str],
+    NDArray[np.int32],
+    NDArray[np.int32],
+    NDArray[np.int32],
+    NDArray[np.float64],
+]: ...
 
 # bind_solve.cpp
 CERES_VERSION: str

@@ -45,7 +45,7 @@ CHEIRALITIES = ("auto", "algebraic", "zero")
 def _option(
     default: Any,
     flag: str,
-    help: str,  # noqa: A002
+    help: str,
     *,
     choices: tuple[str, ...] | None = None,
     minimum: float | None = None,
@@ -144,7 +144,8 @@ class SolveOptions:
     gauge: str = _option(
         "auto",
         "--gauge",
-        "what holds the seven free degrees of the world; auto: two-cameras for COLMAP, none for BAL",
+        "what holds the seven free degrees of the world; "
+        "auto: two-cameras for COLMAP, none for BAL",
         choices=GAUGES,
     )
     cheirality: str = _option(
@@ -188,7 +189,8 @@ def _choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
 
 def _names(value: Any) -> tuple[str, ...]:
     names = value.split(",") if isinstance(value, str) else list(value)
-    chosen = {_choice("refine", name.strip(), REFINABLE) for name in map(str, names) if name.strip()}
+    given = [str(name).strip() for name in names]
+    chosen = {_choice("refine", name, REFINABLE) for name in given if name}
     return tuple(name for name in REFINABLE if name in chosen)
 
 

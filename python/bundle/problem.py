@@ -1,8 +1,8 @@
 """The problem: cameras, images, points and observations as read-only NumPy arrays.
 
 Conventions are COLMAP's. A point ``X`` of the world appears in the frame of image ``i`` as
-``R(q) X + t`` with ``cam_from_world[i] = (qx, qy, qz, qw, tx, ty, tz)``: x right, y down, z forward;
-the centre of the upper left pixel is (0.5, 0.5).
+``R(q) X + t`` with ``cam_from_world[i] = (qx, qy, qz, qw, tx, ty, tz)``: x right, y down, z
+forward; the centre of the upper left pixel is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -54,20 +54,20 @@ class Problem:
         image_camera: (num_images,) index (not id) of each image's camera.
         camera_ids: (num_cameras,) ids in the source.
         camera_models: num_cameras COLMAP model names.
-        camera_params: (num_cameras, width) parameters in COLMAP's order (pixels for focal lengths and
-            principal point), rows padded with zeros to the longest model.
+        camera_params: (num_cameras, width) parameters in COLMAP's order (pixels for focal lengths
+            and principal point), rows padded with zeros to the longest model.
         camera_sizes: (num_cameras, 2) image width and height in pixels, 0 where unknown.
         points: (num_points, 3) world coordinates in the reconstruction's length unit.
         point_ids: (num_points,) ids in the source.
         observation_image: (num_observations,) image index of each observation.
         observation_point: (num_observations,) point index of each observation.
         observation_xy: (num_observations, 2) measured position in pixels.
-        observation_keypoint: (num_observations,) index of the observation among the keypoints of its
-            image in the source; -1 where the source has no keypoints.
-        format: "bal", "colmap" or "memory": where it came from. Decides the defaults of ``gauge`` and
-            ``cheirality`` and what ``bundle.save`` writes when the path does not say.
-        source: what was read, kept so that writing back loses nothing (a pycolmap.Reconstruction for
-            COLMAP models). Never changed.
+        observation_keypoint: (num_observations,) index of the observation among the keypoints of
+            its image in the source; -1 where the source has no keypoints.
+        format: "bal", "colmap" or "memory": where it came from. Decides the defaults of ``gauge``
+            and ``cheirality`` and what ``bundle.save`` writes when the path does not say.
+        source: what was read, kept so that writing back loses nothing (a pycolmap.Reconstruction
+            for COLMAP models). Never changed.
 
     Raises:
         InputError: an array has the wrong shape, holds a value that is not finite, an index out of
@@ -155,10 +155,10 @@ class Problem:
 
 
 def _as_array(name: str, value: Any, dtype: type) -> NDArray[Any]:
-    """Return the value as a contiguous array of the type, without a copy where it is one already."""
+    """Return the value as a contiguous array of the type; itself where it is one already."""
     try:
         given = np.asarray(value)
-        array = np.ascontiguousarray(given, dtype=dtype)
+        array: NDArray[Any] = np.ascontiguousarray(given, dtype=dtype)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"{name}: expected numbers, found {type(value).__name__}") from None
     if np.issubdtype(dtype, np.integer) and given.dtype != array.dtype and (given != array).any():

@@ -28,8 +28,8 @@ class Linearization(NamedTuple):
         residual: (N, 2) projection minus measurement, in pixels.
         d_pose: (N, 2, 6) by the pose (w, t) of the observation's image, where the rotation is
             Exp(w) R with R that of the problem, w in radians, t in the length unit.
-        d_params: (N, 2, width) by the parameters of the camera, in COLMAP's order, zero beyond those
-            of its model.
+        d_params: (N, 2, width) by the parameters of the camera, in COLMAP's order, zero beyond
+            those of its model.
         d_point: (N, 2, 3) by the point.
     """
 
@@ -52,8 +52,9 @@ def reprojection_errors(
     """Return the reprojection error of each observation.
 
     Returns:
-        ||r|| in pixels, (num_observations,), by the formula also for points behind their camera, NaN
-        where it has no value; and whether the point is out of the camera's sight, (num_observations,).
+        ||r|| in pixels, (num_observations,), by the formula also for points behind their camera,
+        NaN where it has no value; and whether the point is out of the camera's sight,
+        (num_observations,).
 
     Raises:
         InputError: an observed image has a camera model that is not supported.

@@ -18,9 +18,9 @@ __all__ = ["ReprojectionError", "Result", "Summary"]
 class ReprojectionError:
     """Reprojection errors ||r|| over the observations that have one, in pixels.
 
-    ``rmse`` is sqrt(mean ||r||^2). Observations behind their camera, and those whose projection does
-    not exist, are counted and, unless ``cheirality`` is "algebraic", left out of the statistics.
-    Every number is NaN where there is no observation.
+    ``rmse`` is sqrt(mean ||r||^2). Observations behind their camera, and those whose projection
+    does not exist, are counted and, unless ``cheirality`` is "algebraic", left out of the
+    statistics. Every number is NaN where there is no observation.
     """
 
     rmse: float
@@ -34,9 +34,9 @@ class ReprojectionError:
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """Ceres' Solver::Summary under Ceres' field names, times in seconds, -1 where Ceres did not measure.
+    """Ceres' Solver::Summary under Ceres' field names; times in seconds, -1 where not measured.
 
-    Beyond Ceres: ``linear_solver_choice`` (why ``auto`` took this solver; "" when it was asked for),
+    Beyond Ceres: ``linear_solver_choice`` (why ``auto`` took this solver; "" when asked for),
     ``warnings`` (sentences: a fallback, a gauge that could not be held, ...), ``interrupted``.
     Costs are 1/2 sum rho(||r||^2), r in pixels.
     """

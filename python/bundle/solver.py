@@ -32,13 +32,13 @@ def solve(
     Args:
         problem: left untouched.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
-        progress: called after each iteration with a dict under the names of Ceres' IterationSummary.
-            What it raises stops the solve and comes out of this function.
+        progress: called after each iteration with a dict under the names of Ceres'
+            IterationSummary. What it raises stops the solve and comes out of this function.
         **changes: options by name, in place of those in ``options``.
 
     Raises:
-        InputError: a camera model that is not supported, a fixed id that does not exist, options that
-            exclude each other, or dense matrices beyond the memory of this machine.
+        InputError: a camera model that is not supported, a fixed id that does not exist, options
+            that exclude each other, or dense matrices beyond the memory of this machine.
     """
     options = (options or SolveOptions()).replace(**changes)
     options = _resolve_defaults(problem, options)

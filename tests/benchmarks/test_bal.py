@@ -6,6 +6,7 @@ import gzip
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 from benchmarks.runners import pycolmap_
 
@@ -70,3 +71,15 @@ def test_the_pycolmap_model_has_the_same_cost_and_leads_back(scene):
     back = pycolmap_.to_bal(reconstruction, scene)
     np.testing.assert_allclose(back.cameras, scene.cameras, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(back.points, scene.points)
+
+
+def test_a_quaternion_that_is_not_quite_of_unit_length_costs_the_same(scene):
+    reconstruction = pycolmap_.to_reconstruction(scene)
+    exact = colmap.cost(reconstruction)
+    for image_id in reconstruction.reg_image_ids():
+        frame = reconstruction.frames[image_id]
+        pose = frame.rig_from_world
+        stretched = pycolmap.Rotation3d(1.001 * pose.rotation.quat)
+        frame.rig_from_world = pycolmap.Rigid3d(stretched, pose.translation)
+    assert np.linalg.norm(reconstruction.images[1].cam_from_world().rotation.quat) > 1.0005
+    assert colmap.cost(reconstruction) == pytest.approx(exact, rel=1e-10)

@@ -105,7 +105,7 @@ def test_behind_the_camera(model):
 
 
 def test_wrong_arguments_are_named():
-    with pytest.raises(bundle.InputError, match=r"SIMPLE_PINHOLE: expected 3 parameters \(f, cx, cy\)"):
+    with pytest.raises(bundle.InputError, match=r"expected 3 parameters \(f, cx, cy\)"):
         bundle.project("SIMPLE_PINHOLE", [1.0, 2.0], np.zeros((1, 3)))
     with pytest.raises(bundle.InputError, match="found 'NO_MODEL'"):
         bundle.project("NO_MODEL", [1.0], np.zeros((1, 3)))

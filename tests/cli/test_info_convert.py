@@ -62,5 +62,5 @@ def test_convert_says_what_is_lost(run, tmp_path, monkeypatch):
     monkeypatch.setattr("bundle.io.load", lambda _: shared)
     code, out, _ = run("convert", "anything", tmp_path / "r.txt")
     assert code == 0
-    assert "- 1 cameras shared by 4 images become one camera an image." in out
+    assert "- Cameras shared by several images (1) become one an image." in out
     assert "- Sizes of images are left out." in out

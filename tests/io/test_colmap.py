@@ -39,6 +39,17 @@ def test_real_model_survives_unchanged(
     assert errors_of(result) == errors_of(source)
 
 
+@pytest.mark.parametrize("name", REAL_MODELS)
+def test_observations_of_the_files_are_those_of_the_reconstruction(
+    bundle_data: Path, name: str
+) -> None:
+    folder = bundle_data / "colmap" / name
+    loaded = colmap.load(folder)
+    converted = Problem.from_pycolmap(pycolmap.Reconstruction(folder))
+    for array in (*ARRAYS, "observation_keypoint"):
+        np.testing.assert_array_equal(getattr(loaded, array), getattr(converted, array))
+
+
 @pytest.mark.parametrize("read_binary", [True, False], ids=["from-binary", "from-text"])
 @pytest.mark.parametrize("write_binary", [True, False], ids=["to-binary", "to-text"])
 def test_synthetic_model_survives_unchanged(

@@ -7,7 +7,7 @@ from tests import scenes
 
 # rho(s) for s = ||r||^2, scale a: the formulas of Ceres' documentation.
 LOSSES = {
-    "trivial": lambda s, a: s,
+    "trivial": lambda s, _: s,
     "huber": lambda s, a: np.where(s <= a * a, s, 2 * a * np.sqrt(s) - a * a),
     "soft_l1": lambda s, a: 2 * a * a * (np.sqrt(1 + s / (a * a)) - 1),
     "cauchy": lambda s, a: a * a * np.log1p(s / (a * a)),

@@ -181,9 +181,7 @@ def test_blocks_are_merged_so_that_ceres_can_specialise(
     model, shared, refine, structure, ordering, solver
 ):
     problem = scenes.make_problem(model=model, shared=shared, seed=10)
-    summary = bundle.solve(
-        problem, linear_solver_type=solver, refine=refine, gauge="none"
-    ).summary
+    summary = bundle.solve(problem, linear_solver_type=solver, refine=refine, gauge="none").summary
     assert summary.schur_structure_used == structure
     assert summary.linear_solver_ordering_given == ordering
     assert summary.linear_solver_ordering_used == ordering

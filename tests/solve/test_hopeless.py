@@ -6,7 +6,14 @@ import pytest
 import bundle
 from tests import scenes
 
-SOLVERS = ["auto", "dense_schur", "sparse_schur", "iterative_schur", "sparse_normal_cholesky", "cgnr"]
+SOLVERS = [
+    "auto",
+    "dense_schur",
+    "sparse_schur",
+    "iterative_schur",
+    "sparse_normal_cholesky",
+    "cgnr",
+]
 
 
 def turned_away():

@@ -66,7 +66,11 @@ def test_dense_matrices_beyond_memory_are_refused_with_their_size(options):
 @pytest.mark.parametrize("solver", ["dense_schur", "sparse_schur", "iterative_schur"])
 @pytest.mark.parametrize(
     ("refine", "ordering"),
-    [("poses,focal,extra", "points_first"), ("points", "cameras_first"), ("points", "points_first")],
+    [
+        ("poses,focal,extra", "points_first"),
+        ("points", "cameras_first"),
+        ("points", "points_first"),
+    ],
 )
 def test_no_schur_solver_is_replaced_when_one_side_is_fixed(refine, ordering, solver, shared):
     """Fixed blocks never reach Ceres, so its fallback to DENSE_QR of the whole Jacobian cannot."""

@@ -51,9 +51,9 @@ struct OpenCv {
       p.ChainRow(fy * cross, fy * (factor + slope * v * v + 2 * p2 * u + 6 * p1 * v), d_point + 3);
     }
     if (d_params != nullptr) {
-      const double row_x[] = {u_d, 0, 1, 0, fx * s * u, fx * s * s * u, fx * two_uv,
-                              fx * tangential_u};
-      const double row_y[] = {0, v_d, 0, 1, fy * s * v, fy * s * s * v, fy * tangential_v,
+      const double row_x[] = {
+          u_d, 0, 1, 0, fx * s * u, fx * s * s * u, fx * two_uv, fx * tangential_u};
+      const double row_y[] = {0,          v_d, 0, 1, fy * s * v, fy * s * s * v, fy * tangential_v,
                               fy * two_uv};
       for (int i = 0; i < 8; ++i) d_params[i] = row_x[i], d_params[8 + i] = row_y[i];
     }

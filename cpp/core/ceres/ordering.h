@@ -10,8 +10,9 @@
 namespace bundle {
 
 /// The elimination order for one solve, made anew each time because Ceres changes what it is given.
-/// Group 0 is eliminated first: the points, or the images' blocks for kCamerasFirst; everything else
-/// is group 1. nullptr for kAutomatic. `points` and `state` are where the parameter blocks live.
+/// Group 0 is eliminated first: the points, or the images' blocks for kCamerasFirst; everything
+/// else is group 1. nullptr for kAutomatic. `points` and `state` are where the parameter blocks
+/// live.
 std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering ordering,
                                                             const ParameterLayout& layout,
                                                             int num_points, double* points,

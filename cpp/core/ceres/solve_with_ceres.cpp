@@ -181,8 +181,8 @@ class CeresSolve {
         shape.num_free_points > 0 && shape.num_camera_columns > 0) {
       // n steps of conjugate gradients solve n equations; a further one divides zero by zero, which
       // Ceres takes for a failure of the step.
-      result.max_linear_solver_iterations = static_cast<int>(std::min<int64_t>(
-          result.max_linear_solver_iterations, shape.num_camera_columns));
+      result.max_linear_solver_iterations = static_cast<int>(
+          std::min<int64_t>(result.max_linear_solver_iterations, shape.num_camera_columns));
     }
     result.linear_solver_ordering =
         MakeOrdering(options.linear_solver_ordering, layout_, problem_.num_points, points_.data(),

@@ -5,8 +5,8 @@
 
 namespace bundle {
 
-/// Ceres' summary in our words. `fixed_cost` is the cost of observations that Ceres never saw; it is
-/// added to every cost.
+/// Ceres' summary in our words. `fixed_cost` is the cost of observations that Ceres never saw; it
+/// is added to every cost.
 SolveSummary Summarize(const ceres::Solver::Summary& summary, double fixed_cost);
 
 IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost);

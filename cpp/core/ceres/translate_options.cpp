@@ -58,9 +58,9 @@ void SetLinearSolver(const SolveOptions& options, ceres::Solver::Options* result
   const bool has_suite_sparse =
       ceres::IsSparseLinearAlgebraLibraryTypeAvailable(ceres::SUITE_SPARSE);
   if (IsSparseDirect(type) && !has_suite_sparse) {
-    throw InputError("linear_solver_type: " + std::string(LinearSolverTypeToString(
-                                                  result->linear_solver_type)) +
-                     " needs SuiteSparse, which this Ceres was built without");
+    throw InputError(
+        "linear_solver_type: " + std::string(LinearSolverTypeToString(result->linear_solver_type)) +
+        " needs SuiteSparse, which this Ceres was built without");
   }
   if (has_suite_sparse) result->sparse_linear_algebra_library_type = ceres::SUITE_SPARSE;
   if (ceres::IsDenseLinearAlgebraLibraryTypeAvailable(ceres::LAPACK)) {

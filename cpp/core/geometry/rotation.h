@@ -2,7 +2,8 @@
 
 /// Rotations of three-space: the exponential map, its left Jacobian, and unit quaternions.
 ///
-/// For w in R^3 with angle a = |w| and W = [w]x (the matrix with W v = w x v), Rodrigues' formula is
+/// For w in R^3 with angle a = |w| and W = [w]x (the matrix with W v = w x v), Rodrigues' formula
+/// is
 ///
 ///   Exp(w) = I + A W + B W^2,         A = sin(a) / a,      B = (1 - cos(a)) / a^2,
 ///

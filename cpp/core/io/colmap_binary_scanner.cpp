@@ -153,7 +153,10 @@ void ScanKeypoints(ColmapIndex* index, ByteReader* reader, const std::string& su
                                   ": expected finite coordinates, found " + FormatNumber(xy[0]) +
                                   " " + FormatNumber(xy[1]));
     }
-    index->keypoint_point_ids.push_back(reader->Read<uint64_t>("a point id"));
+    const auto point_id = reader->Read<uint64_t>("a point id");
+    index->keypoint_point_ids.push_back(point_id);
+    if (point_id == kInvalidPoint3DId) continue;
+    index->triangulated_xy.insert(index->triangulated_xy.end(), {xy[0], xy[1]});
   }
 }
 

@@ -4,6 +4,7 @@
 #include <string>
 #include <system_error>
 #include <utility>
+#include <vector>
 
 #include "core/error.h"
 #include "core/io/colmap_index.h"
@@ -71,8 +72,9 @@ ColmapCheck CheckColmapModel(const std::string& folder) {
   const bool binary = missing_binary.empty();
   ColmapIndex index = ScanFiles(folder, binary ? kColmapBinaryScanner : kColmapTextScanner);
   CheckNotEmpty(index);
-  CheckColmapReferences(index);
-  return {binary, std::move(index.names_with_spaces)};
+  const std::vector<int64_t> point_of_keypoint = CheckColmapReferences(index);
+  return {binary, std::move(index.names_with_spaces),
+          SortColmapObservations(index, point_of_keypoint)};
 }
 
 }  // namespace bundle

@@ -4,13 +4,17 @@
 #include <map>
 #include <string>
 
+#include "core/io/colmap_observations.h"
+
 namespace bundle {
 
 struct ColmapCheck {
-  bool binary;  ///< what COLMAP reads where the folder holds both formats
+  bool binary = false;  ///< what COLMAP reads where the folder holds both formats
 
   /// Full names of the images whose names COLMAP's text reader cuts at a space, by image id.
   std::map<uint32_t, std::string> names_with_spaces;
+
+  ColmapObservations observations;  ///< by the way: through pycolmap they would take far longer
 };
 
 /// True if the folder holds cameras, images and points3D, all binary or all text.

@@ -22,8 +22,9 @@ constexpr uint64_t kMaxPoint3DId = std::numeric_limits<int64_t>::max();
 enum class SensorType : int32_t { kCamera = 0, kImu = 1 };
 
 /// What the files of a COLMAP model say of each other: every id, every reference, and where it
-/// stands, but no coordinates. The scanners of the text and of the binary format fill one, after
-/// checking what can be checked on the spot; CheckColmapReferences does the rest.
+/// stands, but no coordinates save those of observations. The scanners of the text and of the
+/// binary format fill one, after checking what can be checked on the spot; CheckColmapReferences
+/// does the rest.
 ///
 /// `at` is the place of a record: its line in a text file, the byte it begins at in a binary one.
 struct ColmapIndex {
@@ -74,8 +75,8 @@ struct ColmapIndex {
   std::vector<Camera> cameras;
   std::vector<Frame> frames;
   std::vector<Image> images;
-  std::vector<uint64_t>
-      keypoint_point_ids;  ///< of all images, kInvalidPoint3DId where there is none
+  std::vector<uint64_t> keypoint_point_ids;  ///< of all images; kInvalidPoint3DId for none
+  std::vector<double> triangulated_xy;       ///< x, y of the keypoints with a point, in their order
   std::vector<Point> points;
   std::vector<TrackElement> track_elements;  ///< of all points
 
@@ -103,7 +104,8 @@ struct ColmapScanner {
 extern const ColmapScanner kColmapTextScanner;
 extern const ColmapScanner kColmapBinaryScanner;
 
-/// Checks that ids are unique and references resolve. Throws InputError as the scanners do.
-void CheckColmapReferences(const ColmapIndex& index);
+/// Checks that ids are unique and references resolve. Throws InputError as the scanners do. Returns
+/// the position in `points` of each keypoint's point, -1 where it has none.
+std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index);
 
 }  // namespace bundle

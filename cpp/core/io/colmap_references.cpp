@@ -133,9 +133,9 @@ void CheckPointIdsUnique(const ColmapIndex& index) {
   index.points_file.Fail(at, "expected each point once, found " + Name("point", id) + " again");
 }
 
-/// Tracks against keypoints: each names the other, once.
-void CheckTracks(const ColmapIndex& index, const IdMap& images) {
-  std::vector<bool> in_track(index.keypoint_point_ids.size(), false);
+/// Tracks against keypoints: each names the other, once. Returns each keypoint's point.
+std::vector<int64_t> CheckTracks(const ColmapIndex& index, const IdMap& images) {
+  std::vector<int64_t> point_of_keypoint(index.keypoint_point_ids.size(), IdMap::kNone);
   for (size_t p = 0; p < index.points.size(); ++p) {
     const ColmapIndex::Point& point = index.points[p];
     const uint64_t last = p + 1 < index.points.size() ? index.points[p + 1].first_element
@@ -164,23 +164,27 @@ void CheckTracks(const ColmapIndex& index, const IdMap& images) {
              " to refer back to it, found " +
              (point_id == kInvalidPoint3DId ? "no point" : Name("point", point_id)));
       }
-      if (in_track[keypoint]) {
+      if (point_of_keypoint[keypoint] != IdMap::kNone) {
         fail("expected each keypoint once in the track, found " +
              Name("keypoint", element.keypoint) + " of " + Name("image", image.id) + " again");
       }
-      in_track[keypoint] = true;
+      point_of_keypoint[keypoint] = static_cast<int64_t>(p);
     }
   }
   for (const ColmapIndex::Image& image : index.images) {
     for (uint64_t k = 0; k < image.num_keypoints; ++k) {
       const uint64_t point_id = index.keypoint_point_ids[image.first_keypoint + k];
-      if (point_id == kInvalidPoint3DId || in_track[image.first_keypoint + k]) continue;
+      if (point_id == kInvalidPoint3DId ||
+          point_of_keypoint[image.first_keypoint + k] != IdMap::kNone) {
+        continue;
+      }
       index.images_file.Fail(index.KeypointPlace(image, k),
                              Name("image", image.id) + ", " + Name("keypoint", k) +
                                  ": expected a point with this keypoint in its track, found " +
                                  Name("point", point_id));
     }
   }
+  return point_of_keypoint;
 }
 
 }  // namespace
@@ -194,7 +198,7 @@ uint64_t ColmapIndex::TrackElementPlace(const Point& point, uint64_t element) co
          (kind == ModelFile::Kind::kBinary ? kPointSize + element * kTrackElementSize : 0);
 }
 
-void CheckColmapReferences(const ColmapIndex& index) {
+std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index) {
   const IdMap cameras(index.cameras, index.cameras_file, "camera");
   const IdMap rigs(index.rigs, index.rigs_file, "rig");
   const IdMap frames(index.frames, index.frames_file, "frame");
@@ -204,7 +208,7 @@ void CheckColmapReferences(const ColmapIndex& index) {
   CheckFrames(index, rigs, images, &frame_of_image);
   CheckImages(index, cameras, frame_of_image);
   CheckPointIdsUnique(index);
-  CheckTracks(index, images);
+  return CheckTracks(index, images);
 }
 
 }  // namespace bundle

@@ -71,13 +71,14 @@ void ScanKeypoints(ColmapIndex* index, ColmapTextCursor* cursor) {
   ColmapIndex::Image& image = index->images.back();
   image.keypoints_at = cursor->line();
   while (!cursor->AtEndOfLine()) {
-    cursor->Number("the x of a keypoint");
-    cursor->Number("the y of a keypoint");
+    const double x = cursor->Number("the x of a keypoint");
+    const double y = cursor->Number("the y of a keypoint");
     const int64_t point_id = cursor->SignedInteger("the point id of a keypoint");
     if (point_id < -1) {
       cursor->Fail("expected a point id, or -1 for none, found " + std::to_string(point_id));
     }
     index->keypoint_point_ids.push_back(static_cast<uint64_t>(point_id));  // -1: kInvalidPoint3DId
+    if (point_id != -1) index->triangulated_xy.insert(index->triangulated_xy.end(), {x, y});
     ++image.num_keypoints;
   }
 }

@@ -26,10 +26,9 @@ void LinearizeOne(const ProblemView& problem, const PoseState& pose, int64_t i,
   const int camera = problem.image_camera[problem.observation_image[i]];
   const int stride = problem.camera_params_stride;
   ReprojectionJacobian<kParams> jacobian;
-  EvaluateReprojection<Model>(pose, problem.ParamsOf(camera),
-                              problem.points + 3 * int64_t{problem.observation_point[i]},
-                              problem.observation_xy + 2 * i, cheirality, out.residual + 2 * i,
-                              &jacobian);
+  EvaluateReprojection<Model>(
+      pose, problem.ParamsOf(camera), problem.points + 3 * int64_t{problem.observation_point[i]},
+      problem.observation_xy + 2 * i, cheirality, out.residual + 2 * i, &jacobian);
   std::copy_n(jacobian.pose, 12, out.d_pose + 12 * i);
   std::copy_n(jacobian.point, 6, out.d_point + 6 * i);
   double* d_params = out.d_params + 2 * stride * i;

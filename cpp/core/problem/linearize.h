@@ -5,7 +5,8 @@
 
 namespace bundle {
 
-/// Residuals and derivatives of every observation, each array of its own, row-major, n observations.
+/// Residuals and derivatives of every observation, each array of its own, row-major, n
+/// observations.
 struct Linearization {
   double* residual = nullptr;  ///< n x 2, pixels
   double* d_pose = nullptr;    ///< n x 2 x 6, by the chart (w, t) of reprojection.h

@@ -37,8 +37,8 @@ void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, doub
       const int camera = problem.image_camera[image];
       const double* translation = problem.cam_from_world + 7 * image + 4;
       double point[3], xy[2];
-      MatrixVector3(&rotations[9 * image], problem.points + 3 * static_cast<int64_t>(problem.observation_point[i]),
-                    point);
+      MatrixVector3(&rotations[9 * image],
+                    problem.points + 3 * static_cast<int64_t>(problem.observation_point[i]), point);
       for (int j = 0; j < 3; ++j) point[j] += translation[j];
       const Projection projection = problem.camera_models[camera]->project(
           problem.ParamsOf(camera), point, xy, nullptr, nullptr);

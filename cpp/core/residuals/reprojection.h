@@ -75,9 +75,8 @@ bool EvaluateReprojection(const PoseState& pose, const double* params, const dou
   MatrixVector3(pose.rotation, point, rotated);
   for (int i = 0; i < 3; ++i) camera_point[i] = rotated[i] + pose.translation[i];
   const Projection projection =
-      jacobian == nullptr
-          ? Model::Project(params, camera_point, xy, nullptr, nullptr)
-          : Model::Project(params, camera_point, xy, d_point, jacobian->params);
+      jacobian == nullptr ? Model::Project(params, camera_point, xy, nullptr, nullptr)
+                          : Model::Project(params, camera_point, xy, d_point, jacobian->params);
   if (!Counts(projection, cheirality)) {
     residual[0] = residual[1] = 0;
     if (jacobian != nullptr) *jacobian = {};

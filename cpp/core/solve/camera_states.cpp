@@ -15,9 +15,9 @@ CameraStates::CameraStates(const ProblemView& problem, const ParameterLayout& la
       charts_(static_cast<size_t>(problem.num_images) * kPoseSize),
       start_rotations_(static_cast<size_t>(problem.num_images) * 9),
       poses_(problem.num_images),
-      camera_params_(problem.camera_params,
-                     problem.camera_params +
-                         static_cast<std::ptrdiff_t>(problem.num_cameras) * stride_) {
+      camera_params_(
+          problem.camera_params,
+          problem.camera_params + static_cast<std::ptrdiff_t>(problem.num_cameras) * stride_) {
   for (int64_t i = 0; i < problem.num_images; ++i) {
     const double* pose = problem.cam_from_world + 7 * i;
     QuaternionToRotation(pose, &start_rotations_[9 * i]);
@@ -49,8 +49,8 @@ std::vector<double> CameraStates::CamFromWorld() const {
     double increment[4], rotated[4];
     ExpQuaternion(w, increment);
     QuaternionProduct(increment, pose, rotated);
-    const double norm = std::hypot(std::hypot(rotated[0], rotated[1]),
-                                   std::hypot(rotated[2], rotated[3]));
+    const double norm =
+        std::hypot(std::hypot(rotated[0], rotated[1]), std::hypot(rotated[2], rotated[3]));
     for (int j = 0; j < 4; ++j) pose[j] = rotated[j] / norm;
   }
   return cam_from_world;

@@ -31,7 +31,7 @@ class CameraStates {
   const ProblemView& problem_;
   const ParameterLayout& layout_;
   const int stride_;
-  std::vector<double> charts_;          ///< (w, t) of each image
+  std::vector<double> charts_;           ///< (w, t) of each image
   std::vector<double> start_rotations_;  ///< R0 of each image
   std::vector<PoseState> poses_;
   std::vector<double> camera_params_;

@@ -15,9 +15,9 @@
 namespace bundle {
 namespace {
 
-constexpr int64_t kSmallSystem = 600;         // columns: below, dense costs milliseconds
+constexpr int64_t kSmallSystem = 600;          // columns: below, dense costs milliseconds
 constexpr int64_t kLargestFactorised = 30000;  // columns: above, factors outgrow the machine
-constexpr double kDenseFill = 0.35;           // share of nonzero pairs that fills in to dense
+constexpr double kDenseFill = 0.35;            // share of nonzero pairs that fills in to dense
 
 /// "The reduced camera system (5000 columns)"
 std::string Subject(const ProblemShape& shape) {
@@ -38,8 +38,7 @@ SolverChoice ChooseLinearSolver(const ProblemView& problem, const ParameterLayou
     return {LinearSolverType::kDenseSchur,
             Subject(shape) + " is small: its dense factorisation costs milliseconds."};
   }
-  const double density =
-      columns > kLargestFactorised ? -1 : CountSchurDensity(problem, layout);
+  const double density = columns > kLargestFactorised ? -1 : CountSchurDensity(problem, layout);
   if (density < 0) {
     return {LinearSolverType::kIterativeSchur,
             Subject(shape) + " is too large to factorise: it is solved by conjugate gradients."};

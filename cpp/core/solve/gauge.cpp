@@ -1,11 +1,11 @@
 /// Fixing the gauge.
 ///
 /// Two cameras: the first pose is fixed (six degrees), and of the second one coordinate of its
-/// translation. Scaling the world by s about the first camera moves a second camera's translation by
-/// t_2 -> t_2 + (s - 1) t_21, where t_21 is the translation of cam2_from_cam1. Holding the coordinate
-/// in which t_21 is largest therefore holds the scale best. (COLMAP takes the largest coordinate of
-/// the inverse motion; both hold the gauge, so both reach the same cost.) The second camera is the
-/// first after it, in the order of images, that stands elsewhere, as in COLMAP.
+/// translation. Scaling the world by s about the first camera moves a second camera's translation
+/// by t_2 -> t_2 + (s - 1) t_21, where t_21 is the translation of cam2_from_cam1. Holding the
+/// coordinate in which t_21 is largest therefore holds the scale best. (COLMAP takes the largest
+/// coordinate of the inverse motion; both hold the gauge, so both reach the same cost.) The second
+/// camera is the first after it, in the order of images, that stands elsewhere, as in COLMAP.
 ///
 /// Three points: all nine coordinates of three points that are not on a line, as COLMAP does. That
 /// is two more than the gauge has: the shape of their triangle does not change any more. They are
@@ -70,8 +70,9 @@ std::vector<std::string> FixTwoCameras(const ProblemView& problem, const std::ve
       return {};
     }
   }
-  return {"Gauge two_cameras holds only one image: no second image stands elsewhere, so the scale "
-          "is free."};
+  return {
+      "Gauge two_cameras holds only one image: no second image stands elsewhere, so the scale "
+      "is free."};
 }
 
 /// Squared distance of point p from point a, or from the line through a and b if b >= 0.

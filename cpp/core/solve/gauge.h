@@ -10,8 +10,8 @@
 namespace bundle {
 
 /// Takes the seven degrees of freedom that no observation sees (rotation, translation, scale of the
-/// world) out of `free`, unless two images or three points that are fixed already hold them. Returns
-/// sentences, to be shown to the user, where that could not be done as asked.
+/// world) out of `free`, unless two images or three points that are fixed already hold them.
+/// Returns sentences, to be shown to the user, where that could not be done as asked.
 std::vector<std::string> FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free);
 
 }  // namespace bundle

@@ -1,8 +1,9 @@
 #pragma once
 
 /// What a solve is asked for. No solver's header is included here: `ceres/translate_options.cpp`
-/// turns these into Ceres' options. Names, defaults and ranges are those of python/bundle/options.py
-/// (a test holds them against each other); values arrive here checked for range.
+/// turns these into Ceres' options. Names, defaults and ranges are those of
+/// python/bundle/options.py (a test holds them against each other); values arrive here checked for
+/// range.
 
 #include <cstdint>
 #include <string_view>
@@ -66,9 +67,8 @@ inline constexpr NamedValue<TrustRegionStrategy> kTrustRegionStrategies[] = {
     {"dogleg", TrustRegionStrategy::kDogleg},
     {"subspace_dogleg", TrustRegionStrategy::kSubspaceDogleg}};
 inline constexpr NamedValue<LossType> kLossTypes[] = {
-    {"trivial", LossType::kTrivial}, {"huber", LossType::kHuber},
-    {"soft_l1", LossType::kSoftL1},  {"cauchy", LossType::kCauchy},
-    {"arctan", LossType::kArctan},   {"tukey", LossType::kTukey}};
+    {"trivial", LossType::kTrivial}, {"huber", LossType::kHuber},   {"soft_l1", LossType::kSoftL1},
+    {"cauchy", LossType::kCauchy},   {"arctan", LossType::kArctan}, {"tukey", LossType::kTukey}};
 inline constexpr NamedValue<Gauge> kGauges[] = {{"none", Gauge::kNone},
                                                 {"two_cameras", Gauge::kTwoCameras},
                                                 {"three_points", Gauge::kThreePoints}};

@@ -4,10 +4,10 @@
 ///
 /// The state is [block 0 | block 1 | ...], each block the free numbers of one image (pose, then its
 /// camera's intrinsics if no other image uses that camera) or of one camera that several images
-/// share; points stay an array of their own. A block holds only what is refined, so nothing constant
-/// reaches a solver: no subset manifolds, no zero columns, and blocks of one size wherever the
-/// problem allows it, which is what fixed-size Schur kernels such as Ceres' (2,3,6) and (2,3,9) ask
-/// for.
+/// share; points stay an array of their own. A block holds only what is refined, so nothing
+/// constant reaches a solver: no subset manifolds, no zero columns, and blocks of one size wherever
+/// the problem allows it, which is what fixed-size Schur kernels such as Ceres' (2,3,6) and (2,3,9)
+/// ask for.
 ///
 /// Column j of a camera-side Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
 

@@ -38,7 +38,8 @@ std::string FindOverflow(const ProblemView& problem, Cheirality cheirality) {
   std::vector<uint8_t> behind(problem.num_observations);
   ComputeReprojectionErrors(problem, 1, errors.data(), behind.data());
   for (int64_t i = 0; i < problem.num_observations; ++i) {
-    const bool counts = !std::isnan(errors[i]) && (!behind[i] || cheirality == Cheirality::kAlgebraic);
+    const bool counts =
+        !std::isnan(errors[i]) && (!behind[i] || cheirality == Cheirality::kAlgebraic);
     if (!counts || std::isfinite(errors[i] * errors[i])) continue;
     std::ostringstream sentence;
     sentence << "The squared residual of image " << problem.image_ids[problem.observation_image[i]]

@@ -11,7 +11,8 @@ namespace {
 /// Beyond this many blocks the bit matrix of pairs (n^2 / 8 bytes) is not worth its memory.
 constexpr int kMaxBlocksToCount = 20000;
 
-/// Observations grouped by point: those of point p are order[starts[p]] to order[starts[p + 1] - 1].
+/// Observations grouped by point: those of point p are order[starts[p]] to order[starts[p + 1] -
+/// 1].
 struct Tracks {
   std::vector<int64_t> starts;
   std::vector<int32_t> images;

@@ -23,8 +23,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Write INPUT in another format."""
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
+    from bundle.errors import shown
     from bundle.io import check_target, load, output_format, save
-    from bundle.io.paths import shown
     from bundle.report import json
     from bundle.report.convert import conversion
 

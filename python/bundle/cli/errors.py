@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from bundle.errors import InputError
-from bundle.io.paths import shown
+from bundle.errors import InputError, shown
 
 __all__ = ["EXIT_BAD_INPUT", "EXIT_DONE", "EXIT_NO_SOLUTION", "describe_error"]
 

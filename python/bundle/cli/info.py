@@ -22,8 +22,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Describe INPUT."""
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
+    from bundle.errors import shown
     from bundle.io import load
-    from bundle.io.paths import shown
     from bundle.report import info, json
     from bundle.statistics import describe
 

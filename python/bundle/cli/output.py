@@ -9,9 +9,8 @@ from typing import Any
 
 from rich.console import RenderableType
 
-from bundle.errors import InputError
+from bundle.errors import InputError, shown
 from bundle.io import atomic
-from bundle.io.paths import shown
 from bundle.report import json
 from bundle.report.text import console, render
 

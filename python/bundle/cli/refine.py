@@ -34,9 +34,8 @@ def run(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
-    from bundle.errors import InputError
+    from bundle.errors import InputError, shown
     from bundle.io import check_target, load, output_format, save
-    from bundle.io.paths import shown
     from bundle.report import json
     from bundle.report.refine import outcome, refinement
     from bundle.report.timing import WallTime

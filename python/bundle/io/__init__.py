@@ -8,9 +8,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from bundle.errors import InputError
+from bundle.errors import InputError, shown
 from bundle.io import atomic, bal
-from bundle.io.paths import MODEL_FILES, missing_model_files, shown
+from bundle.io.model_files import MODEL_FILES, missing_model_files
 from bundle.problem import Problem
 
 __all__ = ["FORMATS", "check_target", "load", "output_format", "save"]

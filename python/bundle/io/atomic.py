@@ -25,8 +25,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bundle.errors import InputError
-from bundle.io.paths import MODEL_FILES, missing_model_files, shown
+from bundle.errors import InputError, shown
+from bundle.io.model_files import MODEL_FILES, missing_model_files
 
 __all__ = ["check_file", "check_folder", "replace_file", "replace_folder"]
 

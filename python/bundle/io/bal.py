@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
-from bundle.errors import InputError
-from bundle.io.paths import shown
+from bundle.errors import InputError, shown
 from bundle.problem import Problem
 
 __all__ = ["load", "losses", "radial_params", "save"]

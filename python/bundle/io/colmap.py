@@ -16,7 +16,7 @@ import pycolmap
 
 from bundle import _core
 from bundle.errors import InputError
-from bundle.io.reconstruction import from_pycolmap, problem_of, to_pycolmap
+from bundle.io.reconstruction import Observations, from_pycolmap, problem_of, to_pycolmap
 from bundle.problem import Problem
 
 __all__ = ["from_pycolmap", "is_model", "load", "save", "to_pycolmap"]
@@ -38,7 +38,9 @@ def load(path: str | os.PathLike[str]) -> Problem:
     if not folder.is_dir():
         found = "something else" if folder.exists() else "nothing"
         raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
-    binary, names_with_spaces = _core.check_colmap_model(os.fsencode(folder))
+    binary, names_with_spaces, image, point, keypoint, xy = _core.check_colmap_model(
+        os.fsencode(folder)
+    )
     reconstruction = pycolmap.Reconstruction()
     try:
         if binary:
@@ -54,7 +56,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
     for image_id, name in names_with_spaces.items():
         reconstruction.image(image_id).name = name
     try:
-        return problem_of(reconstruction)
+        return problem_of(reconstruction, Observations(image, point, keypoint, xy))
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None
 

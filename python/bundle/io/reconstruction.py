@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bundle.errors import InputError
 from bundle.problem import Problem
 
-__all__ = ["from_pycolmap", "problem_of", "to_pycolmap"]
+__all__ = ["Observations", "from_pycolmap", "problem_of", "to_pycolmap"]
 
 # COLMAP keeps the largest 32-bit number for "no image", and we hold point ids as signed numbers.
 MAX_ID = 2**32 - 2
@@ -34,16 +34,22 @@ def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
     return problem_of(pycolmap.Reconstruction(reconstruction))
 
 
-def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
-    """As :func:`from_pycolmap`, without the copy: the caller gives the reconstruction away."""
+def problem_of(
+    reconstruction: pycolmap.Reconstruction, observations: Observations | None = None
+) -> Problem:
+    """As :func:`from_pycolmap`, without the copy: the caller gives the reconstruction away.
+
+    Who knows the observations already, and has checked them, saves most of the time.
+    """
     _check_rigs(reconstruction)
     cameras = [camera for _, camera in sorted(reconstruction.cameras.items())]
     images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
     points = sorted(reconstruction.points3D.items())
     camera_index = {camera.camera_id: index for index, camera in enumerate(cameras)}
     point_ids = _ids_of_points([point_id for point_id, _ in points])
-    observations = _observations(images, point_ids)
-    _check_tracks(points, observations)
+    if observations is None:
+        observations = _observations(images, point_ids)
+        _check_tracks(points, observations)
     return Problem(
         cam_from_world=np.array([_pose(image) for image in images]).reshape(-1, 7),
         image_ids=np.array([image.image_id for image in images], np.int64),
@@ -118,8 +124,8 @@ def _padded(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class _Observations:
-    """Sorted by point, then image, then keypoint."""
+class Observations:
+    """Images and points by position in the order of their ids; sorted by point, image, keypoint."""
 
     image: NDArray[np.int32]
     point: NDArray[np.int32]
@@ -127,7 +133,7 @@ class _Observations:
     xy: NDArray[np.float64]
 
 
-def _observations(images: list[pycolmap.Image], point_ids: NDArray[np.int64]) -> _Observations:
+def _observations(images: list[pycolmap.Image], point_ids: NDArray[np.int64]) -> Observations:
     counts = np.array([image.num_points3D for image in images], np.int64)
     total = int(counts.sum())
     keypoint = np.empty(total, np.int32)
@@ -153,10 +159,10 @@ def _observations(images: list[pycolmap.Image], point_ids: NDArray[np.int64]) ->
             f"expected a point of the reconstruction, found point {point_id[bad]}"
         )
     order = np.argsort(point, kind="stable")  # images and keypoints ascend already
-    return _Observations(image_index[order], point[order], keypoint[order], xy[order])
+    return Observations(image_index[order], point[order], keypoint[order], xy[order])
 
 
-def _check_tracks(points: list[tuple[int, pycolmap.Point3D]], observations: _Observations) -> None:
+def _check_tracks(points: list[tuple[int, pycolmap.Point3D]], observations: Observations) -> None:
     """Check that each point has as many track elements as registered images observe it.
 
     Otherwise pycolmap could not compute its error: an element without a posed image.

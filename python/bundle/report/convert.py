@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import RenderableType
 
-from bundle.io.paths import shown
+from bundle.errors import shown
 from bundle.problem import Problem
 from bundle.report.refine import contents
 from bundle.report.text import facts, format_name, notes

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import RenderableType
 from rich.table import Table
 
-from bundle.io.paths import shown
+from bundle.errors import shown
 from bundle.problem import Problem
 from bundle.report.refine import contents
 from bundle.report.text import columns, facts, format_name, notes, number, pixels, plural

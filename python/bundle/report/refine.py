@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import RenderableType
 from rich.table import Table
 
-from bundle.io.paths import shown
+from bundle.errors import shown
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report.summary import sizes

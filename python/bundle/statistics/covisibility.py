@@ -93,8 +93,8 @@ def components(
 def _by_point(problem: Problem) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return image and point of each observation, sorted by point, then image, each pair once."""
     size = max(problem.num_images, 1)
-    code = problem.observation_point.astype(np.int64) * size + problem.observation_image
-    points, images = np.divmod(np.unique(code), size)
+    code = np.sort(problem.observation_point.astype(np.int64) * size + problem.observation_image)
+    points, images = np.divmod(code[np.diff(code, prepend=-1) != 0], size)
     return images, points
 
 

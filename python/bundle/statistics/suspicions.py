@@ -204,10 +204,12 @@ def _gross(errors: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
 
 
 def _duplicates(problem: Problem) -> NDArray[np.bool_]:
-    code = problem.observation_point.astype(np.int64) * max(problem.num_images, 1)
-    _, first = np.unique(code + problem.observation_image, return_index=True)
-    repeated = np.ones(problem.num_observations, bool)
-    repeated[first] = False
+    """Return which observations have the image and point of an earlier one."""
+    size = max(problem.num_images, 1)
+    code = problem.observation_point.astype(np.int64) * size + problem.observation_image
+    order = np.argsort(code, kind="stable")
+    repeated = np.empty(len(code), bool)
+    repeated[order] = np.diff(code[order], prepend=-1) == 0
     return repeated
 
 

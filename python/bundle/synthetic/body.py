@@ -4,8 +4,8 @@ The surface is ``center + half_axes * d * radius(d)`` for unit directions ``d``,
 
     radius(d) = norm(d)^-1 * (1 + sum_k amplitude_k * cos(frequency_k . d + phase_k)),
 
-where the norm is the p-norm: a ball for p = 2, the closer to a box the larger p. Before the stretch,
-the surface is the zero set of ``F(y) = |y| - radius(y / |y|)``, whose gradient
+where the norm is the p-norm: a ball for p = 2, the closer to a box the larger p. Before the
+stretch, the surface is the zero set of ``F(y) = |y| - radius(y / |y|)``, whose gradient
 
     d - (I - d d^T) grad radius(d) / |y|
 

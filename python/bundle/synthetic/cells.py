@@ -46,4 +46,5 @@ class Cells:
         counts = self.starts[cells + 1] - self.starts[cells]
         ends = np.cumsum(counts)
         total = int(ends[-1]) if len(ends) else 0
-        return np.arange(total) + np.repeat(self.starts[cells] - (ends - counts), counts)
+        members: NDArray[np.int64] = np.repeat(self.starts[cells] - (ends - counts), counts)
+        return members + np.arange(total)

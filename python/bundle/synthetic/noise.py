@@ -71,7 +71,8 @@ def _median_distance(problem: Problem, centers: Array) -> float:
 
 
 def _inverse(quaternions: Array) -> Array:
-    return quaternions * np.array([-1.0, -1.0, -1.0, 1.0])
+    inverse: Array = quaternions * np.array([-1.0, -1.0, -1.0, 1.0])
+    return inverse
 
 
 def _perturbed_params(

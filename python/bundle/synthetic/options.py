@@ -23,7 +23,8 @@ MIN_OBSERVATIONS_PER_IMAGE = 20
 
 def _option(
     default: Any,
-    help: str,  # noqa: A002
+    flag: str,
+    help: str,
     *,
     choices: tuple[str, ...] | None = None,
     minimum: float | None = None,
@@ -31,6 +32,7 @@ def _option(
     metavar: str | tuple[str, ...] | None = None,
 ) -> Any:
     metadata = {
+        "flag": flag,
         "help": help,
         "choices": choices,
         "minimum": minimum,
@@ -52,33 +54,44 @@ class SceneOptions:
 
     scene: str = _option(
         "street",
+        "--scene",
         "street: a drive through a road network; orbit: rings of cameras around an object; "
         "photo-collection: clusters of very different cameras around landmarks",
         choices=SCENES,
     )
-    num_images: int = _option(40, "number of images", minimum=2, metavar="N")
-    num_points: int = _option(3000, "number of points", minimum=20, metavar="N")
+    num_images: int = _option(40, "--images", "number of images", minimum=2, metavar="N")
+    num_points: int = _option(3000, "--points", "number of points", minimum=20, metavar="N")
     mean_track_length: float = _option(
-        6.0, "observations per point, on average", minimum=2.0, metavar="X"
+        6.0, "--track-length", "observations per point, on average", minimum=2.0, metavar="X"
     )
-    camera_model: str = _option("SIMPLE_RADIAL", "COLMAP's camera model", choices=CAMERA_MODELS)
+    camera_model: str = _option(
+        "SIMPLE_RADIAL", "--camera-model", "COLMAP's camera model", choices=CAMERA_MODELS
+    )
     cameras: str = _option(
         "auto",
+        "--cameras",
         "one camera for all images, or one an image; auto: individual for photo-collection, shared "
         "for the others",
         choices=CAMERAS,
     )
     image_size: tuple[int, int] = _option(
         (1280, 960),
+        "--image-size",
         "width and height in pixels; individual cameras of a photo-collection spread around it",
         minimum=64,
         metavar=("WIDTH", "HEIGHT"),
     )
     pixel_noise: float = _option(
-        0.5, "standard deviation of x and of y, in pixels", minimum=0.0, metavar="PIXELS"
+        0.5,
+        "--pixel-noise",
+        "standard deviation of x and of y, in pixels",
+        minimum=0.0,
+        below=1e6,
+        metavar="PIXELS",
     )
     outlier_share: float = _option(
         0.0,
+        "--outlier-share",
         "share of the observations replaced by uniformly random pixels",
         minimum=0.0,
         below=1.0,
@@ -86,25 +99,32 @@ class SceneOptions:
     )
     rotation_noise: float = _option(
         0.5,
+        "--rotation-noise",
         "perturbation of the start's rotations: standard deviation about each axis, in degrees",
         minimum=0.0,
+        below=180.0,
         metavar="DEGREES",
     )
     translation_noise: float = _option(
         0.005,
+        "--translation-noise",
         "perturbation of the start's camera centres: standard deviation along each axis, relative "
         "to the scene's scale, which is the median distance of a point from its cameras",
         minimum=0.0,
+        below=1e6,
         metavar="X",
     )
     point_noise: float = _option(
         0.005,
+        "--point-noise",
         "perturbation of the start's points, likewise relative to the scene's scale",
         minimum=0.0,
+        below=1e6,
         metavar="X",
     )
     focal_noise: float = _option(
         0.01,
+        "--focal-noise",
         "perturbation of the start's focal lengths: relative standard deviation",
         minimum=0.0,
         below=0.5,
@@ -112,19 +132,26 @@ class SceneOptions:
     )
     distortion_noise: float = _option(
         0.005,
+        "--distortion-noise",
         "perturbation of the start's radial distortion coefficients: standard deviation; a tenth "
         "of it for tangential ones",
         minimum=0.0,
+        below=1e6,
         metavar="X",
     )
     loop_closure: bool = _option(
-        True, "street only: drive laps that come back to known places, not one way"
+        True,
+        "--loop-closure",
+        "street only: drive laps that come back to known places, not one way",
     )
     num_rings: int = _option(
-        0, "orbit only: rings of cameras at different heights; 0: one per 40 images, at most 6",
-        minimum=0, metavar="N",
-    )  # fmt: skip
-    seed: int = _option(0, "same seed, same scene", minimum=0, metavar="N")
+        0,
+        "--rings",
+        "orbit only: rings of cameras at different heights; 0: one per 40 images, at most 6",
+        minimum=0,
+        metavar="N",
+    )
+    seed: int = _option(0, "--seed", "same seed, same scene", minimum=0, metavar="N")
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):

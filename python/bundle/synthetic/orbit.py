@@ -88,7 +88,7 @@ def _rings(rng: np.random.Generator, count: int, num_rings: int) -> Array:
 
 
 def _view_angle(rng: np.random.Generator, outward: Array, views: float) -> float:
-    """Return the angle within which a surface point has about ``views`` cameras, if not too wide."""
+    """Return the angle within which a point has about ``views`` cameras, or the widest angle."""
     normals = outward[rng.integers(0, len(outward), 200)] + rng.normal(0.0, 0.3, (200, 3))
     normals /= np.sqrt(dot(normals, normals))[:, None]
     cosines = np.sort(dot(normals[:, None, :], outward[None, :, :]), axis=1)[:, ::-1]

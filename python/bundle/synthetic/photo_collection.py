@@ -1,9 +1,9 @@
 """Photographs of landmarks around a square, as visitors take them.
 
-A few landmarks have most of the images. Visitors take a few shots each; they stand where their lens frames what they like, from
-the whole building to a detail through a telephoto lens; some step back and take two neighbouring
-landmarks at once, which ties the clusters together. Track lengths are heavy-tailed: most points are
-seen by a few images, some by a good share of their cluster.
+A few landmarks have most of the images. Visitors take a few shots each, and stand where their lens
+frames what they like, from the whole building to a detail through a telephoto lens; some step back
+and take two neighbouring landmarks at once, which ties the clusters together. Track lengths are
+heavy-tailed: most points are seen by a few images, some by a good share of their cluster.
 
 Length unit: metre; z is up; the square is at z = 0.
 """
@@ -119,9 +119,13 @@ class PhotoCollection(Scene):
         freedom = np.clip(1.0 - 0.6 * footprint / radius, 0.15, 1.0)[:, None]
         wander = rng.uniform([-0.6, -0.6, -0.25], [0.6, 0.6, 0.6], (count, 3))[self._visitor]
         wander = freedom * (wander + rng.normal(0.0, 0.05, (count, 3)))
-        aims, normals = self._on_landmarks(self._landmark, centers + radius[:, None] * (outward + wander))
+        aims, normals = self._on_landmarks(
+            self._landmark, centers + radius[:, None] * (outward + wander)
+        )
         steep = dot(normals, outward) < _STEEPEST_AIM
-        aims[steep] = self._on_landmarks(self._landmark, centers + radius[:, None] * outward)[0][steep]
+        aims[steep] = self._on_landmarks(self._landmark, centers + radius[:, None] * outward)[0][
+            steep
+        ]
         positions = aims + outward * distance[:, None]
         positions[:, 2] = EYE_HEIGHT + rng.normal(0.0, 0.15, count) + rng.exponential(0.5, count)
         return _Shots(positions, aims, 1.25 * footprint)
@@ -191,4 +195,5 @@ def _vary(
     factor = np.clip(np.exp(rng.normal(0.0, 0.45, len(sizes))), 0.4, 4.0)
     varied = np.maximum(np.round(sizes * factor[:, None]), 64).astype(np.int64)
     upright = (rng.random(len(sizes)) < 0.25) & ~is_panorama
-    return np.where(upright[:, None], varied[:, ::-1], varied)
+    oriented: NDArray[np.int64] = np.where(upright[:, None], varied[:, ::-1], varied)
+    return oriented

@@ -81,8 +81,8 @@ def waypoints(
     def at(where: Array) -> Array:
         return np.stack([np.interp(where, distance, path[:, axis]) for axis in range(2)], axis=1)
 
-    where = (np.arange(count) + 0.5) * spacing
-    ahead = at(where + 1.5 * spacing) - at(where - 0.5 * spacing)
+    where: Array = (np.arange(count, dtype=np.float64) + 0.5) * spacing
+    ahead: Array = at(where + 1.5 * spacing) - at(where - 0.5 * spacing)
     return at(where), np.arctan2(ahead[:, 1], ahead[:, 0])
 
 

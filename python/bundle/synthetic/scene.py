@@ -1,9 +1,9 @@
 """What the kinds of scenes have in common: images, points, and who may see whom.
 
 A scene answers one question twice, roughly and exactly. Roughly: every point has a *key* and every
-image a *ball*, and only points whose key lies in the ball can be seen; grid cells over the keys keep
-large scenes from testing every image with every point. Keys are whatever makes the balls tight:
-positions in a street, surface normals around an object. Exactly: see :mod:`.visibility`.
+image a *ball*, and only points whose key lies in the ball can be seen; grid cells over the keys
+keep large scenes from testing every image with every point. Keys are whatever makes the balls
+tight: positions in a street, surface normals around an object. Exactly: see :mod:`.visibility`.
 """
 
 from __future__ import annotations
@@ -93,9 +93,7 @@ class Pairs:
     starts: NDArray[np.int64]
 
     @staticmethod
-    def from_sorted(
-        point: NDArray[np.int32], image: NDArray[np.int32], num_points: int
-    ) -> Pairs:
+    def from_sorted(point: NDArray[np.int32], image: NDArray[np.int32], num_points: int) -> Pairs:
         """Take pairs that are sorted by point, then image."""
         starts = np.zeros(num_points + 1, dtype=np.int64)
         np.cumsum(np.bincount(point, minlength=num_points), out=starts[1:])
@@ -107,7 +105,10 @@ class Pairs:
         num_points = np.cumsum([0] + [len(part.counts) for part in parts])
         return Pairs.from_sorted(
             np.concatenate(
-                [part.point + np.int32(first) for part, first in zip(parts, num_points, strict=False)]
+                [
+                    part.point + np.int32(first)
+                    for part, first in zip(parts, num_points, strict=False)
+                ]
             ),
             np.concatenate([part.image for part in parts]),
             int(num_points[-1]),

@@ -88,7 +88,9 @@ class Street(Scene):
         positions[is_ground, 2] = rng.normal(0.0, 0.02, int(is_ground.sum()))
         normals[~is_facade] = 0.0
         normals[is_ground, 2] = 1.0
-        reach = np.where(is_facade, FACADE_REACH, np.where(is_ground, GROUND_REACH, FURNITURE_REACH))
+        reach = np.where(
+            is_facade, FACADE_REACH, np.where(is_ground, GROUND_REACH, FURNITURE_REACH)
+        )
         reach = reach * rng.uniform(0.6, 1.0, count)
         kept = np.where(is_facade, is_on, ~self._is_in_block(positions[:, :2], 0.0))
         points = Points(positions, normals, reach, positions)
@@ -103,14 +105,16 @@ class Street(Scene):
         del points
         middle = np.floor(rng.random(len(pairs.counts)) * pairs.counts)
         away = np.abs(pairs.ranks - np.repeat(middle, pairs.counts))
-        return away + rng.uniform(0.0, 1.6, len(pairs))
+        preference: Array = away + rng.uniform(0.0, 1.6, len(pairs))
+        return preference
 
     def is_clear(self, center: Array, positions: Array) -> NDArray[np.bool_]:
         """Tell whether the line of sight misses all blocks, by 12 samples along it."""
-        clear = np.ones(len(positions), dtype=np.bool_)
+        hidden = np.zeros(len(positions), dtype=np.bool_)
         for t in (np.arange(12) + 0.5) / 12.0:
-            clear &= ~self._is_in_block(center[:2] + t * (positions[:, :2] - center[:2]), 0.6)
-        return clear
+            sample = center[:2] + t * (positions[:, :2] - center[:2])
+            hidden = hidden | self._is_in_block(sample, 0.6)
+        return ~hidden
 
     def _from_axes(self, xy: Array) -> tuple[Array, Array]:
         """Return the offsets (n, 2) from the nearest road axes, and those axes' coordinates."""
@@ -119,7 +123,7 @@ class Street(Scene):
 
     def _is_in_block(self, xy: Array, margin: float) -> NDArray[np.bool_]:
         offset, _ = self._from_axes(xy)
-        inside: NDArray[np.bool_] = (np.abs(offset) > 0.5 * ROAD_WIDTH + margin).all(axis=1)
+        inside: NDArray[np.bool_] = np.abs(offset).min(axis=1) > 0.5 * ROAD_WIDTH + margin
         return inside
 
     def _onto_facades(

@@ -117,7 +117,9 @@ def _observe(
             )
         missing = options.num_points - found
         share = max(found / drawn, 0.02) if drawn else 1.0
-        part = _draw_visible(rng, scene, cameras, options, missing, int(1.15 * missing / share) + 50)
+        part = _draw_visible(
+            rng, scene, cameras, options, missing, int(1.15 * missing / share) + 50
+        )
         parts.append(part[:3])
         found += len(part[0])
         drawn += part[3]
@@ -185,11 +187,11 @@ def _ground_truth(
     )
 
 
-def _keypoints(observation_image: NDArray[np.int32], num_images: int) -> NDArray[np.int64]:
-    """Number the observations of every image from 0, in order."""
+def _keypoints(observation_image: NDArray[np.int32], num_images: int) -> NDArray[np.int32]:
+    """Return the number of each observation within its image, from 0, in order."""
     by_image = np.argsort(observation_image, kind="stable")
     counts = np.bincount(observation_image, minlength=num_images)
-    keypoints = np.empty(len(observation_image), dtype=np.int64)
+    keypoints = np.empty(len(observation_image), dtype=np.int32)
     first = np.repeat(np.cumsum(counts) - counts, counts)
     keypoints[by_image] = np.arange(len(observation_image)) - first
     return keypoints

@@ -18,7 +18,7 @@ _SHORTEST_TRACK = 2
 _FEWEST_OBSERVATIONS_PER_IMAGE = 4
 _OBSERVATIONS_PER_BRIDGE = 10
 # Less than this of the mean track length that was asked for is a failure.
-_ACCEPTED_SHORTFALL = 0.85
+_ACCEPTED_SHARE = 0.75
 
 
 def wanted_lengths(weights: Array, scale: float) -> NDArray[np.int64]:
@@ -59,7 +59,7 @@ def select_observations(
 def _fit_lengths(
     available: NDArray[np.int64], weights: Array, mean_length: float
 ) -> NDArray[np.int64]:
-    """Scale the weights so that track lengths, cut to what is available, have the mean asked for."""
+    """Return track lengths, cut to what is available, whose scale gives the mean asked for."""
 
     def lengths(scale: float) -> NDArray[np.int64]:
         return np.minimum(wanted_lengths(weights, scale), available)
@@ -74,7 +74,7 @@ def _fit_lengths(
         else:
             high = middle
     fitted = lengths(high)
-    if fitted.mean() < _ACCEPTED_SHORTFALL * mean_length:
+    if fitted.mean() < _ACCEPTED_SHARE * mean_length:
         raise InputError(
             f"mean_track_length: expected at most {fitted.mean():.1f}, as many images see a point "
             f"of this scene on average, found {mean_length:g}"
@@ -94,9 +94,7 @@ def _fill_images(
     chosen[spare[_ranks(pairs.image[spare]) < missing[pairs.image[spare]]]] = True
 
 
-def _connect(
-    pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int
-) -> None:
+def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_images: int) -> None:
     """Add observations between components until there is one."""
     num_points = len(pairs.counts)
     while True:
@@ -109,8 +107,8 @@ def _connect(
         if len(bridge) == 0:
             raise InputError(
                 f"num_points: the scene falls into {num_components} parts that share no points; "
-                f"expected more points, longer tracks or another "
-                f"seed, found {num_points} points"
+                f"expected more points, longer tracks or "
+                f"another seed, found {num_points} points"
             )
         link = of_image[pairs.image[bridge]] * num_images + of_point[pairs.point[bridge]]
         by_link = np.lexsort((preference[bridge], link))
@@ -122,8 +120,8 @@ def _check_images(pairs: Pairs, chosen: NDArray[np.bool_], num_images: int) -> N
     poorest = int(np.argmin(counts))
     if counts[poorest] < _FEWEST_OBSERVATIONS_PER_IMAGE:
         raise InputError(
-            f"num_points: image {poorest + 1} sees {counts[poorest]} of {len(pairs.counts)} points; "
-            f"expected enough points for {_FEWEST_OBSERVATIONS_PER_IMAGE} in every image"
+            f"num_points: image {poorest + 1} sees {counts[poorest]} of {len(pairs.counts)} "
+            f"points; expected enough points for {_FEWEST_OBSERVATIONS_PER_IMAGE} in every image"
         )
 
 

@@ -126,7 +126,8 @@ def _visible(
     xy, valid = project(intrinsics.model, intrinsics.of_image(image), in_camera)
     inside = valid & np.all((xy >= 0) & (xy <= images.sizes[image]), axis=1)
     kept = kept[inside]
-    return kept[scene.is_clear(center, points.positions[candidates[kept]])]
+    visible: NDArray[np.int64] = kept[scene.is_clear(center, points.positions[candidates[kept]])]
+    return visible
 
 
 def _in_camera(scene: Scene, positions: Array, image: int) -> Array:

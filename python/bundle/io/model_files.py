@@ -1,25 +1,16 @@
-"""Paths in messages, and the files that make a COLMAP model."""
+"""The files that make a COLMAP model."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
-__all__ = ["MODEL_FILES", "missing_model_files", "shown"]
+__all__ = ["MODEL_FILES", "missing_model_files"]
 
 _REQUIRED = ("cameras", "images", "points3D")
 _OPTIONAL = ("rigs", "frames")
 _SUFFIXES = (".bin", ".txt")
 
 MODEL_FILES = frozenset(stem + suffix for stem in _REQUIRED + _OPTIONAL for suffix in _SUFFIXES)
-
-
-def shown(path: str | os.PathLike[str]) -> str:
-    """Return the path as one line of printable text, whatever bytes its name has."""
-    return "".join(
-        character if character.isprintable() else ascii(character)[1:-1]
-        for character in os.fspath(path)
-    )
 
 
 def missing_model_files(folder: Path) -> tuple[str, ...]:

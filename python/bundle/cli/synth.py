@@ -1,0 +1,211 @@
+"""`bundle synth`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import os
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.cli.errors import EXIT_DONE
+from bundle.errors import InputError, shown
+from bundle.io import FORMATS
+from bundle.reprojection import reprojection_error
+from bundle.synthetic import SceneOptions
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from bundle.synthetic import SyntheticScene
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "synth"
+_ERRORS = ("rmse", "median", "p95", "max")
+HELP = "seeded synthetic scenes with ground truth, from toy to millions of observations"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    parser.add_argument(
+        "output",
+        metavar="OUTPUT",
+        help="where the start goes: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
+        "folders of COLMAP models",
+    )
+    parser.add_argument(
+        "--format", choices=FORMATS, help="format of OUTPUT (default: what its name says)"
+    )
+    parser.add_argument(
+        "--ground-truth",
+        metavar="PATH",
+        help="where the true solution goes, with the same observations (default: beside OUTPUT, "
+        "OUTPUT_ground_truth)",
+    )
+    group = parser.add_argument_group("options of the scene")
+    for field in dataclasses.fields(SceneOptions):
+        _add_option(group, field)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make a scene; write its start to OUTPUT and the truth beside it."""
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.io import check_target, output_format, save
+    from bundle.synthetic import synthesize
+
+    with _errors_name_flags():
+        options = _scene_options(arguments)
+    path = arguments.output
+    truth_path = arguments.ground_truth or _beside(path)
+    if os.path.realpath(path) == os.path.realpath(truth_path):
+        raise InputError(f"{shown(truth_path)}: the ground truth would replace the start")
+    check_json(arguments.json, path, truth_path)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"making {options.num_images} images of {options.num_points} points")
+        with _errors_name_flags():
+            scene = synthesize(options)
+        format = output_format(scene.problem, path, arguments.format)
+        output = {"path": path, "format": format}
+        truth = {"path": truth_path, "format": format}
+        check_target(scene.problem, **output)
+        check_target(scene.ground_truth, **truth)
+        progress.stage(f"writing {shown(path)}")
+        save(scene.problem, **output)
+        save(scene.ground_truth, **truth)
+    report = _report(scene, output, truth)
+    if arguments.json != "-":
+        show(*_tables(report))
+    write_json(arguments.json, report)
+    return EXIT_DONE
+
+
+def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -> None:
+    meta = field.metadata
+    flag, default, values = meta["flag"], _shown(field.default), ""
+    settings: dict[str, Any] = {"metavar": meta["metavar"]}
+    if meta["choices"] is not None:
+        choices = [_choice(choice) for choice in meta["choices"]]
+        settings = {"metavar": flag.lstrip("-").upper(), "choices": choices, "type": _choice}
+        values, default = f"one of {', '.join(choices)}; ", _choice(default)
+    elif isinstance(field.default, bool):
+        settings = {"action": argparse.BooleanOptionalAction}
+        default = flag if field.default else f"--no-{flag.lstrip('-')}"
+    elif isinstance(field.default, tuple):
+        settings |= {"nargs": len(field.default), "type": int}
+    else:
+        settings["type"] = type(field.default)
+    help_text = f"{meta['help']} ({values}default: {default})"
+    group.add_argument(flag, dest=field.name, default=None, help=help_text, **settings)
+
+
+def _shown(default: Any) -> str:
+    if isinstance(default, tuple):
+        return " ".join(map(str, default))
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _choice(text: str) -> str:
+    return text.lower().replace("_", "-")
+
+
+def _scene_options(arguments: argparse.Namespace) -> SceneOptions:
+    fields = dataclasses.fields(SceneOptions)
+    given = {field.name: getattr(arguments, field.name) for field in fields}
+    return SceneOptions(**{name: value for name, value in given.items() if value is not None})
+
+
+@contextlib.contextmanager
+def _errors_name_flags() -> Iterator[None]:
+    """Let errors that begin with the name of an option begin with its flag."""
+    try:
+        yield
+    except InputError as error:
+        name, _, rest = str(error).partition(":")
+        for field in dataclasses.fields(SceneOptions):
+            if field.name == name:
+                raise InputError(f"{field.metadata['flag']}:{rest}") from None
+        raise
+
+
+def _beside(path: str) -> str:
+    """Return "folder_ground_truth" for a folder, "name_ground_truth.txt.bz2" for a BAL file."""
+    if path.endswith("/"):
+        return path.rstrip("/") + "_ground_truth/"
+    return re.sub(r"((\.txt(\.gz|\.bz2)?)?)$", r"_ground_truth\1", path, count=1, flags=re.I)
+
+
+def _report(scene: SyntheticScene, output: dict[str, str], truth: dict[str, str]) -> dict[str, Any]:
+    """Return the report for programs, which is also what the table for people shows."""
+    from bundle import __version__
+    from bundle.report.json import SCHEMA, plain
+
+    problem = scene.problem
+    report: dict[str, Any] = plain(
+        {
+            "schema": SCHEMA,
+            "command": NAME,
+            "version": __version__,
+            "options": scene.options.asdict(),
+            "output": output,
+            "ground_truth": truth,
+            "num_cameras": problem.num_cameras,
+            "num_images": problem.num_images,
+            "num_points": problem.num_points,
+            "num_observations": problem.num_observations,
+            "num_outliers": scene.is_outlier.sum(),
+            "track_length": _distribution(problem.observation_point),
+            "observations_per_image": _distribution(problem.observation_image),
+            "reprojection_error": {
+                "start": dataclasses.asdict(reprojection_error(problem)),
+                "ground_truth": dataclasses.asdict(reprojection_error(scene.ground_truth)),
+            },
+        }
+    )
+    return report
+
+
+def _distribution(index: NDArray[np.int32]) -> dict[str, Any]:
+    counts = np.bincount(index)
+    return {
+        "min": counts.min(),
+        "mean": counts.mean(),
+        "median": np.median(counts),
+        "max": counts.max(),
+    }
+
+
+def _tables(report: dict[str, Any]) -> list[RenderableType]:
+    """Return what was written and its statistics."""
+    from bundle.report.text import columns, facts, format_name, number, pixels, plural
+
+    output, truth = report["output"], report["ground_truth"]
+    things = ("image", "camera", "point", "observation", "outlier")
+    contents = ", ".join(plural(report[f"num_{thing}s"], thing) for thing in things)
+    written = [
+        ("output", f"{shown(output['path'])} ({format_name(output['format'])})"),
+        ("ground truth", f"{shown(truth['path'])} ({format_name(truth['format'])})"),
+        ("", contents),
+    ]
+    spread = [
+        (label, *(number(report[name][key]) for key in ("min", "median", "mean", "max")))
+        for label, name in (
+            ("track length", "track_length"),
+            ("observations per image", "observations_per_image"),
+        )
+    ]
+    errors = [
+        (label, *(pixels(report["reprojection_error"][name][key]) for key in _ERRORS))
+        for label, name in (("start", "start"), ("ground truth", "ground_truth"))
+    ]
+    return [
+        facts(written),
+        columns(("", "min", "median", "mean", "max"), spread),
+        columns(("error in pixels", *_ERRORS), errors),
+    ]

@@ -1,0 +1,67 @@
+import dataclasses
+
+import pytest
+
+from bundle import InputError, SceneOptions
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("scene", "castle"),
+        ("num_images", 1),
+        ("num_images", 2.5),
+        ("num_images", None),
+        ("num_images", 2**31),
+        ("num_points", -3),
+        ("num_points", "many"),
+        ("mean_track_length", 1.9),
+        ("mean_track_length", 41),
+        ("mean_track_length", float("nan")),
+        ("camera_model", "FOV"),
+        ("cameras", True),
+        ("image_size", (1280,)),
+        ("image_size", 1280),
+        ("image_size", (1280, 63)),
+        ("pixel_noise", -0.1),
+        ("pixel_noise", float("inf")),
+        ("outlier_share", 1.0),
+        ("rotation_noise", 180),
+        ("focal_noise", 0.5),
+        ("loop_closure", "yes"),
+        ("num_rings", 41),
+        ("seed", -1),
+    ],
+)
+def test_bad_values_are_named_back(name, value):
+    with pytest.raises(InputError, match=f"^{name}: expected .*, found ") as caught:
+        SceneOptions(**{name: value})
+    assert "\n" not in str(caught.value)
+
+
+def test_choices_in_any_spelling():
+    options = SceneOptions(scene="Photo-Collection", camera_model="simple-radial")
+    assert (options.scene, options.camera_model) == ("photo_collection", "SIMPLE_RADIAL")
+
+
+@pytest.mark.parametrize(
+    ("scene", "cameras", "shared"),
+    [
+        ("street", "auto", True),
+        ("orbit", "auto", True),
+        ("photo_collection", "auto", False),
+        ("photo_collection", "shared", True),
+        ("street", "individual", False),
+    ],
+)
+def test_who_shares_a_camera(scene, cameras, shared):
+    assert SceneOptions(scene=scene, cameras=cameras).has_shared_camera is shared
+
+
+def test_a_seed_may_be_long():
+    assert SceneOptions(seed=2**100).seed == 2**100
+
+
+def test_flags_are_unique():
+    flags = [field.metadata["flag"] for field in dataclasses.fields(SceneOptions)]
+    assert len(set(flags)) == len(flags)
