@@ -1,7 +1,7 @@
 # Everything a clone needs; `make help` lists it. Each target sets up what it needs first.
 
 PYTHON ?= python3
-DEMO_INPUT ?= data/street
+DEMO_INPUT ?= data/street_colmap
 DEMO_OUTPUT ?= out/demo
 
 VENV := .venv

@@ -42,7 +42,7 @@ PYTHON_MAY_IMPORT = {
     "report": {"_core", "errors", "io", "options", "problem", "result", "statistics"},
     "": {"_core", "cameras", "errors", "io", "options", "problem", "result", "solver", "synthetic"},
 }
-# The command line stands above everything, and nothing imports it.
+# The command line stands above everything, and nothing imports it but __main__.
 PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
 PYTHON_MAY_IMPORT["__main__"] = {"cli"}
 
