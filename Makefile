@@ -31,7 +31,7 @@ $(READY_TO_BENCH): $(READY)
 
 demo: $(READY)  ## refine the model in data/ and show where the time went
 	@mkdir -p $(dir $(DEMO_OUTPUT))
-	$(VENV)/bin/bundle refine $(DEMO_INPUT) -o $(DEMO_OUTPUT) $(DEMO_OPTIONS) --loss cauchy
+	$(VENV)/bin/bundle refine $(DEMO_INPUT) -o $(DEMO_OUTPUT) $(DEMO_OPTIONS)
 
 test: $(READY)  ## run the tests
 	$(VENV)/bin/python -m pytest

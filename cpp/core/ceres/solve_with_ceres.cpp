@@ -203,11 +203,12 @@ class CeresSolve {
     }
   }
 
-  /// OpenBLAS' own threads pay for large dense factorisations only.
+  /// OpenBLAS' own threads pay for the factorisation of a large reduced system only.
   int BlasThreads(const ceres::Solver::Options& options) const {
-    const bool large = options.linear_solver_type == ceres::DENSE_SCHUR &&
-                       layout_.state_size() >= kColumnsWorthBlasThreads;
-    return large ? options.num_threads : 1;
+    const bool factorises = options.linear_solver_type == ceres::DENSE_SCHUR ||
+                            options.linear_solver_type == ceres::SPARSE_SCHUR;
+    const bool large = layout_.state_size() >= kColumnsWorthBlasThreads;
+    return factorises && large ? options.num_threads : 1;
   }
 
   SolveOutput Collect(const ceres::Solver::Summary& summary) {
