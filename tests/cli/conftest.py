@@ -34,9 +34,10 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
 
 
 def environment() -> dict[str, str]:
-    """The environment with this very package in front."""
+    """The environment with this very package in front, and buffers as users have them."""
     package = str(Path(bundle.__file__).parent.parent)
-    return {**os.environ, "PYTHONPATH": package, "PYTHONWARNINGS": "error"}
+    inherited = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    return {**inherited, "PYTHONPATH": package, "PYTHONWARNINGS": "error"}
 
 
 def command(*arguments: Any) -> list[str]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from types import ModuleType
@@ -27,8 +29,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         line = describe_error(error)
         if line is None:
             raise
-        print(f"error: {line}", file=sys.stderr)
+        with contextlib.suppress(OSError):  # nobody reads what went wrong
+            print(f"error: {line}", file=sys.stderr, flush=True)
         return EXIT_BAD_INPUT
+    finally:
+        _let_go_of_broken_streams()
     return code
 
 
@@ -51,6 +56,19 @@ def _parser() -> Parser:
 
 def _module(name: str) -> ModuleType:
     return importlib.import_module(f"bundle.cli.{name}")
+
+
+def _let_go_of_broken_streams() -> None:
+    """Drop what a closed pipe or a full disk did not take.
+
+    The interpreter flushes once more at its exit and would turn that into a complaint and a code of
+    its own.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _print_any_path() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from pathlib import Path
@@ -63,12 +64,9 @@ def show(*renderables: RenderableType) -> None:
 
 def _print(text: str) -> None:
     """Print as long as somebody reads: `| head` is no failure of the work that was done."""
-    try:
+    with contextlib.suppress(BrokenPipeError):
         sys.stdout.write(text)
         sys.stdout.flush()
-    except BrokenPipeError:
-        # The interpreter flushes once more at its exit, which must not complain either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _is_device(path: str) -> bool:
