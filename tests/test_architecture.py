@@ -30,14 +30,15 @@ CORE_MAY_INCLUDE = {
 # Modules and packages directly in python/bundle.
 PYTHON_MAY_IMPORT = {
     "errors": {"_core"},
-    "options": {"errors"},
+    "option_fields": {"errors"},
+    "options": {"errors", "option_fields"},
     "cameras": {"_core", "errors"},
     "problem": {"_core", "errors"},
     "result": {"errors", "options", "problem"},
     "reprojection": {"_core", "errors", "problem", "result"},
     "io": {"_core", "cameras", "errors", "problem"},
     "statistics": {"cameras", "errors", "problem", "reprojection", "result"},
-    "synthetic": {"cameras", "errors", "problem"},
+    "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result"},
     "report": {"_core", "errors", "io", "options", "problem", "result", "statistics"},
     "": {"_core", "cameras", "errors", "io", "options", "problem", "result", "solver", "synthetic"},

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/to_numpy.h"
 #include "core/error.h"
 #include "core/io/bal_reader.h"
 #include "core/io/bal_writer.h"
@@ -27,17 +28,6 @@ void CheckSignals() {
   if (PyErr_CheckSignals() != 0) throw py::error_already_set();
 }
 
-/// Hands a vector to NumPy without a copy.
-template <typename T>
-Array<T> MoveToNumpy(std::vector<T> values, py::ssize_t width) {
-  auto* owner = new std::vector<T>(std::move(values));
-  const py::capsule deleter(owner,
-                            [](void* vector) { delete static_cast<std::vector<T>*>(vector); });
-  const auto size = static_cast<py::ssize_t>(owner->size());
-  if (width == 1) return Array<T>(size, owner->data(), deleter);
-  return Array<T>({size / width, width}, owner->data(), deleter);
-}
-
 [[noreturn]] void ThrowOsError(const std::system_error& error, const std::filesystem::path& path) {
   const py::str name(py::cast(path));
   errno = error.code().value();
@@ -54,12 +44,15 @@ py::tuple ReadBalFile(const std::filesystem::path& path) {
   } catch (const std::system_error& error) {
     ThrowOsError(error, path);
   }
-  return py::make_tuple(MoveToNumpy(std::move(problem.cam_from_world), 7),
-                        MoveToNumpy(std::move(problem.camera_params), 5),
-                        MoveToNumpy(std::move(problem.points), 3),
-                        MoveToNumpy(std::move(problem.observation_image), 1),
-                        MoveToNumpy(std::move(problem.observation_point), 1),
-                        MoveToNumpy(std::move(problem.observation_xy), 2));
+  const auto num_images = static_cast<py::ssize_t>(problem.cam_from_world.size() / 7);
+  const auto num_points = static_cast<py::ssize_t>(problem.points.size() / 3);
+  const auto num_observations = static_cast<py::ssize_t>(problem.observation_image.size());
+  return py::make_tuple(ToNumpy(std::move(problem.cam_from_world), {num_images, 7}),
+                        ToNumpy(std::move(problem.camera_params), {num_images, 5}),
+                        ToNumpy(std::move(problem.points), {num_points, 3}),
+                        ToNumpy(std::move(problem.observation_image), {num_observations}),
+                        ToNumpy(std::move(problem.observation_point), {num_observations}),
+                        ToNumpy(std::move(problem.observation_xy), {num_observations, 2}));
 }
 
 template <typename T>

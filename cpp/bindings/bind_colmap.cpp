@@ -6,21 +6,13 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/to_numpy.h"
 #include "core/io/colmap_checker.h"
 
 namespace py = pybind11;
 
 namespace bundle {
 namespace {
-
-/// Hands a vector to NumPy without a copy.
-template <typename T>
-py::array_t<T> ToNumpy(std::vector<T> values, std::vector<py::ssize_t> shape) {
-  auto* owner = new std::vector<T>(std::move(values));
-  const py::capsule deleter(owner,
-                            [](void* vector) { delete static_cast<std::vector<T>*>(vector); });
-  return py::array_t<T>(std::move(shape), owner->data(), deleter);
-}
 
 py::tuple CheckModel(const std::string& folder) {
   ColmapCheck check;

@@ -10,6 +10,7 @@
 
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
+#include "bindings/to_numpy.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/error.h"
 #include "core/parallel_for.h"
@@ -103,14 +104,6 @@ py::dict ToArrays(const std::vector<bundle::IterationRecord>& records) {
   return d;
 }
 
-/// The vector as an array of `columns` columns, which takes over its memory.
-py::array_t<double> ToArray(std::vector<double> values, py::ssize_t columns) {
-  auto* owned = new std::vector<double>(std::move(values));
-  const py::capsule owner(owned, [](void* p) { delete static_cast<std::vector<double>*>(p); });
-  const py::ssize_t rows = columns == 0 ? 0 : static_cast<py::ssize_t>(owned->size()) / columns;
-  return py::array_t<double>({rows, columns}, owned->data(), owner);
-}
-
 /// Tells Python of each iteration and looks for Ctrl-C. An exception of the callback stops the
 /// solve and is kept; KeyboardInterrupt only stops it.
 class PythonProgress {
@@ -157,9 +150,11 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   }
   report.Rethrow();
   py::dict result;
-  result["cam_from_world"] = ToArray(std::move(output.cam_from_world), 7);
-  result["camera_params"] = ToArray(std::move(output.camera_params), view.camera_params_stride);
-  result["points"] = ToArray(std::move(output.points), 3);
+  const py::ssize_t num_images = view.num_images, num_cameras = view.num_cameras;
+  const py::ssize_t num_points = view.num_points, stride = view.camera_params_stride;
+  result["cam_from_world"] = ToNumpy(std::move(output.cam_from_world), {num_images, 7});
+  result["camera_params"] = ToNumpy(std::move(output.camera_params), {num_cameras, stride});
+  result["points"] = ToNumpy(std::move(output.points), {num_points, 3});
   result["summary"] = ToDict(output.summary);
   result["iterations"] = ToArrays(output.iterations);
   result["build_time_in_seconds"] = output.build_time_in_seconds;

@@ -7,12 +7,12 @@ JSON report lists them, and ``bundle._core`` reads them by name.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from bundle.errors import InputError
+from bundle.option_fields import checked, choice, option
 
 __all__ = ["SolveOptions"]
 
@@ -42,27 +42,6 @@ GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
 
 
-def _option(
-    default: Any,
-    flag: str,
-    help: str,
-    *,
-    choices: tuple[str, ...] | None = None,
-    minimum: float | None = None,
-    above: float | None = None,
-    metavar: str | None = None,
-) -> Any:
-    metadata = {
-        "flag": flag,
-        "help": help,
-        "choices": choices,
-        "minimum": minimum,
-        "above": above,
-        "metavar": metavar,
-    }
-    return dataclasses.field(default=default, metadata=metadata)
-
-
 @dataclass(frozen=True, kw_only=True)
 class SolveOptions:
     """Options of :func:`bundle.solve`; Ceres' names wherever Ceres has the thing.
@@ -74,81 +53,83 @@ class SolveOptions:
             Combinations that Ceres cannot serve are refused by :func:`bundle.solve`.
     """
 
-    backend: str = _option("ceres", "--backend", "who solves", choices=("ceres",))
-    linear_solver_type: str = _option(
+    backend: str = option("ceres", "--backend", "who solves", choices=("ceres",))
+    linear_solver_type: str = option(
         "auto",
         "--solver",
         "linear solver; auto chooses from the shape of the problem and says why",
         choices=LINEAR_SOLVER_TYPES,
     )
-    linear_solver_ordering: str = _option(
+    linear_solver_ordering: str = option(
         "points_first", "--ordering", "what is eliminated first", choices=ORDERINGS
     )
-    preconditioner_type: str = _option(
+    preconditioner_type: str = option(
         "auto",
         "--preconditioner",
         "of iterative-schur and cgnr; auto: schur-jacobi for the first, jacobi for the second",
         choices=("auto", *PRECONDITIONER_TYPES),
     )
-    trust_region_strategy_type: str = _option(
+    trust_region_strategy_type: str = option(
         "levenberg_marquardt", "--trust-region", "step strategy", choices=TRUST_REGION_STRATEGIES
     )
-    loss: str = _option("trivial", "--loss", "robust loss of a reprojection error", choices=LOSSES)
-    loss_scale: float = _option(
+    loss: str = option("trivial", "--loss", "robust loss of a reprojection error", choices=LOSSES)
+    loss_scale: float = option(
         1.0,
         "--loss-scale",
         "where the loss bends, in pixels",
         above=0.0,
         metavar="PIXELS",
     )
-    max_num_iterations: int = _option(
+    max_num_iterations: int = option(
         100, "--max-iterations", "steps to try at most", minimum=0, metavar="N"
     )
-    function_tolerance: float = _option(
+    function_tolerance: float = option(
         1e-6,
         "--function-tolerance",
         "stop when |change of cost| < X * cost",
         minimum=0.0,
         metavar="X",
     )
-    gradient_tolerance: float = _option(
+    gradient_tolerance: float = option(
         1e-10,
         "--gradient-tolerance",
         "stop when the largest gradient entry is <= X",
         minimum=0.0,
         metavar="X",
     )
-    parameter_tolerance: float = _option(
+    parameter_tolerance: float = option(
         1e-8,
         "--parameter-tolerance",
         "stop when |step| <= X * (|parameters| + X)",
         minimum=0.0,
         metavar="X",
     )
-    num_threads: int = _option(0, "--threads", "threads; 0: all cores", minimum=0, metavar="N")
-    refine: tuple[str, ...] = _option(
+    num_threads: int = option(
+        0, "--threads", "threads, at most one a core; 0: all cores", minimum=0, metavar="N"
+    )
+    refine: tuple[str, ...] = option(
         ("poses", "points", "focal", "extra"),
         "--refine",
         "what to refine, out of " + ",".join(REFINABLE).replace("_", "-"),
         metavar="LIST",
     )
-    fixed_camera_ids: tuple[int, ...] = _option(
+    fixed_camera_ids: tuple[int, ...] = option(
         (), "--fix-cameras", "cameras whose intrinsics stay, by id", metavar="IDS"
     )
-    fixed_image_ids: tuple[int, ...] = _option(
+    fixed_image_ids: tuple[int, ...] = option(
         (), "--fix-images", "images whose pose stays, by id", metavar="IDS"
     )
-    fixed_point_ids: tuple[int, ...] = _option(
+    fixed_point_ids: tuple[int, ...] = option(
         (), "--fix-points", "points that stay, by id", metavar="IDS"
     )
-    gauge: str = _option(
+    gauge: str = option(
         "auto",
         "--gauge",
         "what holds the seven free degrees of the world; "
         "auto: two-cameras for COLMAP, none for BAL",
         choices=GAUGES,
     )
-    cheirality: str = _option(
+    cheirality: str = option(
         "auto",
         "--cheirality",
         "an observation behind its camera counts as zero (COLMAP) or keeps its algebraic residual "
@@ -175,22 +156,13 @@ def _checked(field: dataclasses.Field[Any], value: Any) -> Any:
         return _names(value)
     if field.name.startswith("fixed_"):
         return _ids(field.name, value)
-    if field.metadata["choices"] is not None:
-        return _choice(field.name, value, field.metadata["choices"])
-    return _number(field, value)
-
-
-def _choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
-    canonical = str(value).lower().replace("-", "_")
-    if canonical not in choices:
-        raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
-    return canonical
+    return checked(field, value)
 
 
 def _names(value: Any) -> tuple[str, ...]:
     names = value.split(",") if isinstance(value, str) else list(value)
     given = [str(name).strip() for name in names]
-    chosen = {_choice("refine", name, REFINABLE) for name in given if name}
+    chosen = {choice("refine", name, REFINABLE) for name in given if name}
     return tuple(name for name in REFINABLE if name in chosen)
 
 
@@ -199,24 +171,3 @@ def _ids(name: str, value: Iterable[Any]) -> tuple[int, ...]:
         return tuple(sorted({int(entry) for entry in value}))
     except (TypeError, ValueError):
         raise InputError(f"{name}: expected whole numbers, found {value!r}") from None
-
-
-def _number(field: dataclasses.Field[Any], value: Any) -> int | float:
-    whole = isinstance(field.default, int)
-    try:
-        number = int(value) if whole else float(value)
-        exact = number == value
-    except (TypeError, ValueError, OverflowError):
-        exact = False
-        number = 0
-    if not exact or not math.isfinite(number):
-        kind = "a whole number" if whole else "a finite number"
-        raise InputError(f"{field.name}: expected {kind}, found {value!r}")
-    minimum, above = field.metadata["minimum"], field.metadata["above"]
-    if minimum is not None and number < minimum:
-        raise InputError(f"{field.name}: expected at least {minimum:g}, found {value!r}")
-    if above is not None and number <= above:
-        raise InputError(f"{field.name}: expected more than {above:g}, found {value!r}")
-    if whole and number > 2**31 - 1:
-        raise InputError(f"{field.name}: expected at most {2**31 - 1}, found {value!r}")
-    return number

@@ -65,11 +65,12 @@ def solve(
 
 def _resolve_defaults(problem: Problem, options: SolveOptions) -> SolveOptions:
     """Fill in what depends on where the problem comes from."""
+    cores = _core.hardware_threads()
     gauge = options.gauge
     if gauge == "auto":
         gauge = "none" if problem.format == "bal" else "two_cameras"
     return options.replace(
         gauge=gauge,
         cheirality=resolve_cheirality(problem, options.cheirality),
-        num_threads=options.num_threads or _core.hardware_threads(),
+        num_threads=min(options.num_threads or cores, cores),
     )

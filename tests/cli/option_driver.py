@@ -11,7 +11,9 @@ import sys
 import numpy as np
 
 import bundle
-from bundle.cli.arguments import Parser, add_solve_options, solve_options
+from bundle.cli.arguments import Parser
+from bundle.cli.option_flags import add_options, options_given
+from bundle.options import SolveOptions
 from bundle.problem import Problem
 from tests.scenes import scene
 
@@ -58,9 +60,9 @@ SCENES = {
 
 def solve(problem: Problem, flags: list[str]) -> dict[str, object]:
     parser = Parser(prog="bundle refine")
-    add_solve_options(parser)
+    add_options(parser, SolveOptions, "options")
     try:
-        options = solve_options(parser.parse_args(flags, argparse.Namespace()))
+        options = options_given(parser.parse_args(flags, argparse.Namespace()), SolveOptions)
         solved = bundle.solve(problem, options)
     except bundle.InputError as error:
         return {"refused": str(error)}

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import bundle
-from bundle.cli.arguments import MOST_IDS
 from bundle.cli.errors import describe_error
+from bundle.cli.option_flags import MOST_IDS
 from tests.cli.conftest import command, environment
 from tests.scenes import scene
 

@@ -167,3 +167,10 @@ def test_empty_reconstruction() -> None:
     problem = Problem.from_pycolmap(pycolmap.Reconstruction())
     assert (problem.num_images, problem.num_points, problem.num_observations) == (0, 0, 0)
     assert fields(problem.to_pycolmap()) == fields(pycolmap.Reconstruction())
+
+
+def test_a_camera_model_that_colmap_does_not_know_is_named() -> None:
+    problem = bal_like()
+    made_up = ["MADE_UP", *problem.camera_models[1:]]
+    with pytest.raises(InputError, match="expected a camera model of COLMAP, found 'MADE_UP'"):
+        problem.replace(camera_models=made_up).to_pycolmap()

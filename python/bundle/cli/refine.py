@@ -6,14 +6,10 @@ import argparse
 import sys
 from time import perf_counter
 
-from bundle.cli.arguments import (
-    add_input,
-    add_output,
-    add_solve_options,
-    naming_flags,
-    solve_options,
-)
+from bundle.cli.arguments import add_input, add_output
 from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.options import SolveOptions
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -26,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "bundle refine INPUT -o OUTPUT [options]"
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
-    add_solve_options(parser)
+    add_options(parser, SolveOptions, "options of the solve")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -41,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.report.timing import WallTime
     from bundle.solver import solve
 
-    options = solve_options(arguments)
+    options = options_given(arguments, SolveOptions)
     source, target = arguments.input, arguments.output
     check_json(arguments.json, source, target)
     with Progress(quiet=arguments.quiet) as progress:
@@ -54,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         output = {"path": target, "format": output_format(problem, target, arguments.format)}
         check_target(problem, **output)
         progress.stage("building the problem")
-        with naming_flags():
+        with naming_flags(SolveOptions):
             solved = solve(problem, options, progress=progress.iteration)
         begun = perf_counter()
         lost: tuple[str, ...] = ()

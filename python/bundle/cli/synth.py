@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import dataclasses
 import os
 import re
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.cli.errors import EXIT_DONE
+from bundle.cli.option_flags import add_options, naming_flags, options_given
 from bundle.errors import InputError, shown
 from bundle.io import FORMATS
 from bundle.reprojection import reprojection_error
@@ -48,9 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where the true solution goes, with the same observations (default: beside OUTPUT, "
         "OUTPUT_ground_truth)",
     )
-    group = parser.add_argument_group("options of the scene")
-    for field in dataclasses.fields(SceneOptions):
-        _add_option(group, field)
+    add_options(parser, SceneOptions, "options of the scene")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -60,8 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.io import check_target, output_format, save
     from bundle.synthetic import synthesize
 
-    with _errors_name_flags():
-        options = _scene_options(arguments)
+    options = options_given(arguments, SceneOptions)
     path = arguments.output
     truth_path = arguments.ground_truth or _beside(path)
     if os.path.realpath(path) == os.path.realpath(truth_path):
@@ -69,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.json, path, truth_path)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"making {options.num_images} images of {options.num_points} points")
-        with _errors_name_flags():
+        with naming_flags(SceneOptions):
             scene = synthesize(options)
         format = output_format(scene.problem, path, arguments.format)
         output = {"path": path, "format": format}
@@ -84,54 +80,6 @@ def run(arguments: argparse.Namespace) -> int:
         show(*_tables(report))
     write_json(arguments.json, report)
     return EXIT_DONE
-
-
-def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -> None:
-    meta = field.metadata
-    flag, default, values = meta["flag"], _shown(field.default), ""
-    settings: dict[str, Any] = {"metavar": meta["metavar"]}
-    if meta["choices"] is not None:
-        choices = [_choice(choice) for choice in meta["choices"]]
-        settings = {"metavar": flag.lstrip("-").upper(), "choices": choices, "type": _choice}
-        values, default = f"one of {', '.join(choices)}; ", _choice(default)
-    elif isinstance(field.default, bool):
-        settings = {"action": argparse.BooleanOptionalAction}
-        default = flag if field.default else f"--no-{flag.lstrip('-')}"
-    elif isinstance(field.default, tuple):
-        settings |= {"nargs": len(field.default), "type": int}
-    else:
-        settings["type"] = type(field.default)
-    help_text = f"{meta['help']} ({values}default: {default})"
-    group.add_argument(flag, dest=field.name, default=None, help=help_text, **settings)
-
-
-def _shown(default: Any) -> str:
-    if isinstance(default, tuple):
-        return " ".join(map(str, default))
-    return f"{default:g}" if isinstance(default, float) else str(default)
-
-
-def _choice(text: str) -> str:
-    return text.lower().replace("_", "-")
-
-
-def _scene_options(arguments: argparse.Namespace) -> SceneOptions:
-    fields = dataclasses.fields(SceneOptions)
-    given = {field.name: getattr(arguments, field.name) for field in fields}
-    return SceneOptions(**{name: value for name, value in given.items() if value is not None})
-
-
-@contextlib.contextmanager
-def _errors_name_flags() -> Iterator[None]:
-    """Let errors that begin with the name of an option begin with its flag."""
-    try:
-        yield
-    except InputError as error:
-        name, _, rest = str(error).partition(":")
-        for field in dataclasses.fields(SceneOptions):
-            if field.name == name:
-                raise InputError(f"{field.metadata['flag']}:{rest}") from None
-        raise
 
 
 def _beside(path: str) -> str:

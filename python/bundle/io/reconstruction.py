@@ -249,7 +249,12 @@ def _check_range(kind: str, ids: NDArray[np.int64], largest: int) -> None:
 def _add_cameras(reconstruction: pycolmap.Reconstruction, problem: Problem) -> None:
     for index, camera_id in enumerate(problem.camera_ids.tolist()):
         width, height = problem.camera_sizes[index].tolist()
-        model = pycolmap.CameraModelId.__members__[problem.camera_models[index]]
+        model = pycolmap.CameraModelId.__members__.get(problem.camera_models[index])
+        if model is None:
+            raise InputError(
+                f"camera {camera_id}: expected a camera model of COLMAP, "
+                f"found {problem.camera_models[index]!r}"
+            )
         camera = pycolmap.Camera.create_from_model_id(camera_id, model, 1.0, width, height)
         camera.params = problem.camera_params[index, : len(camera.params)].tolist()
         reconstruction.add_camera_with_trivial_rig(camera)

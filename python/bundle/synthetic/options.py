@@ -7,11 +7,11 @@ the JSON report lists them.
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import Any
 
 from bundle.errors import InputError
+from bundle.option_fields import checked, option
 
 __all__ = ["SceneOptions"]
 
@@ -19,27 +19,6 @@ SCENES = ("street", "orbit", "photo_collection")
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 CAMERAS = ("auto", "shared", "individual")
 MIN_OBSERVATIONS_PER_IMAGE = 20
-
-
-def _option(
-    default: Any,
-    flag: str,
-    help: str,
-    *,
-    choices: tuple[str, ...] | None = None,
-    minimum: float | None = None,
-    below: float | None = None,
-    metavar: str | tuple[str, ...] | None = None,
-) -> Any:
-    metadata = {
-        "flag": flag,
-        "help": help,
-        "choices": choices,
-        "minimum": minimum,
-        "below": below,
-        "metavar": metavar,
-    }
-    return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,36 +31,36 @@ class SceneOptions:
         InputError: an option has a value outside its range; the message names option and value.
     """
 
-    scene: str = _option(
+    scene: str = option(
         "street",
         "--scene",
         "street: a drive through a road network; orbit: rings of cameras around an object; "
         "photo-collection: clusters of very different cameras around landmarks",
         choices=SCENES,
     )
-    num_images: int = _option(40, "--images", "number of images", minimum=2, metavar="N")
-    num_points: int = _option(3000, "--points", "number of points", minimum=20, metavar="N")
-    mean_track_length: float = _option(
+    num_images: int = option(40, "--images", "number of images", minimum=2, metavar="N")
+    num_points: int = option(3000, "--points", "number of points", minimum=20, metavar="N")
+    mean_track_length: float = option(
         6.0, "--track-length", "observations per point, on average", minimum=2.0, metavar="X"
     )
-    camera_model: str = _option(
+    camera_model: str = option(
         "SIMPLE_RADIAL", "--camera-model", "COLMAP's camera model", choices=CAMERA_MODELS
     )
-    cameras: str = _option(
+    cameras: str = option(
         "auto",
         "--cameras",
         "one camera for all images, or one an image; auto: individual for photo-collection, shared "
         "for the others",
         choices=CAMERAS,
     )
-    image_size: tuple[int, int] = _option(
+    image_size: tuple[int, int] = option(
         (1280, 960),
         "--image-size",
         "width and height in pixels; individual cameras of a photo-collection spread around it",
         minimum=64,
         metavar=("WIDTH", "HEIGHT"),
     )
-    pixel_noise: float = _option(
+    pixel_noise: float = option(
         0.5,
         "--pixel-noise",
         "standard deviation of x and of y, in pixels",
@@ -89,7 +68,7 @@ class SceneOptions:
         below=1e6,
         metavar="PIXELS",
     )
-    outlier_share: float = _option(
+    outlier_share: float = option(
         0.0,
         "--outlier-share",
         "share of the observations replaced by uniformly random pixels",
@@ -97,7 +76,7 @@ class SceneOptions:
         below=1.0,
         metavar="X",
     )
-    rotation_noise: float = _option(
+    rotation_noise: float = option(
         0.5,
         "--rotation-noise",
         "perturbation of the start's rotations: standard deviation about each axis, in degrees",
@@ -105,7 +84,7 @@ class SceneOptions:
         below=180.0,
         metavar="DEGREES",
     )
-    translation_noise: float = _option(
+    translation_noise: float = option(
         0.005,
         "--translation-noise",
         "perturbation of the start's camera centres: standard deviation along each axis, relative "
@@ -114,7 +93,7 @@ class SceneOptions:
         below=1e6,
         metavar="X",
     )
-    point_noise: float = _option(
+    point_noise: float = option(
         0.005,
         "--point-noise",
         "perturbation of the start's points, likewise relative to the scene's scale",
@@ -122,7 +101,7 @@ class SceneOptions:
         below=1e6,
         metavar="X",
     )
-    focal_noise: float = _option(
+    focal_noise: float = option(
         0.01,
         "--focal-noise",
         "perturbation of the start's focal lengths: relative standard deviation",
@@ -130,7 +109,7 @@ class SceneOptions:
         below=0.5,
         metavar="X",
     )
-    distortion_noise: float = _option(
+    distortion_noise: float = option(
         0.005,
         "--distortion-noise",
         "perturbation of the start's radial distortion coefficients: standard deviation; a tenth "
@@ -139,23 +118,25 @@ class SceneOptions:
         below=1e6,
         metavar="X",
     )
-    loop_closure: bool = _option(
+    loop_closure: bool = option(
         True,
         "--loop-closure",
         "street only: drive laps that come back to known places, not one way",
     )
-    num_rings: int = _option(
+    num_rings: int = option(
         0,
         "--rings",
         "orbit only: rings of cameras at different heights; 0: one per 40 images, at most 6",
         minimum=0,
         metavar="N",
     )
-    seed: int = _option(0, "--seed", "same seed, same scene", minimum=0, metavar="N")
+    seed: int = option(
+        0, "--seed", "same seed, same scene", minimum=0, maximum=2**63 - 1, metavar="N"
+    )
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            object.__setattr__(self, field.name, _checked(field, getattr(self, field.name)))
+            object.__setattr__(self, field.name, checked(field, getattr(self, field.name)))
         if self.mean_track_length > self.num_images:
             raise InputError(
                 f"mean_track_length: expected at most num_images = {self.num_images}, "
@@ -181,48 +162,3 @@ class SceneOptions:
     def asdict(self) -> dict[str, Any]:
         """Return every option by name."""
         return dataclasses.asdict(self)
-
-
-def _checked(field: dataclasses.Field[Any], value: Any) -> Any:
-    """Return the value in canonical form, or raise an InputError that names option and value."""
-    if field.metadata["choices"] is not None:
-        return _choice(field.name, value, field.metadata["choices"])
-    if isinstance(field.default, bool):
-        if not isinstance(value, bool):
-            raise InputError(f"{field.name}: expected True or False, found {value!r}")
-        return value
-    if isinstance(field.default, tuple):
-        if not isinstance(value, tuple | list) or len(value) != len(field.default):
-            raise InputError(
-                f"{field.name}: expected {len(field.default)} whole numbers, found {value!r}"
-            )
-        return tuple(_number(field, entry, whole=True) for entry in value)
-    return _number(field, value, whole=isinstance(field.default, int))
-
-
-def _choice(name: str, value: Any, choices: tuple[str, ...]) -> str:
-    canonical = str(value).lower().replace("-", "_")
-    for choice in choices:
-        if canonical == choice.lower():
-            return choice
-    raise InputError(f"{name}: expected one of {', '.join(choices)}, found {value!r}")
-
-
-def _number(field: dataclasses.Field[Any], value: Any, *, whole: bool) -> int | float:
-    number: int | float = 0
-    try:
-        number = int(value) if whole else float(value)
-        exact = math.isfinite(number) and (not whole or number == float(value))
-    except (TypeError, ValueError, OverflowError):
-        exact = False
-    if not exact:
-        kind = "a whole number" if whole else "a finite number"
-        raise InputError(f"{field.name}: expected {kind}, found {value!r}")
-    minimum, below = field.metadata["minimum"], field.metadata["below"]
-    if number < minimum:
-        raise InputError(f"{field.name}: expected at least {minimum:g}, found {value!r}")
-    if below is not None and number >= below:
-        raise InputError(f"{field.name}: expected less than {below:g}, found {value!r}")
-    if whole and field.name != "seed" and number > 2**31 - 1:
-        raise InputError(f"{field.name}: expected at most {2**31 - 1}, found {value!r}")
-    return number

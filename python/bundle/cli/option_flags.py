@@ -1,0 +1,111 @@
+"""Flags made from the fields of an option class (``bundle.option_fields``), and back."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from bundle.errors import InputError
+
+__all__ = ["add_options", "naming_flags", "options_given", "parse_ids"]
+
+Options = TypeVar("Options")
+
+MOST_IDS = 10_000_000
+"""Ids that a list may hold: a slip in a range must not fill the memory."""
+
+
+def add_options(parser: argparse.ArgumentParser, kind: type[Any], title: str) -> None:
+    """Add one flag for each field of an option class."""
+    group = parser.add_argument_group(title)
+    for field in dataclasses.fields(kind):
+        _add_option(group, field)
+
+
+def options_given(arguments: argparse.Namespace, kind: type[Options]) -> Options:
+    """Return the options that were given.
+
+    Raises:
+        InputError: a value is out of range; the message names the flag.
+    """
+    names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    values = {name: getattr(arguments, name) for name in names}
+    with naming_flags(kind):
+        return kind(**{name: value for name, value in values.items() if value is not None})
+
+
+@contextmanager
+def naming_flags(kind: type[Any]) -> Iterator[None]:
+    """Let an InputError about an option name its flag, as the user typed it."""
+    try:
+        yield
+    except InputError as error:
+        name, _, rest = str(error).partition(":")
+        for field in dataclasses.fields(kind):
+            if field.name == name:
+                raise InputError(f"{field.metadata['flag']}:{rest}") from None
+        raise
+
+
+def parse_ids(text: str) -> tuple[int, ...]:
+    """Return the ids that "1,2,5-9" names, sorted, each once.
+
+    Raises:
+        argparse.ArgumentTypeError: anything else, or more than ten million ids.
+    """
+    ids: set[int] = set()
+    for part in text.split(","):
+        first, dash, last = (piece.strip() for piece in part.partition("-"))
+        if not _is_id(first) or (dash and not _is_id(last)):
+            raise argparse.ArgumentTypeError(
+                f"expected ids and ranges such as 1,2,5-9, found {text!r}"
+            )
+        low, high = int(first), int(last) if dash else int(first)
+        if high < low:
+            raise argparse.ArgumentTypeError(f"the range {part.strip()!r} ends before it starts")
+        if high - low >= MOST_IDS - len(ids):
+            raise argparse.ArgumentTypeError(f"expected at most {MOST_IDS} ids, found {text!r}")
+        ids.update(range(low, high + 1))
+    return tuple(sorted(ids))
+
+
+def _is_id(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 2**63
+
+
+def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -> None:
+    meta = field.metadata
+    flag, default, values = meta["flag"], _shown(field.default), ""
+    settings: dict[str, Any] = {"metavar": meta["metavar"]}
+    if meta["choices"] is not None:
+        choices = [_choice(choice) for choice in meta["choices"]]
+        settings = {"metavar": flag.lstrip("-").upper(), "choices": choices, "type": _choice}
+        values, default = f"one of {', '.join(choices)}; ", _choice(default)
+    elif meta["metavar"] == "IDS":
+        settings["type"] = parse_ids
+        values = "such as 1,2,5-9; "
+    elif isinstance(field.default, bool):
+        settings = {"action": argparse.BooleanOptionalAction}
+        default = flag if field.default else f"--no-{flag.lstrip('-')}"
+    elif isinstance(meta["metavar"], tuple):
+        settings |= {"nargs": len(meta["metavar"]), "type": int}
+    elif isinstance(field.default, int | float):
+        settings["type"] = type(field.default)
+    text = f"{meta['help']} ({values}default: {default})".replace("%", "%%")
+    group.add_argument(flag, dest=field.name, default=None, help=text, **settings)
+
+
+def _choice(text: str) -> str:
+    return text.lower().replace("_", "-")
+
+
+def _shown(default: Any) -> str:
+    """Return a default as the user would type it."""
+    if isinstance(default, tuple):
+        numbers = all(isinstance(entry, int) for entry in default)
+        joined = " ".join(map(str, default)) if numbers else _choice(",".join(default))
+        return joined or "none"
+    return f"{default:g}" if isinstance(default, float) else str(default)
