@@ -1,5 +1,9 @@
 """Bundle adjustment that explains itself: load, refine, save reconstructions."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
 from bundle._core import __version__
 from bundle.cameras import camera_models, project
 from bundle.errors import InputError
@@ -8,7 +12,9 @@ from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.result import ReprojectionError, Result, Summary
 from bundle.solver import solve
-from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
+
+if TYPE_CHECKING:
+    from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
     "InputError",
@@ -27,3 +33,12 @@ __all__ = [
     "solve",
     "synthesize",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what few need when they ask for it (PEP 562): every command starts here."""
+    if name in ("SceneOptions", "SyntheticScene", "synthesize"):
+        from bundle import synthetic
+
+        return getattr(synthetic, name)
+    raise AttributeError(f"module 'bundle' has no attribute {name!r}")

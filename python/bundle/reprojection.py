@@ -79,19 +79,27 @@ def reprojection_error(
         nan = float("nan")
         statistics = {"rmse": nan, "mean": nan, "median": nan, "p95": nan, "max": nan}
     else:
-        median, p95 = np.percentile(errors, [50, 95])
         with np.errstate(over="ignore"):  # a legal problem may be that far off
             mean_square = np.mean(errors**2)
         statistics = {
             "rmse": float(np.sqrt(mean_square)),
             "mean": float(errors.mean()),
-            "median": float(median),
-            "p95": float(p95),
+            "median": _quantile(errors, 0.5),
+            "p95": _quantile(errors, 0.95),
             "max": float(errors.max()),
         }
     return ReprojectionError(
         **statistics, num_observations=len(errors), num_behind_camera=int(behind.sum())
     )
+
+
+def _quantile(values: NDArray[np.float64], share: float) -> float:
+    """Return np.quantile(values, share), without the 25 ms that its first call takes to import."""
+    position = share * (len(values) - 1)
+    below = int(position)
+    above = min(below + 1, len(values) - 1)
+    ordered = np.partition(values, (below, above))
+    return float(ordered[below] + (position - below) * (ordered[above] - ordered[below]))
 
 
 def linearize(
