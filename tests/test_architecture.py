@@ -34,25 +34,41 @@ PYTHON_MAY_IMPORT = {
     "options": {"errors", "option_fields"},
     "cameras": {"_core", "errors"},
     "problem": {"_core", "errors"},
-    "result": {"errors", "options", "problem"},
+    "tables": set(),
+    "summary": {"tables"},
+    "result": {"errors", "options", "problem", "summary"},
     "reprojection": {"_core", "errors", "problem", "result"},
     "io": {"_core", "cameras", "errors", "problem"},
     "statistics": {"cameras", "errors", "problem", "reprojection", "result"},
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
-    "solver": {"_core", "errors", "options", "problem", "reprojection", "result"},
-    "report": {"_core", "errors", "io", "options", "problem", "result", "statistics"},
-    "": {"_core", "cameras", "errors", "io", "options", "problem", "result", "solver", "synthetic"},
+    "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
+    "report": {
+        "_core",
+        "errors",
+        "options",
+        "problem",
+        "result",
+        "statistics",
+        "summary",
+        "tables",
+    },
 }
+# The names that users see.
+PYTHON_MAY_IMPORT[""] = set(PYTHON_MAY_IMPORT) - {"report"} | {"_core"}
 # The command line stands above everything, and nothing imports it but __main__.
 PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
 PYTHON_MAY_IMPORT["__main__"] = {"cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.
-DEFERRED_IMPORTS = {"problem": {"io"}, "result": {"report"}, "synthetic": {"io"}}
+DEFERRED_IMPORTS = {"problem": {"io"}, "synthetic": {"io"}}
 
 # Other people's packages that only some of ours may know.
-OUTSIDERS = {"argparse": {"cli"}, "rich": {"cli", "report"}, "pycolmap": {"io", "problem"}}
+OUTSIDERS = {
+    "argparse": {"cli"},
+    "rich": {"cli", "report", "summary", "tables"},
+    "pycolmap": {"io", "problem"},
+}
 
 CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})
 PYTHON_FILES = sorted(PACKAGE.rglob("*.py"))

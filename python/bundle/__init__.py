@@ -10,8 +10,9 @@ from bundle.errors import InputError
 from bundle.io import load, save
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.result import ReprojectionError, Result, Summary
+from bundle.result import ReprojectionError, Result
 from bundle.solver import solve
+from bundle.summary import Summary
 
 if TYPE_CHECKING:
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize

@@ -9,7 +9,8 @@ from bundle import _core
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.reprojection import reprojection_error, resolve_cheirality
-from bundle.result import Result, Summary
+from bundle.result import Result
+from bundle.summary import Summary
 
 __all__ = ["Progress", "solve"]
 

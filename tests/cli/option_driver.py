@@ -15,6 +15,7 @@ from bundle.cli.arguments import Parser
 from bundle.cli.option_flags import add_options, options_given
 from bundle.options import SolveOptions
 from bundle.problem import Problem
+from bundle.report import json as json_report
 from tests.scenes import scene
 
 
@@ -67,7 +68,7 @@ def solve(problem: Problem, flags: list[str]) -> dict[str, object]:
     except bundle.InputError as error:
         return {"refused": str(error)}
     summary = solved.summary
-    solved.asdict()
+    json_report.result(solved)
     return {
         "termination": summary.termination_type,
         "usable": summary.is_solution_usable,

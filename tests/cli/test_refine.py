@@ -8,7 +8,8 @@ import pytest
 
 import bundle
 from bundle.options import SolveOptions
-from bundle.result import Result, Summary
+from bundle.result import Result
+from bundle.summary import Summary
 from tests.report import fakes
 from tests.scenes import scene
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.result import ReprojectionError, Result, Summary
+from bundle.result import ReprojectionError, Result
+from bundle.summary import Summary
 
 CONVERGED = Summary(
     initial_cost=4.185659518e6,

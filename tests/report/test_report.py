@@ -12,8 +12,9 @@ from bundle.problem import Problem
 from bundle.report import json as json_report
 from bundle.report.refine import refinement
 from bundle.report.termination import sentence
-from bundle.report.text import number, pixels, plural, render, seconds
-from bundle.report.timing import WallTime, solver_phases
+from bundle.report.timing import WallTime
+from bundle.summary import solver_phases
+from bundle.tables import number, pixels, plural, render, seconds
 from tests.report import fakes
 
 WALL = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, total=2.0)
@@ -203,7 +204,7 @@ def test_json_has_what_the_contract_lists(problem):
     # nan and -inf of the fake's last iteration
     assert report["iterations"][2]["cost_change"] is None
     assert report["iterations"][2]["relative_decrease"] is None
-    assert {**report, **solved.asdict()} == report
+    assert {**report, **json_report.result(solved)} == report
     assert json.loads(json_report.dumps(report)) == report
 
 

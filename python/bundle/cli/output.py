@@ -13,7 +13,7 @@ from rich.console import RenderableType
 from bundle.errors import InputError, shown
 from bundle.io import atomic
 from bundle.report import json
-from bundle.report.text import console, render
+from bundle.tables import console, render
 
 __all__ = ["check_json", "show", "write_json"]
 

@@ -11,7 +11,7 @@ from typing import Any, Self
 from rich.live import Live
 from rich.text import Text
 
-from bundle.report.text import console
+from bundle.tables import console
 
 __all__ = ["Progress"]
 

@@ -131,7 +131,7 @@ def _distribution(index: NDArray[np.int32]) -> dict[str, Any]:
 
 def _tables(report: dict[str, Any]) -> list[RenderableType]:
     """Return what was written and its statistics."""
-    from bundle.report.text import columns, facts, format_name, number, pixels, plural
+    from bundle.tables import columns, facts, format_name, number, pixels, plural
 
     output, truth = report["output"], report["ground_truth"]
     things = ("image", "camera", "point", "observation", "outlier")

@@ -7,7 +7,7 @@ from rich.console import RenderableType
 from bundle.errors import shown
 from bundle.problem import Problem
 from bundle.report.refine import contents
-from bundle.report.text import facts, format_name, notes
+from bundle.tables import facts, format_name, notes
 
 __all__ = ["conversion"]
 

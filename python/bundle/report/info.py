@@ -12,8 +12,8 @@ from rich.table import Table
 from bundle.errors import shown
 from bundle.problem import Problem
 from bundle.report.refine import contents
-from bundle.report.text import columns, facts, format_name, notes, number, pixels, plural
 from bundle.statistics import CameraGroup, Covisibility, Description, Distribution
+from bundle.tables import columns, facts, format_name, notes, number, pixels, plural
 
 __all__ = ["information"]
 

@@ -9,11 +9,11 @@ from rich.table import Table
 from bundle.errors import shown
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.report.summary import sizes
 from bundle.report.termination import sentence
-from bundle.report.text import columns, facts, format_name, notes, pixels, plural
 from bundle.report.timing import WallTime, wall_table
-from bundle.result import Result, Summary
+from bundle.result import Result
+from bundle.summary import Summary, sizes
+from bundle.tables import columns, facts, format_name, notes, pixels, plural
 
 __all__ = ["contents", "outcome", "refinement"]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bundle.report.text import plural
-from bundle.result import Summary
+from bundle.summary import Summary
+from bundle.tables import plural
 
 __all__ = ["sentence"]
 

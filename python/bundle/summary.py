@@ -1,0 +1,204 @@
+"""What a solver says of its solve, as data and as text.
+
+``bundle.tables``, and with it rich, is imported only when something is printed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+__all__ = ["Summary", "share", "sizes", "solver_phases", "solver_table"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """Ceres' Solver::Summary under Ceres' field names; times in seconds, -1 where not measured.
+
+    Beyond Ceres: ``linear_solver_choice`` (why ``auto`` took this solver; "" when asked for),
+    ``warnings`` (sentences: a fallback, a gauge that could not be held, ...), ``interrupted``.
+    Costs are 1/2 sum rho(||r||^2), r in pixels.
+    """
+
+    initial_cost: float
+    final_cost: float
+    fixed_cost: float
+    termination_type: str
+    message: str
+    is_solution_usable: bool
+    num_successful_steps: int
+    num_unsuccessful_steps: int
+    num_parameter_blocks: int
+    num_parameters: int
+    num_residual_blocks: int
+    num_residuals: int
+    num_parameter_blocks_reduced: int
+    num_parameters_reduced: int
+    num_residual_blocks_reduced: int
+    num_residuals_reduced: int
+    trust_region_strategy_type: str
+    dogleg_type: str
+    linear_solver_type_given: str
+    linear_solver_type_used: str
+    linear_solver_ordering_given: tuple[int, ...]
+    linear_solver_ordering_used: tuple[int, ...]
+    schur_structure_given: str
+    schur_structure_used: str
+    preconditioner_type_given: str
+    preconditioner_type_used: str
+    dense_linear_algebra_library_type: str
+    sparse_linear_algebra_library_type: str
+    num_threads_given: int
+    num_threads_used: int
+    preprocessor_time_in_seconds: float
+    residual_evaluation_time_in_seconds: float
+    jacobian_evaluation_time_in_seconds: float
+    linear_solver_time_in_seconds: float
+    minimizer_time_in_seconds: float
+    postprocessor_time_in_seconds: float
+    total_time_in_seconds: float
+    num_residual_evaluations: int
+    num_jacobian_evaluations: int
+    num_linear_solves: int
+    linear_solver_choice: str
+    interrupted: bool
+    warnings: tuple[str, ...]
+
+    def full_report(self) -> str:
+        """Return everything in lines of text, in the order of Ceres' FullReport."""
+        return _full_report(self)
+
+    def breakdown(self) -> str:
+        """Return the table of where the time inside the solver went, with percentages."""
+        from bundle.tables import render
+
+        return render(solver_table(self))
+
+
+def solver_phases(summary: Summary) -> list[tuple[str, float]]:
+    """Return (phase, seconds) of a solve, -1 where Ceres did not measure.
+
+    Ceres' evaluation and linear solver times are parts of its minimizer time and do not add up to
+    it: "other" is what is left of the total, so that the phases do add up.
+    """
+    phases = [
+        ("preprocessor", summary.preprocessor_time_in_seconds),
+        ("residual evaluation", summary.residual_evaluation_time_in_seconds),
+        ("Jacobian evaluation", summary.jacobian_evaluation_time_in_seconds),
+        ("linear solver", summary.linear_solver_time_in_seconds),
+    ]
+    post = summary.postprocessor_time_in_seconds
+    total = summary.total_time_in_seconds
+    measured = sum(max(time, 0.0) for _, time in phases) + max(post, 0.0)
+    other = max(total - measured, 0.0) if total >= 0 else -1.0
+    return [*phases, ("other", other), ("postprocessor", post)]
+
+
+def solver_table(summary: Summary) -> Table:
+    """Return the phases of a solve with their share of it."""
+    from bundle.tables import columns, seconds
+
+    total = summary.total_time_in_seconds
+    rows = [(name, seconds(time), share(time, total)) for name, time in solver_phases(summary)]
+    rows.append(("total", seconds(total), share(total, total)))
+    return columns(("time", "seconds", "share"), rows)
+
+
+def share(time: float, total: float) -> str:
+    """Return time as a percentage of total, "-" where one was not measured."""
+    return f"{100.0 * time / total:.1f} %" if time >= 0 and total > 0 else "-"
+
+
+def sizes(groups: Sequence[int]) -> str:
+    """Return the sizes of elimination groups, "22106, 16", or AUTOMATIC: the choice is Ceres'."""
+    return ", ".join(map(str, groups)) if groups else "AUTOMATIC"
+
+
+def _full_report(summary: Summary) -> str:
+    from bundle.tables import columns, facts, notes, render
+
+    cost = [
+        ("initial", f"{summary.initial_cost:.9e}"),
+        ("final", f"{summary.final_cost:.9e}"),
+        ("change", f"{summary.initial_cost - summary.final_cost:.9e}"),
+        ("fixed", f"{summary.fixed_cost:.9e}"),
+    ]
+    steps = summary.num_successful_steps + summary.num_unsuccessful_steps
+    iterations = [
+        ("minimizer iterations", str(steps)),
+        ("successful steps", str(summary.num_successful_steps)),
+        ("unsuccessful steps", str(summary.num_unsuccessful_steps)),
+        ("residual evaluations", str(summary.num_residual_evaluations)),
+        ("Jacobian evaluations", str(summary.num_jacobian_evaluations)),
+        ("linear solves", str(summary.num_linear_solves)),
+    ]
+    warnings = ["", *notes(summary.warnings)] if summary.warnings else []
+    return render(
+        columns(("size", "original", "reduced"), _problem_size(summary)),
+        "",
+        columns(("solver", "given", "used"), _solver(summary), left=3),
+        facts([("why this solver", summary.linear_solver_choice or "it was asked for")]),
+        "",
+        columns(("cost", ""), cost),
+        "",
+        columns(("count", ""), iterations),
+        "",
+        solver_table(summary),
+        "",
+        facts([("termination", f"{summary.termination_type}: {summary.message}")]),
+        *warnings,
+    )
+
+
+def _problem_size(summary: Summary) -> list[tuple[str, str, str]]:
+    names = ("parameter_blocks", "parameters", "residual_blocks", "residuals")
+    return [
+        (
+            name.replace("_", " "),
+            str(getattr(summary, f"num_{name}")),
+            str(getattr(summary, f"num_{name}_reduced")),
+        )
+        for name in names
+    ]
+
+
+def _solver(summary: Summary) -> list[tuple[str, str, str]]:
+    strategy = summary.trust_region_strategy_type
+    if strategy == "DOGLEG":
+        strategy += f" ({summary.dogleg_type})"
+    rows = [
+        ("trust region", strategy, strategy),
+        ("linear solver", summary.linear_solver_type_given, summary.linear_solver_type_used),
+    ]
+    if summary.linear_solver_type_used in ("ITERATIVE_SCHUR", "CGNR"):
+        rows.append(
+            (
+                "preconditioner",
+                summary.preconditioner_type_given,
+                summary.preconditioner_type_used,
+            )
+        )
+    library = _library(summary)
+    rows += [
+        (
+            "ordering",
+            sizes(summary.linear_solver_ordering_given),
+            sizes(summary.linear_solver_ordering_used),
+        ),
+        ("Schur structure", summary.schur_structure_given, summary.schur_structure_used),
+        ("linear algebra", library, library),
+        ("threads", str(summary.num_threads_given), str(summary.num_threads_used)),
+    ]
+    return rows
+
+
+def _library(summary: Summary) -> str:
+    if summary.linear_solver_type_used.startswith("DENSE"):
+        return summary.dense_linear_algebra_library_type
+    if summary.linear_solver_type_used.startswith("SPARSE"):
+        return summary.sparse_linear_algebra_library_type
+    return "EIGEN"
