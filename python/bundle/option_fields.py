@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 from typing import Any
 
 from bundle.errors import InputError
@@ -28,7 +29,8 @@ def option(
     """Return a dataclass field with what the command line and :func:`checked` need to know.
 
     The type of the default is the type of the option: str with ``choices``, bool, int, float, or a
-    tuple of whole numbers of that length.
+    tuple of whole numbers of that length. Whole numbers go up to 2^31 - 1 unless ``maximum`` says
+    otherwise.
     """
     metadata = {
         "flag": flag,
@@ -88,13 +90,13 @@ def _number(field: dataclasses.Field[Any], value: Any, *, whole: bool) -> int | 
         kind = "a whole number" if whole else "a finite number"
         raise InputError(f"{field.name}: expected {kind}, found {value!r}")
     limits = field.metadata
-    maximum = limits["maximum"] or (LARGEST_WHOLE if whole else None)
-    for fits, wanted in (
-        (limits["minimum"] is None or number >= limits["minimum"], f"at least {limits['minimum']}"),
-        (limits["above"] is None or number > limits["above"], f"more than {limits['above']}"),
-        (limits["below"] is None or number < limits["below"], f"less than {limits['below']}"),
-        (maximum is None or number <= maximum, f"at most {maximum}"),
+    for limit, fits, words in (
+        (limits["minimum"], operator.ge, "at least"),
+        (limits["above"], operator.gt, "more than"),
+        (limits["below"], operator.lt, "less than"),
+        (limits["maximum"] or (LARGEST_WHOLE if whole else math.inf), operator.le, "at most"),
     ):
-        if not fits:
-            raise InputError(f"{field.name}: expected {wanted}, found {value!r}")
+        if limit is not None and not fits(number, limit):
+            shown = limit if isinstance(limit, int) else f"{limit:g}"
+            raise InputError(f"{field.name}: expected {words} {shown}, found {value!r}")
     return number

@@ -7,6 +7,7 @@ the JSON report lists them.
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -131,7 +132,7 @@ class SceneOptions:
         metavar="N",
     )
     seed: int = option(
-        0, "--seed", "same seed, same scene", minimum=0, maximum=2**63 - 1, metavar="N"
+        0, "--seed", "same seed, same scene", minimum=0, maximum=math.inf, metavar="N"
     )
 
     def __post_init__(self) -> None:
