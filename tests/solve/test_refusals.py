@@ -104,7 +104,7 @@ def test_auto_says_why():
     [(2, True, "SPARSE_SCHUR", "is only"), (60, False, "DENSE_SCHUR", "% full: dense")],
 )
 def test_auto_looks_at_how_full_the_reduced_system_is(track, local, used, reason):
-    num_images = 120
+    num_images = 150
     problem = scenes.make_problem(num_images=num_images, num_points=240, track=track, seed=1)
     if local:  # each point in two neighbouring images: S is tridiagonal
         first = np.arange(240) % (num_images - 1)
