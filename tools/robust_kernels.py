@@ -54,9 +54,9 @@ grows without bound.
 
 Ceres leaves the second-order term out wherever rho'' <= 0, that is everywhere with every loss of
 the table. What remains is rho' JᵀJ, {clamped:+.3f} at r = {clamped_at:g}: never negative, and with
-the same gradient. The price is linear convergence where the kernel bends strongly: the model is stiffer
-than the cost, so steps fall short and gain more than was predicted. `bundle` does not take that for
-a wrong Jacobian.
+the same gradient. The price is linear convergence where the kernel bends strongly: the model is
+stiffer than the cost, so steps fall short and gain more than was predicted. `bundle` does not take
+that for a wrong Jacobian.
 """
 
 
