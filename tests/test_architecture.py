@@ -32,6 +32,7 @@ PYTHON_MAY_IMPORT = {
     "errors": {"_core"},
     "option_fields": {"errors"},
     "options": {"errors", "option_fields"},
+    "losses": {"_core", "errors", "option_fields", "options"},
     "cameras": {"_core", "errors"},
     "problem": {"_core", "errors"},
     "tables": set(),

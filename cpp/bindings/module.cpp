@@ -9,6 +9,7 @@ void BindCameras(py::module_& m);
 void BindProblem(py::module_& m);
 void BindBal(py::module_& m);
 void BindColmap(py::module_& m);
+void BindLosses(py::module_& m);
 void BindSolve(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
@@ -19,5 +20,6 @@ PYBIND11_MODULE(_core, m) {
   BindProblem(m);
   BindBal(m);
   BindColmap(m);
+  BindLosses(m);
   BindSolve(m);
 }

@@ -18,6 +18,15 @@ std::string NameOf(Enum value, const bundle::NamedValue<Enum> (&names)[kSize]) {
   return "";
 }
 
+template <typename Enum, size_t kSize>
+Enum ValueOf(const char* option, const std::string& text,
+             const bundle::NamedValue<Enum> (&names)[kSize]) {
+  for (const auto& [name, value] : names) {
+    if (name == text) return value;
+  }
+  throw bundle::InputError(std::string(option) + ": unknown value " + text);
+}
+
 /// Calls visit for every option but `refine`: (name, value) or (name, value, names of its choices).
 template <typename Options, typename Visitor>
 void VisitOptions(Options& o, const Visitor& visit) {
@@ -60,14 +69,7 @@ struct Reader {
   template <typename Enum, size_t kSize>
   void operator()(const char* name, Enum& value,
                   const bundle::NamedValue<Enum> (&names)[kSize]) const {
-    const auto text = py::cast<std::string>(options[name]);
-    for (const auto& [choice, named] : names) {
-      if (choice == text) {
-        value = named;
-        return;
-      }
-    }
-    throw bundle::InputError(std::string(name) + ": unknown value " + text);
+    value = ValueOf(name, py::cast<std::string>(options[name]), names);
   }
 };
 
@@ -102,6 +104,10 @@ struct ChoiceLister {
 };
 
 }  // namespace
+
+bundle::LossType LossFromName(const std::string& name) {
+  return ValueOf("loss", name, bundle::kLossTypes);
+}
 
 bundle::SolveOptions OptionsFromPython(const py::dict& options) {
   bundle::SolveOptions result;

@@ -2,10 +2,15 @@
 
 #include <pybind11/pybind11.h>
 
+#include <string>
+
 #include "core/solve/options.h"
 
 /// Reads bundle.SolveOptions.asdict(), whose values Python has checked.
 bundle::SolveOptions OptionsFromPython(const pybind11::dict& options);
+
+/// Reads the name of a loss.
+bundle::LossType LossFromName(const std::string& name);
 
 /// The C++ defaults under Python's names, and the names of all choices: for the test that holds the
 /// two definitions of the options against each other.

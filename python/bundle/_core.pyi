@@ -72,6 +72,20 @@ def check_colmap_model(
     NDArray[np.float64],
 ]: ...
 
+# bind_losses.cpp
+def evaluate_loss(
+    loss: str, scale: float, squared_norms: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def correct(
+    rho: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    second_order_term: str,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None: ...
+def second_order_block(
+    rho: NDArray[np.float64], residual: NDArray[np.float64], jacobian: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+
 # bind_solve.cpp
 CERES_VERSION: str
 

@@ -1,0 +1,159 @@
+"""Write docs/robust_kernels.md: what robust losses do to a solver's steps, computed by bundle.
+
+usage: python tools/robust_kernels.py > docs/robust_kernels.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from bundle.losses import correct, evaluate_loss, second_order_block
+from bundle.options import LOSSES
+
+JACOBIAN = 2.0
+RESIDUALS = (0.5, 1.0, 2.0, 3.0, 10.0)
+ARCTAN_SCALE = 4.0
+WEIGHTS_AT = (0.5, 1.0, 2.0, 5.0)
+FORMULAS = {
+    "trivial": "s",
+    "huber": "s up to a², then 2a√s - a²",
+    "soft_l1": "2a² (√(1 + s/a²) - 1)",
+    "cauchy": "a² log(1 + s/a²)",
+    "arctan": "a arctan(s/a)",
+    "tukey": "a²/3 (1 - (1 - s/a²)³) up to a², then a²/3",
+}
+
+PAGE = """\
+<!-- Made by tools/robust_kernels.py; a test holds the two against each other. -->
+# Robust kernels
+
+A residual r costs 1/2 rho(s), s = ‖r‖². A least-squares solver knows residuals and Jacobians only,
+so Ceres hands it corrected ones. Every number below is computed by `bundle.losses`, that is by the
+core as in a solve; [triggs.h](../cpp/core/solve/triggs.h) derives the formulas.
+
+## The losses
+
+{losses}
+
+The weight rho' is what is left of a residual's pull on the solution. *Turns over* is the ‖r‖ from
+which on the cost as a function of ‖r‖ is concave; a loss without is convex. Arctan is the one whose
+scale is not where it bends: Ceres compares s itself, not √s, with a. With a = {arctan_scale:g} it
+turns over at {arctan:.3f} and not at {arctan_if_others:.3f}.
+
+## The second-order block
+
+The Gauss-Newton block of a residual is Jᵀ (rho' I + 2 rho'' r rᵀ) J: Triggs et al., *Bundle
+Adjustment - A Modern Synthesis*, section 4.3. For a Cauchy kernel of scale 1 and J = {jacobian:g}:
+
+{blocks}
+
+From ‖r‖ = {cauchy:.3f} on, where the kernel turns over, the block is not positive: the model of the
+cost has no minimum there, and no corrected Jacobian has that block as its square. Triggs'
+correction exists in the rows that show one; towards the turn its Jacobian vanishes and its residual
+grows without bound.
+
+Ceres leaves the second-order term out wherever rho'' <= 0, that is everywhere with every loss of
+the table. What remains is rho' JᵀJ, {clamped:+.3f} at r = {clamped_at:g}: never negative, and with
+the same gradient. The price is linear convergence where the kernel bends strongly: the model is
+stiffer than the cost, so steps fall short and gain more than was predicted. `bundle` does not take
+that for a wrong Jacobian.
+"""
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a Markdown table."""
+    header = list(header)
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def curvature(loss: str, scale: float, norm: float) -> float:
+    """Return the second derivative of 1/2 rho(r^2) by r."""
+    rho = evaluate_loss(loss, scale, [norm**2])[0]
+    return float(second_order_block(rho, [norm], [[1.0]])[0, 0])
+
+
+def turning_point(loss: str, scale: float) -> float | None:
+    """Return the norm from which on the cost is concave, None for a convex loss."""
+    below, above = 1e-3 * scale, 0.99 * scale
+    if curvature(loss, scale, above) > 0:
+        above = 1.01 * scale
+    if curvature(loss, scale, above) >= 0:
+        return None
+    while above - below > 1e-12 * scale:
+        middle = (below + above) / 2
+        if curvature(loss, scale, middle) > 0:
+            below = middle
+        else:
+            above = middle
+    return below
+
+
+def loss_rows() -> Iterable[list[str]]:
+    """Yield a row a loss."""
+    for loss in LOSSES:
+        weights = evaluate_loss(loss, 1.0, [norm**2 for norm in WEIGHTS_AT])[:, 1]
+        turn = turning_point(loss, 1.0)
+        yield [
+            f"`{loss}`",
+            FORMULAS[loss],
+            "-" if turn is None else f"{turn:.3f}",
+            *(f"{weight:.4f}" for weight in weights),
+        ]
+
+
+def block_rows() -> Iterable[list[str]]:
+    """Yield a row a residual, for a Cauchy kernel of scale 1."""
+    for norm in RESIDUALS:
+        rho = evaluate_loss("cauchy", 1.0, [norm**2])[0]
+        block = second_order_block(rho, [norm], [[JACOBIAN]])[0, 0]
+        full = correct(rho, [norm], [[JACOBIAN]], "full")
+        yield [
+            f"{norm:g}",
+            f"{block:+.4f}" if abs(block) > 1e-12 else "0",
+            "none" if full is None else f"{full.residual[0]:.4f}, {full.jacobian[0, 0]:.4f}",
+            f"{clamped_block(norm):+.4f}",
+        ]
+
+
+def clamped_block(norm: float) -> float:
+    """Return the square of the Jacobian that Ceres makes of J under a Cauchy kernel of scale 1."""
+    rho = evaluate_loss("cauchy", 1.0, [norm**2])[0]
+    corrected = correct(rho, [norm], [[JACOBIAN]], "ceres")
+    assert corrected is not None
+    return float(corrected.jacobian[0, 0] ** 2)
+
+
+def page() -> str:
+    """Return the page."""
+    at_one, arctan = turning_point("arctan", 1.0), turning_point("arctan", ARCTAN_SCALE)
+    cauchy = turning_point("cauchy", 1.0)
+    assert at_one is not None
+    assert arctan is not None
+    assert cauchy is not None
+    return PAGE.format(
+        losses=table(
+            [
+                "loss",
+                "rho(s), scale a",
+                "turns over, a = 1",
+                *(f"rho' at {at:g} a" for at in WEIGHTS_AT),
+            ],
+            loss_rows(),
+        ),
+        blocks=table(
+            ["r", "second-order block", "full correction: r, J", "block left by Ceres"],
+            block_rows(),
+        ),
+        jacobian=JACOBIAN,
+        arctan_scale=ARCTAN_SCALE,
+        arctan=arctan,
+        arctan_if_others=ARCTAN_SCALE * at_one,
+        cauchy=cauchy,
+        clamped=clamped_block(3.0),
+        clamped_at=3.0,
+    )
+
+
+if __name__ == "__main__":
+    print(page(), end="")
