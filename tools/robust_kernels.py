@@ -12,14 +12,13 @@ from bundle.options import LOSSES
 
 JACOBIAN = 2.0
 RESIDUALS = (0.5, 1.0, 2.0, 3.0, 10.0)
-ARCTAN_SCALE = 4.0
 WEIGHTS_AT = (0.5, 1.0, 2.0, 5.0)
 FORMULAS = {
     "trivial": "s",
     "huber": "s up to a², then 2a√s - a²",
     "soft_l1": "2a² (√(1 + s/a²) - 1)",
     "cauchy": "a² log(1 + s/a²)",
-    "arctan": "a arctan(s/a)",
+    "arctan": "a² arctan(s/a²)",
     "tukey": "a²/3 (1 - (1 - s/a²)³) up to a², then a²/3",
 }
 
@@ -36,9 +35,9 @@ core as in a solve; [triggs.h](../cpp/core/solve/triggs.h) derives the formulas.
 {losses}
 
 The weight rho' is what is left of a residual's pull on the solution. *Turns over* is the ‖r‖ from
-which on the cost as a function of ‖r‖ is concave; a loss without is convex. Arctan is the one whose
-scale is not where it bends: Ceres compares s itself, not √s, with a. With a = {arctan_scale:g} it
-turns over at {arctan:.3f} and not at {arctan_if_others:.3f}.
+which on the cost as a function of ‖r‖ is concave; a loss without is convex. Ceres'
+ArctanLoss compares s itself, not √s, with its scale; it is given a², so that every loss bends at a
+pixels.
 
 ## The second-order block
 
@@ -126,10 +125,7 @@ def clamped_block(norm: float) -> float:
 
 def page() -> str:
     """Return the page."""
-    at_one, arctan = turning_point("arctan", 1.0), turning_point("arctan", ARCTAN_SCALE)
     cauchy = turning_point("cauchy", 1.0)
-    assert at_one is not None
-    assert arctan is not None
     assert cauchy is not None
     return PAGE.format(
         losses=table(
@@ -146,9 +142,6 @@ def page() -> str:
             block_rows(),
         ),
         jacobian=JACOBIAN,
-        arctan_scale=ARCTAN_SCALE,
-        arctan=arctan,
-        arctan_if_others=ARCTAN_SCALE * at_one,
         cauchy=cauchy,
         clamped=clamped_block(3.0),
         clamped_at=3.0,

@@ -5,13 +5,14 @@ from scipy.optimize import least_squares
 
 from tests import scenes
 
-# rho(s) for s = ||r||^2, scale a: the formulas of Ceres' documentation.
+# rho(s) for s = ||r||^2, scale a in pixels: the formulas of Ceres' documentation, where the scale of
+# arctan is a squared one.
 LOSSES = {
     "trivial": lambda s, _: s,
     "huber": lambda s, a: np.where(s <= a * a, s, 2 * a * np.sqrt(s) - a * a),
     "soft_l1": lambda s, a: 2 * a * a * (np.sqrt(1 + s / (a * a)) - 1),
     "cauchy": lambda s, a: a * a * np.log1p(s / (a * a)),
-    "arctan": lambda s, a: a * np.arctan2(s, a),
+    "arctan": lambda s, a: a * a * np.arctan(s / (a * a)),
     "tukey": lambda s, a: np.where(s <= a * a, a * a / 3 * (1 - (1 - s / (a * a)) ** 3), a * a / 3),
 }
 

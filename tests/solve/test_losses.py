@@ -18,13 +18,13 @@ SCALES = [0.2, 1.0, 4.0]
 NORMS = [1e-9, 1e-3, 0.3, 0.5, 0.99, 1.01, 2.0, 3.0, 10.0, 1e3]
 
 # rho(s) in mpmath, from the papers: Huber 1964, Charbonnier's sqrt, Black & Anandan's Lorentzian,
-# Holland & Welsch's arctan in Ceres' scaling, Beaton & Tukey's biweight in Ceres 2's scaling.
+# Ceres' arctan, its scale squared to be in pixels, Beaton & Tukey's biweight in Ceres 2's scaling.
 FORMULAS = {
     "trivial": lambda s, _: s,
     "huber": lambda s, a: s if s <= a * a else 2 * a * mpmath.sqrt(s) - a * a,
     "soft_l1": lambda s, a: 2 * a * a * (mpmath.sqrt(1 + s / a**2) - 1),
     "cauchy": lambda s, a: a * a * mpmath.log(1 + s / a**2),
-    "arctan": lambda s, a: a * mpmath.atan(s / a),
+    "arctan": lambda s, a: a * a * mpmath.atan(s / a**2),
     "tukey": lambda s, a: a * a / 3 * (1 - (1 - s / a**2) ** 3 if s <= a * a else 1),
 }
 

@@ -13,7 +13,8 @@ std::unique_ptr<ceres::LossFunction> MakeLoss(LossType type, double scale) {
     case LossType::kCauchy:
       return std::make_unique<ceres::CauchyLoss>(scale);
     case LossType::kArctan:
-      return std::make_unique<ceres::ArctanLoss>(scale);
+      // Ceres compares s itself, not its root, with the scale of this one.
+      return std::make_unique<ceres::ArctanLoss>(scale * scale);
     case LossType::kTukey:
       return std::make_unique<ceres::TukeyLoss>(scale);
   }
