@@ -5,8 +5,8 @@ from scipy.optimize import least_squares
 
 from tests import scenes
 
-# rho(s) for s = ||r||^2, scale a in pixels: the formulas of Ceres' documentation, where the scale of
-# arctan is a squared one.
+# rho(s) for s = ||r||^2, scale a in pixels: the formulas of Ceres' documentation, where the scale
+# of arctan is a squared one.
 LOSSES = {
     "trivial": lambda s, _: s,
     "huber": lambda s, a: np.where(s <= a * a, s, 2 * a * np.sqrt(s) - a * a),
