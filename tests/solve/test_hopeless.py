@@ -108,6 +108,13 @@ def test_a_start_that_cannot_be_evaluated_is_not_usable_and_says_where(name):
     assert "image 1, point 1" in " ".join(summary.warnings)
 
 
+def test_points_seen_once_are_counted():
+    problem = seen_once()
+    sentence = "holds them: 40, the first is point 1."
+    assert sentence in " ".join(bundle.solve(problem).summary.warnings)
+    assert sentence not in " ".join(bundle.solve(problem, refine="poses").summary.warnings)
+
+
 def test_a_solution_that_is_no_reconstruction_is_dropped():
     problem = turned_away()
     result = bundle.solve(problem, cheirality="algebraic", max_num_iterations=30)

@@ -82,6 +82,7 @@ class CeresSolve {
 
   SolveOutput Run(const ProgressCallback& progress) {
     const Clock::time_point start = Clock::now();
+    Warn(CountPointsSeenOnce(problem_, layout_));
     BuildProblem();
     ceres::Solver::Options ceres_options = ChooseSolver();
     ReportProgress report(progress, fixed_cost_);
@@ -106,6 +107,10 @@ class CeresSolve {
     FreeParameters free = SelectFreeParameters(problem_, options_);
     warnings_ = FixGauge(problem_, options_.gauge, &free);
     return free;
+  }
+
+  void Warn(std::string sentence) {
+    if (!sentence.empty()) warnings_.push_back(std::move(sentence));
   }
 
   void BuildProblem() {
@@ -221,8 +226,7 @@ class CeresSolve {
     }
     if (summary.termination_type == ceres::FAILURE || !std::isfinite(summary.initial_cost)) {
       output.summary.is_solution_usable = false;
-      std::string overflow = FindOverflow(problem_, options_.cheirality);
-      if (!overflow.empty()) warnings_.push_back(std::move(overflow));
+      Warn(FindOverflow(problem_, options_.cheirality));
     }
     output.summary.warnings = std::move(warnings_);
     for (const ceres::IterationSummary& iteration : summary.iterations) {

@@ -12,6 +12,23 @@
 
 namespace bundle {
 
+std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayout& layout) {
+  std::vector<int32_t> observations(problem.num_points);
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    ++observations[problem.observation_point[i]];
+  }
+  int64_t count = 0;
+  int first = -1;
+  for (int p = 0; p < problem.num_points; ++p) {
+    if (observations[p] != 1 || !layout.point_is_free(p)) continue;
+    if (count++ == 0) first = p;
+  }
+  if (count == 0) return "";
+  return "Points seen only once have no depth of their own, the damping alone holds them: " +
+         std::to_string(count) + ", the first is point " +
+         std::to_string(problem.point_ids[first]) + ".";
+}
+
 void RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
   ProblemView refined = problem;
   refined.cam_from_world = output->cam_from_world.data();

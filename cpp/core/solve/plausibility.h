@@ -4,9 +4,13 @@
 
 #include "core/problem/problem_view.h"
 #include "core/residuals/reprojection.h"
+#include "core/solve/parameter_layout.h"
 #include "core/solve/solve.h"
 
 namespace bundle {
+
+/// One sentence that counts the free points seen by one observation only; "" if there are none.
+std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayout& layout);
 
 /// If the solver left something that is no reconstruction (a focal length that is not positive, a
 /// number that is not finite), puts the problem's own values back, marks the solution as not usable
