@@ -71,7 +71,7 @@ def test_quiet_on_a_terminal(screen):
 
 
 @pytest.mark.parametrize(
-    ("elapsed", "shown"), [(0.04, "0.0 s"), (59.9, "59.9 s"), (61, "1:01"), (3725, "1:02:05")]
+    ("elapsed", "shown"), [(0.04, "0.0 s"), (59.9, "59.9 s"), (61.5, "1:01"), (3725.5, "1:02:05")]
 )
 def test_elapsed(monkeypatch, elapsed, shown):
     progress = Progress(quiet=True)

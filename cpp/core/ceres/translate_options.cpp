@@ -126,6 +126,10 @@ ceres::Solver::Options TranslateOptions(const SolveOptions& options) {
   result.gradient_tolerance = options.gradient_tolerance;
   result.parameter_tolerance = options.parameter_tolerance;
   result.num_threads = EffectiveNumThreads(options.num_threads);
+  // A factorisation that fails because the damping has become too small is tried again with a
+  // radius 2, 4, 8, ... times smaller. Ceres gives the whole solve up after five, COLMAP after ten:
+  // enough for 2^55, where no rounding is left to blame.
+  result.max_num_consecutive_invalid_steps = 10;
   SetLinearSolver(options, &result);
   SetTrustRegion(options, &result);
   std::string error;
