@@ -9,14 +9,20 @@
 #include <utility>
 
 #include "core/cameras/camera_model.h"
+#include "core/cameras/fisheye.h"
 #include "core/cameras/opencv.h"
 #include "core/cameras/pinhole.h"
+#include "core/cameras/rad_tan_thin_prism_fisheye.h"
 #include "core/cameras/radial.h"
+#include "core/cameras/radial_fisheye.h"
 #include "core/cameras/simple_pinhole.h"
+#include "core/cameras/thin_prism_fisheye.h"
 
 namespace bundle {
 
-using CameraModels = std::tuple<SimplePinhole, Pinhole, SimpleRadial, Radial, OpenCv>;
+using CameraModels = std::tuple<SimplePinhole, Pinhole, SimpleRadial, Radial, OpenCv, OpenCvFisheye,
+                                SimpleRadialFisheye, RadialFisheye, ThinPrismFisheye,
+                                RadTanThinPrismFisheye, SimpleFisheye, Fisheye>;
 
 inline constexpr int kNumCameraModels = static_cast<int>(std::tuple_size_v<CameraModels>);
 
