@@ -1,12 +1,13 @@
 """Pixels and validity against pycolmap, OpenCV and formulas, over the whole field of view."""
 
 import cv2
+import mpmath
 import numpy as np
 import pycolmap
 import pytest
 
 import bundle
-from tests import scenes
+from tests import formulas, scenes
 from tests.cameras.draws import camera, colmap_lacks, random_params, random_points, rounding
 
 MODELS = sorted(bundle.camera_models())
@@ -53,9 +54,6 @@ def colmap_cancellation(model, params, points):
 @pytest.mark.parametrize("model", [name for name in MODELS if "DIVISION" in name])
 def test_division_models_behind_the_camera_lose_no_digits(model):
     """Where COLMAP's own form cancels, against 50 digits."""
-    mpmath = pytest.importorskip("mpmath")
-    from tests import formulas
-
     rng = np.random.default_rng(5)
     for _ in range(100):
         params = random_params(model, rng)

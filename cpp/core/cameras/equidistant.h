@@ -15,6 +15,11 @@
 ///
 ///   dxy/dP = (a J_u + g e X,  a J_v + g e Y,  -e / R^2).
 ///
+/// At 90 degrees the first two cancel along the radius, where a + g r^2 = Z / R^2 =: c is what is
+/// left. With e' = J_u Y - J_v X they are
+///
+///   a J_u + g e X = c J_u - g e' Y,   a J_v + g e Y = c J_v + g e' X.
+///
 /// Up to 45 degrees from the axis a and g come out of ArctanRatio, which is sound on the axis
 /// itself: with q = (r / Z)^2, a = A(q) / Z and g = 2 A'(q) / Z^3. Farther out nothing cancels.
 ///
@@ -48,31 +53,33 @@ struct Equidistant {
       return;
     }
     inverse_norm_ = 1 / norm;
+    along_ = z * inverse_norm_;
+    double scale;
     if (z > 0 && square <= z * z) {
       const double inverse_z = 1 / z;
       const ArctanRatio ratio(square * inverse_z * inverse_z);
-      scale_ = ratio.value * inverse_z;
+      scale = ratio.value * inverse_z;
       slope_ = 2 * ratio.slope * inverse_z * inverse_z * inverse_z;
     } else {
       const double r = std::sqrt(square);
-      scale_ = std::atan2(r, z) / r;
-      slope_ = (z * inverse_norm_ - scale_) / square;
+      scale = std::atan2(r, z) / r;
+      slope_ = (along_ - scale) / square;
     }
-    u = scale_ * x_;
-    v = scale_ * y_;
+    u = scale * x_;
+    v = scale * y_;
   }
 
   /// One row of dxy/dP out of the same row of dxy/d(u, v).
   void ChainRow(double d_u, double d_v, double* d_point_row) const {
-    const double along = d_u * x_ + d_v * y_;
-    d_point_row[0] = scale_ * d_u + slope_ * along * x_;
-    d_point_row[1] = scale_ * d_v + slope_ * along * y_;
-    d_point_row[2] = -along * inverse_norm_;
+    const double across = slope_ * (d_u * y_ - d_v * x_);
+    d_point_row[0] = along_ * d_u - across * y_;
+    d_point_row[1] = along_ * d_v + across * x_;
+    d_point_row[2] = -(d_u * x_ + d_v * y_) * inverse_norm_;
   }
 
  private:
   double x_, y_;
-  double scale_ = 0;         // a
+  double along_ = 0;         // c
   double slope_ = 0;         // g
   double inverse_norm_ = 0;  // 1 / R^2
 };
