@@ -8,8 +8,8 @@
 /// with (u, v) = theta (X, Y) / r out of equidistant.h, hence u^2 + v^2 = theta^2, and d out of
 /// radial_polynomial.h.
 ///
-/// Source: COLMAP, src/colmap/sensor/models.h; for the last also OpenCV, calib3d,
-/// fisheye::projectPoints, after Kannala and Brandt, PAMI 2006.
+/// Source: COLMAP, src/colmap/sensor/models.h; Kannala and Brandt, PAMI 2006; for OPENCV_FISHEYE
+/// also OpenCV, calib3d, fisheye::projectPoints.
 
 #include "core/cameras/equidistant.h"
 #include "core/cameras/lens.h"
