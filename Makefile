@@ -14,7 +14,7 @@ CPP_SOURCES = $(shell find cpp -name '*.h' -o -name '*.cpp')
 LINT_BUILD := build/lint
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format bench clean
+.PHONY: help setup demo test lint format docs bench clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -51,6 +51,9 @@ format: $(READY)  ## rewrite the sources in the house format
 	$(VENV)/bin/ruff check --fix-only .
 	$(VENV)/bin/ruff format .
 	$(VENV)/bin/clang-format -i $(CPP_SOURCES)
+
+docs: $(READY)  ## rewrite what README.md quotes from the code
+	$(VENV)/bin/python tools/camera_table.py --update
 
 bench: $(READY_TO_BENCH)  ## measure against the peers on real data (takes long; writes benchmarks/results)
 	$(VENV)/bin/python benchmarks/run.py

@@ -4,34 +4,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bundle import Problem
-
-PARAMS = {
-    "SIMPLE_PINHOLE": [800.0, 400.0, 300.0],
-    "PINHOLE": [800.0, 790.0, 400.0, 300.0],
-    "SIMPLE_RADIAL": [800.0, 400.0, 300.0, -0.03],
-    "RADIAL": [800.0, 400.0, 300.0, -0.05, 0.01],
-    "OPENCV": [800.0, 790.0, 400.0, 300.0, -0.05, 0.01, 0.001, -0.002],
-}
+from tests import formulas
+from tests.formulas import PARAMS
 
 
 def project(model, params, points):
     """Pixels of (N, 3) points of the camera frame; also for complex numbers."""
-    u, v = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    s = u * u + v * v
-    p = np.asarray(params)
-    if model == "SIMPLE_PINHOLE":
-        return np.stack([p[0] * u + p[1], p[0] * v + p[2]], 1)
-    if model == "PINHOLE":
-        return np.stack([p[0] * u + p[2], p[1] * v + p[3]], 1)
-    if model in ("SIMPLE_RADIAL", "RADIAL"):
-        d = 1 + p[3] * s + (p[4] * s * s if model == "RADIAL" else 0)
-        return np.stack([p[0] * d * u + p[1], p[0] * d * v + p[2]], 1)
-    assert model == "OPENCV"
-    k1, k2, p1, p2 = p[4:8]
-    d = 1 + k1 * s + k2 * s * s
-    x = d * u + 2 * p1 * u * v + p2 * (s + 2 * u * u)
-    y = d * v + 2 * p2 * u * v + p1 * (s + 2 * v * v)
-    return np.stack([p[0] * x + p[2], p[1] * y + p[3]], 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack(formulas.project(model, np.asarray(params), *np.transpose(points)), 1)
 
 
 def make_problem(

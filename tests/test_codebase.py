@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType
@@ -118,3 +119,12 @@ def test_help_lists_every_target() -> None:
         ["make", "help"], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout
     assert set(re.findall(r"^make ([a-z]+)", shown, re.MULTILINE)) == make_targets()
+
+
+def test_readme_has_the_table_of_camera_models_that_the_code_gives() -> None:
+    script = [sys.executable, ROOT / "tools" / "camera_table.py"]
+    table = subprocess.run(script, capture_output=True, text=True, check=True).stdout
+    assert all(model in table for model in bundle.camera_models())
+    readme = (ROOT / "README.md").read_text()
+    between = readme.split("<!-- cameras:begin -->\n")[1].split("<!-- cameras:end -->")[0]
+    assert between == table, "run `make docs`"

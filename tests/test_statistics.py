@@ -5,11 +5,12 @@ import itertools
 import numpy as np
 import pytest
 
+import bundle
 from bundle.statistics import covisibility as covisibility_module
 from bundle.statistics import describe
 from bundle.statistics.covisibility import components, covisibility
 from bundle.statistics.lenses import fold_radius, lenses
-from tests.scenes import scene
+from tests.scenes import make_problem, scene
 
 PARTS = ["cam_from_world", "image_ids", "image_names", "image_camera", "camera_ids"]
 PARTS += ["camera_models", "camera_params", "camera_sizes", "points", "point_ids"]
@@ -248,13 +249,33 @@ def test_cameras_that_no_image_uses():
 
 
 def test_camera_model_that_is_not_supported():
-    problem = scene(3, kind="colmap", camera_models=("RADIAL", "FOV", "FOV"))
+    problem = scene(3, kind="colmap", camera_models=("RADIAL", "MADE_UP", "MADE_UP"))
     description = describe(problem)
     assert description.reprojection_error is None
     (found,) = description.suspicions
     assert found.kind == "unsupported_camera_models"
     assert found.ids == (1, 2)
-    assert "FOV" in found.sentence
-    fov = next(group for group in description.cameras if group.model == "FOV")
-    assert fov.focal is None
-    assert not fov.supported
+    assert "MADE_UP" in found.sentence
+    unknown = next(group for group in description.cameras if group.model == "MADE_UP")
+    assert unknown.focal is None
+    assert not unknown.supported
+
+
+def test_a_panorama_has_no_lens():
+    problem = make_problem(model="EQUIRECTANGULAR")
+    lens = lenses(problem)
+    assert np.isnan(lens.focal).all()
+    assert np.isinf(lens.fold).all()
+    assert (lens.size == 800).all()
+    (group,) = describe(problem).cameras
+    assert group.supported
+    assert group.focal is None
+    assert not {"absurd_focal_lengths", "folding_distortion"} & set(kinds(problem))
+
+
+@pytest.mark.parametrize("model", bundle.camera_models())
+def test_every_model_is_described(model):
+    problem = make_problem(model=model)
+    (group,) = describe(problem).cameras
+    assert group.model == model
+    assert not {"unsupported_camera_models", "folding_distortion"} & set(kinds(problem))

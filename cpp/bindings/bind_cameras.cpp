@@ -20,6 +20,8 @@ const char* KindName(bundle::CameraParam::Kind kind) {
       return "principal_point";
     case bundle::CameraParam::kExtra:
       return "extra";
+    case bundle::CameraParam::kMetadata:
+      return "metadata";
   }
   return "";
 }

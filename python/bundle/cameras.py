@@ -14,7 +14,10 @@ __all__ = ["CameraParam", "ProjectionResult", "camera_models", "param_kinds", "p
 
 
 class CameraParam(NamedTuple):
-    """A parameter of a camera model; kind is "focal", "principal_point" or "extra"."""
+    """A parameter of a camera model.
+
+    Its kind is "focal", "principal_point", "extra", or "metadata", which no solve refines.
+    """
 
     name: str
     kind: str
@@ -25,7 +28,8 @@ class ProjectionResult(NamedTuple):
 
     Attributes:
         xy: (N, 2) pixels; NaN where the projection does not exist.
-        valid: (N,) whether the camera sees the point: in front of it, projection defined.
+        valid: (N,) whether the camera sees the point, by COLMAP's rules: for most models what lies
+            in front of it, for SIMPLE_DIVISION, DIVISION and EQUIRECTANGULAR whatever projects.
         d_point: (N, 2, 3) pixels per length unit, by the point in the camera frame.
         d_params: (N, 2, num_params), by the parameters in COLMAP's order.
     """
@@ -80,7 +84,9 @@ def project(
 
     Returns:
         Pixels (N, 2) and validity (N,), or with ``jacobians=True`` a :class:`ProjectionResult`.
-        A point behind a perspective camera has pixels, by the formula, but is not valid.
+        A point that the camera does not see may have pixels, by the formula: that of the mirrored
+        point behind a perspective camera, that of an angle beyond 90 degrees for a fisheye. It is
+        not valid.
 
     Raises:
         InputError: unknown model, or arrays of the wrong shape.

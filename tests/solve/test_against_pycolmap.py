@@ -19,19 +19,18 @@ FUNCTION_TOLERANCE = 1e-10
 MAX_ITERATIONS = 300
 
 
-def adjust_with_pycolmap(path):
+def adjust(reconstruction, function_tolerance, max_iterations):
     """Ceres' summary of pycolmap's bundle adjustment with points eliminated densely."""
-    reconstruction = pycolmap.Reconstruction(path)
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_principal_point = False
     options.ceres.auto_select_solver_type = False
     solver = options.ceres.solver_options
     solver.linear_solver_type = type(solver.linear_solver_type).DENSE_SCHUR
-    solver.function_tolerance = FUNCTION_TOLERANCE
+    solver.function_tolerance = function_tolerance
     solver.gradient_tolerance = 0
     solver.parameter_tolerance = 0
-    solver.max_num_iterations = MAX_ITERATIONS
+    solver.max_num_iterations = max_iterations
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in reconstruction.reg_image_ids():
         config.add_image(image_id)
@@ -43,7 +42,8 @@ def adjust_with_pycolmap(path):
 @pytest.mark.parametrize("name", MODELS)
 def test_same_start_and_no_worse_end(bundle_data, name):
     path = bundle_data / "colmap" / name
-    expected = adjust_with_pycolmap(path)
+    reconstruction = pycolmap.Reconstruction(path)
+    expected = adjust(reconstruction, FUNCTION_TOLERANCE, MAX_ITERATIONS)
     result = bundle.solve(
         bundle.load(path),
         linear_solver_type="dense_schur",

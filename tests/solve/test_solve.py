@@ -39,7 +39,9 @@ def test_reaches_the_minimum_that_scipy_finds(shared):
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("model", sorted(bundle.camera_models()))
 def test_every_solver_reaches_the_same_minimum(solver, model):
-    problem = scenes.make_problem(model=model, seed=2)
+    # Twelve numbers of distortion from one small image have several minima.
+    shared = len(bundle.camera_models()[model]) > 8
+    problem = scenes.make_problem(model=model, seed=2, shared=shared)
     reference = bundle.solve(problem, linear_solver_type="dense_schur", **CONVERGED)
     result = bundle.solve(problem, linear_solver_type=solver, **CONVERGED)
     assert result.summary.is_solution_usable

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, SceneOptions, SyntheticScene, synthesize
+from bundle.synthetic.options import CAMERA_MODELS
 from tests.scenes import project
 
 KINDS = ("street", "orbit", "photo_collection")
@@ -168,7 +169,7 @@ def test_start_is_perturbed_as_asked():
     assert change[:, 6:8].std() == pytest.approx(0.001, rel=0.1)
 
 
-@pytest.mark.parametrize("model", bundle.camera_models())
+@pytest.mark.parametrize("model", CAMERA_MODELS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_start_is_far_off_and_refinable(kind, model):
     scene = synthesize(

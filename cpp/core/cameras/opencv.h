@@ -2,23 +2,49 @@
 
 /// OPENCV (fx, fy, cx, cy, k1, k2, p1, p2): radial and tangential distortion (Brown, 1966).
 ///
-/// With s = u^2 + v^2 and d(s) = 1 + k1 s + k2 s^2
+/// With u = X / Z, v = Y / Z, s = u^2 + v^2, d(s) = 1 + k1 s + k2 s^2 and the tangential part (t_u,
+/// t_v) of decentering.h
 ///
-///   u_d = d u + 2 p1 u v + p2 (s + 2 u^2),      x = fx u_d + cx,
-///   v_d = d v + 2 p2 u v + p1 (s + 2 v^2),      y = fy v_d + cy.
+///   u_d = d u + t_u,   v_d = d v + t_v.
 ///
-/// From ds/du = 2u, ds/dv = 2v and d' = k1 + 2 k2 s
+/// With d' = k1 + 2 k2 s
 ///
-///   du_d/du = d + 2 d' u^2 + 2 p1 v + 6 p2 u,   du_d/dv = 2 d' u v + 2 p1 u + 2 p2 v,
-///   dv_d/dv = d + 2 d' v^2 + 2 p2 u + 6 p1 v,   dv_d/du = du_d/dv,
-///   du_d/d(k1, k2, p1, p2) = (s u, s^2 u, 2 u v, s + 2 u^2),
-///   dv_d/d(k1, k2, p1, p2) = (s v, s^2 v, s + 2 v^2, 2 u v).
+///   du_d/du = d + 2 d' u^2 + dt_u/du,   du_d/dv = dv_d/du = 2 d' u v + dt_u/dv,
+///   dv_d/dv = d + 2 d' v^2 + dt_v/dv,   du_d/d(k1, k2) = (s u, s^2 u),   dv_d/d(k1, k2) = (s v,
+///   s^2 v).
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h; OpenCV, calib3d, projectPoints.
 
+#include "core/cameras/decentering.h"
+#include "core/cameras/lens.h"
 #include "core/cameras/perspective.h"
+#include "core/cameras/radial_polynomial.h"
 
 namespace bundle {
+
+struct BrownDistortion {
+  static constexpr int kNumParams = 4;
+
+  static bool Distort(const double* k, double u, double v, double* uv_d, double* d_uv,
+                      double* d_k) {
+    const double s = u * u + v * v;
+    const EvenPolynomial<2> d(k, s);
+    const Decentering t(k[2], k[3], u, v);
+    uv_d[0] = d.value * u + t.u;
+    uv_d[1] = d.value * v + t.v;
+    if (d_uv != nullptr) {
+      const double slope = 2 * d.slope;
+      d_uv[0] = d.value + slope * u * u + t.du_du;
+      d_uv[1] = d_uv[2] = slope * u * v + t.cross;
+      d_uv[3] = d.value + slope * v * v + t.dv_dv;
+    }
+    if (d_k != nullptr) {
+      d_k[0] = s * u, d_k[1] = s * s * u, d_k[2] = t.du_dp1, d_k[3] = t.du_dp2;
+      d_k[4] = s * v, d_k[5] = s * s * v, d_k[6] = t.dv_dp1, d_k[7] = t.dv_dp2;
+    }
+    return true;
+  }
+};
 
 struct OpenCv {
   static constexpr char kName[] = "OPENCV";
@@ -30,34 +56,8 @@ struct OpenCv {
 
   static Projection Project(const double* params, const double* point, double* xy, double* d_point,
                             double* d_params) {
-    const double fx = params[0], fy = params[1];
-    const double k1 = params[4], k2 = params[5], p1 = params[6], p2 = params[7];
-    const Perspective p(point);
-    if (p.status == Projection::kUndefined) return p.status;
-    const double u = p.u, v = p.v;
-    const double s = u * u + v * v;
-    const double factor = 1 + s * (k1 + s * k2);
-    const double two_uv = 2 * u * v;
-    const double tangential_u = s + 2 * u * u;
-    const double tangential_v = s + 2 * v * v;
-    const double u_d = factor * u + p1 * two_uv + p2 * tangential_u;
-    const double v_d = factor * v + p2 * two_uv + p1 * tangential_v;
-    xy[0] = fx * u_d + params[2];
-    xy[1] = fy * v_d + params[3];
-    if (d_point != nullptr) {
-      const double slope = 2 * (k1 + 2 * k2 * s);
-      const double cross = slope * u * v + 2 * (p1 * u + p2 * v);
-      p.ChainRow(fx * (factor + slope * u * u + 2 * p1 * v + 6 * p2 * u), fx * cross, d_point);
-      p.ChainRow(fy * cross, fy * (factor + slope * v * v + 2 * p2 * u + 6 * p1 * v), d_point + 3);
-    }
-    if (d_params != nullptr) {
-      const double row_x[] = {
-          u_d, 0, 1, 0, fx * s * u, fx * s * s * u, fx * two_uv, fx * tangential_u};
-      const double row_y[] = {0,          v_d, 0, 1, fy * s * v, fy * s * s * v, fy * tangential_v,
-                              fy * two_uv};
-      for (int i = 0; i < 8; ++i) d_params[i] = row_x[i], d_params[8 + i] = row_y[i];
-    }
-    return p.status;
+    return ProjectThroughLens<Perspective, BrownDistortion, 2>(params, point, xy, d_point,
+                                                               d_params);
   }
 };
 

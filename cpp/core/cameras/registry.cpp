@@ -8,7 +8,8 @@ namespace {
 template <typename... Models>
 constexpr std::array<CameraModel, sizeof...(Models)> Describe(std::tuple<Models...>) {
   static_assert(((kNumParams<Models> <= kMaxCameraParams) && ...));
-  return {{{Models::kName, Models::kParams, kNumParams<Models>, &Models::Project}...}};
+  return {{{Models::kName, Models::kParams, kNumParams<Models>, &Models::Project,
+            &ModelDifference<Models>}...}};
 }
 
 constexpr std::array<CameraModel, kNumCameraModels> kModels = Describe(CameraModels());

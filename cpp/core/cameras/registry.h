@@ -9,14 +9,27 @@
 #include <utility>
 
 #include "core/cameras/camera_model.h"
+#include "core/cameras/division.h"
+#include "core/cameras/equirectangular.h"
+#include "core/cameras/eucm.h"
+#include "core/cameras/fisheye.h"
+#include "core/cameras/fov.h"
+#include "core/cameras/full_opencv.h"
 #include "core/cameras/opencv.h"
 #include "core/cameras/pinhole.h"
+#include "core/cameras/rad_tan_thin_prism_fisheye.h"
 #include "core/cameras/radial.h"
+#include "core/cameras/radial_fisheye.h"
 #include "core/cameras/simple_pinhole.h"
+#include "core/cameras/thin_prism_fisheye.h"
 
 namespace bundle {
 
-using CameraModels = std::tuple<SimplePinhole, Pinhole, SimpleRadial, Radial, OpenCv>;
+/// In the order of COLMAP's ids.
+using CameraModels =
+    std::tuple<SimplePinhole, Pinhole, SimpleRadial, Radial, OpenCv, OpenCvFisheye, FullOpenCv, Fov,
+               SimpleRadialFisheye, RadialFisheye, ThinPrismFisheye, RadTanThinPrismFisheye,
+               SimpleDivision, Division, SimpleFisheye, Fisheye, Eucm, Equirectangular>;
 
 inline constexpr int kNumCameraModels = static_cast<int>(std::tuple_size_v<CameraModels>);
 

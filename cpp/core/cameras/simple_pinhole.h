@@ -2,11 +2,13 @@
 
 /// SIMPLE_PINHOLE (f, cx, cy): no distortion, square pixels.
 ///
-///   x = f u + cx,  y = f v + cy          dx/du = f, dy/dv = f, dx/df = u, dy/df = v.
+///   x = f u + cx,   y = f v + cy,   u = X / Z,   v = Y / Z.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h.
 
+#include "core/cameras/lens.h"
 #include "core/cameras/perspective.h"
+#include "core/cameras/radial_polynomial.h"
 
 namespace bundle {
 
@@ -18,20 +20,8 @@ struct SimplePinhole {
 
   static Projection Project(const double* params, const double* point, double* xy, double* d_point,
                             double* d_params) {
-    const double f = params[0];
-    const Perspective p(point);
-    if (p.status == Projection::kUndefined) return p.status;
-    xy[0] = f * p.u + params[1];
-    xy[1] = f * p.v + params[2];
-    if (d_point != nullptr) {
-      p.ChainRow(f, 0, d_point);
-      p.ChainRow(0, f, d_point + 3);
-    }
-    if (d_params != nullptr) {
-      d_params[0] = p.u, d_params[1] = 1, d_params[2] = 0;
-      d_params[3] = p.v, d_params[4] = 0, d_params[5] = 1;
-    }
-    return p.status;
+    return ProjectThroughLens<Perspective, RadialPolynomial<0>, 1>(params, point, xy, d_point,
+                                                                   d_params);
   }
 };
 

@@ -122,7 +122,7 @@ void ScanCameras(ColmapIndex* index) {
     const uint32_t id = ReadId(&reader, index->cameras_file, "a camera id");
     const std::string subject = "camera " + std::to_string(id);
     const auto model_id = reader.Read<int32_t>("a camera model id");
-    const ColmapCameraModel* model = FindColmapCameraModel(model_id);
+    const CameraModel* model = FindColmapCameraModel(model_id);
     if (model == nullptr) {
       index->cameras_file.Fail(
           at + 4,
@@ -131,7 +131,7 @@ void ScanCameras(ColmapIndex* index) {
     const auto width = reader.Read<uint64_t>("an image width");
     const auto height = reader.Read<uint64_t>("an image height");
     CheckCameraSize(index->cameras_file, at + 8, subject, width, height);
-    double params[kMaxColmapCameraParams];
+    double params[kMaxCameraParams];
     reader.ReadArray(params, static_cast<size_t>(model->num_params), "camera parameters");
     CheckCameraParams(index->cameras_file, at + 24, subject, *model, params);
     index->cameras.push_back({id, at});

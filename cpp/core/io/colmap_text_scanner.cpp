@@ -15,6 +15,7 @@
 #include <string>
 #include <vector>
 
+#include "core/cameras/registry.h"
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_text_cursor.h"
 #include "core/io/colmap_values.h"
@@ -46,14 +47,14 @@ void ScanCameras(ColmapIndex* index) {
     const uint32_t id = cursor.Id("a camera id");
     const std::string subject = "camera " + std::to_string(id);
     const std::string_view name = cursor.Token("a camera model");
-    const ColmapCameraModel* model = FindColmapCameraModel(name);
+    const CameraModel* model = FindCameraModel(name);
     if (model == nullptr) {
       cursor.Fail(subject + ": expected the name of a COLMAP camera model, found " + Quoted(name));
     }
     const uint64_t width = cursor.Integer("an image width", kMaxPoint3DId);
     const uint64_t height = cursor.Integer("an image height", kMaxPoint3DId);
     CheckCameraSize(index->cameras_file, cursor.line(), subject, width, height);
-    double params[kMaxColmapCameraParams];
+    double params[kMaxCameraParams];
     for (int i = 0; i < model->num_params; ++i) {
       if (cursor.AtEndOfLine()) {
         cursor.Fail(subject + ": expected " + std::to_string(model->num_params) +

@@ -4,57 +4,26 @@
 #include <cmath>
 #include <limits>
 
+#include "core/cameras/registry.h"
 #include "core/io/printable.h"
 
 namespace bundle {
-namespace {
 
-constexpr ColmapCameraModel kModels[] = {
-    {0, "SIMPLE_PINHOLE", 3, 1},
-    {1, "PINHOLE", 4, 2},
-    {2, "SIMPLE_RADIAL", 4, 1},
-    {3, "RADIAL", 5, 1},
-    {4, "OPENCV", 8, 2},
-    {5, "OPENCV_FISHEYE", 8, 2},
-    {6, "FULL_OPENCV", 12, 2},
-    {7, "FOV", 5, 2},
-    {8, "SIMPLE_RADIAL_FISHEYE", 4, 1},
-    {9, "RADIAL_FISHEYE", 5, 1},
-    {10, "THIN_PRISM_FISHEYE", 12, 2},
-    {11, "RAD_TAN_THIN_PRISM_FISHEYE", 16, 2},
-    {12, "SIMPLE_DIVISION", 4, 1},
-    {13, "DIVISION", 5, 2},
-    {14, "SIMPLE_FISHEYE", 3, 1},
-    {15, "FISHEYE", 4, 2},
-    {16, "EUCM", 6, 2},
-    {17, "EQUIRECTANGULAR", 2, 0},
-};
-
-}  // namespace
-
-const ColmapCameraModel* FindColmapCameraModel(std::string_view name) {
-  for (const ColmapCameraModel& model : kModels) {
-    if (model.name == name) return &model;
-  }
-  return nullptr;
-}
-
-const ColmapCameraModel* FindColmapCameraModel(int32_t id) {
-  for (const ColmapCameraModel& model : kModels) {
-    if (model.id == id) return &model;
-  }
-  return nullptr;
+const CameraModel* FindColmapCameraModel(int32_t id) {
+  return id >= 0 && id < kNumCameraModels ? AllCameraModels() + id : nullptr;
 }
 
 void CheckCameraParams(const ModelFile& file, uint64_t position, const std::string& subject,
-                       const ColmapCameraModel& model, const double* params) {
+                       const CameraModel& model, const double* params) {
   for (int i = 0; i < model.num_params; ++i) {
-    const bool is_focal_length = i < model.num_focal_lengths;
-    if (std::isfinite(params[i]) && (!is_focal_length || params[i] > 0.0)) continue;
-    file.Fail(position, subject + ": expected " +
-                            (is_focal_length ? "a focal length above 0" : "a finite number") +
-                            " as parameter " + std::to_string(i) + " of " +
-                            std::string(model.name) + ", found " + FormatNumber(params[i]));
+    const CameraParam::Kind kind = model.params[i].kind;
+    const bool is_positive = kind == CameraParam::kFocal || kind == CameraParam::kMetadata;
+    if (std::isfinite(params[i]) && (!is_positive || params[i] > 0.0)) continue;
+    const std::string expected = kind == CameraParam::kFocal      ? "a focal length above 0"
+                                 : kind == CameraParam::kMetadata ? "an image size above 0"
+                                                                  : "a finite number";
+    file.Fail(position, subject + ": expected " + expected + " as parameter " + std::to_string(i) +
+                            " of " + model.name + ", found " + FormatNumber(params[i]));
   }
 }
 

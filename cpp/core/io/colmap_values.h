@@ -4,31 +4,20 @@
 #include <string>
 #include <string_view>
 
+#include "core/cameras/camera_model.h"
 #include "core/io/model_file.h"
 
 namespace bundle {
 
-/// What a file must say of a camera model; COLMAP's sensor/models.h has the rest.
-struct ColmapCameraModel {
-  int32_t id;
-  std::string_view name;
-  int num_params;
-  int num_focal_lengths;  ///< they are the first parameters
-};
-
-/// nullptr where COLMAP 4.2 has no such model.
-const ColmapCameraModel* FindColmapCameraModel(std::string_view name);
-const ColmapCameraModel* FindColmapCameraModel(int32_t id);
-
-/// Longest list of parameters of any model.
-constexpr int kMaxColmapCameraParams = 16;
+/// nullptr where COLMAP 4.2 has no such model. Our models stand in the order of COLMAP's ids.
+const CameraModel* FindColmapCameraModel(int32_t id);
 
 // Checks of single values, the same in both formats. Each throws InputError at `position`;
 // `subject` is "camera 3".
 
-/// Parameters finite, focal lengths above zero.
+/// Parameters finite, focal lengths and image sizes above zero.
 void CheckCameraParams(const ModelFile& file, uint64_t position, const std::string& subject,
-                       const ColmapCameraModel& model, const double* params);
+                       const CameraModel& model, const double* params);
 
 /// `pose` is qw qx qy qz tx ty tz, as in the files: finite, with a quaternion that gives a
 /// rotation.

@@ -40,13 +40,15 @@ void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, doub
       MatrixVector3(&rotations[9 * image],
                     problem.points + 3 * static_cast<int64_t>(problem.observation_point[i]), point);
       for (int j = 0; j < 3; ++j) point[j] += translation[j];
-      const Projection projection = problem.camera_models[camera]->project(
-          problem.ParamsOf(camera), point, xy, nullptr, nullptr);
+      const CameraModel& model = *problem.camera_models[camera];
+      const double* params = problem.ParamsOf(camera);
+      const Projection projection = model.project(params, point, xy, nullptr, nullptr);
       behind[i] = projection != Projection::kValid;
-      errors[i] = projection == Projection::kUndefined
-                      ? std::numeric_limits<double>::quiet_NaN()
-                      : std::hypot(xy[0] - problem.observation_xy[2 * i],
-                                   xy[1] - problem.observation_xy[2 * i + 1]);
+      errors[i] = std::numeric_limits<double>::quiet_NaN();
+      if (projection == Projection::kUndefined) continue;
+      double residual[2];
+      model.difference(params, xy, problem.observation_xy + 2 * i, residual);
+      errors[i] = std::hypot(residual[0], residual[1]);
     }
   });
 }

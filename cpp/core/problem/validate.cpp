@@ -62,9 +62,12 @@ void CheckCameras(const ProblemView& problem) {
         Fail("camera ", problem.camera_ids[c], ": expected a finite ", model->params[j].name,
              ", found ", params[j]);
       }
-      if (model->params[j].kind == CameraParam::kFocal && !(params[j] > 0)) {
-        Fail("camera ", problem.camera_ids[c], ": expected a positive focal length ",
-             model->params[j].name, ", found ", params[j]);
+      const CameraParam::Kind kind = model->params[j].kind;
+      const bool is_focal = kind == CameraParam::kFocal;
+      if ((is_focal || kind == CameraParam::kMetadata) && !(params[j] > 0)) {
+        Fail("camera ", problem.camera_ids[c], ": expected a positive ",
+             is_focal ? "focal length " : "image size ", model->params[j].name, ", found ",
+             params[j]);
       }
     }
   }

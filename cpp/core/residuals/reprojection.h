@@ -7,7 +7,8 @@
 ///
 ///   P = Exp(w) R0 X + t,          r = pi(theta, P) - m          [pixels],
 ///
-/// where pi is the camera model with parameters theta and m the measurement. This chart is a vector
+/// where pi is the camera model with parameters theta and m the measurement (the difference is the
+/// model's, which may wrap around a seam). This chart is a vector
 /// space: Ceres adds steps to it without a manifold, hence without a dynamic-size product with a
 /// plus-Jacobian per residual block, and the Jacobian is written once, where it is needed. At w = 0
 /// it is the tangent space of the left perturbation Exp(d) R0; further out the left Jacobian J_l of
@@ -82,8 +83,7 @@ bool EvaluateReprojection(const PoseState& pose, const double* params, const dou
     if (jacobian != nullptr) *jacobian = {};
     return false;
   }
-  residual[0] = xy[0] - measurement[0];
-  residual[1] = xy[1] - measurement[1];
+  ModelDifference<Model>(params, xy, measurement, residual);
   if (jacobian == nullptr) return true;
   for (int row = 0; row < 2; ++row) {
     const double* a = d_point + 3 * row;

@@ -26,14 +26,24 @@ void ForEachIndex(const char* what, const std::vector<int64_t>& wanted, const in
   }
 }
 
+bool IsRefined(CameraParam::Kind kind, const SolveOptions& options) {
+  switch (kind) {
+    case CameraParam::kFocal:
+      return options.refine_focal;
+    case CameraParam::kPrincipalPoint:
+      return options.refine_principal_point;
+    case CameraParam::kExtra:
+      return options.refine_extra;
+    case CameraParam::kMetadata:
+      return false;
+  }
+  return false;
+}
+
 uint32_t FreeCameraParameters(const CameraModel& model, const SolveOptions& options) {
   uint32_t free = 0;
   for (int j = 0; j < model.num_params; ++j) {
-    const CameraParam::Kind kind = model.params[j].kind;
-    const bool refine = kind == CameraParam::kFocal            ? options.refine_focal
-                        : kind == CameraParam::kPrincipalPoint ? options.refine_principal_point
-                                                               : options.refine_extra;
-    if (refine) free |= 1u << j;
+    if (IsRefined(model.params[j].kind, options)) free |= 1u << j;
   }
   return free;
 }

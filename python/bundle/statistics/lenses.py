@@ -3,7 +3,7 @@
 The radial part of SIMPLE_RADIAL, RADIAL and OPENCV maps the undistorted radius r to
 ``r (1 + k1 r^2 + k2 r^4)``. It folds at the first zero of its derivative ``1 + 3 k1 s + 5 k2 s^2``,
 s = r^2: ``s = 2 / (-3 k1 + sqrt(9 k1^2 - 20 k2))`` where that is a positive number; no image point
-lies beyond the distorted radius reached there.
+lies beyond the distorted radius reached there. Other models are not looked at for folds.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from bundle.cameras import camera_models, param_kinds
 from bundle.problem import Problem
 
 __all__ = ["Lens", "fold_radius", "lenses"]
+
+# Columns of k1 and of k2, if any, where the radial part is as above.
+_COEFFICIENTS = {"SIMPLE_RADIAL": (3, None), "RADIAL": (3, 4), "OPENCV": (4, 5)}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,11 +49,14 @@ def lenses(problem: Problem) -> Lens:
         members = models == model
         params = problem.camera_params[members]
         kinds = np.array(param_kinds(model) + ("",) * (params.shape[1] - len(param_kinds(model))))
-        focal[members] = params[:, kinds == "focal"].mean(1)
-        centre[members] = params[:, kinds == "principal_point"]
-        names = camera_models()[model]
-        k1, k2 = (_named(params, names, given) for given in (("k", "k1"), ("k2",)))
-        fold[members] = fold_radius(k1, k2)
+        if "focal" in kinds:  # a panorama has no focal length and no principal point
+            focal[members] = params[:, kinds == "focal"].mean(1)
+            centre[members] = params[:, kinds == "principal_point"]
+        fold[members] = np.inf
+        if model in _COEFFICIENTS:
+            first, second = _COEFFICIENTS[model]
+            k2 = np.zeros(len(params)) if second is None else params[:, second]
+            fold[members] = fold_radius(params[:, first], k2)
 
     camera = problem.image_camera[problem.observation_image]
     offset = np.abs(problem.observation_xy - centre[camera])
@@ -75,17 +81,6 @@ def fold_radius(k1: NDArray[np.float64], k2: NDArray[np.float64]) -> NDArray[np.
         square = np.where(divisor > 0, 2.0 / divisor, np.inf)
         radius = np.sqrt(square) * (1.0 + k1 * square + k2 * square**2)
     return np.where(np.isfinite(square), radius, np.inf)
-
-
-def _named(
-    params: NDArray[np.float64], names: tuple[str, ...], given: tuple[str, ...]
-) -> NDArray[np.float64]:
-    """Return the parameter that has one of the given names, zero where the model has none."""
-    for name in given:
-        if name in names:
-            column: NDArray[np.float64] = params[:, names.index(name)]
-            return column
-    return np.zeros(len(params))
 
 
 def _largest(

@@ -17,6 +17,7 @@ from bundle.option_fields import checked, option
 __all__ = ["SceneOptions"]
 
 SCENES = ("street", "orbit", "photo_collection")
+# Models that intrinsics.py can draw a believable lens of.
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 CAMERAS = ("auto", "shared", "individual")
 MIN_OBSERVATIONS_PER_IMAGE = 20

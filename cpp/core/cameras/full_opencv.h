@@ -1,0 +1,78 @@
+#pragma once
+
+/// FULL_OPENCV (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6): OPENCV with a rational radial
+/// factor.
+///
+/// With u = X / Z, v = Y / Z, s = u^2 + v^2, n(s) = 1 + k1 s + k2 s^2 + k3 s^3, m(s) = 1 + k4 s +
+/// k5 s^2 + k6 s^3, d = n / m and the tangential part (t_u, t_v) of decentering.h
+///
+///   u_d = d u + t_u,   v_d = d v + t_v.
+///
+/// With d' = (n' - d m') / m
+///
+///   du_d/du = d + 2 d' u^2 + dt_u/du,   du_d/dv = dv_d/du = 2 d' u v + dt_u/dv,
+///   dv_d/dv = d + 2 d' v^2 + dt_v/dv,
+///   dd/d(k1, k2, k3) = (s, s^2, s^3) / m,   dd/d(k4, k5, k6) = -d (s, s^2, s^3) / m,
+///
+/// the latter times u or v. Where m is zero there is no value.
+///
+/// Source: COLMAP, src/colmap/sensor/models.h; OpenCV, calib3d, projectPoints.
+
+#include <cmath>
+
+#include "core/cameras/decentering.h"
+#include "core/cameras/lens.h"
+#include "core/cameras/perspective.h"
+#include "core/cameras/radial_polynomial.h"
+
+namespace bundle {
+
+struct RationalDistortion {
+  static constexpr int kNumParams = 8;
+
+  static bool Distort(const double* k, double u, double v, double* uv_d, double* d_uv,
+                      double* d_k) {
+    const double s = u * u + v * v;
+    const double above[] = {k[0], k[1], k[4]};
+    const EvenPolynomial<3> n(above, s);
+    const EvenPolynomial<3> m(k + 5, s);
+    const double d = n.value / m.value;
+    if (!std::isfinite(d)) return false;
+    const Decentering t(k[2], k[3], u, v);
+    uv_d[0] = d * u + t.u;
+    uv_d[1] = d * v + t.v;
+    if (d_uv != nullptr) {
+      const double slope = 2 * (n.slope - d * m.slope) / m.value;
+      d_uv[0] = d + slope * u * u + t.du_du;
+      d_uv[1] = d_uv[2] = slope * u * v + t.cross;
+      d_uv[3] = d + slope * v * v + t.dv_dv;
+    }
+    if (d_k != nullptr) {
+      const double s1 = s / m.value, s2 = s * s1, s3 = s * s2;
+      const double row[] = {s1, s2, 0, 0, s3, -d * s1, -d * s2, -d * s3};
+      for (int j = 0; j < kNumParams; ++j) d_k[j] = row[j] * u, d_k[kNumParams + j] = row[j] * v;
+      d_k[2] = t.du_dp1, d_k[3] = t.du_dp2;
+      d_k[kNumParams + 2] = t.dv_dp1, d_k[kNumParams + 3] = t.dv_dp2;
+    }
+    return true;
+  }
+};
+
+struct FullOpenCv {
+  static constexpr char kName[] = "FULL_OPENCV";
+  static constexpr CameraParam kParams[] = {
+      {"fx", CameraParam::kFocal},          {"fy", CameraParam::kFocal},
+      {"cx", CameraParam::kPrincipalPoint}, {"cy", CameraParam::kPrincipalPoint},
+      {"k1", CameraParam::kExtra},          {"k2", CameraParam::kExtra},
+      {"p1", CameraParam::kExtra},          {"p2", CameraParam::kExtra},
+      {"k3", CameraParam::kExtra},          {"k4", CameraParam::kExtra},
+      {"k5", CameraParam::kExtra},          {"k6", CameraParam::kExtra}};
+
+  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
+                            double* d_params) {
+    return ProjectThroughLens<Perspective, RationalDistortion, 2>(params, point, xy, d_point,
+                                                                  d_params);
+  }
+};
+
+}  // namespace bundle

@@ -1,0 +1,77 @@
+"""The README's table of camera models, made from the code.
+
+    python tools/camera_table.py            prints it
+    python tools/camera_table.py --update   writes it into README.md
+
+Names and parameters are what the built core says; the source is the paragraph that begins
+"Source:" in the comment of the header that defines the model, less COLMAP, which all have.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+import bundle
+from bundle.cameras import param_kinds
+
+ROOT = Path(__file__).resolve().parent.parent
+README = ROOT / "README.md"
+HEADERS = ROOT / "cpp" / "core" / "cameras"
+BEGIN, END = "<!-- cameras:begin -->\n", "<!-- cameras:end -->"
+
+
+def table() -> str:
+    """Return the table in Markdown; parameters that are never refined stand in brackets."""
+    lines = ["| model | parameters | derived in | after |", "|---|---|---|---|"]
+    for model, names in bundle.camera_models().items():
+        params = ", ".join(
+            f"({name})" if kind == "metadata" else name
+            for name, kind in zip(names, param_kinds(model), strict=True)
+        )
+        header = _header_of(model)
+        path = header.relative_to(ROOT).as_posix()
+        lines.append(f"| {model} | {params} | [{header.name}]({path}) | {_source(header)} |")
+    return "\n".join(lines) + "\n"
+
+
+def updated(readme: str) -> str:
+    """Return the text of a README with its table replaced.
+
+    Raises:
+        ValueError: it has no markers.
+    """
+    if BEGIN not in readme or END not in readme:
+        raise ValueError(f"README.md: expected the lines {BEGIN.strip()} and {END}")
+    before, rest = readme.split(BEGIN, 1)
+    return before + BEGIN + table() + END + rest.split(END, 1)[1]
+
+
+def _header_of(model: str) -> Path:
+    (header,) = (
+        path for path in HEADERS.glob("*.h") if f'kName[] = "{model}";' in path.read_text()
+    )
+    return header
+
+
+def _source(header: Path) -> str:
+    comment = re.search(r"^/// Source: (.*(?:\n/// .+)*)", header.read_text(), re.MULTILINE)
+    if comment is None:
+        raise ValueError(f"{header}: expected a line that begins with '/// Source:'")
+    text = comment[1].replace("\n/// ", " ").rstrip(".")
+    return re.sub(r"^COLMAP, src/colmap/sensor/models\.h(?:[;,] (?:and |after )?)?", "", text)
+
+
+def main() -> None:
+    """Print the table, or write it."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--update", action="store_true", help="write it into README.md")
+    if parser.parse_args().update:
+        README.write_text(updated(README.read_text()))
+    else:
+        print(table(), end="")
+
+
+if __name__ == "__main__":
+    main()
