@@ -14,6 +14,7 @@
 #include "core/ceres/solve_with_ceres.h"
 #include "core/error.h"
 #include "core/parallel_for.h"
+#include "core/solve/convergence_watch.h"
 
 namespace py = pybind11;
 
@@ -104,6 +105,21 @@ py::dict ToArrays(const std::vector<bundle::IterationRecord>& records) {
   return d;
 }
 
+/// Takes the arrays of ToArrays, or sequences as long as each other.
+std::string WatchConvergence(const py::dict& iterations) {
+  std::vector<bundle::IterationRecord> records(py::len(iterations["iteration"]));
+  VisitFields([&](const char* name, auto field) {
+    using T = std::decay_t<decltype(records[0].*field)>;
+    const auto values = py::cast<std::vector<T>>(iterations[name]);
+    if (values.size() != records.size()) {
+      throw bundle::InputError(std::string(name) + ": expected " + std::to_string(records.size()) +
+                               " values, found " + std::to_string(values.size()));
+    }
+    for (size_t i = 0; i < records.size(); ++i) records[i].*field = values[i];
+  });
+  return bundle::WatchConvergence(records);
+}
+
 /// Tells Python of each iteration and looks for Ctrl-C. An exception of the callback stops the
 /// solve and is kept; KeyboardInterrupt only stops it.
 class PythonProgress {
@@ -169,5 +185,6 @@ void BindSolve(py::module_& m) {
   m.def("default_options", &DefaultOptions);
   m.def("option_choices", &OptionChoices);
   m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });
+  m.def("watch_convergence", &WatchConvergence, py::arg("iterations"));
   m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"));
 }

@@ -17,6 +17,7 @@
 #include "core/problem/reprojection_errors.h"
 #include "core/solve/camera_states.h"
 #include "core/solve/choose_solver.h"
+#include "core/solve/convergence_watch.h"
 #include "core/solve/free_parameters.h"
 #include "core/solve/gauge.h"
 #include "core/solve/memory.h"
@@ -228,10 +229,12 @@ class CeresSolve {
       output.summary.is_solution_usable = false;
       Warn(FindOverflow(problem_, options_.cheirality));
     }
-    output.summary.warnings = std::move(warnings_);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
       output.iterations.push_back(ToRecord(iteration, fixed_cost_));
     }
+    std::string suspicion = WatchConvergence(output.iterations);
+    if (!suspicion.empty()) warnings_.push_back(std::move(suspicion));
+    output.summary.warnings = std::move(warnings_);
     states_.Update(state_.data());
     output.cam_from_world = states_.CamFromWorld();
     output.camera_params = states_.camera_params();
