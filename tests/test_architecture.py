@@ -40,8 +40,20 @@ PYTHON_MAY_IMPORT = {
     "statistics": {"cameras", "errors", "problem", "reprojection", "result"},
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result"},
-    "report": {"_core", "errors", "io", "options", "problem", "result", "statistics"},
-    "": {"_core", "cameras", "errors", "io", "options", "problem", "result", "solver", "synthetic"},
+    "checking": {"_core", "cameras", "errors", "problem", "reprojection"},
+    "report": {"_core", "checking", "errors", "io", "options", "problem", "result", "statistics"},
+    "": {
+        "_core",
+        "cameras",
+        "checking",
+        "errors",
+        "io",
+        "options",
+        "problem",
+        "result",
+        "solver",
+        "synthetic",
+    },
 }
 # The command line stands above everything, and nothing imports it but __main__.
 PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
@@ -49,7 +61,12 @@ PYTHON_MAY_IMPORT["__main__"] = {"cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.
-DEFERRED_IMPORTS = {"problem": {"io"}, "result": {"report"}, "synthetic": {"io"}}
+DEFERRED_IMPORTS = {
+    "problem": {"io"},
+    "result": {"report"},
+    "checking": {"report"},
+    "synthetic": {"io"},
+}
 
 # Other people's packages that only some of ours may know.
 OUTSIDERS = {"argparse": {"cli"}, "rich": {"cli", "report"}, "pycolmap": {"io", "problem"}}

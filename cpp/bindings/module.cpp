@@ -10,6 +10,7 @@ void BindProblem(py::module_& m);
 void BindBal(py::module_& m);
 void BindColmap(py::module_& m);
 void BindSolve(py::module_& m);
+void BindCheck(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of bundle. Private: use the Python package.";
@@ -20,4 +21,5 @@ PYBIND11_MODULE(_core, m) {
   BindBal(m);
   BindColmap(m);
   BindSolve(m);
+  BindCheck(m);
 }

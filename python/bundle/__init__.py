@@ -14,9 +14,11 @@ from bundle.result import ReprojectionError, Result, Summary
 from bundle.solver import solve
 
 if TYPE_CHECKING:
+    from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
+    "GradientReport",
     "InputError",
     "Problem",
     "ReprojectionError",
@@ -27,6 +29,8 @@ __all__ = [
     "SyntheticScene",
     "__version__",
     "camera_models",
+    "check_gradients",
+    "check_jacobians",
     "load",
     "project",
     "save",
@@ -41,4 +45,8 @@ def __getattr__(name: str) -> Any:
         from bundle import synthetic
 
         return getattr(synthetic, name)
+    if name in ("GradientReport", "check_gradients", "check_jacobians"):
+        from bundle import checking
+
+        return getattr(checking, name)
     raise AttributeError(f"module 'bundle' has no attribute {name!r}")
