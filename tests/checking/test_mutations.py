@@ -21,7 +21,7 @@ CASES = [(m, name) for m in MODELS for name in MUTATIONS if applies(name, m)]
 
 def check(function, model, blocks, **settings):
     return bundle.check_gradients(
-        function, blocks, MANIFOLDS, names=names(model), num_samples=4, **settings
+        function, blocks, MANIFOLDS, names=names(model), num_samples=3, **settings
     )
 
 

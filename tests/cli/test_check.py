@@ -47,6 +47,11 @@ def turn_y(analytic):
     analytic[..., 1] *= -1
 
 
+def double_k1_sometimes(analytic):
+    analytic[::3, :, 9] *= 2
+    analytic[..., 1] *= -1
+
+
 def to_floats(analytic):
     analytic[:] = analytic.astype(np.float32)
 
@@ -67,6 +72,10 @@ def test_correct_jacobians(run, named):
     [
         (double_k1, ["RADIAL k1: 2.000 times too large", "camera 1 k1", "extra", "wrong"]),
         (turn_y, ["rotation y: the sign is flipped", "image image0.jpg rotation y", "point "]),
+        (
+            double_k1_sometimes,
+            ["RADIAL k1: 2.000 times too large (at 10 of 30 wrong points only)", "rotation y: the"],
+        ),
         (to_floats, ["float precision"]),
     ],
 )

@@ -40,7 +40,9 @@ class SingleObservation final : public ceres::CostFunction {
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
     states_.Update(parameters[1]);
-    return HasValue(parameters[0]) && cost_->Evaluate(parameters, residuals, jacobians);
+    cost_->Evaluate(parameters, residuals, jacobians);
+    const bool maybe_none = residuals[0] == 0 && residuals[1] == 0;
+    return !maybe_none || HasValue(parameters[0]);
   }
 
   std::vector<const double*> start() const { return {problem_.points, state_.data()}; }
@@ -96,6 +98,7 @@ class SingleObservation final : public ceres::CostFunction {
   }
 
   /// False where the residual is zero because nothing can be computed: no differences across that.
+  /// Asked for such residuals only: it projects once more.
   bool HasValue(const double* point) const {
     return bundle::Counts(ProjectionOf(point), context_.cheirality);
   }

@@ -31,20 +31,26 @@ def zeros(evidence: Evidence) -> None:
 def factors(evidence: Evidence) -> None:
     """Columns that are a constant times what they should be, as a whole or in some rows."""
     by_factor: dict[tuple[float, ...], list[int]] = {}
+    where: dict[int, str] = {}
     for j in evidence.wrong:
-        analytic, reference = evidence.analytic[..., j], evidence.reference[..., j]
+        points = evidence.points_wrong_in(j)
+        analytic, reference = evidence.analytic[points, :, j], evidence.reference[points, :, j]
+        if len(points) < len(evidence.points):
+            where[j] = f" (at {len(points)} of {len(evidence.points)} wrong points only)"
         rows = _ratios(analytic, reference, axis=0)
         whole = np.full_like(rows, _ratios(analytic, reference, axis=None))
         for guess in (whole, rows):
             clear = np.abs(guess - 1).max() > LEAST_FACTOR
-            if clear and evidence.explains((guess * reference)[..., None], [j]):
+            if clear and evidence.explains((guess * reference)[..., None], [j], points):
                 key = tuple(float(f"{ratio:.6g}") for ratio in guess)
                 by_factor.setdefault(key, []).append(j)
                 break
     for ratios, columns in by_factor.items():
         if len(set(ratios)) == 1:
             kind, words = _factor_in_words(ratios[0])
-            evidence.found(kind, columns, f"{evidence.names(columns)}: {words}", ratios[0])
+            note = where.get(columns[0], "")
+            sentence = f"{evidence.names(columns)}: {words}{note}"
+            evidence.found(kind, columns, sentence, ratios[0])
             continue
         off = [row for row, ratio in enumerate(ratios) if abs(ratio - 1) > LEAST_FACTOR]
         same = len({ratios[row] for row in off}) == 1

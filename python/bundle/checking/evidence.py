@@ -49,6 +49,7 @@ class Evidence:
         points: (K, N) the parameters at these points.
         reference_at: (k, j) gives the reference at point k with parameter j set to zero, or None.
         wrong: indices of the columns that are wrong and not explained; signatures remove theirs.
+        tolerance: relative error from which on an entry is wrong.
     """
 
     comparison: Comparison
@@ -57,6 +58,7 @@ class Evidence:
     points: Array
     reference_at: ReferenceAt
     wrong: list[int]
+    tolerance: float = 0.0
     findings: list[Finding] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -82,6 +84,11 @@ class Evidence:
         doubt = np.linalg.norm(self.doubt[chosen][..., columns])
         size = min(float(deviation), float(np.linalg.norm(analytic)))
         return bool(deviation > 4 * doubt and left <= EXPLAINED * size + 2 * doubt)
+
+    def points_wrong_in(self, column: int) -> NDArray[np.intp]:
+        """Return the points at which a column is wrong: a mistake may sit in one branch only."""
+        errors = self.comparison.error[..., column].max(axis=1)
+        return np.flatnonzero(errors > self.tolerance)
 
     def names(self, columns: Sequence[int]) -> str:
         """Return "rotation x, y and z": names joined, a shared first word said once."""

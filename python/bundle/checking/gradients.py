@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,14 +14,14 @@ from bundle.checking.columns import Block, Column
 from bundle.checking.comparison import Array, Comparison
 from bundle.checking.evidence import Evidence, Finding, join_names
 from bundle.checking.function import ResidualFunction, UserFunction
-from bundle.checking.manifolds import Manifold, ManifoldLike
+from bundle.checking.layout import Layout, Name, sample
+from bundle.checking.manifolds import ManifoldLike
 from bundle.checking.report import GradientCheckerSummary, GradientReport, Offender
 from bundle.checking.tally import Tally
 from bundle.errors import InputError
 
 __all__ = ["check_gradients"]
 
-Name = str | tuple[str, Sequence[str]]
 _Probe = tuple[bool, Array | None, Array | None, str]
 
 
@@ -75,88 +74,16 @@ def check_gradients(
         raise InputError("blocks: expected at least one block, none of them empty")
     if num_samples < 1:
         raise InputError(f"num_samples: expected at least 1, found {num_samples}")
-    layout = _Layout.make(start, manifolds, names)
+    layout = Layout.make(start, manifolds, names)
     user = UserFunction(function, start)
     rng = np.random.default_rng(seed)
     samples = [start]
     for _ in range(num_samples - 1):
         samples.append([
-            _sample(manifold, block, radius, rng)
+            sample(manifold, block, radius, rng)
             for manifold, block in zip(layout.manifolds, start, strict=True)
         ])  # fmt: skip
     return _Check(user, layout, samples, tolerance, ambient).run()
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Names of the columns, in the parameters and in the tangent space."""
-
-    manifolds: list[Manifold]
-    columns: list[Column]
-    tangent_columns: list[Column]
-    blocks: list[Block]
-    tangent_blocks: list[Block]
-
-    @staticmethod
-    def make(
-        start: Sequence[Array],
-        manifolds: Sequence[ManifoldLike] | None,
-        names: Sequence[Name] | None,
-    ) -> _Layout:
-        count = len(start)
-        manifolds = [None] * count if manifolds is None else list(manifolds)
-        names = [f"block {b}" for b in range(count)] if names is None else list(names)
-        for what, given in (("manifolds", manifolds), ("names", names)):
-            if len(given) != count:
-                raise InputError(f"{what}: expected one a block, {count}, found {len(given)}")
-        layout = _Layout([], [], [], [], [])
-        for block, manifold, name in zip(start, manifolds, names, strict=True):
-            layout._add(Manifold.parse(manifold, len(block)), name)
-        return layout
-
-    def _add(self, manifold: Manifold, name: Name) -> None:
-        group = name if isinstance(name, str) else name[0]
-        parameters = (
-            manifold.parameter_names(group) if isinstance(name, str) else [*map(str, name[1])]
-        )
-        if len(parameters) != manifold.size:
-            raise InputError(
-                f"names: expected {manifold.size} names for {group}, found {len(parameters)}"
-            )
-        self.manifolds.append(manifold)
-        self.blocks.extend(manifold.blocks(group, len(self.columns), tangent=False))
-        self.tangent_blocks.extend(manifold.blocks(group, len(self.tangent_columns), tangent=True))
-        self.columns.extend(Column(parameter, group) for parameter in parameters)
-        self.tangent_columns.extend(
-            Column(parameter, group) for parameter in manifold.tangent_names(group, parameters)
-        )
-
-    @property
-    def core(self) -> list[tuple[str, list[int]]]:
-        return [manifold.core for manifold in self.manifolds]
-
-    @property
-    def is_curved(self) -> bool:
-        return any(manifold.is_curved for manifold in self.manifolds)
-
-
-def _sample(manifold: Manifold, x: Array, radius: float, rng: np.random.Generator) -> Array:
-    """Return a point near x."""
-    if manifold.is_curved and manifold.name not in ("subset", "se3"):
-        return manifold.plus(x, radius * rng.standard_normal(manifold.tangent_size))
-    if manifold.name == "angle_axis":
-        return x + radius * rng.standard_normal(3)
-    sizes = np.abs(x)
-    nonzero = sizes[sizes > 0]
-    usual = min(1.0, float(nonzero.min())) if len(nonzero) else 1.0
-    delta: Array = radius * np.where(sizes > 0, sizes, usual) * rng.standard_normal(len(x))
-    if manifold.name == "subset":
-        delta[list(manifold.constant)] = 0
-    if manifold.name == "se3":
-        turned = manifold.plus(x, np.append(radius * rng.standard_normal(3), np.zeros(3)))
-        delta[:4] = 0
-        return turned + delta
-    return x + delta
 
 
 class _Check:
@@ -165,7 +92,7 @@ class _Check:
     def __init__(
         self,
         user: UserFunction,
-        layout: _Layout,
+        layout: Layout,
         samples: Sequence[list[Array]],
         tolerance: float,
         ambient: bool,
@@ -264,7 +191,13 @@ class _Check:
             return found[0] if np.isfinite(found[1]).all() else None
 
         evidence = Evidence(
-            kept.comparison, columns, blocks, points, reference_at, tally.wrong_columns
+            kept.comparison,
+            columns,
+            blocks,
+            points,
+            reference_at,
+            tally.wrong_columns,
+            self.tolerance,
         )
         return classify(evidence)
 

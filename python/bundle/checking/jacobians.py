@@ -245,6 +245,7 @@ class _Check:
             points,
             reference_at,
             model.tally.wrong_columns,
+            self.settings.tolerance,
         )
         return classify(evidence)
 

@@ -21,6 +21,7 @@ MOST_KEPT = 200
 """Wrong points that are enough to recognise a mistake by."""
 
 MOST_WORST = 10
+MOST_OF_A_COLUMN = 3
 
 
 @dataclass(frozen=True)
@@ -99,21 +100,31 @@ class Tally:
         return [int(j) for j in np.flatnonzero(self.num_wrong)]
 
     def _note_worst(self, comparison: Comparison, points: NDArray[np.intp]) -> None:
-        """Keep the worst entries, at most one of each point and column."""
+        """Keep the worst entries of each column, at most one of a point."""
         score: Array = comparison.error + 1e-6 * np.minimum(comparison.deviation, 1e9)
         rows = score.argmax(axis=1)
         by_column = score.max(axis=1)
-        count = min(MOST_WORST, by_column.size)
-        for flat in np.argpartition(-by_column, count - 1, axis=None)[:count]:
-            k, j = (int(i) for i in np.unravel_index(flat, by_column.shape))
-            row = int(rows[k, j])
-            self.worst.append(
-                Worst(
-                    int(points[k]), row, j, float(comparison.analytic[k, row, j]),
-                    float(comparison.reference[k, row, j]), float(comparison.error[k, row, j]),
+        count = min(MOST_OF_A_COLUMN, len(by_column))
+        worst = np.argpartition(-by_column, count - 1, axis=0)[:count]
+        for j in range(len(self.columns)):
+            for k in worst[:, j]:
+                row = int(rows[k, j])
+                self.worst.append(
+                    Worst(
+                        int(points[k]),
+                        row,
+                        j,
+                        float(comparison.analytic[k, row, j]),
+                        float(comparison.reference[k, row, j]),
+                        float(comparison.error[k, row, j]),
+                    )
                 )
-            )  # fmt: skip
-        self.worst = sorted(self.worst, key=lambda entry: -entry.error)[:MOST_WORST]
+        self.worst.sort(key=lambda entry: -entry.error)
+        kept: list[Worst] = []
+        for entry in self.worst:
+            if sum(other.column == entry.column for other in kept) < MOST_OF_A_COLUMN:
+                kept.append(entry)
+        self.worst = kept[:MOST_WORST]
 
 
 def verdicts(tallies: Sequence[Tally]) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
