@@ -33,6 +33,11 @@ class Layout:
         manifolds: Sequence[ManifoldLike] | None,
         names: Sequence[Name] | None,
     ) -> Layout:
+        """Return the layout of blocks.
+
+        Raises:
+            InputError: manifolds or names do not fit the blocks.
+        """
         count = len(start)
         manifolds = [None] * count if manifolds is None else list(manifolds)
         names = [f"block {b}" for b in range(count)] if names is None else list(names)
@@ -63,10 +68,12 @@ class Layout:
 
     @property
     def core(self) -> list[tuple[str, list[int]]]:
+        """The manifolds as ``_core`` takes them."""
         return [manifold.core for manifold in self.manifolds]
 
     @property
     def is_curved(self) -> bool:
+        """Whether some tangent space is another one than that of the parameters."""
         return any(manifold.is_curved for manifold in self.manifolds)
 
 
