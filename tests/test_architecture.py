@@ -43,8 +43,10 @@ PYTHON_MAY_IMPORT = {
     "statistics": {"cameras", "errors", "problem", "reprojection", "result"},
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
+    "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
     "report": {
         "_core",
+        "checking",
         "errors",
         "options",
         "problem",
@@ -67,7 +69,7 @@ DEFERRED_IMPORTS = {"problem": {"io"}, "synthetic": {"io"}}
 # Other people's packages that only some of ours may know.
 OUTSIDERS = {
     "argparse": {"cli"},
-    "rich": {"cli", "report", "summary", "tables"},
+    "rich": {"checking", "cli", "report", "summary", "tables"},
     "pycolmap": {"io", "problem"},
 }
 

@@ -11,6 +11,7 @@ void BindBal(py::module_& m);
 void BindColmap(py::module_& m);
 void BindLosses(py::module_& m);
 void BindSolve(py::module_& m);
+void BindCheck(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of bundle. Private: use the Python package.";
@@ -22,4 +23,5 @@ PYBIND11_MODULE(_core, m) {
   BindColmap(m);
   BindLosses(m);
   BindSolve(m);
+  BindCheck(m);
 }

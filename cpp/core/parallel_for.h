@@ -13,13 +13,13 @@ inline int EffectiveNumThreads(int num_threads) {
   return std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
 }
 
-/// Calls function(begin, end) on consecutive slices of [0, count), one a thread. Small ranges are
-/// not worth a thread and run here.
+/// Calls function(begin, end) on consecutive slices of [0, count), one a thread. Ranges below
+/// `min_slice` are not worth a thread and run here.
 template <typename Function>
-void ParallelFor(int64_t count, int num_threads, const Function& function) {
-  constexpr int64_t kMinSlice = 10000;
+void ParallelFor(int64_t count, int num_threads, const Function& function,
+                 int64_t min_slice = 10000) {
   const int64_t slices =
-      std::clamp<int64_t>(count / kMinSlice, 1, EffectiveNumThreads(num_threads));
+      std::clamp<int64_t>(count / min_slice, 1, EffectiveNumThreads(num_threads));
   std::vector<std::thread> threads;
   for (int64_t s = 1; s < slices; ++s) {
     threads.emplace_back(

@@ -15,9 +15,11 @@ from bundle.solver import solve
 from bundle.summary import Summary
 
 if TYPE_CHECKING:
+    from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
+    "GradientReport",
     "InputError",
     "Problem",
     "ReprojectionError",
@@ -28,6 +30,8 @@ __all__ = [
     "SyntheticScene",
     "__version__",
     "camera_models",
+    "check_gradients",
+    "check_jacobians",
     "load",
     "project",
     "save",
@@ -42,4 +46,8 @@ def __getattr__(name: str) -> Any:
         from bundle import synthetic
 
         return getattr(synthetic, name)
+    if name in ("GradientReport", "check_gradients", "check_jacobians"):
+        from bundle import checking
+
+        return getattr(checking, name)
     raise AttributeError(f"module 'bundle' has no attribute {name!r}")

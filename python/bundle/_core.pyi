@@ -98,3 +98,38 @@ def solve(
     options: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
 ) -> dict[str, Any]: ...
+
+# bind_check.cpp
+def richardson_jacobian(
+    function: Callable[[list[NDArray[np.float64]], bool], Any],
+    num_residuals: int,
+    blocks: list[NDArray[np.float64]],
+    manifolds: list[tuple[str, list[int]]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+def gradient_checker(
+    function: Callable[[list[NDArray[np.float64]], bool], Any],
+    num_residuals: int,
+    blocks: list[NDArray[np.float64]],
+    manifolds: list[tuple[str, list[int]]],
+    relative_precision: float,
+) -> tuple[bool, NDArray[np.float64] | None, NDArray[np.float64] | None, str]: ...
+def manifold_tangent_size(manifold: tuple[str, list[int]], size: int) -> int: ...
+def manifold_plus(
+    manifold: tuple[str, list[int]], x: NDArray[np.float64], delta: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def check_reprojections(
+    problem: Problem,
+    observations: NDArray[np.int64],
+    offsets: NDArray[np.float64],
+    algebraic: bool,
+    relative_precision: float,
+    num_threads: int,
+) -> tuple[
+    NDArray[np.float64],  # analytic (num_checked, 2, 6 + width + 3)
+    NDArray[np.float64],  # reference
+    NDArray[np.float64],  # uncertainty of the reference
+    NDArray[np.float64],  # ceres::GradientChecker's numeric Jacobian
+    NDArray[np.bool_],  # counts (num_checked,)
+    NDArray[np.bool_],  # agrees
+    NDArray[np.bool_],  # stable
+]: ...

@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 from bundle.cli.arguments import add_input, add_output
 from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, naming_flags, options_given
 from bundle.options import SolveOptions
+
+if TYPE_CHECKING:
+    from bundle.problem import Problem
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -23,6 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
     add_options(parser, SolveOptions, "options of the solve")
+    parser.add_argument(
+        "--check-gradients",
+        action="store_true",
+        help="first check the Jacobians on a sample, as `bundle check` does, and stop with its "
+        "report if any is wrong (default: off)",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -49,6 +59,11 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")
         output = {"path": target, "format": output_format(problem, target, arguments.format)}
         check_target(problem, **output)
+        if arguments.check_gradients:
+            progress.stage("checking the Jacobians")
+            wrong = _wrong_jacobians(arguments, problem, options)
+            if wrong:
+                return EXIT_NO_SOLUTION
         progress.stage("building the problem")
         with naming_flags(SolveOptions):
             solved = solve(problem, options, progress=progress.iteration)
@@ -75,3 +90,28 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json == "-":  # the report that people read was not printed
         print(outcome(solved), file=sys.stderr)
     return EXIT_NO_SOLUTION
+
+
+def _wrong_jacobians(
+    arguments: argparse.Namespace, problem: Problem, options: SolveOptions
+) -> bool:
+    """Check the Jacobians; if any is wrong, report that in place of the solve."""
+    from bundle.checking import check_jacobians
+    from bundle.checking.report import outcome
+    from bundle.cli.output import show, write_json
+    from bundle.report.check import as_json, checked
+
+    begun = perf_counter()
+    report = check_jacobians(
+        problem, cheirality=options.cheirality, num_threads=options.num_threads
+    )
+    if report.ok:
+        return False
+    if arguments.json == "-":
+        print(outcome(report), file=sys.stderr)
+    else:
+        show(*checked(arguments.input, problem, report))
+    settings = {"check_gradients": True, **options.asdict()}
+    took = perf_counter() - begun
+    write_json(arguments.json, as_json(arguments.input, problem, report, settings, took))
+    return True

@@ -1,0 +1,174 @@
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <algorithm>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bindings/problem_from_python.h"
+#include "bindings/to_numpy.h"
+#include "core/ceres/function_check.h"
+#include "core/ceres/reprojection_check.h"
+
+namespace py = pybind11;
+
+namespace {
+
+using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+/// (name, constant entries), as python/bundle/checking/manifolds.py makes it.
+using PythonManifold = std::pair<std::string, std::vector<int>>;
+
+bundle::ManifoldSpec ToSpec(const PythonManifold& manifold) {
+  return {manifold.first, manifold.second};
+}
+
+std::vector<double> ToVector(const Array& array) {
+  return std::vector<double>(array.data(), array.data() + array.size());
+}
+
+/// Asks Python: function(blocks, jacobians wanted) gives (residual, Jacobians or None), or None
+/// where it has no value. What Python raises is kept, and ends all further calls.
+class PythonFunction {
+ public:
+  PythonFunction(py::function function, const std::vector<Array>& blocks)
+      : function_(std::move(function)) {
+    for (const Array& block : blocks) sizes_.push_back(block.size());
+  }
+
+  bool operator()(double const* const* parameters, double* residuals, double** jacobians) {
+    if (error_ != nullptr) return false;
+    try {
+      if (PyErr_CheckSignals() != 0) throw py::error_already_set();
+      py::list blocks;
+      for (size_t b = 0; b < sizes_.size(); ++b) blocks.append(Array(sizes_[b], parameters[b]));
+      const py::object answer = function_(blocks, jacobians != nullptr);
+      if (answer.is_none()) return false;
+      const auto pair = py::cast<py::tuple>(answer);
+      Copy(py::cast<Array>(pair[0]), residuals);
+      for (size_t b = 0; jacobians != nullptr && b < sizes_.size(); ++b) {
+        if (jacobians[b] == nullptr) continue;
+        Copy(py::cast<Array>(py::cast<py::sequence>(pair[1])[b]), jacobians[b]);
+      }
+      return true;
+    } catch (py::error_already_set& error) {
+      error_ = std::make_unique<py::error_already_set>(std::move(error));
+      return false;
+    }
+  }
+
+  void Rethrow() {
+    if (error_ != nullptr) throw py::error_already_set(std::move(*error_));
+  }
+
+ private:
+  static void Copy(const Array& from, double* to) { std::copy_n(from.data(), from.size(), to); }
+
+  py::function function_;
+  std::vector<py::ssize_t> sizes_;
+  std::unique_ptr<py::error_already_set> error_;
+};
+
+bundle::FunctionAtPoint AtPoint(PythonFunction& function, int num_residuals,
+                                const std::vector<Array>& blocks,
+                                const std::vector<PythonManifold>& manifolds) {
+  bundle::FunctionAtPoint at;
+  at.function = std::ref(function);
+  at.num_residuals = num_residuals;
+  for (const Array& block : blocks) at.blocks.push_back(ToVector(block));
+  for (const PythonManifold& manifold : manifolds) at.manifolds.push_back(ToSpec(manifold));
+  return at;
+}
+
+py::array_t<double> ToMatrix(std::vector<double> values, py::ssize_t rows) {
+  const auto columns = static_cast<py::ssize_t>(values.size()) / rows;
+  return ToNumpy(std::move(values), {rows, columns});
+}
+
+py::tuple Richardson(const py::function& function, int num_residuals,
+                     const std::vector<Array>& blocks,
+                     const std::vector<PythonManifold>& manifolds) {
+  PythonFunction python(function, blocks);
+  bundle::ReferenceJacobians found =
+      bundle::DifferentiateByRichardson(AtPoint(python, num_residuals, blocks, manifolds));
+  python.Rethrow();
+  return py::make_tuple(ToMatrix(std::move(found.ambient.values), num_residuals),
+                        ToMatrix(std::move(found.ambient.uncertainty), num_residuals),
+                        ToMatrix(std::move(found.tangent.values), num_residuals),
+                        ToMatrix(std::move(found.tangent.uncertainty), num_residuals));
+}
+
+/// (agrees, local Jacobian, local numeric Jacobian, message); no Jacobians where it gave up.
+py::tuple GradientChecker(const py::function& function, int num_residuals,
+                          const std::vector<Array>& blocks,
+                          const std::vector<PythonManifold>& manifolds, double relative_precision) {
+  PythonFunction python(function, blocks);
+  bundle::GradientCheckerProbe probe = bundle::RunGradientChecker(
+      AtPoint(python, num_residuals, blocks, manifolds), relative_precision);
+  python.Rethrow();
+  if (probe.local_jacobian.empty()) {
+    return py::make_tuple(false, py::none(), py::none(), probe.message);
+  }
+  return py::make_tuple(probe.agrees, ToMatrix(std::move(probe.local_jacobian), num_residuals),
+                        ToMatrix(std::move(probe.local_numeric_jacobian), num_residuals),
+                        probe.message);
+}
+
+int ManifoldTangentSize(const PythonManifold& manifold, int size) {
+  return bundle::ManifoldTangentSize(ToSpec(manifold), size);
+}
+
+py::array_t<double> ManifoldPlus(const PythonManifold& manifold, const Array& x,
+                                 const Array& delta) {
+  return ToNumpy(bundle::ManifoldPlus(ToSpec(manifold), ToVector(x), ToVector(delta)), {x.size()});
+}
+
+/// (analytic, reference, uncertainty, ceres: (n, 2, columns) each; counts, agrees, stable: (n,))
+py::tuple CheckReprojections(const py::object& problem,
+                             const py::array_t<int64_t, py::array::c_style>& observations,
+                             const py::array_t<double, py::array::c_style>& offsets, bool algebraic,
+                             double relative_precision, int num_threads) {
+  const bundle::ProblemView view = ViewProblem(problem);
+  const py::ssize_t n = observations.size(), two = 2, columns = 6 + view.camera_params_stride + 3;
+  const std::vector<py::ssize_t> shape = {n, two, columns};
+  py::array_t<double> analytic(shape), reference(shape), uncertainty(shape), ceres(shape);
+  py::array_t<bool> counts(n), agrees(n), stable(n);
+  const auto bytes = [](py::array_t<bool>& array) {
+    return reinterpret_cast<uint8_t*>(array.mutable_data());
+  };
+  const bundle::ReprojectionCheck out{analytic.mutable_data(),
+                                      reference.mutable_data(),
+                                      uncertainty.mutable_data(),
+                                      ceres.mutable_data(),
+                                      bytes(counts),
+                                      bytes(agrees),
+                                      bytes(stable)};
+  const int64_t* indices = observations.data();
+  const double* offset_data = offsets.data();
+  {
+    const py::gil_scoped_release release;
+    bundle::CheckReprojections(
+        view, indices, n, offset_data,
+        algebraic ? bundle::Cheirality::kAlgebraic : bundle::Cheirality::kZero, relative_precision,
+        num_threads, out);
+  }
+  return py::make_tuple(analytic, reference, uncertainty, ceres, counts, agrees, stable);
+}
+
+}  // namespace
+
+void BindCheck(py::module_& m) {
+  m.def("richardson_jacobian", &Richardson, py::arg("function"), py::arg("num_residuals"),
+        py::arg("blocks"), py::arg("manifolds"));
+  m.def("gradient_checker", &GradientChecker, py::arg("function"), py::arg("num_residuals"),
+        py::arg("blocks"), py::arg("manifolds"), py::arg("relative_precision"));
+  m.def("manifold_tangent_size", &ManifoldTangentSize, py::arg("manifold"), py::arg("size"));
+  m.def("manifold_plus", &ManifoldPlus, py::arg("manifold"), py::arg("x"), py::arg("delta"));
+  m.def("check_reprojections", &CheckReprojections, py::arg("problem"), py::arg("observations"),
+        py::arg("offsets"), py::arg("algebraic"), py::arg("relative_precision"),
+        py::arg("num_threads"));
+}

@@ -1,0 +1,181 @@
+#include "core/ceres/gradient_check.h"
+
+#include <ceres/gradient_checker.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include "core/ceres/richardson.h"
+
+namespace bundle {
+namespace {
+
+/// First steps are a sixteenth of the parameter, and this for a parameter close to zero.
+constexpr double kLeastFirstStep = 1.0 / 128;
+
+double FirstStep(double parameter) { return std::max(std::abs(parameter) / 16, kLeastFirstStep); }
+
+/// What rounding does to each residual: how far it moves when all parameters move by a few units in
+/// their last place. A residual is often small beside the numbers that it is the difference of, so
+/// that its own size says nothing.
+std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
+                                  const std::vector<const double*>& parameters) {
+  constexpr int kTrials = 6;
+  constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
+  const int n = cost.num_residuals();
+  std::vector<double> at_start(n), values(n), noise(n);
+  if (!cost.Evaluate(parameters.data(), at_start.data(), nullptr)) return noise;
+  std::vector<std::vector<double>> moved;
+  for (size_t b = 0; b < parameters.size(); ++b) {
+    moved.emplace_back(parameters[b], parameters[b] + cost.parameter_block_sizes()[b]);
+  }
+  std::vector<const double*> pointers;
+  for (const std::vector<double>& block : moved) pointers.push_back(block.data());
+  std::minstd_rand random(1);
+  for (int trial = 0; trial < kTrials; ++trial) {
+    for (size_t b = 0; b < moved.size(); ++b) {
+      for (size_t j = 0; j < moved[b].size(); ++j) {
+        const int units = static_cast<int>(random() % 9) - 4;
+        moved[b][j] = parameters[b][j] * (1 + units * kEpsilon);
+      }
+    }
+    if (!cost.Evaluate(pointers.data(), values.data(), nullptr)) continue;
+    for (int i = 0; i < n; ++i) noise[i] = std::max(noise[i], std::abs(values[i] - at_start[i]));
+  }
+  for (int i = 0; i < n; ++i) noise[i] += kEpsilon * std::abs(at_start[i]);
+  return noise;
+}
+
+/// A copy of the parameter blocks of which one can be moved.
+class MovablePoint {
+ public:
+  MovablePoint(const ceres::CostFunction& cost, const std::vector<const double*>& parameters)
+      : cost_(cost), pointers_(parameters), parameters_(parameters) {}
+
+  /// Evaluates with block b replaced.
+  bool Evaluate(size_t b, const double* block, double* residuals) {
+    pointers_[b] = block;
+    const bool valid = cost_.Evaluate(pointers_.data(), residuals, nullptr);
+    pointers_[b] = parameters_[b];
+    return valid;
+  }
+
+ private:
+  const ceres::CostFunction& cost_;
+  std::vector<const double*> pointers_;
+  const std::vector<const double*>& parameters_;
+};
+
+/// Writes columns into a Jacobian as they are found.
+class ColumnWriter {
+ public:
+  ColumnWriter(const std::vector<double>& noise, int num_columns, NumericJacobian* jacobian)
+      : noise_(noise),
+        rows_(static_cast<int>(noise.size())),
+        columns_(num_columns),
+        jacobian_(jacobian) {
+    jacobian->values.resize(static_cast<size_t>(rows_) * columns_);
+    jacobian->uncertainty.resize(static_cast<size_t>(rows_) * columns_);
+  }
+
+  void Add(const LineFunction& f, double first_step) {
+    std::vector<double> derivative(rows_), uncertainty(rows_);
+    RichardsonDerivative(f, rows_, first_step, noise_.data(), derivative.data(),
+                         uncertainty.data());
+    for (int row = 0; row < rows_; ++row) {
+      jacobian_->values[row * columns_ + next_] = derivative[row];
+      jacobian_->uncertainty[row * columns_ + next_] = uncertainty[row];
+    }
+    ++next_;
+  }
+
+ private:
+  const std::vector<double>& noise_;
+  const int rows_, columns_;
+  NumericJacobian* jacobian_;
+  int next_ = 0;
+};
+
+}  // namespace
+
+int AmbientSize(const ceres::CostFunction& cost) {
+  int size = 0;
+  for (const int32_t block : cost.parameter_block_sizes()) size += block;
+  return size;
+}
+
+int TangentSize(const ceres::CostFunction& cost, const Manifolds& manifolds) {
+  int size = 0;
+  for (size_t b = 0; b < manifolds.size(); ++b) {
+    size += manifolds[b] == nullptr ? cost.parameter_block_sizes()[b] : manifolds[b]->TangentSize();
+  }
+  return size;
+}
+
+ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& cost,
+                                             const Manifolds& manifolds,
+                                             const std::vector<const double*>& parameters) {
+  ReferenceJacobians jacobians;
+  const bool curved = std::any_of(manifolds.begin(), manifolds.end(),
+                                  [](const ceres::Manifold* m) { return m != nullptr; });
+  const std::vector<double> noise = RoundingNoise(cost, parameters);
+  ColumnWriter ambient(noise, AmbientSize(cost), &jacobians.ambient);
+  ColumnWriter tangent(noise, curved ? TangentSize(cost, manifolds) : 0, &jacobians.tangent);
+  MovablePoint point(cost, parameters);
+  for (size_t b = 0; b < parameters.size(); ++b) {
+    const int size = cost.parameter_block_sizes()[b];
+    std::vector<double> moved(parameters[b], parameters[b] + size);
+    for (int j = 0; j < size; ++j) {
+      const LineFunction along_axis = [&](double step, double* residuals) {
+        moved[j] = parameters[b][j] + step;
+        return point.Evaluate(b, moved.data(), residuals);
+      };
+      ambient.Add(along_axis, FirstStep(parameters[b][j]));
+      if (curved && manifolds[b] == nullptr) tangent.Add(along_axis, FirstStep(parameters[b][j]));
+      moved[j] = parameters[b][j];
+    }
+    if (manifolds[b] == nullptr) continue;
+    std::vector<double> delta(manifolds[b]->TangentSize());
+    for (double& entry : delta) {
+      const LineFunction along_manifold = [&](double step, double* residuals) {
+        entry = step;
+        return manifolds[b]->Plus(parameters[b], delta.data(), moved.data()) &&
+               point.Evaluate(b, moved.data(), residuals);
+      };
+      tangent.Add(along_manifold, kLeastFirstStep);
+      entry = 0;
+    }
+  }
+  if (!curved) jacobians.tangent = jacobians.ambient;
+  return jacobians;
+}
+
+GradientCheckerProbe RunGradientChecker(const ceres::CostFunction& cost, const Manifolds& manifolds,
+                                        const std::vector<const double*>& parameters,
+                                        double relative_precision) {
+  // A plain nullptr for the manifolds would be ambiguous in Ceres 2.1.
+  const ceres::GradientChecker checker(&cost, &manifolds, ceres::NumericDiffOptions());
+  ceres::GradientChecker::ProbeResults results;
+  GradientCheckerProbe probe;
+  probe.agrees = checker.Probe(parameters.data(), relative_precision, &results);
+  probe.message = std::move(results.error_log);
+  if (!results.return_value || results.local_numeric_jacobians.size() != parameters.size()) {
+    return probe;
+  }
+  const auto side_by_side = [&](const auto& blocks) {
+    std::vector<double> values;
+    for (int row = 0; row < cost.num_residuals(); ++row) {
+      for (const auto& block : blocks) {
+        for (int j = 0; j < block.cols(); ++j) values.push_back(block(row, j));
+      }
+    }
+    return values;
+  };
+  probe.local_jacobian = side_by_side(results.local_jacobians);
+  probe.local_numeric_jacobian = side_by_side(results.local_numeric_jacobians);
+  return probe;
+}
+
+}  // namespace bundle

@@ -1,0 +1,199 @@
+#include "core/ceres/reprojection_check.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <vector>
+
+#include "core/cameras/registry.h"
+#include "core/ceres/gradient_check.h"
+#include "core/ceres/reprojection_cost.h"
+#include "core/parallel_for.h"
+#include "core/problem/reprojection_errors.h"
+#include "core/solve/free_parameters.h"
+
+namespace bundle {
+namespace {
+
+/// One observation as a problem of its own: one image, one camera, one point.
+///
+/// A solve's cost function reads the camera side from CameraStates, which an EvaluationCallback
+/// keeps up to date; GradientChecker knows of no callbacks. Here the states belong to the cost
+/// function and follow its parameters at each evaluation, so that what is checked is the cost
+/// function of the solve itself, packing of the columns included.
+class SingleObservation final : public ceres::CostFunction {
+ public:
+  SingleObservation(const ProblemView& problem, int64_t observation, const double* offset,
+                    Cheirality cheirality)
+      : problem_(Isolate(problem, observation, offset)),
+        layout_(problem_, SelectFreeParameters(problem_, RefineAll())),
+        states_(problem_, layout_),
+        context_{problem_, layout_, states_, cheirality},
+        cost_(MakeReprojectionCost(context_, 0)),
+        state_(layout_.InitialState(problem_)) {
+    std::copy_n(offset, 3, state_.begin());
+    set_num_residuals(2);
+    *mutable_parameter_block_sizes() = cost_->parameter_block_sizes();
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
+    states_.Update(parameters[1]);
+    cost_->Evaluate(parameters, residuals, jacobians);
+    const bool maybe_none = residuals[0] == 0 && residuals[1] == 0;
+    return !maybe_none || HasValue(parameters[0]);
+  }
+
+  std::vector<const double*> start() const { return {problem_.points, state_.data()}; }
+  const CameraSideBlock& block() const { return layout_.blocks()[0]; }
+
+  /// True if the observation contributes under `cheirality` where it starts.
+  bool Counts(Cheirality cheirality) const {
+    states_.Update(state_.data());
+    return bundle::Counts(ProjectionOf(problem_.points), cheirality);
+  }
+
+ private:
+  static SolveOptions RefineAll() {
+    SolveOptions options;
+    options.refine_principal_point = true;
+    return options;
+  }
+
+  ProblemView Isolate(const ProblemView& problem, int64_t observation, const double* offset) {
+    const int image = problem.observation_image[observation];
+    const int camera = problem.image_camera[image];
+    const int point = problem.observation_point[observation];
+    const double* pose = problem.cam_from_world + 7 * static_cast<int64_t>(image);
+    const double back[3] = {-offset[0], -offset[1], -offset[2]};
+    double turn[4];
+    ExpQuaternion(back, turn);
+    QuaternionProduct(turn, pose, pose_);
+    std::copy_n(pose + 4, 3, pose_ + 4);
+    ProblemView one;
+    one.num_images = one.num_cameras = one.num_points = 1;
+    one.num_observations = 1;
+    one.cam_from_world = pose_;
+    one.image_ids = problem.image_ids + image;
+    one.image_camera = &kFirst;
+    one.camera_ids = problem.camera_ids + camera;
+    one.camera_models = {problem.camera_models[camera]};
+    one.camera_params = problem.ParamsOf(camera);
+    one.camera_params_stride = problem.camera_params_stride;
+    one.points = problem.points + 3 * static_cast<int64_t>(point);
+    one.point_ids = problem.point_ids + point;
+    one.observation_image = one.observation_point = &kFirst;
+    one.observation_xy = problem.observation_xy + 2 * observation;
+    return one;
+  }
+
+  Projection ProjectionOf(const double* point) const {
+    const PoseState& pose = states_.pose(0);
+    double camera_point[3], xy[2];
+    MatrixVector3(pose.rotation, point, camera_point);
+    for (int i = 0; i < 3; ++i) camera_point[i] += pose.translation[i];
+    return problem_.camera_models[0]->project(states_.params(0), camera_point, xy, nullptr,
+                                              nullptr);
+  }
+
+  /// False where the residual is zero because nothing can be computed: no differences across that.
+  /// Asked for such residuals only: it projects once more.
+  bool HasValue(const double* point) const {
+    return bundle::Counts(ProjectionOf(point), context_.cheirality);
+  }
+
+  static constexpr int32_t kFirst = 0;
+  double pose_[7];
+  ProblemView problem_;
+  ParameterLayout layout_;
+  mutable CameraStates states_;
+  ReprojectionContext context_;
+  std::unique_ptr<ceres::CostFunction> cost_;
+  std::vector<double> state_;
+};
+
+/// Moves Jacobians from the blocks of the cost function (point, then what is free of the camera
+/// side) to the columns of ReprojectionCheck.
+class Columns {
+ public:
+  Columns(const CameraSideBlock& block, int stride)
+      : block_(block), size_(kPoseSize + stride + 3), sources_(3 + block.size) {}
+
+  int size() const { return size_; }
+
+  /// From a 2 x (3 + block.size) matrix.
+  void Scatter(const double* from, double* to) const {
+    for (int row = 0; row < 2; ++row, from += sources_, to += size_) {
+      std::copy_n(from, 3, to + size_ - 3);
+      for (int k = 0; k < block_.size; ++k) to[block_.columns[k]] = from[3 + k];
+    }
+  }
+
+ private:
+  const CameraSideBlock& block_;
+  const int size_, sources_;
+};
+
+/// Evaluates with Jacobians, side by side as in NumericJacobian; tells whether the residual is that
+/// of an evaluation without.
+bool EvaluateJacobian(const SingleObservation& cost, std::vector<double>* jacobian) {
+  const int size = cost.block().size;
+  const std::vector<const double*> start = cost.start();
+  std::vector<double> d_point(6), d_camera(2 * static_cast<size_t>(size));
+  double* blocks[] = {d_point.data(), d_camera.data()};
+  double with[2], without[2];
+  cost.Evaluate(start.data(), with, blocks);
+  cost.Evaluate(start.data(), without, nullptr);
+  jacobian->clear();
+  for (int row = 0; row < 2; ++row) {
+    jacobian->insert(jacobian->end(), d_point.begin() + 3 * row, d_point.begin() + 3 * row + 3);
+    jacobian->insert(jacobian->end(), d_camera.begin() + size * row,
+                     d_camera.begin() + size * (row + 1));
+  }
+  return with[0] == without[0] && with[1] == without[1];
+}
+
+}  // namespace
+
+void CheckReprojections(const ProblemView& problem, const int64_t* observations,
+                        int64_t num_checked, const double* offsets, Cheirality cheirality,
+                        double relative_precision, int num_threads, const ReprojectionCheck& out) {
+  CheckCameraModelsKnown(problem);
+  const int64_t entries = 2 * (int64_t{kPoseSize} + problem.camera_params_stride + 3);
+  const Manifolds flat(2, nullptr);
+  const auto check = [&](int64_t i) {
+    // Differences are taken by the formula, whichever side of the camera the point is on.
+    const SingleObservation cost(problem, observations[i], offsets + 3 * i, Cheirality::kAlgebraic);
+    for (double* matrix : {out.analytic, out.reference, out.uncertainty, out.ceres}) {
+      std::fill_n(matrix + entries * i, entries, 0.0);
+    }
+    out.counts[i] = cost.Counts(cheirality) ? 1 : 0;
+    out.agrees[i] = out.stable[i] = 1;
+    if (out.counts[i] == 0) return;
+    const Columns columns(cost.block(), problem.camera_params_stride);
+    std::vector<double> analytic;
+    out.stable[i] = EvaluateJacobian(cost, &analytic) ? 1 : 0;
+    columns.Scatter(analytic.data(), out.analytic + entries * i);
+    const NumericJacobian reference = DifferentiateByRichardson(cost, flat, cost.start()).ambient;
+    columns.Scatter(reference.values.data(), out.reference + entries * i);
+    columns.Scatter(reference.uncertainty.data(), out.uncertainty + entries * i);
+    const GradientCheckerProbe probe =
+        RunGradientChecker(cost, flat, cost.start(), relative_precision);
+    out.agrees[i] = probe.agrees ? 1 : 0;
+    if (probe.local_numeric_jacobian.empty()) {
+      std::fill_n(out.ceres + entries * i, entries, std::numeric_limits<double>::quiet_NaN());
+    } else {
+      columns.Scatter(probe.local_numeric_jacobian.data(), out.ceres + entries * i);
+    }
+  };
+  constexpr int64_t kWorthAThread = 50;
+  ParallelFor(
+      num_checked, num_threads,
+      [&](int64_t begin, int64_t end) {
+        for (int64_t i = begin; i < end; ++i) check(i);
+      },
+      kWorthAThread);
+}
+
+}  // namespace bundle

@@ -1,0 +1,18 @@
+"""Gradient checking: Jacobians against two references, and a name for what is wrong."""
+
+from bundle.checking.classify import KINDS
+from bundle.checking.evidence import Finding
+from bundle.checking.gradients import check_gradients
+from bundle.checking.jacobians import check_jacobians
+from bundle.checking.report import GradientCheckerSummary, GradientReport, Offender, Verdict
+
+__all__ = [
+    "KINDS",
+    "Finding",
+    "GradientCheckerSummary",
+    "GradientReport",
+    "Offender",
+    "Verdict",
+    "check_gradients",
+    "check_jacobians",
+]

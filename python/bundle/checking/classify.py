@@ -1,0 +1,170 @@
+"""From wrong numbers to the mistake behind them: signatures tried from the sharpest to the vaguest.
+
+A signature is a guess of what the wrong columns are, made from the correct ones; it counts if it
+leaves at most a thousandth of the deviation. What no signature explains is named by its size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from bundle.checking import block_signatures as block
+from bundle.checking import column_signatures as column
+from bundle.checking.comparison import Comparison
+from bundle.checking.evidence import Evidence, Finding
+
+__all__ = ["KINDS", "classify", "float_precision", "stale"]
+
+KINDS = (
+    "correct",
+    "not_finite",
+    "stale",
+    "zero",
+    "sign",
+    "factor",
+    "degrees",
+    "scaled_by_parameter",
+    "transposed",
+    "swapped",
+    "shifted",
+    "order",
+    "perturbation",
+    "frame",
+    "missing_term",
+    "float_precision",
+    "normal",
+    "unstable",
+    "undecided",
+    "small_part",
+    "large_part",
+)
+"""What a finding can be, from "a stale cache" to "wrong in a large part"."""
+
+SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
+    block.swapped,
+    block.shifted,
+    column.zeros,
+    column.factors,
+    block.transposed,
+    block.rotation_vectors,
+    block.turned,
+    block.order,
+    column.parameter_factors,
+    column.terms_of_a_parameter,
+    column.zero_entries,
+    block.rank_one,
+)
+
+
+def classify(evidence: Evidence) -> list[Finding]:
+    """Return findings that together name every wrong column."""
+    _not_finite(evidence)
+    for signature in SIGNATURES:
+        if evidence.wrong:
+            signature(evidence)
+    if evidence.wrong:
+        _by_size(evidence)
+    return evidence.findings
+
+
+def stale(comparison: Comparison, repeated: Comparison, tolerance: float) -> Finding | None:
+    """Return a finding if Jacobians belong to points evaluated before.
+
+    Args:
+        comparison: at K points, evaluated one after the other.
+        repeated: at the same points, each evaluated twice in a row.
+        tolerance: relative error from which on a point is wrong.
+    """
+    wrong = np.flatnonzero(np.any(comparison.error > tolerance, axis=(1, 2)))
+    if not len(wrong):
+        return None
+    error = float(comparison.error.max())
+    for words, source in (
+        ("the point evaluated just before", np.maximum(wrong - 1, 0)),
+        ("the first point evaluated", np.zeros_like(wrong)),
+    ):
+        moved = source != wrong
+        if moved.any() and _hold(comparison, wrong[moved], source[moved]):
+            sentence = f"stale cache: the Jacobian is that of {words}"
+            return Finding("stale", (), sentence, error)
+    still_wrong = np.any(repeated.error[wrong] > tolerance)
+    if not still_wrong:
+        sentence = (
+            "stale cache: the Jacobian depends on what was evaluated before; "
+            "a second call at the same point gives another, correct one"
+        )
+        return Finding("stale", (), sentence, error)
+    return None
+
+
+def float_precision(comparison: Comparison, names: tuple[str, ...]) -> Finding | None:
+    """Return a finding if the Jacobians were rounded to single precision on their way."""
+    analytic, reference = comparison.analytic, comparison.reference
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = analytic.astype(np.float32).astype(np.float64) == analytic
+        # Numbers such as 0, 1 and 0.5 are single in any precision.
+        plain = np.round(analytic * 2**10) == analytic * 2**10
+    telling = ~plain & np.isfinite(analytic) & (np.abs(reference) > 0)
+    if telling.sum() < 5 or not single[telling].all():
+        return None
+    error = np.abs(analytic - reference)[telling] / np.abs(reference)[telling]
+    if np.median(error) > 1e-6:
+        return None
+    return Finding(
+        "float_precision",
+        names,
+        "float precision: every number is one of single precision (float32), 7 digits of 16",
+        float(comparison.deviation.max()),
+    )
+
+
+def _hold(comparison: Comparison, wrong: np.ndarray, source: np.ndarray) -> bool:
+    """Return whether the Jacobians at the wrong points are those of the source points."""
+    scale = comparison.scale[wrong]
+    columns = (comparison.error[wrong] > 0).any(axis=(0, 1))
+    left = (comparison.analytic[wrong] - comparison.reference[source]) / scale
+    deviation = (comparison.analytic[wrong] - comparison.reference[wrong]) / scale
+    left, deviation = left[..., columns], deviation[..., columns]
+    return bool(np.linalg.norm(left) <= 1e-3 * np.linalg.norm(deviation))
+
+
+def _not_finite(evidence: Evidence) -> None:
+    bad = [j for j in evidence.wrong if not np.isfinite(evidence.analytic[..., j]).all()]
+    if bad:
+        evidence.found("not_finite", bad, f"{evidence.names(bad)}: not a finite number")
+
+
+def _by_size(evidence: Evidence) -> None:
+    """Name what is left by how wrong it typically is."""
+    sizes = {j: float(np.median(_largest(evidence, j))) for j in evidence.wrong}
+    fine = [j for j in evidence.wrong if evidence.comparison.error[..., j].max() < 1e-4]
+    small = [j for j, size in sizes.items() if size < 0.3 and j not in fine]
+    large = [j for j in sizes if j not in fine and j not in small]
+    for kind, columns, words in (
+        (
+            "float_precision",
+            fine,
+            "the last digits are wrong without a pattern: computed in float precision, "
+            "or by differences",
+        ),
+        (
+            "small_part",
+            small,
+            "wrong in a small part: a sign or a term of the chain rule is missing there",
+        ),
+        (
+            "large_part",
+            large,
+            "wrong as a whole: the order of variables, a transpose, or another formula",
+        ),
+    ):
+        if columns:
+            evidence.found(kind, columns, f"{evidence.names(columns)}: {words}")
+
+
+def _largest(evidence: Evidence, column: int) -> np.ndarray:
+    """Return the largest error of a column at each point where it is wrong."""
+    errors: np.ndarray = evidence.comparison.error[..., column].max(axis=1)
+    return errors[errors > 0]

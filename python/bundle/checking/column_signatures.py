@@ -1,0 +1,152 @@
+"""Signatures of columns that are wrong each for itself: zero, sign, factor, a missing term."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bundle.checking.comparison import Array
+from bundle.checking.evidence import Evidence
+
+__all__ = ["factors", "parameter_factors", "terms_of_a_parameter", "zero_entries", "zeros"]
+
+DEGREE = np.pi / 180
+
+LEAST_FACTOR = 1e-4
+"""From 1: what is less is rounding that looks like a factor."""
+
+
+def zeros(evidence: Evidence) -> None:
+    """Columns that are zero and should not be."""
+    wrong = [j for j in evidence.wrong if not evidence.analytic[..., j].any()]
+    if wrong:
+        evidence.found(
+            "zero",
+            wrong,
+            f"{evidence.names(wrong)}: zero, although the residual depends on "
+            f"{'it' if len(wrong) == 1 else 'them'}; the derivative is missing",
+            0.0,
+        )
+
+
+def factors(evidence: Evidence) -> None:
+    """Columns that are a constant times what they should be, as a whole or in some rows."""
+    by_factor: dict[tuple[float, ...], list[int]] = {}
+    where: dict[int, str] = {}
+    for j in evidence.wrong:
+        points = evidence.points_wrong_in(j)
+        analytic, reference = evidence.analytic[points, :, j], evidence.reference[points, :, j]
+        if len(points) < len(evidence.points):
+            where[j] = f" (at {len(points)} of {len(evidence.points)} wrong points only)"
+        rows = _ratios(analytic, reference, axis=0)
+        whole = np.full_like(rows, _ratios(analytic, reference, axis=None))
+        for guess in (whole, rows):
+            clear = np.abs(guess - 1).max() > LEAST_FACTOR
+            if clear and evidence.explains((guess * reference)[..., None], [j], points):
+                key = tuple(float(f"{ratio:.6g}") for ratio in guess)
+                by_factor.setdefault(key, []).append(j)
+                break
+    for ratios, columns in by_factor.items():
+        if len(set(ratios)) == 1:
+            kind, words = _factor_in_words(ratios[0])
+            note = where.get(columns[0], "")
+            sentence = f"{evidence.names(columns)}: {words}{note}"
+            evidence.found(kind, columns, sentence, ratios[0])
+            continue
+        off = [row for row, ratio in enumerate(ratios) if abs(ratio - 1) > LEAST_FACTOR]
+        same = len({ratios[row] for row in off}) == 1
+        kind, words = _factor_in_words(ratios[off[0]]) if same else ("factor", "scaled")
+        rows_text = ", ".join(map(str, off))
+        sentence = f"{evidence.names(columns)}: {words}, in residual {rows_text} only"
+        evidence.found(kind, columns, sentence, ratios[off[0]] if same else None)
+
+
+def parameter_factors(evidence: Evidence) -> None:
+    """Columns that are right but for a factor that is the value of a parameter."""
+    for j in list(evidence.wrong):
+        analytic, reference = evidence.analytic[..., j], evidence.reference[..., j]
+        ratios = _ratios(analytic, reference, axis=1)
+        if not evidence.explains((ratios[:, None] * reference)[..., None], [j]):
+            continue
+        for p, column in enumerate(evidence.columns):
+            value = evidence.points[:, p]
+            if not value.all() or np.ptp(value) <= 1e-9 * np.abs(value).max():
+                continue
+            for exponent, verb in ((1, "multiplied"), (-1, "divided")):
+                constant = ratios / value**exponent
+                mean = float(constant.mean())
+                if abs(abs(mean) - 1) > 1e-3 or np.ptp(constant) > 1e-3 * abs(mean):
+                    continue
+                if j in evidence.wrong:
+                    sign = "" if mean > 0 else "minus "
+                    evidence.found(
+                        "scaled_by_parameter",
+                        [j],
+                        f"{evidence.columns[j].name}: {verb} by {sign}{column.name}, "
+                        "once too often or once too little in the chain rule",
+                    )
+
+
+def terms_of_a_parameter(evidence: Evidence) -> None:
+    """Columns that are right for a parameter of value zero: the terms with it are missing."""
+    if not evidence.wrong:
+        return
+    deviation = np.linalg.norm(
+        (evidence.analytic - evidence.reference)[..., evidence.wrong], axis=(1, 2)
+    )
+    chosen = np.argsort(-deviation, kind="stable")[:3]
+    for p in range(len(evidence.columns)):
+        wrong = list(evidence.wrong)
+        if not wrong or not evidence.points[chosen, p].all():
+            continue
+        guesses = [evidence.reference_at(int(k), p) for k in chosen]
+        if any(guess is None for guess in guesses):
+            continue
+        guess = np.array(guesses) / evidence.comparison.scale[chosen]
+        columns = [j for j in wrong if evidence.explains(guess[..., [j]], [j], chosen)]
+        if columns:
+            name = evidence.columns[p].name
+            evidence.found(
+                "missing_term",
+                columns,
+                f"{evidence.names(columns)}: as if {name} were 0; "
+                f"the terms with {name} are missing",
+            )
+
+
+def zero_entries(evidence: Evidence) -> None:
+    """Columns that are right but for rows that are zero."""
+    for j in list(evidence.wrong):
+        analytic, reference = evidence.analytic[..., j], evidence.reference[..., j]
+        zero_rows = ~analytic.any(axis=0)
+        guess = np.where(zero_rows, 0.0, reference)
+        if zero_rows.any() and evidence.explains(guess[..., None], [j]):
+            rows = ", ".join(map(str, np.flatnonzero(zero_rows)))
+            evidence.found(
+                "missing_term",
+                [j],
+                f"{evidence.columns[j].name}: zero in residual {rows}, although that depends on it",
+            )
+
+
+def _ratios(analytic: Array, reference: Array, axis: int | None) -> Array:
+    """Return the least-squares factors from reference to analytic along an axis."""
+    square = np.sum(reference * reference, axis=axis)
+    ratio: Array = np.sum(analytic * reference, axis=axis) / np.where(square > 0, square, 1.0)
+    return np.where(square > 0, ratio, 1.0)
+
+
+def _factor_in_words(factor: float) -> tuple[str, str]:
+    if abs(factor + 1) < 1e-4:
+        return "sign", "the sign is flipped"
+    sign = "" if factor > 0 else ", and the sign is flipped"
+    size = abs(factor)
+    if abs(size * DEGREE - 1) < 1e-4:
+        return "degrees", f"{size:.3f} times too large: degrees for radians{sign}"
+    if abs(size / DEGREE - 1) < 1e-4:
+        return "degrees", f"{1 / size:.3f} times too small: degrees for radians{sign}"
+    if size == 0:
+        return "zero", "zero"
+    large = size >= 1
+    times = size if large else 1 / size
+    digits = 3 if times > 1.01 else 6
+    return "factor", f"{times:.{digits}f} times too {'large' if large else 'small'}{sign}"

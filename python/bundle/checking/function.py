@@ -1,0 +1,83 @@
+"""The user's residual: called, checked for shapes, flattened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from bundle.checking.comparison import Array
+from bundle.errors import InputError
+
+__all__ = ["ResidualFunction", "UserFunction"]
+
+ResidualFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
+
+
+class UserFunction:
+    """A function of parameter blocks that answers with residual and Jacobians."""
+
+    def __init__(self, function: ResidualFunction, blocks: Sequence[Array]) -> None:
+        self.function = function
+        self.sizes = [len(block) for block in blocks]
+        self.num_residuals = len(self._residual(self._call(blocks)[0]))
+
+    def evaluate(self, blocks: Sequence[Array]) -> tuple[Array, Array]:
+        """Return the residual (R,) and all Jacobians side by side (R, N).
+
+        Raises:
+            InputError: what the function answers has the wrong shape.
+        """
+        residual, jacobians = self._call(blocks)
+        values = self._residual(residual)
+        if len(values) != self.num_residuals:
+            raise InputError(
+                f"function: expected {self.num_residuals} residuals as before, found {len(values)}"
+            )
+        return values, np.hstack(self._jacobians(jacobians))
+
+    def core(self, blocks: list[Array], jacobians: bool) -> tuple[Array, list[Array] | None] | None:
+        """Answer as ``_core`` asks: None where the residual is not finite."""
+        residual, matrices = self._call(blocks)
+        values = self._residual(residual)
+        if not np.isfinite(values).all():
+            return None
+        return values, self._jacobians(matrices) if jacobians else None
+
+    def _call(self, blocks: Sequence[Array]) -> tuple[Any, Sequence[Any]]:
+        answer = self.function([block.copy() for block in blocks])
+        if not isinstance(answer, tuple | list) or len(answer) != 2:
+            raise InputError(
+                f"function: expected (residual, list of Jacobians), found {type(answer).__name__}"
+            )
+        residual, jacobians = answer
+        return residual, jacobians
+
+    @staticmethod
+    def _residual(residual: Any) -> Array:
+        values = np.array(residual, dtype=np.float64).reshape(-1)
+        if not len(values):
+            raise InputError("function: expected at least one residual, found none")
+        return values
+
+    def _jacobians(self, jacobians: Sequence[Any]) -> list[Array]:
+        if len(jacobians) != len(self.sizes):
+            raise InputError(
+                f"function: expected {len(self.sizes)} Jacobians, one a block, "
+                f"found {len(jacobians)}"
+            )
+        result = []
+        for b, (jacobian, size) in enumerate(zip(jacobians, self.sizes, strict=True)):
+            matrix = np.asarray(jacobian, dtype=np.float64)
+            expected = (self.num_residuals, size)
+            if matrix.shape != expected and not (
+                matrix.ndim == 1 and matrix.size == size and self.num_residuals == 1
+            ):
+                hint = " (transposed?)" if matrix.shape == expected[::-1] else ""
+                raise InputError(
+                    f"function: expected Jacobian {b} of shape {expected}, "
+                    f"found {matrix.shape}{hint}"
+                )
+            result.append(matrix.reshape(expected))
+        return result

@@ -1,0 +1,312 @@
+"""Checking our own Jacobians on a user's problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.cameras import camera_models, param_kinds
+from bundle.checking.assemble import CHECKER_PRECISION, TOLERANCE, make_report
+from bundle.checking.classify import classify, float_precision
+from bundle.checking.columns import Block, Column
+from bundle.checking.comparison import Array, Comparison
+from bundle.checking.evidence import Evidence, Finding
+from bundle.checking.report import GradientCheckerSummary, GradientReport, Offender
+from bundle.checking.tally import Tally, Worst
+from bundle.errors import InputError
+from bundle.problem import Problem
+from bundle.reprojection import resolve_cheirality
+
+__all__ = ["SAMPLES_PER_IMAGE", "check_jacobians"]
+
+SAMPLES_PER_IMAGE = 100
+CHUNK = 16384
+TURN = 0.3
+"""Radians by which every other observation is checked away from the start of its chart."""
+
+POSE = tuple(f"{part} {axis}" for part in ("rotation", "translation") for axis in "xyz")
+POINT = ("point x", "point y", "point z")
+
+Progress = Callable[[int, int], None]
+
+
+def check_jacobians(
+    problem: Problem,
+    *,
+    samples_per_image: int | None = SAMPLES_PER_IMAGE,
+    seed: int = 0,
+    tolerance: float = TOLERANCE,
+    cheirality: str = "auto",
+    num_threads: int = 0,
+    progress: Progress | None = None,
+) -> GradientReport:
+    """Check the analytic Jacobians that a solve of this problem would use.
+
+    Every residual is checked as Ceres sees it, with all of pose, intrinsics and point free, by
+    ceres::GradientChecker and by Richardson extrapolation; every other observation away from the
+    start of its rotation's chart.
+
+    Args:
+        problem: checked at its own values.
+        samples_per_image: observations to check of each image (an image has one camera); None: all.
+        seed: of the sampling.
+        tolerance: relative error from which on an entry is wrong.
+        cheirality: as in a solve; observations that do not count are skipped.
+        num_threads: 0: all cores.
+        progress: called with the observations done and all of them.
+
+    Raises:
+        InputError: a camera model that is not supported, or a count or tolerance out of range.
+    """
+    if samples_per_image is not None and samples_per_image < 1:
+        raise InputError(f"samples_per_image: expected at least 1, found {samples_per_image}")
+    if not tolerance > 0:
+        raise InputError(f"tolerance: expected more than 0, found {tolerance}")
+    observations = _choose(problem, samples_per_image, seed)
+    settings = _Settings(
+        resolve_cheirality(problem, cheirality) == "algebraic", num_threads, tolerance
+    )
+    check = _Check(problem, settings)
+    offsets = TURN * np.random.default_rng(seed).standard_normal((len(observations), 3))
+    offsets[::2] = 0.0
+    for begin in range(0, len(observations), CHUNK):
+        chunk = slice(begin, begin + CHUNK)
+        check.add(observations[chunk], offsets[chunk])
+        if progress is not None:
+            progress(min(begin + CHUNK, len(observations)), len(observations))
+    return check.report()
+
+
+_Answer = tuple[Array, Array, Array, Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]
+
+
+@dataclass(frozen=True)
+class _Settings:
+    algebraic: bool
+    num_threads: int
+    tolerance: float
+
+
+@dataclass(eq=False)
+class _Model:
+    """Everything on the observations of one camera model."""
+
+    name: str
+    source: NDArray[np.intp]
+    tally: Tally
+    offsets: dict[int, Array] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+
+    @staticmethod
+    def make(name: str, tolerance: float) -> _Model:
+        params = camera_models()[name]
+        columns = [Column(text, text.partition(" ")[0]) for text in POSE]
+        columns += [
+            Column(f"{name} {param}", kind.replace("_", " "))
+            for param, kind in zip(params, param_kinds(name), strict=True)
+        ]
+        columns += [Column(text, "point") for text in POINT]
+        source = np.arange(len(columns))
+        source[-3:] = [-3, -2, -1]  # after columns that other models need
+        return _Model(name, source, Tally(columns, tolerance))
+
+    @property
+    def blocks(self) -> list[Block]:
+        size = len(self.tally.columns)
+        return [
+            Block("rotation", 0, 3, "vector"),
+            Block("rotation", 0, 3, "tangent"),
+            Block("translation", 3, 6),
+            Block("pose", 0, 6),
+            Block(f"{self.name} parameters", 6, size - 3),
+            Block("point", size - 3, size),
+        ]
+
+
+class _Check:
+    def __init__(self, problem: Problem, settings: _Settings) -> None:
+        self.problem, self.settings = problem, settings
+        self.models: dict[str, _Model] = {}
+        self.num_checked = self.num_skipped = 0
+        self.probes = np.zeros(5, np.int64)
+        self.unstable: list[int] = []
+
+    def add(self, observations: NDArray[np.int64], offsets: Array) -> None:
+        """Check some observations."""
+        answer = self._ask(self.problem, observations, offsets)
+        ceres, counts, agrees, stable = answer[3:]
+        self.num_checked += int(counts.sum())
+        self.num_skipped += int((~counts).sum())
+        self.unstable += observations[~stable].tolist()
+        wrong = np.zeros(len(observations), bool)
+        cameras = self.problem.image_camera[self.problem.observation_image[observations]]
+        for name in sorted({self.problem.camera_models[c] for c in np.unique(cameras)}):
+            same = np.array([other == name for other in self.problem.camera_models])
+            rows = np.flatnonzero(same[cameras] & counts)
+            if name not in self.models:
+                self.models[name] = _Model.make(name, self.settings.tolerance)
+            model = self.models[name]
+            comparison = Comparison(*(matrix[rows][..., model.source] for matrix in answer[:3]))
+            found = model.tally.add(comparison, observations[rows].astype(np.intp))
+            for row in rows[found]:
+                model.offsets[int(observations[row])] = offsets[row]
+            if not found.any() and self.settings.tolerance <= TOLERANCE:
+                self._look_for_floats(model, comparison)
+            wrong[rows] = found
+        gave_up = ~np.isfinite(ceres).all(axis=(1, 2))
+        self.probes += [
+            counts.sum(),
+            (counts & agrees).sum(),
+            (counts & ~agrees & ~gave_up & ~wrong).sum(),
+            (counts & gave_up).sum(),
+            (counts & agrees & wrong).sum(),
+        ]
+
+    def report(self) -> GradientReport:
+        """Classify what is wrong and name it."""
+        findings = [finding for model in self.models.values() for finding in self._classify(model)]
+        if self.unstable:
+            findings.append(
+                Finding(
+                    "unstable",
+                    (),
+                    f"{self._place(self.unstable[0])} and {len(self.unstable) - 1} more: the "
+                    "residual differs between evaluations with and without Jacobians",
+                )
+            )
+        worst = [
+            self._offender(model, entry)
+            for model in self.models.values()
+            for entry in model.tally.worst
+        ]
+        return make_report(
+            subject="the reprojection residual of "
+            + (", ".join(sorted(self.models)) or "no camera model"),
+            noun="observation",
+            tallies=[model.tally for model in self.models.values()],
+            findings=findings,
+            worst=worst,
+            num_checked=self.num_checked,
+            num_skipped=self.num_skipped,
+            gradient_checker=GradientCheckerSummary(*map(int, self.probes)),
+        )
+
+    def _ask(self, problem: Problem, observations: NDArray[np.int64], offsets: Array) -> _Answer:
+        return _core.check_reprojections(
+            problem,
+            observations,
+            np.ascontiguousarray(offsets),
+            self.settings.algebraic,
+            CHECKER_PRECISION,
+            self.settings.num_threads,
+        )
+
+    def _look_for_floats(self, model: _Model, comparison: Comparison) -> None:
+        names = tuple(column.name for column in model.tally.columns)
+        finding = float_precision(comparison, names)
+        if finding is not None and not model.findings:
+            model.findings.append(finding)
+
+    def _classify(self, model: _Model) -> list[Finding]:
+        kept = model.tally.kept
+        if kept is None:
+            return model.findings
+        numbers = kept.points
+        points = self._parameters(model, numbers)
+
+        def reference_at(k: int, parameter: int) -> Array | None:
+            column = parameter - 6
+            if not 0 <= column < len(model.tally.columns) - 9:
+                return None  # poses and points have no terms that one could forget
+            observation = np.array([numbers[k]], np.int64)
+            image = self.problem.observation_image[observation[0]]
+            params = self.problem.camera_params.copy()
+            params[self.problem.image_camera[image], column] = 0.0
+            try:
+                changed = self.problem.replace(camera_params=params)
+            except InputError:  # a focal length of zero
+                return None
+            answer = self._ask(changed, observation, model.offsets[int(observation[0])][None])
+            reference: Array = answer[1][0][:, model.source]
+            return reference
+
+        names = tuple(column.name for column in model.tally.columns)
+        rounded = float_precision(kept.comparison, names)
+        if rounded is not None:
+            return [rounded]
+        evidence = Evidence(
+            kept.comparison,
+            model.tally.columns,
+            model.blocks,
+            points,
+            reference_at,
+            model.tally.wrong_columns,
+            self.settings.tolerance,
+        )
+        return classify(evidence)
+
+    def _parameters(self, model: _Model, observations: NDArray[np.intp]) -> Array:
+        problem = self.problem
+        images = problem.observation_image[observations]
+        count = len(model.tally.columns) - 9
+        return np.hstack(
+            [
+                np.array([model.offsets[int(i)] for i in observations]),
+                problem.cam_from_world[images, 4:],
+                problem.camera_params[problem.image_camera[images], :count],
+                problem.points[problem.observation_point[observations]],
+            ]
+        )
+
+    def _offender(self, model: _Model, entry: Worst) -> Offender:
+        problem = self.problem
+        image = int(problem.observation_image[entry.point])
+        camera = int(problem.image_camera[image])
+        point = int(problem.point_ids[problem.observation_point[entry.point]])
+        column = model.tally.columns[entry.column].name
+        camera_id = int(problem.camera_ids[camera])
+        if entry.column < 6:
+            parameter = f"{self._image(image)} {column}"
+        elif column.startswith("point "):
+            parameter = f"point {point} {column.removeprefix('point ')}"
+        else:
+            parameter = f"camera {camera_id} {column.removeprefix(model.name + ' ')}"
+        return Offender(
+            self._place(entry.point),
+            parameter,
+            entry.residual,
+            entry.analytic,
+            entry.reference,
+            entry.error,
+            {
+                "observation": entry.point,
+                "image_id": int(problem.image_ids[image]),
+                "image_name": problem.image_names[image],
+                "camera_id": camera_id,
+                "model": model.name,
+                "point_id": point,
+            },
+        )
+
+    def _place(self, observation: int) -> str:
+        image = int(self.problem.observation_image[observation])
+        point = int(self.problem.point_ids[self.problem.observation_point[observation]])
+        return f"{self._image(image)}, point {point}"
+
+    def _image(self, image: int) -> str:
+        return f"image {self.problem.image_names[image] or self.problem.image_ids[image]}"
+
+
+def _choose(problem: Problem, samples_per_image: int | None, seed: int) -> NDArray[np.int64]:
+    """Return the observations to check, ascending."""
+    count = problem.num_observations
+    if samples_per_image is None:
+        return np.arange(count, dtype=np.int64)
+    shuffled = np.random.default_rng(seed).permutation(count)
+    by_image = shuffled[np.argsort(problem.observation_image[shuffled], kind="stable")]
+    images = np.split(by_image, np.flatnonzero(np.diff(problem.observation_image[by_image])) + 1)
+    return np.sort(np.concatenate([image[:samples_per_image] for image in images]))

@@ -1,0 +1,96 @@
+"""Parameter blocks of a user's residual: manifolds, names of the columns, points around a point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bundle.checking.columns import Block, Column
+from bundle.checking.comparison import Array
+from bundle.checking.manifolds import Manifold, ManifoldLike
+from bundle.errors import InputError
+
+__all__ = ["Layout", "Name", "sample"]
+
+Name = str | tuple[str, Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names of the columns, in the parameters and in the tangent space."""
+
+    manifolds: list[Manifold]
+    columns: list[Column]
+    tangent_columns: list[Column]
+    blocks: list[Block]
+    tangent_blocks: list[Block]
+
+    @staticmethod
+    def make(
+        start: Sequence[Array],
+        manifolds: Sequence[ManifoldLike] | None,
+        names: Sequence[Name] | None,
+    ) -> Layout:
+        """Return the layout of blocks.
+
+        Raises:
+            InputError: manifolds or names do not fit the blocks.
+        """
+        count = len(start)
+        manifolds = [None] * count if manifolds is None else list(manifolds)
+        names = [f"block {b}" for b in range(count)] if names is None else list(names)
+        for what, given in (("manifolds", manifolds), ("names", names)):
+            if len(given) != count:
+                raise InputError(f"{what}: expected one a block, {count}, found {len(given)}")
+        layout = Layout([], [], [], [], [])
+        for block, manifold, name in zip(start, manifolds, names, strict=True):
+            layout._add(Manifold.parse(manifold, len(block)), name)
+        return layout
+
+    def _add(self, manifold: Manifold, name: Name) -> None:
+        group = name if isinstance(name, str) else name[0]
+        parameters = (
+            manifold.parameter_names(group) if isinstance(name, str) else [*map(str, name[1])]
+        )
+        if len(parameters) != manifold.size:
+            raise InputError(
+                f"names: expected {manifold.size} names for {group}, found {len(parameters)}"
+            )
+        self.manifolds.append(manifold)
+        self.blocks.extend(manifold.blocks(group, len(self.columns), tangent=False))
+        self.tangent_blocks.extend(manifold.blocks(group, len(self.tangent_columns), tangent=True))
+        self.columns.extend(Column(parameter, group) for parameter in parameters)
+        self.tangent_columns.extend(
+            Column(parameter, group) for parameter in manifold.tangent_names(group, parameters)
+        )
+
+    @property
+    def core(self) -> list[tuple[str, list[int]]]:
+        """The manifolds as ``_core`` takes them."""
+        return [manifold.core for manifold in self.manifolds]
+
+    @property
+    def is_curved(self) -> bool:
+        """Whether some tangent space is another one than that of the parameters."""
+        return any(manifold.is_curved for manifold in self.manifolds)
+
+
+def sample(manifold: Manifold, x: Array, radius: float, rng: np.random.Generator) -> Array:
+    """Return a point near x."""
+    if manifold.is_curved and manifold.name not in ("subset", "se3"):
+        return manifold.plus(x, radius * rng.standard_normal(manifold.tangent_size))
+    if manifold.name == "angle_axis":
+        return x + radius * rng.standard_normal(3)
+    sizes = np.abs(x)
+    nonzero = sizes[sizes > 0]
+    usual = min(1.0, float(nonzero.min())) if len(nonzero) else 1.0
+    delta: Array = radius * np.where(sizes > 0, sizes, usual) * rng.standard_normal(len(x))
+    if manifold.name == "subset":
+        delta[list(manifold.constant)] = 0
+    if manifold.name == "se3":
+        turned = manifold.plus(x, np.append(radius * rng.standard_normal(3), np.zeros(3)))
+        delta[:4] = 0
+        return turned + delta
+    return x + delta

@@ -1,0 +1,115 @@
+"""Manifolds of parameter blocks, as users name them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bundle import _core
+from bundle.checking.columns import Block
+from bundle.checking.comparison import Array
+from bundle.errors import InputError
+
+__all__ = ["Manifold", "ManifoldLike"]
+
+ManifoldLike = str | tuple[str, Sequence[int]] | None
+
+_PARAMETERS = {
+    "quaternion_wxyz": ("qw", "qx", "qy", "qz"),
+    "quaternion_xyzw": ("qx", "qy", "qz", "qw"),
+    "se3": ("qx", "qy", "qz", "qw", "tx", "ty", "tz"),
+    "angle_axis": ("rotation x", "rotation y", "rotation z"),
+}
+_TANGENT = {
+    "quaternion_wxyz": ("rotation x", "rotation y", "rotation z"),
+    "quaternion_xyzw": ("rotation x", "rotation y", "rotation z"),
+    "se3": (
+        "rotation x", "rotation y", "rotation z", "translation x", "translation y", "translation z",
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Manifold:
+    """The manifold of one block.
+
+    Attributes:
+        name: in lower case.
+        constant: entries that stay, of "subset".
+        size: of the block.
+        tangent_size: of the tangent space.
+    """
+
+    name: str
+    constant: tuple[int, ...]
+    size: int
+    tangent_size: int
+
+    @staticmethod
+    def parse(given: ManifoldLike, size: int) -> Manifold:
+        """Return the manifold that is meant.
+
+        Raises:
+            InputError: there is no such manifold, or it does not fit a block of this size.
+        """
+        name, constant = given if isinstance(given, tuple) else (given or "euclidean", ())
+        name = str(name).lower().replace("-", "_")
+        entries = tuple(int(entry) for entry in constant)
+        if name == "angle_axis" and size != 3:
+            raise InputError(f"manifolds: angle_axis expects a block of 3 numbers, found {size}")
+        core = (_core_name(name), list(entries))
+        return Manifold(name, entries, size, _core.manifold_tangent_size(core, size))
+
+    @property
+    def core(self) -> tuple[str, list[int]]:
+        """What ``_core`` takes: a rotation vector's numbers are a vector space to Ceres."""
+        return _core_name(self.name), list(self.constant)
+
+    @property
+    def is_curved(self) -> bool:
+        """Whether the tangent space is another one than that of the parameters."""
+        return self.core[0] != "euclidean"
+
+    def plus(self, x: Array, delta: Array) -> Array:
+        """Return the point moved along the tangent space."""
+        return _core.manifold_plus(self.core, x, np.ascontiguousarray(delta))
+
+    def parameter_names(self, block: str) -> list[str]:
+        """Return names for the parameters of a block."""
+        if self.size == 1:
+            return [block]
+        names = _PARAMETERS.get(self.name)
+        return [f"{block} {n}" for n in names or [f"[{j}]" for j in range(self.size)]]
+
+    def tangent_names(self, block: str, parameters: Sequence[str]) -> list[str]:
+        """Return names for the tangent directions of a block."""
+        if not self.is_curved:
+            return list(parameters)
+        if self.name == "subset":
+            return [name for j, name in enumerate(parameters) if j not in self.constant]
+        names = _TANGENT.get(self.name)
+        return [f"{block} {n}" for n in names or [f"direction {j}" for j in range(self.size - 1)]]
+
+    def blocks(self, name: str, start: int, *, tangent: bool) -> list[Block]:
+        """Return the block and its parts for the signatures, first column `start`."""
+        size = self.tangent_size if tangent else self.size
+        blocks = [Block(name, start, start + size)]
+        if self.name == "angle_axis":
+            return [Block(name, start, start + 3, "vector")]
+        if self.name.startswith("quaternion"):
+            return [Block(name, start, start + size, "tangent" if tangent else "quaternion")]
+        if self.name == "se3":
+            split = start + (3 if tangent else 4)
+            kind = "tangent" if tangent else "quaternion"
+            blocks += [
+                Block(f"{name} rotation", start, split, kind),
+                Block(f"{name} translation", split, split + 3),
+            ]
+            return blocks[1:] + blocks[:1]
+        return blocks
+
+
+def _core_name(name: str) -> str:
+    return "euclidean" if name == "angle_axis" else name

@@ -1,0 +1,246 @@
+"""What a check of Jacobians found, as data and as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.console import RenderableType
+from rich.table import Table
+
+from bundle.checking.evidence import Finding
+from bundle.tables import columns, facts, notes, plural, render
+
+__all__ = [
+    "GradientCheckerSummary",
+    "GradientReport",
+    "Offender",
+    "Verdict",
+    "explanation",
+    "outcome",
+]
+
+BAR_WIDTH = 40
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is to be said of a parameter, or of a group of them.
+
+    Attributes:
+        name: "camera RADIAL k1", "rotation".
+        verdict: "correct", "wrong", or "undecided" where the reference is not good enough for half
+            of the entries.
+        num_entries: entries of the Jacobians compared.
+        num_wrong: those beyond the tolerance.
+        num_undecided: those whose reference is less certain than the tolerance.
+        max_error: the largest relative error; of entries that are undecided, only the part that
+            the reference's uncertainty does not explain.
+    """
+
+    name: str
+    verdict: str
+    num_entries: int
+    num_wrong: int
+    num_undecided: int
+    max_error: float
+
+
+@dataclass(frozen=True)
+class Offender:
+    """One entry of a Jacobian.
+
+    Attributes:
+        place: where in words: "image IMG_17.jpg, point 12", "sample 3".
+        parameter: the column: "camera 3 k1", "image IMG_17.jpg rotation y".
+        residual: the row.
+        analytic: as given.
+        reference: as it should be.
+        error: relative, near-zero-safe (``Comparison.scale``), less what the reference does not
+            know.
+        details: the same for programs: image_id, image_name, camera_id, model, point_id, or sample.
+    """
+
+    place: str
+    parameter: str
+    residual: int
+    analytic: float
+    reference: float
+    error: float
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class GradientCheckerSummary:
+    """How ceres::GradientChecker fared at the same points.
+
+    Attributes:
+        num_probes: how often it was asked.
+        num_agreed: it found nothing wrong.
+        num_false_alarms: it complained of Jacobians that the second reference finds correct.
+        num_gave_up: it stepped on a point without a value.
+        num_overlooked: it was content with Jacobians that are wrong.
+    """
+
+    num_probes: int = 0
+    num_agreed: int = 0
+    num_false_alarms: int = 0
+    num_gave_up: int = 0
+    num_overlooked: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class GradientReport:
+    """What a check found. True if nothing is wrong; printing it explains.
+
+    Attributes:
+        ok: nothing is wrong, and something was checked.
+        subject: what was checked, in words.
+        noun: what a point is: "sample", "observation".
+        tolerance: relative error from which on an entry is wrong.
+        num_checked: points (observations) checked.
+        num_skipped: points left out: no finite residual there, or one that does not count.
+        findings: what is wrong, worst first.
+        groups: a verdict on each group of parameters.
+        parameters: a verdict on each parameter.
+        worst: the entries with the largest errors, worst first.
+        histogram: (low, high, count) of the relative errors of all entries, by decades.
+        gradient_checker: how ceres::GradientChecker fared.
+    """
+
+    ok: bool
+    subject: str
+    noun: str
+    tolerance: float
+    num_checked: int
+    num_skipped: int
+    findings: tuple[Finding, ...]
+    groups: tuple[Verdict, ...]
+    parameters: tuple[Verdict, ...]
+    worst: tuple[Offender, ...]
+    histogram: tuple[tuple[float, float, int], ...]
+    gradient_checker: GradientCheckerSummary
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The kinds of all findings; {"correct"} if there are none."""
+        return frozenset(finding.kind for finding in self.findings) or frozenset({"correct"})
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    def __str__(self) -> str:
+        return render(*explanation(self)).rstrip("\n")
+
+    def __repr__(self) -> str:
+        return f"<GradientReport: {'correct' if self.ok else 'wrong'}>\n{self}"
+
+
+def outcome(report: GradientReport) -> str:
+    """Return the verdict in one sentence."""
+    if report.ok and report.num_checked:
+        return (
+            f"Correct: all Jacobians agree with the reference to {report.tolerance:g} "
+            f"at {plural(report.num_checked, report.noun)}."
+        )
+    if report.ok:
+        return "Nothing to check."
+    return f"WRONG: {plural(len(report.findings), 'finding')}, the worst first."
+
+
+def explanation(report: GradientReport) -> list[RenderableType]:
+    """Return verdict, what is wrong, and the numbers behind it."""
+    skipped = f", {report.num_skipped} skipped" if report.num_skipped else ""
+    count = plural(report.num_checked, report.noun)
+    parts: list[RenderableType] = [
+        facts([("checked", f"{report.subject}, {count}{skipped}")]),
+        facts([("verdict", outcome(report))]),
+        *notes((finding.sentence for finding in report.findings), style="red"),
+    ]
+    if not report.num_checked:
+        return parts
+    parts += ["", _verdicts(report.groups)]
+    if not report.ok:
+        wrong = [verdict for verdict in report.parameters if verdict.verdict != "correct"]
+        parts += ["", _verdicts(wrong, "parameter"), "", _worst(report.worst)]
+    parts += ["", _histogram(report.histogram)]
+    parts += ["", facts([("GradientChecker", _checker(report.gradient_checker))])]
+    return parts
+
+
+def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Table:
+    rows = [
+        (
+            verdict.name,
+            verdict.verdict,
+            _error(verdict.max_error),
+            str(verdict.num_entries),
+            str(verdict.num_wrong),
+            str(verdict.num_undecided),
+        )
+        for verdict in verdicts
+    ]
+    head = (title, "verdict", "largest error", "entries", "wrong", "undecided")
+    return columns(head, rows, left=2)
+
+
+def _worst(offenders: Sequence[Offender]) -> Table:
+    rows = [
+        (
+            offender.parameter,
+            offender.place,
+            f"{offender.residual}",
+            f"{offender.analytic:.6g}",
+            f"{offender.reference:.6g}",
+            _error(offender.error),
+        )
+        for offender in offenders
+        if offender.error > 0
+    ]
+    head = ("worst", "where", "row", "analytic", "should be", "error")
+    return columns(head, rows, left=2)
+
+
+def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Table:
+    filled = [index for index, (_, _, count) in enumerate(histogram) if count]
+    shown_bins = histogram[filled[0] : filled[-1] + 1] if filled else []
+    largest = max((count for _, _, count in shown_bins), default=1)
+    total = max(sum(count for _, _, count in shown_bins), 1)
+    rows = [
+        (
+            _bin(low, high),
+            "#" * math.ceil(BAR_WIDTH * count / largest),
+            str(count),
+            f"{100.0 * count / total:.1f} %",
+        )
+        for low, high, count in shown_bins
+    ]
+    return columns(("relative error", " " * BAR_WIDTH, "entries", "share"), rows, left=2)
+
+
+def _bin(low: float, high: float) -> str:
+    if low == 0:
+        return f"below {high:.0e}"
+    return f"{low:.0e} to {high:.0e}" if math.isfinite(high) else f"{low:.0e} and more"
+
+
+def _checker(summary: GradientCheckerSummary) -> str:
+    words = [f"Ceres' own finds {summary.num_agreed} of {summary.num_probes} correct"]
+    if summary.num_false_alarms:
+        words.append(
+            f"{plural(summary.num_false_alarms, 'false alarm')} (entries near zero, "
+            "or its step of 1 % too coarse)"
+        )
+    if summary.num_gave_up:
+        words.append(f"gave up on {summary.num_gave_up}")
+    if summary.num_overlooked:
+        words.append(f"overlooked {summary.num_overlooked}")
+    return "; ".join(words)
+
+
+def _error(error: float) -> str:
+    if error == 0:
+        return "0"
+    return f"{error:.1e}" if math.isfinite(error) else "not finite"

@@ -1,0 +1,148 @@
+"""Counting over many points: verdicts, histogram, worst entries, and what is kept to classify."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.checking.columns import Column
+from bundle.checking.comparison import Array, Comparison
+from bundle.checking.report import Verdict
+
+__all__ = ["EDGES", "Kept", "Tally", "Worst", "verdicts"]
+
+EDGES = (0.0, *(10.0**exponent for exponent in range(-14, 2)), np.inf)
+"""Limits of the histogram's bins."""
+
+MOST_KEPT = 200
+"""Wrong points that are enough to recognise a mistake by."""
+
+MOST_WORST = 10
+MOST_OF_A_COLUMN = 3
+
+
+@dataclass(frozen=True)
+class Worst:
+    """An entry with a large error: the point's number, row, column, and the numbers."""
+
+    point: int
+    residual: int
+    column: int
+    analytic: float
+    reference: float
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Wrong points for the classifier: their numbers, and their Jacobians."""
+
+    points: NDArray[np.intp]
+    comparison: Comparison
+
+
+@dataclass(eq=False)
+class Tally:
+    """Sums up one kind of residual with its columns."""
+
+    columns: Sequence[Column]
+    tolerance: float
+    num_points: int = 0
+    histogram: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(EDGES) - 1, np.int64))
+    worst: list[Worst] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        count = len(self.columns)
+        self.num_entries = np.zeros(count, np.int64)
+        self.num_wrong = np.zeros(count, np.int64)
+        self.num_undecided = np.zeros(count, np.int64)
+        self.max_error = np.zeros(count)
+        self._kept: list[Kept] = []
+
+    def add(self, comparison: Comparison, points: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Add points; `points` are their numbers. Returns which of them are wrong."""
+        if not len(comparison):
+            return np.zeros(0, bool)
+        error = comparison.error
+        wrong = error > self.tolerance
+        undecided = (comparison.doubt > self.tolerance) & ~wrong
+        self.num_points += len(comparison)
+        self.num_entries += error.shape[0] * error.shape[1]
+        self.num_wrong += wrong.sum(axis=(0, 1))
+        self.num_undecided += undecided.sum(axis=(0, 1))
+        clear = np.where(comparison.doubt <= self.tolerance, comparison.deviation, error)
+        self.max_error = np.maximum(self.max_error, clear.max(axis=(0, 1)))
+        self.histogram += np.histogram(np.minimum(comparison.deviation, 1e300), EDGES)[0]
+        self._note_worst(comparison, points)
+        wrong_points = np.asarray(np.any(wrong, axis=(1, 2)))
+        kept = sum(len(part.points) for part in self._kept)
+        chosen = np.flatnonzero(wrong_points)[: max(MOST_KEPT - kept, 0)]
+        if len(chosen):
+            self._kept.append(Kept(points[chosen], comparison.take(chosen)))
+        return wrong_points
+
+    @property
+    def kept(self) -> Kept | None:
+        """Wrong points, at most MOST_KEPT of them; None if all are correct."""
+        if not self._kept:
+            return None
+        return Kept(
+            np.concatenate([part.points for part in self._kept]),
+            Comparison.join([part.comparison for part in self._kept]),
+        )
+
+    @property
+    def wrong_columns(self) -> list[int]:
+        """Indices of the columns with a wrong entry."""
+        return [int(j) for j in np.flatnonzero(self.num_wrong)]
+
+    def _note_worst(self, comparison: Comparison, points: NDArray[np.intp]) -> None:
+        """Keep the worst entries of each column, at most one of a point."""
+        score: Array = comparison.error + 1e-6 * np.minimum(comparison.deviation, 1e9)
+        rows = score.argmax(axis=1)
+        by_column = score.max(axis=1)
+        count = min(MOST_OF_A_COLUMN, len(by_column))
+        worst = np.argpartition(-by_column, count - 1, axis=0)[:count]
+        for j in range(len(self.columns)):
+            for k in worst[:, j]:
+                row = int(rows[k, j])
+                self.worst.append(
+                    Worst(
+                        int(points[k]),
+                        row,
+                        j,
+                        float(comparison.analytic[k, row, j]),
+                        float(comparison.reference[k, row, j]),
+                        float(comparison.error[k, row, j]),
+                    )
+                )
+        self.worst.sort(key=lambda entry: -entry.error)
+        kept: list[Worst] = []
+        for entry in self.worst:
+            if sum(other.column == entry.column for other in kept) < MOST_OF_A_COLUMN:
+                kept.append(entry)
+        self.worst = kept[:MOST_WORST]
+
+
+def verdicts(tallies: Sequence[Tally]) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
+    """Return verdicts on groups and on parameters, those of one name taken together."""
+    entries = [(column, tally, j) for tally in tallies for j, column in enumerate(tally.columns)]
+    named = [(column.group, tally, j) for column, tally, j in entries]
+    return _verdicts(named), _verdicts([(column.name, tally, j) for column, tally, j in entries])
+
+
+def _verdicts(entries: Sequence[tuple[str, Tally, int]]) -> tuple[Verdict, ...]:
+    result = []
+    for name in dict.fromkeys(name for name, _, _ in entries):
+        own = [(tally, j) for entry, tally, j in entries if entry == name]
+        count, wrong, undecided = (
+            sum(int(getattr(tally, field)[j]) for tally, j in own)
+            for field in ("num_entries", "num_wrong", "num_undecided")
+        )
+        verdict = "wrong" if wrong else "undecided" if 2 * undecided > count else "correct"
+        largest = max((float(tally.max_error[j]) for tally, j in own), default=0.0)
+        result.append(Verdict(name, verdict, count, wrong, undecided, largest))
+    return tuple(result)

@@ -1,0 +1,96 @@
+"""`bundle check`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from time import perf_counter
+
+from bundle.cli.arguments import add_input
+from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "check"
+HELP = "validates the analytic Jacobians on this very problem, and names what is wrong"
+
+SAMPLES = 100
+TOLERANCE = 1e-7
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    add_input(parser)
+    group = parser.add_argument_group("options of the check")
+    which = group.add_mutually_exclusive_group()
+    which.add_argument(
+        "--samples",
+        metavar="N",
+        type=int,
+        default=SAMPLES,
+        help=f"observations to check of each image and its camera (default: {SAMPLES})",
+    )
+    which.add_argument("--all", action="store_true", help="check every observation")
+    group.add_argument(
+        "--seed", metavar="N", type=int, default=0, help="of the sampling (default: 0)"
+    )
+    group.add_argument(
+        "--tolerance",
+        metavar="X",
+        type=float,
+        default=TOLERANCE,
+        help=f"relative error from which on an entry is wrong (default: {TOLERANCE:g})",
+    )
+    group.add_argument(
+        "--threads",
+        metavar="N",
+        type=int,
+        default=0,
+        help="threads, at most one a core; 0: all cores (default: 0)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check INPUT: 0 if all is correct, 1 if anything is wrong."""
+    started = perf_counter()
+    from bundle.checking import check_jacobians
+    from bundle.checking.report import outcome
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.errors import InputError, shown
+    from bundle.io import load
+    from bundle.report.check import as_json, checked
+
+    check_json(arguments.json, arguments.input)
+    for flag, value, least in (("--samples", arguments.samples, 1), ("--seed", arguments.seed, 0)):
+        if value < least:
+            raise InputError(f"{flag}: expected at least {least}, found {value}")
+    if arguments.threads < 0:
+        raise InputError(f"--threads: expected at least 0, found {arguments.threads}")
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(arguments.input)}")
+        problem = load(arguments.input)
+        progress.stage("checking")
+        report = check_jacobians(
+            problem,
+            samples_per_image=None if arguments.all else arguments.samples,
+            seed=arguments.seed,
+            tolerance=arguments.tolerance,
+            num_threads=arguments.threads,
+            progress=lambda done, total: progress.stage(f"checked {done} of {total} observations"),
+        )
+    options = {
+        "samples_per_image": None if arguments.all else arguments.samples,
+        "seed": arguments.seed,
+        "tolerance": arguments.tolerance,
+        "num_threads": arguments.threads,
+    }
+    if arguments.json != "-":
+        show(*checked(arguments.input, problem, report))
+    wall = perf_counter() - started
+    write_json(arguments.json, as_json(arguments.input, problem, report, options, wall))
+    if report.ok:
+        return EXIT_DONE
+    if arguments.json == "-":  # the report that people read was not printed
+        print(outcome(report), file=sys.stderr)
+    return EXIT_NO_SOLUTION

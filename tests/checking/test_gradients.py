@@ -1,0 +1,197 @@
+"""`bundle.check_gradients`: manifolds, samples, wrong answers of the function, what is printed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import bundle
+from bundle import InputError, _core
+
+
+def rotate(blocks, wxyz=True):
+    """R(q) X with a quaternion of any norm, and the derivatives."""
+    q, point = blocks
+    w, v = (q[0], q[1:]) if wxyz else (q[3], q[:3])
+    squared = q @ q
+    cross = np.cross(v, point)
+    rotated = point + 2 * (w * cross + np.cross(v, cross)) / squared
+    d_w = 2 * cross / squared
+    skew = np.cross(np.eye(3), point)  # row i: e_i x point
+    d_v = 2 * (w * skew.T + (v @ point) * np.eye(3) + np.outer(v, point) - 2 * np.outer(point, v))
+    d_v = d_v / squared
+    d_q = np.column_stack([d_w, d_v] if wxyz else [d_v, d_w])
+    q_row = q if not wxyz else np.array([w, *v])
+    d_q = d_q - 2 * np.outer(rotated - point, q_row) / squared
+    matrix = Rotation.from_quat([*v, w]).as_matrix()
+    return rotated, [d_q, matrix]
+
+
+UNIT = np.array([0.5, -0.1, 0.7, 0.5]) / np.linalg.norm([0.5, -0.1, 0.7, 0.5])
+POINT = [1.0, -2.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("manifold", "wxyz"), [("quaternion_wxyz", True), ("quaternion-xyzw", False), (None, True)]
+)
+def test_quaternions_in_both_orders(manifold, wxyz):
+    assert bundle.check_gradients(lambda b: rotate(b, wxyz), [UNIT, POINT], [manifold, None])
+
+
+def test_an_error_along_the_normal_is_seen_in_the_ambient_space_only():
+    def function(blocks):
+        residual, (d_q, d_point) = rotate(blocks)
+        return residual, [d_q + np.outer([1, 2, 3], blocks[0]), d_point]
+
+    manifolds = ["quaternion_wxyz", None]
+    report = bundle.check_gradients(function, [UNIT, POINT], manifolds)
+    assert report.kinds == {"normal"}
+    assert "does not look" in " ".join(str(report).split())
+    assert bundle.check_gradients(function, [UNIT, POINT], manifolds, ambient=False)
+
+
+def test_a_right_perturbation_of_a_quaternion_is_named():
+    def function(blocks):
+        residual, (d_q, d_point) = rotate(blocks)
+        w, x, y, z = blocks[0]
+        plus = np.array([[-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w]])
+        return residual, [d_q @ plus @ d_point @ plus.T, d_point]
+
+    report = bundle.check_gradients(function, [UNIT, POINT], ["quaternion_wxyz", None])
+    assert report.kinds == {"perturbation"}, report
+
+
+def transform(blocks):
+    """An SE3 pose as COLMAP stores it, applied to a point."""
+    pose, point = blocks
+    rotated, (d_q, matrix) = rotate([pose[:4], point], wxyz=False)
+    return rotated + pose[4:], [np.hstack([d_q, np.eye(3)]), matrix]
+
+
+def test_se3_sphere_and_subset():
+    pose = np.append(UNIT, [1.0, 0.0, -3.0])
+    assert bundle.check_gradients(transform, [pose, POINT], ["se3", ("subset", [1])])
+    direction = np.array([0.6, 0.0, 0.8])
+
+    def dot(blocks):
+        return [blocks[0] @ [1.0, 2.0, 3.0]], [np.array([[1.0, 2.0, 3.0]])]
+
+    assert bundle.check_gradients(dot, [direction], ["sphere"])
+    report = bundle.check_gradients(dot, [direction], ["sphere"], names=[("d", ["x", "y", "z"])])
+    assert {verdict.name for verdict in report.parameters} >= {"x", "y", "z", "d direction 1"}
+
+
+def test_a_swapped_pair_is_named_by_the_users_names():
+    def function(blocks):
+        (a,) = blocks
+        jacobian = np.array([[2 * a[0], 3.0, 0.0], [0.0, a[2], a[1]]])
+        return [a[0] ** 2 + 3 * a[1], a[1] * a[2]], [jacobian[:, [1, 0, 2]]]
+
+    report = bundle.check_gradients(function, [[1.0, 2.0, 3.0]], names=[("p", ["u", "v", "w"])])
+    assert [f.sentence for f in report.findings] == ["the columns of u and v are swapped"]
+    assert [v.verdict for v in report.parameters] == ["wrong", "wrong", "correct"]
+    assert {offender.parameter for offender in report.worst if offender.error} == {"u", "v"}
+    assert f"sample {report.worst[0].details['sample']}" in str(report)
+    assert repr(report).startswith("<GradientReport: wrong>\n")
+
+
+def test_derivatives_near_zero_are_no_false_alarms():
+    """Ceres compares absolutely what is exactly zero on one side."""
+
+    def function(blocks):
+        (x,) = blocks
+        return [1e9 + x[0], 1e-9 * np.sin(x[1])], [
+            np.array([[1.0, 0.0], [0.0, 1e-9 * np.cos(x[1])]])
+        ]
+
+    assert bundle.check_gradients(function, [[3.0, 0.1]])
+
+
+def test_a_residual_that_is_noise_is_not_called_correct():
+    rng = np.random.default_rng(0)
+
+    def function(blocks):
+        return blocks[0] + 1e-3 * rng.standard_normal(2), [np.eye(2)]
+
+    assert bundle.check_gradients(function, [[1.0, 2.0]]).kinds == {"undecided"}
+
+
+def test_points_without_a_value_are_skipped():
+    def function(blocks):
+        (x,) = blocks
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(x), [np.array([[0.5 / np.sqrt(np.abs(x[0]))]])]
+
+    report = bundle.check_gradients(function, [[0.1]], radius=1.0, num_samples=40)
+    assert report
+    assert report.num_skipped > 0
+    assert report.num_checked + report.num_skipped == 40
+    nothing = bundle.check_gradients(function, [[-1.0]], radius=1e-3)
+    assert nothing.kinds == {"not_finite"}
+
+
+def test_a_jacobian_that_is_not_finite():
+    report = bundle.check_gradients(lambda b: (b[0], [np.array([[np.nan]])]), [[1.0]])
+    assert report.kinds == {"not_finite"}
+
+
+def good(blocks):
+    return blocks[0], [np.eye(2)]
+
+
+@pytest.mark.parametrize(
+    ("function", "blocks", "manifolds", "settings", "message"),
+    [
+        (lambda b: (b[0], [np.ones((3, 2))]), [[1, 2]], None, {}, "Jacobian 0 of shape (2, 2)"),
+        (lambda b: (b[0][:1], [np.ones((2, 1))]), [[1, 2]], None, {}, "transposed?"),
+        (lambda b: (b[0], []), [[1, 2]], None, {}, "expected 1 Jacobians"),
+        (lambda b: b[0].sum(), [[1, 2]], None, {}, "expected (residual, list of Jacobians)"),
+        (lambda b: (b[0][:0], [np.eye(2)]), [[1, 2]], None, {}, "at least one residual"),
+        (good, [], None, {}, "at least one block"),
+        (good, [[1, 2]], ["se3"], {}, "se3 expects a block of 7 numbers, found 2"),
+        (good, [[1, 2]], ["so3"], {}, "found 'so3'"),
+        (good, [[1, 2]], [None, None], {}, "manifolds: expected one a block, 1, found 2"),
+        (good, [[1, 2]], [("subset", [2])], {}, "entries from 0 to 1"),
+        (good, [[1, 2]], ["angle_axis"], {}, "3 numbers, found 2"),
+        (good, [[1, 2]], None, {"names": [("a", ["x"])]}, "expected 2 names for a, found 1"),
+        (good, [[1, 2]], None, {"num_samples": 0}, "num_samples"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(function, blocks, manifolds, settings, message):
+    with pytest.raises(InputError) as error:
+        bundle.check_gradients(function, blocks, manifolds, **settings)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_what_the_function_raises_comes_through():
+    calls = []
+
+    def function(blocks):
+        calls.append(0)
+        if len(calls) > 30:
+            raise ZeroDivisionError("of the user")
+        return good(blocks)
+
+    with pytest.raises(ZeroDivisionError, match="of the user"):
+        bundle.check_gradients(function, [[1.0, 2.0]])
+    assert len(calls) == 31
+
+
+def test_the_second_reference_against_formulas():
+    """Its bound on its own error holds, also close to a singularity."""
+    for x in (1e-6, 1e-3, 1.0, 50.0, 1e5):
+
+        def function(blocks, jacobians):
+            del jacobians
+            with np.errstate(all="ignore"):
+                value = np.array([1 / blocks[0][0], np.log(blocks[0][0]), np.sin(blocks[0][0])])
+            return (value, None) if np.isfinite(value).all() else None
+
+        found, bound, _, _ = _core.richardson_jacobian(
+            function, 3, [np.array([x])], [("euclidean", [])]
+        )
+        exact = np.array([-1 / x**2, 1 / x, np.cos(x)])
+        assert (np.abs(found[:, 0] - exact) <= bound[:, 0] + 1e-15 * np.abs(exact)).all()
+        assert (bound[:2, 0] <= 1e-7 * np.abs(exact[:2])).all()

@@ -1,0 +1,79 @@
+"""Every kind of wrong Jacobian, in every camera model, is found and called by its name."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle import Problem
+from tests.checking.mutations import MODELS, MUTATIONS, applies, wrong
+from tests.checking.reprojection import MANIFOLDS, correct, names, random_blocks
+from tests.scenes import PARAMS
+
+CONFIGURATIONS = int(os.environ.get("BUNDLE_CHECK_CONFIGURATIONS", "1000"))
+"""Random configurations a model; 10000 take half a minute for five models on two cores."""
+
+CASES = [(m, name) for m in MODELS for name in MUTATIONS if applies(name, m)]
+
+
+def check(function, model, blocks, **settings):
+    return bundle.check_gradients(
+        function, blocks, MANIFOLDS, names=names(model), num_samples=3, **settings
+    )
+
+
+@pytest.mark.parametrize(("model", "name"), CASES)
+def test_a_wrong_jacobian_is_found_and_named(model, name):
+    blocks = random_blocks(model, np.random.default_rng(sum(map(ord, model + name))))
+    report = check(wrong(name, model), model, blocks)
+    assert not report
+    assert report.kinds == MUTATIONS[name].kinds, report
+    assert all(MUTATIONS[name].words in finding.sentence for finding in report.findings)
+    assert MUTATIONS[name].words in " ".join(str(report).split())
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_no_false_alarm_on_a_correct_function(model):
+    for seed in range(3):
+        blocks = random_blocks(model, np.random.default_rng(seed))
+        assert check(correct(model), model, blocks, seed=seed)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_no_false_alarm_over_random_configurations(model):
+    """Cameras of random pose and intrinsics, each with one random point, in one problem."""
+    rng = np.random.default_rng(7)
+    n = CONFIGURATIONS
+    quaternions = rng.standard_normal((n, 4))
+    params = np.array(PARAMS[model]) * (1 + 0.2 * rng.standard_normal((n, len(PARAMS[model]))))
+    depth = 10 ** rng.uniform(-2, 2, n)
+    points = depth[:, None] * np.column_stack([rng.uniform(-1, 1, (n, 2)), np.ones(n)])
+    # The camera is at the origin: what it sees of X is R X.
+    imaginary, real = -quaternions[:, :3], quaternions[:, 3:]
+    turned = 2 * np.cross(imaginary, np.cross(imaginary, points) + real * points)
+    points = points + turned / (quaternions**2).sum(axis=1)[:, None]
+    everybody = np.arange(n)
+    problem = Problem(
+        cam_from_world=np.hstack([quaternions, np.zeros((n, 3))]),
+        image_ids=everybody,
+        image_names=[f"{i}.jpg" for i in everybody],
+        image_camera=everybody,
+        camera_ids=everybody,
+        camera_models=[model] * n,
+        camera_params=params,
+        camera_sizes=np.zeros((n, 2)),
+        points=points,
+        point_ids=everybody,
+        observation_image=everybody,
+        observation_point=everybody,
+        observation_xy=rng.uniform(0, 800, (n, 2)),
+        observation_keypoint=np.full(n, -1),
+    )
+    report = bundle.check_jacobians(problem, samples_per_image=None)
+    assert report, report
+    assert report.num_checked == n
+    decided = sum(v.num_entries - v.num_undecided for v in report.parameters)
+    assert decided > 0.99 * sum(v.num_entries for v in report.parameters)
