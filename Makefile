@@ -10,7 +10,7 @@ VENV := .venv
 READY := $(VENV)/ready
 READY_TO_BENCH := $(VENV)/ready-to-bench
 BUILT_FROM := pyproject.toml CMakeLists.txt $(shell find cpp -type f) tools/setup.sh
-CPP_SOURCES = $(shell find cpp -name '*.h' -o -name '*.cpp')
+CPP_SOURCES = $(shell find cpp python/bundle examples tests -name '*.h' -o -name '*.cpp')
 LINT_BUILD := build/lint
 
 .DEFAULT_GOAL := help
@@ -60,4 +60,4 @@ bench: $(READY_TO_BENCH)  ## measure against the peers on real data (takes long;
 
 clean:  ## remove all that make made, but for benchmarks/results
 	rm -rf $(VENV) build out .pytest_cache .mypy_cache .ruff_cache
-	find python tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
+	find python tests benchmarks examples -name __pycache__ -prune -exec rm -rf {} +

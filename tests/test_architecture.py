@@ -30,6 +30,7 @@ CORE_MAY_INCLUDE = {
 # Modules and packages directly in python/bundle.
 PYTHON_MAY_IMPORT = {
     "errors": {"_core"},
+    "headers": set(),
     "option_fields": {"errors"},
     "options": {"errors", "option_fields"},
     "losses": {"_core", "errors", "option_fields", "options"},

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from bundle._core import __version__
 from bundle.cameras import camera_models, project
 from bundle.errors import InputError
+from bundle.headers import get_include
 from bundle.io import load, save
 from bundle.options import SolveOptions
 from bundle.problem import Problem
@@ -32,6 +33,7 @@ __all__ = [
     "camera_models",
     "check_gradients",
     "check_jacobians",
+    "get_include",
     "load",
     "project",
     "save",

@@ -48,7 +48,8 @@ def check_gradients(
     Args:
         function: takes a list of arrays, one a block, and returns (residual, list of Jacobians),
             Jacobian i of shape (num_residuals, size of block i). It is called some hundred times
-            for each sample and block.
+            for each sample and block. The C++ header bundle/check.h (``bundle.get_include()``)
+            makes one of a compiled ceres cost function.
         blocks: the parameters, one array a block.
         manifolds: one a block, or None where all are Euclidean: None or "euclidean"; "angle_axis"
             (a rotation vector: its numbers are a vector space, but they are sampled and named as a
