@@ -30,6 +30,8 @@ def test_a_wrong_jacobian_is_found_and_named(model, name):
     blocks = random_blocks(model, np.random.default_rng(sum(map(ord, model + name))))
     report = check(wrong(name, model), model, blocks)
     assert not report
+    if name == "off by one parameter" and len(PARAMS[model]) == 2:
+        return  # of two columns, shifted by one and swapped are the same
     assert report.kinds == MUTATIONS[name].kinds, report
     assert all(MUTATIONS[name].words in finding.sentence for finding in report.findings)
     assert MUTATIONS[name].words in " ".join(str(report).split())
