@@ -43,9 +43,16 @@ def test_the_replica_with_true_jacobians_does_what_ceres_does(scene, loss, loss_
         problem, linear_solver_type="dense_qr", gauge="none", cheirality="algebraic", **options
     ).iterations
     assert len(trace) == len(iterations["cost"]) >= 3
+    # Ceres 2.2 measures steps only from the first that succeeds on.
+    measured = 2 + int(np.argmax(iterations["step_is_successful"][1:]))
     for name in ("cost", "trust_region_radius", "step_norm", "relative_decrease"):
+        begin = measured if name == "step_norm" else 0
         np.testing.assert_allclose(
-            [step[name] for step in trace], iterations[name], rtol=1e-5, atol=1e-8, err_msg=name
+            [step[name] for step in trace][begin:],
+            iterations[name][begin:],
+            rtol=1e-5,
+            atol=1e-8,
+            err_msg=name,
         )
     np.testing.assert_allclose([step["cost"] for step in trace], iterations["cost"], rtol=1e-6)
     assert [step["step_is_successful"] for step in trace] == list(iterations["step_is_successful"])
