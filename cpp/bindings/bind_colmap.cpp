@@ -33,7 +33,5 @@ py::tuple CheckModel(const std::string& folder) {
 }  // namespace bundle
 
 void BindColmap(py::module_& m) {
-  m.def("is_colmap_model", &bundle::IsColmapModel, py::arg("folder"),
-        py::call_guard<py::gil_scoped_release>());
   m.def("check_colmap_model", &bundle::CheckModel, py::arg("folder"));
 }

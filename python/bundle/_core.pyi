@@ -60,7 +60,6 @@ def write_bal(
 ) -> None: ...
 
 # bind_colmap.cpp
-def is_colmap_model(folder: str | bytes) -> bool: ...
 def check_colmap_model(
     folder: str | bytes,
 ) -> tuple[

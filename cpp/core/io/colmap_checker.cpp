@@ -57,11 +57,6 @@ void CheckNotEmpty(const ColmapIndex& index) {
 
 }  // namespace
 
-bool IsColmapModel(const std::string& folder) {
-  return MissingFiles(folder, kColmapBinaryScanner).empty() ||
-         MissingFiles(folder, kColmapTextScanner).empty();
-}
-
 ColmapCheck CheckColmapModel(const std::string& folder) {
   const std::string missing_binary = MissingFiles(folder, kColmapBinaryScanner);
   const std::string missing_text = MissingFiles(folder, kColmapTextScanner);

@@ -17,9 +17,6 @@ struct ColmapCheck {
   ColmapObservations observations;  ///< by the way: through pycolmap they would take far longer
 };
 
-/// True if the folder holds cameras, images and points3D, all binary or all text.
-bool IsColmapModel(const std::string& folder);
-
 /// Reads the files of a COLMAP model from end to end and throws InputError at the first thing that
 /// is wrong with them, naming file and line (or byte). COLMAP's own reader, for which this stands
 /// guard, may take such a file silently, allocate what a corrupt count says, or give up without

@@ -10,12 +10,12 @@ namespace bundle {
 namespace {
 
 PoseState PoseAt(const double* cam_from_world, const double* w) {
-  PoseState pose;
-  double start[9], increment[9];
+  double start[9], chart[6];
   QuaternionToRotation(cam_from_world, start);
-  ExpRotation(w, increment, pose.left_jacobian);
-  MatrixProduct3(increment, start, pose.rotation);
-  std::copy_n(cam_from_world + 4, 3, pose.translation);
+  std::copy_n(w, 3, chart);
+  std::copy_n(cam_from_world + 4, 3, chart + 3);
+  PoseState pose;
+  ExpandPose(start, chart, &pose);
   return pose;
 }
 

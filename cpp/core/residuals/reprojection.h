@@ -36,6 +36,14 @@ struct PoseState {
   double left_jacobian[9];  ///< J_l(w)
 };
 
+/// The pose that the chart (w, t), six numbers, gives over the start rotation R0.
+inline void ExpandPose(const double* start_rotation, const double* chart, PoseState* pose) {
+  double increment[9];
+  ExpRotation(chart, increment, pose->left_jacobian);
+  MatrixProduct3(increment, start_rotation, pose->rotation);
+  for (int i = 0; i < 3; ++i) pose->translation[i] = chart[3 + i];
+}
+
 /// What becomes of an observation behind its camera.
 enum class Cheirality {
   kAlgebraic,  ///< keeps the residual that the formula gives, as the BAL reference costs do

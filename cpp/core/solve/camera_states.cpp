@@ -29,12 +29,7 @@ CameraStates::CameraStates(const ProblemView& problem, const ParameterLayout& la
 void CameraStates::Update(const double* state) {
   layout_.Scatter(problem_, state, charts_.data(), camera_params_.data());
   for (size_t i = 0; i < poses_.size(); ++i) {
-    const double* chart = &charts_[kPoseSize * i];
-    PoseState& pose = poses_[i];
-    double increment[9];
-    ExpRotation(chart, increment, pose.left_jacobian);
-    MatrixProduct3(increment, &start_rotations_[9 * i], pose.rotation);
-    std::copy(chart + 3, chart + 6, pose.translation);
+    ExpandPose(&start_rotations_[9 * i], &charts_[kPoseSize * i], &poses_[i]);
   }
 }
 

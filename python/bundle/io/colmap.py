@@ -16,6 +16,7 @@ import pycolmap
 
 from bundle import _core
 from bundle.errors import InputError
+from bundle.io.model_files import missing_model_files
 from bundle.io.reconstruction import Observations, from_pycolmap, problem_of, to_pycolmap
 from bundle.problem import Problem
 
@@ -24,7 +25,7 @@ __all__ = ["from_pycolmap", "is_model", "load", "save", "to_pycolmap"]
 
 def is_model(path: str | os.PathLike[str]) -> bool:
     """Tell whether a folder holds cameras, images and points3D, all binary or all text."""
-    return _core.is_colmap_model(os.fsencode(path))
+    return not missing_model_files(Path(path))
 
 
 def load(path: str | os.PathLike[str]) -> Problem:
