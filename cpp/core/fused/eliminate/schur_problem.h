@@ -1,0 +1,54 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "core/fused/minimize/least_squares.h"
+#include "core/fused/reduced/reduced_solver.h"
+#include "core/fused/reduced/reduced_system.h"
+#include "core/problem/problem_view.h"
+#include "core/solve/camera_states.h"
+#include "core/solve/options.h"
+#include "core/solve/parameter_layout.h"
+
+namespace bundle::fused {
+
+/// The block pairs of the reduced camera system that some point couples: columns[j] holds the
+/// blocks i >= j that share a free point with block j (or an observation), ascending, j first.
+std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
+                                                const ParameterLayout& layout);
+
+/// Bundle adjustment with the points eliminated: a LeastSquares made of passes over the points.
+class SchurProblem final : public LeastSquares {
+ public:
+  /// Keeps references to the problem, the layout and the solver. `structure` is that of the solver.
+  SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
+               const SolveOptions& options, ReducedStructure structure, ReducedSolver* solver);
+  ~SchurProblem() override;
+
+  Linearization Linearize(double damping) override;
+  NewtonResult SolveNewton(double eta) override;
+  Candidate TryNewton() override;
+  DirectionProducts Products() override;
+  Candidate TryCombination(double a, double b) override;
+  void Accept() override;
+  double StateNorm() const override;
+
+  /// Observations that reach the solver: those with something to refine.
+  int64_t num_active_observations() const;
+  /// Cost of the others; not part of Linearization::cost.
+  double fixed_cost() const;
+  /// The name of the instruction set that its kernels were compiled for: "baseline", "avx2+fma",
+  /// "avx512".
+  const char* instruction_set() const;
+
+  /// Camera side and points at the state.
+  const CameraStates& cameras() const;
+  std::vector<double> TakePoints();
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace bundle::fused

@@ -1,0 +1,51 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/fused/reduced/reduced_system.h"
+#include "core/solve/options.h"
+
+namespace bundle::fused {
+
+struct ReducedSolution {
+  enum class Status {
+    kSuccess,  ///< also where an iterative solver stopped at its limit, as in Ceres
+    kFailure,  ///< not positive definite, or not finite: more damping may help
+    kFatal,    ///< nothing will help, such as no memory
+  };
+  Status status = Status::kSuccess;
+  int num_iterations = 1;  ///< of conjugate gradients; 1 for a factorisation, as in Ceres
+  std::string message;
+};
+
+/// Solves the reduced camera system of one structure again and again.
+class ReducedSolver {
+ public:
+  virtual ~ReducedSolver() = default;
+
+  /// x = S^-1 b. May overwrite the system. `scale` holds the Jacobi scaling of the columns: the
+  /// unknowns that an iterative solver iterates on are x / scale, as in Ceres. `eta` is the forcing
+  /// term of an iterative solver; the others ignore it.
+  virtual ReducedSolution Solve(ReducedSystem* system, const std::vector<double>& scale, double eta,
+                                double* x) = 0;
+
+  /// True if it reads ReducedSystem::camera_diagonal.
+  virtual bool NeedsCameraDiagonal() const { return false; }
+};
+
+/// LAPACK's Cholesky factorisation; takes a dense structure.
+std::unique_ptr<ReducedSolver> MakeDenseSolver(const ReducedStructure& structure, int num_threads);
+
+/// CHOLMOD's supernodal Cholesky factorisation, analysed once; takes a sparse structure.
+std::unique_ptr<ReducedSolver> MakeSparseSolver(const ReducedStructure& structure, int num_threads);
+
+/// Preconditioned conjugate gradients, as Ceres' ITERATIVE_SCHUR runs them; takes a sparse
+/// structure. `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi and
+/// kSchurPowerSeriesExpansion.
+std::unique_ptr<ReducedSolver> MakeIterativeSolver(const ReducedStructure& structure,
+                                                   PreconditionerType preconditioner,
+                                                   int num_threads);
+
+}  // namespace bundle::fused

@@ -1,0 +1,54 @@
+#pragma once
+
+/// The reduced camera system S x = b: what is left of the normal equations once the points are
+/// eliminated (eliminate/).
+///
+/// S is symmetric positive definite with one block row and column a block of the parameter layout.
+/// Its lower triangle is stored by block columns. Each is a panel of column-major values as tall as
+/// the blocks in it, so that a dense S is the matrix LAPACK takes and a sparse one has the value
+/// array of a compressed-column matrix, and neither is copied before it is factorised. Diagonal
+/// blocks are stored whole; only their lower triangle means anything.
+
+#include <cstdint>
+#include <vector>
+
+namespace bundle::fused {
+
+/// Which blocks of S may be nonzero and where they lie.
+struct ReducedStructure {
+  std::vector<int> offset;            ///< num_blocks + 1: first row and column of a block
+  std::vector<int64_t> column_begin;  ///< num_blocks + 1: first entry of a block column
+  std::vector<int> row_block;         ///< block row of each entry; ascending, the diagonal first
+  std::vector<int> row_in_panel;      ///< first row of each entry's block within its panel
+  std::vector<int64_t> panel_begin;   ///< num_blocks: where a block column's values begin
+  std::vector<int> panel_stride;      ///< num_blocks: from one column of a panel to the next
+  int64_t num_values = 0;
+  bool dense = false;  ///< one n x n column-major matrix
+
+  int num_blocks() const { return static_cast<int>(panel_begin.size()); }
+  int num_columns() const { return offset.back(); }
+  int block_size(int block) const { return offset[block + 1] - offset[block]; }
+
+  /// Where the value of entry e of block column j, row r and column c within the block, lies.
+  int64_t ValueIndex(int j, int64_t e, int r, int c) const {
+    return panel_begin[j] + static_cast<int64_t>(c) * panel_stride[j] + row_in_panel[e] + r;
+  }
+};
+
+/// Every block nonzero. `block_sizes` in the order of the layout.
+ReducedStructure DenseStructure(const std::vector<int>& block_sizes);
+
+/// `columns[j]`: the block rows i >= j of block column j, ascending, j itself first.
+ReducedStructure SparseStructure(const std::vector<int>& block_sizes,
+                                 const std::vector<std::vector<int>>& columns);
+
+struct ReducedSystem {
+  std::vector<double> values;  ///< S, as the structure says
+  std::vector<double> rhs;     ///< b
+  /// The camera side of the normal equations before anything is eliminated, J_c^T J_c plus damping:
+  /// its block diagonal, each block square and column-major, one after the other. Empty unless a
+  /// preconditioner asks for it.
+  std::vector<double> camera_diagonal;
+};
+
+}  // namespace bundle::fused
