@@ -90,25 +90,46 @@ inline double LinearizeBatch(const Terms& terms, const StateRecords& x, const St
   return 0.5 * Sum(residuals.rho, batch.count);
 }
 
-/// block -= t_0 row_0 + t_1 row_1 (outer products), for `num_rows` entries of t; only from the
-/// diagonal on if `upper`.
+/// The two rows of a record in registers, to be multiplied from the left.
 template <int kQuads>
-inline void UpdateBlock(const double* t, const double* rows, int num_rows, bool upper,
-                        double* block) {
-  constexpr int kColumns = 4 * kQuads;
+struct RightFactor {
   Quad row_0[kQuads], row_1[kQuads];
-  for (int q = 0; q < kQuads; ++q) {
-    row_0[q] = LoadQuad(rows + 4 * q);
-    row_1[q] = LoadQuad(rows + kColumns + 4 * q);
-  }
-  for (int i = 0; i < num_rows; ++i) {
-    const double t_0 = t[i], t_1 = t[kColumns + i];
-    for (int q = upper ? i / 4 : 0; q < kQuads; ++q) {
-      double* const at = block + i * kColumns + 4 * q;
-      StoreQuad(LoadQuad(at) - (t_0 * row_0[q] + t_1 * row_1[q]), at);
+
+  explicit RightFactor(const double* rows) {
+    for (int q = 0; q < kQuads; ++q) {
+      row_0[q] = LoadQuad(rows + 4 * q);
+      row_1[q] = LoadQuad(rows + 4 * (kQuads + q));
     }
   }
-}
+
+  /// block row -= t_0 row_0 + t_1 row_1, from quad kFirst on.
+  template <int kFirst>
+  void SubtractRow(double t_0, double t_1, double* block_row) const {
+#pragma GCC unroll 8
+    for (int q = kFirst; q < kQuads; ++q) {
+      double* const at = block_row + 4 * q;
+      StoreQuad(LoadQuad(at) - t_0 * row_0[q] - t_1 * row_1[q], at);
+    }
+  }
+
+  /// block -= t_0 row_0^T + t_1 row_1^T, for `num_rows` entries of t = (t_0, t_1).
+  void SubtractAll(const double* t, int num_rows, double* block) const {
+    for (int i = 0; i < num_rows; ++i) {
+      SubtractRow<0>(t[i], t[4 * kQuads + i], block + i * 4 * kQuads);
+    }
+  }
+
+  /// The same from the diagonal on, rounded down to whole quads.
+  template <int kFirst = 0>
+  void SubtractUpper(const double* t, int num_rows, double* block) const {
+    if constexpr (kFirst < kQuads) {
+      for (int i = 4 * kFirst; i < num_rows && i < 4 * kFirst + 4; ++i) {
+        SubtractRow<kFirst>(t[i], t[4 * kQuads + i], block + i * 4 * kQuads);
+      }
+      SubtractUpper<kFirst + 1>(t, num_rows, block);
+    }
+  }
+};
 
 /// t = (row_0 m[0][0] + row_1 m[1][0], row_0 m[0][1] + row_1 m[1][1])
 template <int kQuads>
@@ -225,7 +246,12 @@ class Elimination {
                 double* target) const {
     double t[2 * kColumns];
     MiddleProduct<kQuads>(left, middle, t);
-    UpdateBlock<kQuads>(t, right, terms_.num_rows, upper, target);
+    const RightFactor<kQuads> factor(right);
+    if (upper) {
+      factor.SubtractUpper(t, terms_.num_rows, target);
+    } else {
+      factor.SubtractAll(t, terms_.num_rows, target);
+    }
   }
 
   const Terms& terms_;
