@@ -25,6 +25,7 @@ CORE_MAY_INCLUDE = {
     "io": {"problem", "cameras", "geometry"},
     "solve": {"problem", "residuals", "cameras", "geometry"},
     "ceres": {"solve", "problem", "residuals", "cameras", "geometry"},
+    "fused": {"solve", "problem", "residuals", "cameras", "geometry"},
 }
 
 # Modules and packages directly in python/bundle.
