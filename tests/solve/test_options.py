@@ -9,7 +9,7 @@ from bundle import InputError, SolveOptions, _core
 from tests import scenes
 
 # What only Python knows: "auto" of gauge and cheirality is resolved by the problem's format.
-PYTHON_ONLY = {"backend": "ceres", "gauge": "auto", "cheirality": "auto"}
+PYTHON_ONLY = {"gauge": "auto", "cheirality": "auto"}
 
 
 def test_defaults_are_the_same_in_cpp():
@@ -24,7 +24,7 @@ def test_choices_are_the_same_in_cpp():
     choices = {
         field.name: [c for c in field.metadata["choices"] if (field.name, c) != ("gauge", "auto")]
         for field in dataclasses.fields(SolveOptions)
-        if field.metadata["choices"] and field.name != "backend"
+        if field.metadata["choices"]
     }
     choices["cheirality"].remove("auto")
     assert choices == _core.option_choices()
