@@ -4,7 +4,6 @@ import dataclasses
 
 import pytest
 
-import bundle
 from bundle import InputError, SolveOptions, _core
 from tests import scenes
 
@@ -68,8 +67,8 @@ def test_values_out_of_range_are_named(name, value, message):
 
 
 @pytest.mark.parametrize(("asked", "used"), [(1, 1), (0, None), (2**31 - 1, None)])
-def test_threads_are_at_most_the_cores(asked, used):
+def test_threads_are_at_most_the_cores(solve, asked, used):
     """Ceres keeps a gradient for each thread: a slip in the number must not fill the memory."""
-    result = bundle.solve(scenes.make_problem(), num_threads=asked)
+    result = solve(scenes.make_problem(), num_threads=asked)
     assert result.options.num_threads == (used or _core.hardware_threads())
     assert result.summary.num_threads_used == result.options.num_threads
