@@ -26,6 +26,7 @@ CORE_MAY_INCLUDE = {
     "solve": {"problem", "residuals", "cameras", "geometry"},
     "ceres": {"solve", "problem", "residuals", "cameras", "geometry"},
     "fused": {"solve", "problem", "residuals", "cameras", "geometry"},
+    "backend": {"ceres", "fused", "solve", "problem"},
 }
 
 # Modules and packages directly in python/bundle.
