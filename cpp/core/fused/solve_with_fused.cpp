@@ -1,0 +1,131 @@
+#include "core/fused/solve_with_fused.h"
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/fused/eliminate/schur_problem.h"
+#include "core/fused/minimize/trust_region.h"
+#include "core/fused/reduced/reduced_solver.h"
+#include "core/fused/reduced/reduced_system.h"
+#include "core/fused/summarize.h"
+#include "core/parallel_for.h"
+#include "core/solve/choose_solver.h"
+#include "core/solve/finish.h"
+#include "core/solve/parameter_layout.h"
+#include "core/solve/problem_shape.h"
+#include "core/solve/solver_checks.h"
+#include "core/stopwatch.h"
+
+namespace bundle::fused {
+namespace {
+
+/// One solve, in the order of its methods.
+class FusedSolve {
+ public:
+  FusedSolve(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared)
+      : problem_(problem),
+        options_(options),
+        warnings_(std::move(prepared.warnings)),
+        layout_(std::move(prepared.layout)) {}
+
+  SolveOutput Run(const ProgressCallback& progress) {
+    const Stopwatch total;
+    ChooseSolver();
+    BuildProblem();
+    times_.preprocessor = total.seconds();
+
+    const Stopwatch minimizer;
+    Minimum minimum = Minimize(options_, AddFixedCost(progress), schur_.get());
+    times_.minimizer = minimizer.seconds();
+
+    const Stopwatch postprocessor;
+    SolveOutput output;
+    CollectState(&output);
+    times_.postprocessor = postprocessor.seconds();
+    times_.total = total.seconds();
+    output.solve_time_in_seconds = times_.total;
+
+    output.summary = Summarize(options_, layout_, *schur_, minimum, times_);
+    output.summary.linear_solver_choice = std::move(linear_solver_choice_);
+    output.iterations = std::move(minimum.iterations);
+    for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
+    FinishSolve(problem_, options_, std::move(warnings_), &output);
+    return output;
+  }
+
+ private:
+  void ChooseSolver() {
+    const ProblemShape shape = ShapeOf(layout_, 2 * problem_.num_observations);
+    if (options_.linear_solver_type == LinearSolverType::kAuto) {
+      SolverChoice choice = ChooseLinearSolver(problem_, layout_, shape);
+      options_.linear_solver_type = choice.type;
+      linear_solver_choice_ = std::move(choice.reason);
+    }
+    CheckTrustRegion(options_);
+    std::string idle = FindIdlePreconditioner(options_);
+    if (!idle.empty()) warnings_.push_back(std::move(idle));
+    RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
+    if (options_.preconditioner_type == PreconditionerType::kAuto) {
+      options_.preconditioner_type = PreconditionerType::kSchurJacobi;
+    }
+    options_.num_threads = EffectiveNumThreads(options_.num_threads);
+  }
+
+  void BuildProblem() {
+    std::vector<int> sizes;
+    for (const CameraSideBlock& block : layout_.blocks()) sizes.push_back(block.size);
+    ReducedStructure structure = options_.linear_solver_type == LinearSolverType::kDenseSchur
+                                     ? DenseStructure(sizes)
+                                     : SparseStructure(sizes, FindCoupledBlocks(problem_, layout_));
+    solver_ = MakeSolver(structure);
+    schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure),
+                                            solver_.get());
+  }
+
+  std::unique_ptr<ReducedSolver> MakeSolver(const ReducedStructure& structure) const {
+    switch (options_.linear_solver_type) {
+      case LinearSolverType::kDenseSchur:
+        return MakeDenseSolver(structure, options_.num_threads);
+      case LinearSolverType::kSparseSchur:
+        return MakeSparseSolver(structure, options_.num_threads);
+      default:
+        return MakeIterativeSolver(structure, options_.preconditioner_type, options_.num_threads);
+    }
+  }
+
+  ProgressCallback AddFixedCost(const ProgressCallback& progress) const {
+    if (!progress) return progress;
+    return [&progress, fixed_cost = schur_->fixed_cost()](const IterationRecord& iteration) {
+      IterationRecord record = iteration;
+      record.cost += fixed_cost;
+      return progress(record);
+    };
+  }
+
+  void CollectState(SolveOutput* output) {
+    const CameraStates& cameras = schur_->cameras();
+    output->cam_from_world = cameras.CamFromWorld();
+    output->camera_params = cameras.camera_params();
+    output->points = schur_->Points();
+  }
+
+  const ProblemView& problem_;
+  SolveOptions options_;  ///< with nothing left to choose
+  std::vector<std::string> warnings_;
+  std::string linear_solver_choice_;
+  const ParameterLayout layout_;
+  std::unique_ptr<ReducedSolver> solver_;
+  std::unique_ptr<SchurProblem> schur_;
+  SolveTimes times_;
+};
+
+}  // namespace
+
+SolveOutput SolveWithFused(const ProblemView& problem, const SolveOptions& options,
+                           PreparedSolve prepared, const ProgressCallback& progress) {
+  return FusedSolve(problem, options, std::move(prepared)).Run(progress);
+}
+
+}  // namespace bundle::fused
