@@ -16,6 +16,7 @@
 #include "core/error.h"
 #include "core/problem/reprojection_errors.h"
 #include "core/solve/camera_states.h"
+#include "core/solve/check_solution.h"
 #include "core/solve/choose_solver.h"
 #include "core/solve/convergence_watch.h"
 #include "core/solve/free_parameters.h"
@@ -234,8 +235,9 @@ class CeresSolve {
     }
     std::string suspicion = WatchConvergence(output.iterations);
     if (!suspicion.empty()) warnings_.push_back(std::move(suspicion));
-    output.summary.warnings = std::move(warnings_);
     states_.Update(state_.data());
+    Warn(CheckSolution(problem_, layout_, states_, points_, options_.cheirality));
+    output.summary.warnings = std::move(warnings_);
     output.cam_from_world = states_.CamFromWorld();
     output.camera_params = states_.camera_params();
     output.points = std::move(points_);
