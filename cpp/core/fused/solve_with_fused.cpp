@@ -108,7 +108,7 @@ class FusedSolve {
     const CameraStates& cameras = schur_->cameras();
     output->cam_from_world = cameras.CamFromWorld();
     output->camera_params = cameras.camera_params();
-    output->points = schur_->TakePoints();
+    output->points = schur_->Points();
   }
 
   const ProblemView& problem_;
