@@ -5,6 +5,7 @@
 #include <string>
 #include <utility>
 
+#include "core/blas_threads.h"
 #include "core/ceres/losses.h"
 #include "core/ceres/ordering.h"
 #include "core/ceres/process_settings.h"
@@ -193,8 +194,6 @@ class CeresSolve {
   }
 
   double* PointData(int point) { return points_.data() + 3 * static_cast<int64_t>(point); }
-
-  static constexpr int kColumnsWorthBlasThreads = 1000;
 
   const ProblemView& problem_;
   const SolveOptions& options_;

@@ -96,17 +96,16 @@ class SchurProblem::Impl {
         assembler_(problem, layout, groups_.of, groups_.image_group, structure_),
         pool_(EffectiveNumThreads(options.num_threads)),
         memory_(pool_.num_threads()),
-        x_(problem, layout, plan_),
-        candidate_(x_),
+        states_{State(problem, layout, plan_), State(problem, layout, plan_)},
         step_(problem, layout),
         other_step_(problem, layout),
-        squared_scale_(x_.points.size()),
+        squared_scale_(x_->points.size()),
         chunk_sums_(pool_.num_threads()) {
     const auto n = static_cast<size_t>(structure_.num_columns());
     scale_.resize(n);
     d_squared_.resize(n);
     newton_.resize(n);
-    state_norm_ = std::sqrt(Dot(x_.camera_side, x_.camera_side) + FreePointsSquared());
+    state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
     fixed_cost_ = FixedCost(options);
   }
 
@@ -119,7 +118,7 @@ class SchurProblem::Impl {
     ForChunks(
         [&](const Chunk& chunk, int thread) {
           ChunkSum& sum = PrepareSum(chunk, thread);
-          kernels_.eliminate(terms_, x_.records(), chunk, damping, first, squared_scale_.data(),
+          kernels_.eliminate(terms_, x_->records(), chunk, damping, first, squared_scale_.data(),
                              Memory(thread), &sum);
         },
         [&](const Chunk& chunk, int thread) {
@@ -157,15 +156,15 @@ class SchurProblem::Impl {
   }
 
   Candidate TryNewton() {
-    step_.Set(newton_, x_.cameras());
+    step_.Set(newton_, x_->cameras());
     MoveCameras(newton_);
     CandidateSum total;
     std::vector<CandidateSum> parts(pool_.num_threads());
     ForChunks(
         [&](const Chunk& chunk, int thread) {
           parts[thread] = {};
-          kernels_.try_newton(terms_, x_.records(), chunk, damping_, squared_scale_.data(),
-                              step_.records(), candidate_.records(), candidate_.points.data(),
+          kernels_.try_newton(terms_, x_->records(), chunk, damping_, squared_scale_.data(),
+                              step_.records(), candidate_->records(), candidate_->points.data(),
                               Memory(thread), &parts[thread]);
         },
         [&](const Chunk&, int thread) {
@@ -182,16 +181,16 @@ class SchurProblem::Impl {
     for (size_t j = 0; j < newton_.size(); ++j) {
       gradient_direction_[j] = sums_.gradient[j] / d_squared_[j];
     }
-    points_p_.resize(x_.points.size());
-    points_q_.resize(x_.points.size());
-    step_.Set(gradient_direction_, x_.cameras());
-    other_step_.Set(newton_, x_.cameras());
+    points_p_.resize(x_->points.size());
+    points_q_.resize(x_->points.size());
+    step_.Set(gradient_direction_, x_->cameras());
+    other_step_.Set(newton_, x_->cameras());
     DirectionProducts total;
     std::vector<ProductSum> parts(pool_.num_threads());
     ForChunks(
         [&](const Chunk& chunk, int thread) {
           parts[thread] = {};
-          kernels_.products(terms_, x_.records(), chunk, damping_, squared_scale_.data(),
+          kernels_.products(terms_, x_->records(), chunk, damping_, squared_scale_.data(),
                             step_.records(), other_step_.records(), points_p_.data(),
                             points_q_.data(), Memory(thread), &parts[thread]);
         },
@@ -223,7 +222,7 @@ class SchurProblem::Impl {
         [&](const Chunk& chunk, int thread) {
           parts[thread] = {};
           MovePoints(chunk, a, b, &parts[thread]);
-          parts[thread].cost = kernels_.cost(terms_, candidate_.records(), chunk);
+          parts[thread].cost = kernels_.cost(terms_, candidate_->records(), chunk);
         },
         [&](const Chunk&, int thread) {
           total.cost += parts[thread].cost;
@@ -237,23 +236,21 @@ class SchurProblem::Impl {
   }
 
   void Accept() {
-    std::swap(x_.camera_side, candidate_.camera_side);
-    std::swap(x_.points, candidate_.points);
-    x_.Update();
-    state_norm_ = candidate_norm_;
+    std::swap(x_, candidate_);
+    std::swap(state_norm_, candidate_norm_);
   }
 
   double state_norm() const { return state_norm_; }
   int64_t num_observations() const { return plan_.num_observations(); }
   double fixed_cost() const { return fixed_cost_; }
   const char* instruction_set() const { return kernels_.name; }
-  const CameraStates& cameras() const { return x_.cameras(); }
+  const CameraStates& cameras() const { return x_->cameras(); }
 
   std::vector<double> Points() const {
     std::vector<double> points(problem_.points,
                                problem_.points + 3 * static_cast<int64_t>(problem_.num_points));
     for (int p = 0; p < plan_.num_free_points; ++p) {
-      std::copy_n(x_.points.data() + 3 * static_cast<int64_t>(p), 3,
+      std::copy_n(x_->points.data() + 3 * static_cast<int64_t>(p), 3,
                   points.data() + 3 * static_cast<int64_t>(plan_.point[p]));
     }
     return points;
@@ -372,9 +369,9 @@ class SchurProblem::Impl {
 
   void MoveCameras(const std::vector<double>& step) {
     for (size_t j = 0; j < step.size(); ++j) {
-      candidate_.camera_side[j] = x_.camera_side[j] + step[j];
+      candidate_->camera_side[j] = x_->camera_side[j] + step[j];
     }
-    candidate_.Update();
+    candidate_->Update();
   }
 
   void MovePoints(const Chunk& chunk, double a, double b, CandidateSum* sum) {
@@ -383,16 +380,16 @@ class SchurProblem::Impl {
          i < 3 * static_cast<int64_t>(chunk.last_point); ++i) {
       const bool free = i < 3 * static_cast<int64_t>(plan_.num_free_points);
       const double step = free ? a * points_p_[i] + b * points_q_[i] : 0;
-      candidate_.points[i] = x_.points[i] + step;
+      candidate_->points[i] = x_->points[i] + step;
       if (!free) continue;
       sum->step_squared += step * step;
-      sum->state_squared += candidate_.points[i] * candidate_.points[i];
+      sum->state_squared += candidate_->points[i] * candidate_->points[i];
     }
   }
 
   Candidate Finish(const std::vector<double>& step, const CandidateSum& sum) {
     candidate_norm_ =
-        std::sqrt(Dot(candidate_.camera_side, candidate_.camera_side) + sum.state_squared);
+        std::sqrt(Dot(candidate_->camera_side, candidate_->camera_side) + sum.state_squared);
     Candidate result;
     result.model_cost_change = sum.model_cost_change;
     result.step_norm = std::sqrt(Dot(step, step) + sum.step_squared);
@@ -403,7 +400,7 @@ class SchurProblem::Impl {
   double FreePointsSquared() const {
     double sum = 0;
     for (int64_t i = 0; i < 3 * static_cast<int64_t>(plan_.num_free_points); ++i) {
-      sum += x_.points[i] * x_.points[i];
+      sum += x_->points[i] * x_->points[i];
     }
     return sum;
   }
@@ -420,8 +417,9 @@ class SchurProblem::Impl {
   const Assembler assembler_;
   ThreadPool pool_;
   std::vector<std::vector<double>> memory_;  ///< of each thread
-  State x_;
-  State candidate_;
+  State states_[2];
+  State* x_ = &states_[0];
+  State* candidate_ = &states_[1];
   Step step_;
   Step other_step_;
   std::vector<double> squared_scale_;  ///< of each point's columns
