@@ -27,7 +27,7 @@
 ///
 ///   u = p / P,  v = (q - t p) / Q,   P^2 = <p,p>,  t = <p,q> / <p,p>,  Q^2 = <q,q> - t <p,q>,
 ///
-/// a step x u + y v has length x^2 + y^2, the gradient is (P, 0) and the curvature
+/// a step x u + y v has squared length x^2 + y^2, the gradient is (P, 0) and the curvature
 ///
 ///   A = [p,p] / P^2,  B = ([p,q] - t [p,p]) / (P Q),
 ///   C = ([q,q] - 2 t [p,q] + t^2 [p,p]) / Q^2.
@@ -62,7 +62,7 @@ namespace bundle::fused {
 namespace {
 
 constexpr double kParallel = 1e-14;  // sine squared
-constexpr int kMaxSteps = 50;        // of Newton's method; it takes about five
+constexpr int kMaxSteps = 50;        // of Newton's method; ten at most in the tests
 
 bool NewtonIsInside(const DirectionProducts& products, double radius) {
   return std::sqrt(products.d_qq) <= radius;
