@@ -12,9 +12,11 @@ READY_TO_BENCH := $(VENV)/ready-to-bench
 BUILT_FROM := pyproject.toml CMakeLists.txt $(shell find cpp -type f) tools/setup.sh
 CPP_SOURCES = $(shell find cpp python/bundle examples tests -name '*.h' -o -name '*.cpp')
 LINT_BUILD := build/lint
+SANITIZE_BUILD := build/sanitize
+SANITIZERS := address,undefined,float-cast-overflow
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format docs bench clean
+.PHONY: help setup demo test sanitize lint format docs bench clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -36,6 +38,13 @@ demo: $(READY)  ## refine the model in data/ and show where the time went
 test: $(READY)  ## run the tests
 	$(VENV)/bin/python -m pytest
 
+sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(SANITIZE_BUILD) -G Ninja --log-level=WARNING \
+	  -DBUNDLE_PYTHON=OFF -DBUNDLE_CPP_TESTS=ON -DBUNDLE_SANITIZE=$(SANITIZERS) \
+	  -DCMAKE_BUILD_TYPE=Sanitize -DCMAKE_CXX_FLAGS_SANITIZE="-O1 -g1"
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(SANITIZE_BUILD) --target bundle_tests
+	UBSAN_OPTIONS=print_stacktrace=1 $(SANITIZE_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
+
 lint: $(READY)  ## check format, style, types and compiler warnings
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
@@ -43,7 +52,8 @@ lint: $(READY)  ## check format, style, types and compiler warnings
 	$(VENV)/bin/mypy
 	$(VENV)/bin/python -m mypy.stubtest bundle._core --ignore-disjoint-bases
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(LINT_BUILD) -G Ninja --log-level=WARNING \
-	  -DBUNDLE_WARNINGS_AS_ERRORS=ON -DPython_EXECUTABLE=$(CURDIR)/$(VENV)/bin/python \
+	  -DBUNDLE_WARNINGS_AS_ERRORS=ON -DBUNDLE_CPP_TESTS=ON \
+	  -DPython_EXECUTABLE=$(CURDIR)/$(VENV)/bin/python \
 	  -Dpybind11_DIR=$$($(VENV)/bin/python -m pybind11 --cmakedir)
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(LINT_BUILD)
 
@@ -55,7 +65,7 @@ format: $(READY)  ## rewrite the sources in the house format
 docs: $(READY)  ## rewrite what README.md quotes from the code
 	$(VENV)/bin/python tools/camera_table.py --update
 
-bench: $(READY_TO_BENCH)  ## measure against the peers on real data (takes long; writes benchmarks/results)
+bench: $(READY_TO_BENCH)  ## measure against the peers, real data and synthetic (half an hour; writes benchmarks/results)
 	$(VENV)/bin/python benchmarks/run.py
 
 clean:  ## remove all that make made, but for benchmarks/results

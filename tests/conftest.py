@@ -2,10 +2,13 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
+
+import bundle
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -23,6 +26,19 @@ def bundle_data() -> Path:
             pytest.fail(reason)
         pytest.skip(reason)
     return folder
+
+
+@pytest.fixture(params=["ceres", "fused"])
+def backend(request: pytest.FixtureRequest) -> str:
+    """Each backend in turn."""
+    name: str = request.param
+    return name
+
+
+@pytest.fixture
+def solve(backend: str) -> Callable[..., bundle.Result]:
+    """bundle.solve by each backend in turn."""
+    return partial(bundle.solve, backend=backend)
 
 
 @pytest.fixture(scope="session", autouse=True)

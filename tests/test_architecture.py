@@ -25,6 +25,8 @@ CORE_MAY_INCLUDE = {
     "io": {"problem", "cameras", "geometry"},
     "solve": {"problem", "residuals", "cameras", "geometry"},
     "ceres": {"solve", "problem", "residuals", "cameras", "geometry"},
+    "fused": {"solve", "problem", "residuals", "cameras", "geometry"},
+    "backend": {"ceres", "fused", "solve", "problem"},
 }
 
 # Modules and packages directly in python/bundle.

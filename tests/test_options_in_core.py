@@ -28,6 +28,10 @@ ENUMERATIONS = {
     enum: dict(re.findall(rf'\{{"(\w+)", {enum}::(\w+)\}}', body))
     for enum, body in re.findall(r"NamedValue<(\w+)> \w+\[\] = \{(.*?)\};", HEADER, re.DOTALL)
 }
+SWITCHES = {f"refine_{what}" for what in REFINABLE}
+FLAGS = sorted(
+    name for name, (type_, _) in STRUCT.items() if type_ == "bool" and name not in SWITCHES
+)
 CHOSEN = sorted(name for name, (type_, _) in STRUCT.items() if type_ in ENUMERATIONS)
 NUMBERS = sorted(name for name, (type_, _) in STRUCT.items() if type_ in {"int", "double"})
 LISTS = sorted(name for name, (type_, _) in STRUCT.items() if type_.startswith("std::vector"))
@@ -37,10 +41,9 @@ RESOLVED_IN_PYTHON = {"gauge", "cheirality"}
 
 
 def test_names_agree() -> None:
-    switches = {f"refine_{what}" for what in REFINABLE}
-    assert {name for name, (type_, _) in STRUCT.items() if type_ == "bool"} == switches
-    assert set(STRUCT) - switches == set(PYTHON) - {"backend", "refine"}
-    assert set(STRUCT) - switches == {*CHOSEN, *NUMBERS, *LISTS}
+    assert set(STRUCT) >= SWITCHES
+    assert set(STRUCT) - SWITCHES == set(PYTHON) - {"refine"}
+    assert set(STRUCT) - SWITCHES == {*CHOSEN, *NUMBERS, *LISTS, *FLAGS}
 
 
 @pytest.mark.parametrize("name", NUMBERS)
@@ -61,6 +64,11 @@ def test_choices_agree(name: str) -> None:
         assert tuple(named) == choices
         assert f"{type_}::{named[PYTHON[name].default]}" == default
     assert set(named.values()) == enumerators(type_)
+
+
+@pytest.mark.parametrize("name", FLAGS)
+def test_flags_agree(name: str) -> None:
+    assert {"true": True, "false": False}[STRUCT[name][1]] is PYTHON[name].default
 
 
 @pytest.mark.parametrize("what", REFINABLE)

@@ -26,7 +26,8 @@ require_python() {
 
 # One package a line. Debian splits its own Python into packages; any other Python is whole.
 wanted_packages() {
-  printf '%s\n' g++ libceres-dev libsuitesparse-dev libopenblas-dev libbz2-dev zlib1g-dev
+  printf '%s\n' g++ libceres-dev libsuitesparse-dev libopenblas-dev libbz2-dev zlib1g-dev \
+    libgtest-dev
   "$python" - <<'PY'
 import sys
 
@@ -42,8 +43,8 @@ is_installed() {
 
 install_packages() {
   if ! command -v apt-get >/dev/null; then
-    echo "no apt-get here: taking it that a C++17 compiler, Ceres, SuiteSparse, OpenBLAS, bzip2" \
-      "and zlib are installed" >&2
+    echo "no apt-get here: taking it that a C++17 compiler, Ceres, SuiteSparse, OpenBLAS, bzip2," \
+      "zlib and GoogleTest are installed" >&2
     return
   fi
   local missing=() package as_root=()

@@ -11,6 +11,7 @@
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
+#include "core/backend/solve.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/error.h"
 #include "core/parallel_for.h"
@@ -61,6 +62,10 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   BUNDLE_FIELD(num_residual_evaluations);
   BUNDLE_FIELD(num_jacobian_evaluations);
   BUNDLE_FIELD(num_linear_solves);
+  BUNDLE_FIELD(backend_given);
+  BUNDLE_FIELD(backend_used);
+  BUNDLE_FIELD(backend_choice);
+  BUNDLE_FIELD(instruction_set);
   BUNDLE_FIELD(linear_solver_choice);
   BUNDLE_FIELD(interrupted);
 #undef BUNDLE_FIELD
@@ -162,7 +167,7 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   bundle::SolveOutput output;
   {
     const py::gil_scoped_release release;
-    output = bundle::SolveWithCeres(view, solve_options, std::ref(report));
+    output = bundle::Solve(view, solve_options, std::ref(report));
   }
   report.Rethrow();
   py::dict result;

@@ -5,18 +5,11 @@
 #include <string>
 
 #include "core/error.h"
+#include "core/solve/option_names.h"
 
 namespace py = pybind11;
 
 namespace {
-
-template <typename Enum, size_t kSize>
-std::string NameOf(Enum value, const bundle::NamedValue<Enum> (&names)[kSize]) {
-  for (const auto& [name, named] : names) {
-    if (named == value) return std::string(name);
-  }
-  return "";
-}
 
 template <typename Enum, size_t kSize>
 Enum ValueOf(const char* option, const std::string& text,
@@ -30,6 +23,7 @@ Enum ValueOf(const char* option, const std::string& text,
 /// Calls visit for every option but `refine`: (name, value) or (name, value, names of its choices).
 template <typename Options, typename Visitor>
 void VisitOptions(Options& o, const Visitor& visit) {
+  visit("backend", o.backend, bundle::kBackends);
   visit("linear_solver_type", o.linear_solver_type, bundle::kLinearSolverTypes);
   visit("linear_solver_ordering", o.linear_solver_ordering, bundle::kEliminationOrderings);
   visit("preconditioner_type", o.preconditioner_type, bundle::kPreconditionerTypes);
@@ -41,6 +35,7 @@ void VisitOptions(Options& o, const Visitor& visit) {
   visit("gradient_tolerance", o.gradient_tolerance);
   visit("parameter_tolerance", o.parameter_tolerance);
   visit("num_threads", o.num_threads);
+  visit("deterministic", o.deterministic);
   visit("fixed_camera_ids", o.fixed_camera_ids);
   visit("fixed_image_ids", o.fixed_image_ids);
   visit("fixed_point_ids", o.fixed_point_ids);
@@ -84,7 +79,7 @@ struct Writer {
   template <typename Enum, size_t kSize>
   void operator()(const char* name, const Enum& value,
                   const bundle::NamedValue<Enum> (&names)[kSize]) const {
-    options[name] = NameOf(value, names);
+    options[name] = bundle::NameOf(value, names);
   }
 };
 

@@ -16,6 +16,7 @@ from bundle.option_fields import checked, choice, option
 
 __all__ = ["SolveOptions"]
 
+BACKENDS = ("auto", "fused", "ceres")
 LINEAR_SOLVER_TYPES = (
     "auto",
     "dense_schur",
@@ -50,10 +51,16 @@ class SolveOptions:
 
     Raises:
         InputError: an option has a value outside its range; the message names option and value.
-            Combinations that Ceres cannot serve are refused by :func:`bundle.solve`.
+            Combinations that no backend can serve are refused by :func:`bundle.solve`.
     """
 
-    backend: str = option("ceres", "--backend", "who solves", choices=("ceres",))
+    backend: str = option(
+        "auto",
+        "--backend",
+        "who solves: our own solver, made for eliminating points, or Ceres; auto takes the first "
+        "for all that it supports and says why if not",
+        choices=BACKENDS,
+    )
     linear_solver_type: str = option(
         "auto",
         "--solver",
@@ -106,6 +113,11 @@ class SolveOptions:
     )
     num_threads: int = option(
         0, "--threads", "threads, at most one a core; 0: all cores", minimum=0, metavar="N"
+    )
+    deterministic: bool = option(
+        False,
+        "--deterministic",
+        "the same result, bit for bit, for any number of threads",
     )
     refine: tuple[str, ...] = option(
         ("poses", "points", "focal", "extra"),

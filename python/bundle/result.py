@@ -43,8 +43,8 @@ class Result:
         iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
         reprojection_error_before: pixels, at the input.
         reprojection_error_after: pixels, at the output.
-        build_time_in_seconds: from the arrays to a Ceres problem and back, outside Ceres.
-        solve_time_in_seconds: inside Ceres.
+        build_time_in_seconds: from the arrays to a solver's problem and back, outside the solver.
+        solve_time_in_seconds: inside the solver.
     """
 
     problem: Problem

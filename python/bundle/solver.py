@@ -39,7 +39,8 @@ def solve(
 
     Raises:
         InputError: a camera model that is not supported, a fixed id that does not exist, options
-            that exclude each other, or dense matrices beyond the memory of this machine.
+            that exclude each other or the backend asked for, or dense matrices beyond the memory of
+            this machine.
     """
     options = (options or SolveOptions()).replace(**changes)
     options = _resolve_defaults(problem, options)

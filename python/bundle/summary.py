@@ -19,9 +19,14 @@ __all__ = ["Summary", "share", "sizes", "solver_phases", "solver_table"]
 class Summary:
     """Ceres' Solver::Summary under Ceres' field names; times in seconds, -1 where not measured.
 
-    Beyond Ceres: ``linear_solver_choice`` (why ``auto`` took this solver; "" when asked for),
-    ``warnings`` (sentences: a fallback, a gauge that could not be held, ...), ``interrupted``.
-    Costs are 1/2 sum rho(||r||^2), r in pixels.
+    Beyond Ceres: ``backend_given`` and ``backend_used``, ``backend_choice`` and
+    ``linear_solver_choice`` (why ``auto`` took them; "" when asked for), ``instruction_set`` (what
+    the fused backend's kernels run on; "" for Ceres), ``warnings`` (sentences: a fallback, a gauge
+    that could not be held, ...), ``interrupted``. Costs are 1/2 sum rho(||r||^2), r in pixels.
+
+    The fused backend linearises and eliminates in one pass. Its Jacobian evaluation therefore
+    includes the elimination of the points, its linear solver is that of the reduced camera system
+    alone, and its residual evaluation includes the back-substitution.
     """
 
     initial_cost: float
@@ -64,6 +69,10 @@ class Summary:
     num_residual_evaluations: int
     num_jacobian_evaluations: int
     num_linear_solves: int
+    backend_given: str
+    backend_used: str
+    backend_choice: str
+    instruction_set: str
     linear_solver_choice: str
     interrupted: bool
     warnings: tuple[str, ...]
@@ -79,17 +88,25 @@ class Summary:
         return render(solver_table(self))
 
 
-def solver_phases(summary: Summary) -> list[tuple[str, float]]:
-    """Return (phase, seconds) of a solve, -1 where Ceres did not measure.
+# What a backend does in the times of residual evaluation, Jacobian evaluation and linear solver.
+_PHASES = {
+    "CERES": ("residual evaluation", "Jacobian evaluation", "linear solver"),
+    "FUSED": ("back-substitution, residuals", "Jacobians, elimination", "reduced linear solver"),
+}
 
-    Ceres' evaluation and linear solver times are parts of its minimizer time and do not add up to
-    it: "other" is what is left of the total, so that the phases do add up.
+
+def solver_phases(summary: Summary) -> list[tuple[str, float]]:
+    """Return (phase, seconds) of a solve, -1 where the solver did not measure.
+
+    Evaluation and linear solver times are parts of the minimizer's time and do not add up to it:
+    "other" is what is left of the total, so that the phases do add up.
     """
+    residuals, jacobians, linear_solver = _PHASES[summary.backend_used]
     phases = [
         ("preprocessor", summary.preprocessor_time_in_seconds),
-        ("residual evaluation", summary.residual_evaluation_time_in_seconds),
-        ("Jacobian evaluation", summary.jacobian_evaluation_time_in_seconds),
-        ("linear solver", summary.linear_solver_time_in_seconds),
+        (residuals, summary.residual_evaluation_time_in_seconds),
+        (jacobians, summary.jacobian_evaluation_time_in_seconds),
+        (linear_solver, summary.linear_solver_time_in_seconds),
     ]
     post = summary.postprocessor_time_in_seconds
     total = summary.total_time_in_seconds
@@ -141,7 +158,12 @@ def _full_report(summary: Summary) -> str:
         columns(("size", "original", "reduced"), _problem_size(summary)),
         "",
         columns(("solver", "given", "used"), _solver(summary), left=3),
-        facts([("why this solver", summary.linear_solver_choice or "it was asked for")]),
+        facts(
+            [
+                ("why this backend", summary.backend_choice or "it was asked for"),
+                ("why this solver", summary.linear_solver_choice or "it was asked for"),
+            ]
+        ),
         "",
         columns(("cost", ""), cost),
         "",
@@ -171,6 +193,7 @@ def _solver(summary: Summary) -> list[tuple[str, str, str]]:
     if strategy == "DOGLEG":
         strategy += f" ({summary.dogleg_type})"
     rows = [
+        ("backend", summary.backend_given, summary.backend_used),
         ("trust region", strategy, strategy),
         ("linear solver", summary.linear_solver_type_given, summary.linear_solver_type_used),
     ]
@@ -193,6 +216,8 @@ def _solver(summary: Summary) -> list[tuple[str, str, str]]:
         ("linear algebra", library, library),
         ("threads", str(summary.num_threads_given), str(summary.num_threads_used)),
     ]
+    if summary.instruction_set:
+        rows.append(("instruction set", summary.instruction_set, summary.instruction_set))
     return rows
 
 

@@ -39,11 +39,11 @@ def reconstruction_of(model):
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_same_start_and_same_end_as_pycolmap(model, record_property):
+def test_same_start_and_same_end_as_pycolmap(solve, model, record_property):
     if colmap_lacks(model):
         pytest.skip(f"pycolmap {pycolmap.__version__} lacks {model}")
     reconstruction = reconstruction_of(model)
-    result = bundle.solve(
+    result = solve(
         bundle.Problem.from_pycolmap(reconstruction),
         linear_solver_type="dense_schur",
         gauge="two_cameras",

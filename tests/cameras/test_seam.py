@@ -61,31 +61,29 @@ def test_half_a_turn_off_has_the_sign_that_colmap_gives_it():
         assert (residual < 0.5).all()
 
 
-def test_a_solve_does_not_see_the_seam():
+def test_a_solve_does_not_see_the_seam(solve):
     options = {"linear_solver_type": "dense_schur", "function_tolerance": 1e-12}
-    straight = bundle.solve(
-        scenes.make_problem(model="EQUIRECTANGULAR", seed=3, num_images=4), **options
-    )
-    across = bundle.solve(panoramas(), **options)
+    straight = solve(scenes.make_problem(model="EQUIRECTANGULAR", seed=3, num_images=4), **options)
+    across = solve(panoramas(), **options)
     assert across.summary.final_cost == pytest.approx(straight.summary.final_cost, rel=1e-9)
     assert across.summary.final_cost < 0.1 * across.summary.initial_cost
 
 
 @pytest.mark.parametrize("shared", [False, True])
-def test_width_and_height_are_never_refined(shared):
+def test_width_and_height_are_never_refined(solve, shared):
     problem = scenes.make_problem(model="EQUIRECTANGULAR", seed=4, shared=shared)
     assert bundle.cameras.param_kinds("EQUIRECTANGULAR") == ("metadata", "metadata")
-    result = bundle.solve(problem, refine="poses,points,focal,principal-point,extra")
+    result = solve(problem, refine="poses,points,focal,principal-point,extra")
     np.testing.assert_array_equal(result.problem.camera_params, problem.camera_params)
     assert result.summary.final_cost < 0.1 * result.summary.initial_cost
 
 
 @pytest.mark.parametrize("size", [0.0, -2.0])
-def test_width_and_height_must_be_positive(size):
+def test_width_and_height_must_be_positive(solve, size):
     problem = scenes.make_problem(model="EQUIRECTANGULAR", seed=4)
     params = problem.camera_params.copy()
     params[2, 1] = size
     with pytest.raises(
         bundle.InputError, match=f"camera 3: expected a positive image size h, found {size:g}"
     ):
-        bundle.solve(problem.replace(camera_params=params))
+        solve(problem.replace(camera_params=params))

@@ -17,6 +17,10 @@ LOSSES = {
 }
 
 
+# What the fused backend knows; it refuses the others.
+FUSED_SOLVERS = ("auto", "dense_schur", "sparse_schur", "iterative_schur")
+
+
 def cost(problem, loss="trivial", scale=1.0):
     """1/2 sum rho(||r||^2) by formulas."""
     squared = (scenes.residuals(problem) ** 2).sum(axis=1)

@@ -40,11 +40,11 @@ def adjust(reconstruction, function_tolerance, max_iterations):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_same_start_and_no_worse_end(bundle_data, name):
+def test_same_start_and_no_worse_end(solve, bundle_data, name):
     path = bundle_data / "colmap" / name
     reconstruction = pycolmap.Reconstruction(path)
     expected = adjust(reconstruction, FUNCTION_TOLERANCE, MAX_ITERATIONS)
-    result = bundle.solve(
+    result = solve(
         bundle.load(path),
         linear_solver_type="dense_schur",
         gauge="two_cameras",

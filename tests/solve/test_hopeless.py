@@ -5,14 +5,12 @@ import pytest
 
 import bundle
 from tests import scenes
+from tests.solve.problems import FUSED_SOLVERS
 
+# Where there is nothing to eliminate, "auto" is Ceres.
 SOLVERS = [
-    "auto",
-    "dense_schur",
-    "sparse_schur",
-    "iterative_schur",
-    "sparse_normal_cholesky",
-    "cgnr",
+    *(("ceres", solver) for solver in (*FUSED_SOLVERS, "sparse_normal_cholesky", "cgnr")),
+    *(("auto", solver) for solver in FUSED_SOLVERS),
 ]
 
 
@@ -85,12 +83,16 @@ PROBLEMS = {
 
 
 @pytest.mark.parametrize("cheirality", ["zero", "algebraic"])
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(("backend", "solver"), SOLVERS)
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_ends_with_a_result(name, solver, cheirality, capfd):
+def test_ends_with_a_result(name, backend, solver, cheirality, capfd):
     problem = PROBLEMS[name]()
     result = bundle.solve(
-        problem, linear_solver_type=solver, cheirality=cheirality, max_num_iterations=30
+        problem,
+        backend=backend,
+        linear_solver_type=solver,
+        cheirality=cheirality,
+        max_num_iterations=30,
     )
     summary = result.summary
     assert summary.message
@@ -102,22 +104,22 @@ def test_ends_with_a_result(name, solver, cheirality, capfd):
 
 
 @pytest.mark.parametrize("name", ["overflowing", "gigantic measurements"])
-def test_a_start_that_cannot_be_evaluated_is_not_usable_and_says_where(name):
-    summary = bundle.solve(PROBLEMS[name](), cheirality="algebraic").summary
+def test_a_start_that_cannot_be_evaluated_is_not_usable_and_says_where(solve, name):
+    summary = solve(PROBLEMS[name](), cheirality="algebraic").summary
     assert not summary.is_solution_usable
     assert "image 1, point 1" in " ".join(summary.warnings)
 
 
-def test_points_seen_once_are_counted():
+def test_points_seen_once_are_counted(solve):
     problem = seen_once()
     sentence = "holds them: 40, the first is point 1."
-    assert sentence in " ".join(bundle.solve(problem).summary.warnings)
+    assert sentence in " ".join(solve(problem).summary.warnings)
     assert sentence not in " ".join(bundle.solve(problem, refine="poses").summary.warnings)
 
 
-def test_a_solution_that_is_no_reconstruction_is_dropped():
+def test_a_solution_that_is_no_reconstruction_is_dropped(solve):
     problem = turned_away()
-    result = bundle.solve(problem, cheirality="algebraic", max_num_iterations=30)
+    result = solve(problem, cheirality="algebraic", max_num_iterations=30)
     assert not result.summary.is_solution_usable
     assert "expected a positive focal length f, found -" in " ".join(result.summary.warnings)
     assert (result.problem.camera_params == problem.camera_params).all()

@@ -7,27 +7,26 @@ import time
 import numpy as np
 import pytest
 
-import bundle
 from tests import scenes
 
 LONG = {"function_tolerance": 0, "gradient_tolerance": 0, "parameter_tolerance": 0}
 
 
-def test_progress_sees_every_iteration():
+def test_progress_sees_every_iteration(solve):
     seen = []
-    result = bundle.solve(scenes.make_problem(), progress=seen.append)
+    result = solve(scenes.make_problem(), progress=seen.append)
     assert {name: [record[name] for record in seen] for name in seen[0]} == {
         name: array.tolist() for name, array in result.iterations.items()
     }
 
 
-def test_ctrl_c_keeps_the_best_state():
+def test_ctrl_c_keeps_the_best_state(solve):
     def interrupt(record):
         if record["iteration"] == 2:
             signal.raise_signal(signal.SIGINT)
 
     problem = scenes.make_problem(perturbation=0.05)
-    result = bundle.solve(problem, progress=interrupt, **LONG)
+    result = solve(problem, progress=interrupt, **LONG)
     assert result.summary.interrupted
     assert result.summary.termination_type == "USER_SUCCESS"
     assert result.summary.is_solution_usable
@@ -36,18 +35,18 @@ def test_ctrl_c_keeps_the_best_state():
     assert result.reprojection_error_after.rmse == pytest.approx(
         np.sqrt(2 * result.summary.final_cost / problem.num_observations)
     )
-    assert not bundle.solve(problem).summary.interrupted
+    assert not solve(problem).summary.interrupted
 
 
-def test_what_a_callback_raises_comes_out():
+def test_what_a_callback_raises_comes_out(solve):
     def fail(_):
         raise RuntimeError("from the callback")
 
     with pytest.raises(RuntimeError, match="from the callback"):
-        bundle.solve(scenes.make_problem(), progress=fail)
+        solve(scenes.make_problem(), progress=fail)
 
 
-def test_other_threads_run_while_a_solve_runs():
+def test_other_threads_run_while_a_solve_runs(solve):
     problem = scenes.make_problem(num_images=30, num_points=2000, track=8)
     running = threading.Event()
     ticks = []
@@ -61,7 +60,7 @@ def test_other_threads_run_while_a_solve_runs():
     thread = threading.Thread(target=tick)
     thread.start()
     begin = time.perf_counter()
-    bundle.solve(problem, num_threads=1, max_num_iterations=20, **LONG)
+    solve(problem, num_threads=1, max_num_iterations=20, **LONG)
     end = time.perf_counter()
     running.clear()
     thread.join()
@@ -69,13 +68,13 @@ def test_other_threads_run_while_a_solve_runs():
     assert len(inside) > 5
 
 
-def test_solves_may_overlap():
+def test_solves_may_overlap(solve):
     problems = [scenes.make_problem(seed=seed) for seed in range(4)]
-    expected = [bundle.solve(p, num_threads=1).summary.final_cost for p in problems]
+    expected = [solve(p, num_threads=1).summary.final_cost for p in problems]
     found = [0.0] * len(problems)
 
     def run(k):
-        found[k] = bundle.solve(problems[k], num_threads=1).summary.final_cost
+        found[k] = solve(problems[k], num_threads=1).summary.final_cost
 
     threads = [threading.Thread(target=run, args=(k,)) for k in range(len(problems))]
     for thread in threads:

@@ -56,11 +56,11 @@ def test_every_loss_is_the_plain_one_near_zero_and_never_curves_up(loss):
     assert (np.diff(values[:, 1]) <= 1e-15).all()
 
 
-def test_the_cost_of_a_solve_is_made_of_these_values():
+def test_the_cost_of_a_solve_is_made_of_these_values(solve):
     problem = scenes.make_problem(seed=1)
     squared = (scenes.residuals(problem) ** 2).sum(axis=1)
     for loss in LOSSES:
-        summary = bundle.solve(problem, loss=loss, loss_scale=3.0, max_num_iterations=0).summary
+        summary = solve(problem, loss=loss, loss_scale=3.0, max_num_iterations=0).summary
         expected = 0.5 * evaluate_loss(loss, 3.0, squared)[:, 0].sum()
         assert summary.initial_cost == pytest.approx(expected, rel=1e-12)
 

@@ -4,12 +4,11 @@ import dataclasses
 
 import pytest
 
-import bundle
 from bundle import InputError, SolveOptions, _core
 from tests import scenes
 
 # What only Python knows: "auto" of gauge and cheirality is resolved by the problem's format.
-PYTHON_ONLY = {"backend": "ceres", "gauge": "auto", "cheirality": "auto"}
+PYTHON_ONLY = {"gauge": "auto", "cheirality": "auto"}
 
 
 def test_defaults_are_the_same_in_cpp():
@@ -24,7 +23,7 @@ def test_choices_are_the_same_in_cpp():
     choices = {
         field.name: [c for c in field.metadata["choices"] if (field.name, c) != ("gauge", "auto")]
         for field in dataclasses.fields(SolveOptions)
-        if field.metadata["choices"] and field.name != "backend"
+        if field.metadata["choices"]
     }
     choices["cheirality"].remove("auto")
     assert choices == _core.option_choices()
@@ -68,8 +67,8 @@ def test_values_out_of_range_are_named(name, value, message):
 
 
 @pytest.mark.parametrize(("asked", "used"), [(1, 1), (0, None), (2**31 - 1, None)])
-def test_threads_are_at_most_the_cores(asked, used):
+def test_threads_are_at_most_the_cores(solve, asked, used):
     """Ceres keeps a gradient for each thread: a slip in the number must not fill the memory."""
-    result = bundle.solve(scenes.make_problem(), num_threads=asked)
+    result = solve(scenes.make_problem(), num_threads=asked)
     assert result.options.num_threads == (used or _core.hardware_threads())
     assert result.summary.num_threads_used == result.options.num_threads

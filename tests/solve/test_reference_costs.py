@@ -21,9 +21,9 @@ def reference(request, bundle_data):
 
 
 @pytest.mark.parametrize("solver", ["dense_schur", "sparse_schur", "iterative_schur"])
-def test_schur_solvers_reach_the_reference_cost(reference, solver):
+def test_schur_solvers_reach_the_reference_cost(solve, reference, solver):
     problem, initial_cost, final_cost, ordering = reference
-    summary = bundle.solve(problem, linear_solver_type=solver, **CONVERGED).summary
+    summary = solve(problem, linear_solver_type=solver, **CONVERGED).summary
     assert summary.initial_cost == pytest.approx(initial_cost, rel=1e-9)
     assert summary.final_cost == pytest.approx(final_cost, rel=1e-7)
     assert summary.linear_solver_ordering_given == ordering
@@ -36,8 +36,8 @@ def test_schur_solvers_reach_the_reference_cost(reference, solver):
 @pytest.mark.parametrize(
     ("cheirality", "cost"), [("algebraic", 8.509124607e5), ("zero", 8.508020903e5)]
 )
-def test_observations_behind_the_camera(bundle_data, cheirality, cost):
+def test_observations_behind_the_camera(solve, bundle_data, cheirality, cost):
     problem = bundle.load(bundle_data / "bal" / "problem-49-7776-pre.txt.bz2")
-    result = bundle.solve(problem, cheirality=cheirality, max_num_iterations=0)
+    result = solve(problem, cheirality=cheirality, max_num_iterations=0)
     assert result.summary.initial_cost == pytest.approx(cost, rel=1e-9)
     assert result.reprojection_error_before.num_behind_camera == 31

@@ -1,4 +1,4 @@
-"""What is refused before Ceres sees it, and what replaces nothing silently."""
+"""What is refused before a solver sees it, and what replaces nothing silently."""
 
 import numpy as np
 import pytest
@@ -22,13 +22,13 @@ from tests import scenes
         for t in ("dogleg", "subspace_dogleg")
     ],
 )
-def test_combinations_that_ceres_cannot_serve(options, message):
+def test_combinations_that_no_backend_can_serve(options, message):
     with pytest.raises(bundle.InputError, match=message):
         bundle.solve(scenes.make_problem(), **options)
 
 
-def test_a_preconditioner_that_nobody_uses_is_said():
-    summary = bundle.solve(
+def test_a_preconditioner_that_nobody_uses_is_said(solve):
+    summary = solve(
         scenes.make_problem(), linear_solver_type="dense_schur", preconditioner_type="jacobi"
     ).summary
     assert summary.warnings == ("The preconditioner is not used: DENSE_SCHUR is a direct solver.",)
@@ -77,6 +77,7 @@ def test_no_schur_solver_is_replaced_when_one_side_is_fixed(refine, ordering, so
     problem = scenes.make_problem(shared=shared)
     options = {"refine": refine, "linear_solver_ordering": ordering, "function_tolerance": 1e-13}
     summary = bundle.solve(problem, linear_solver_type=solver, **options).summary
+    assert summary.backend_used == "CERES"
     assert summary.linear_solver_type_used == solver.upper()
     expected = bundle.solve(problem, linear_solver_type="dense_qr", **options).summary
     assert summary.final_cost == pytest.approx(expected.final_cost, rel=1e-6)
@@ -103,13 +104,13 @@ def test_auto_says_why():
     ("track", "local", "used", "reason"),
     [(2, True, "SPARSE_SCHUR", "is only"), (60, False, "DENSE_SCHUR", "% full: dense")],
 )
-def test_auto_looks_at_how_full_the_reduced_system_is(track, local, used, reason):
+def test_auto_looks_at_how_full_the_reduced_system_is(solve, track, local, used, reason):
     num_images = 150
     problem = scenes.make_problem(num_images=num_images, num_points=240, track=track, seed=1)
     if local:  # each point in two neighbouring images: S is tridiagonal
         first = np.arange(240) % (num_images - 1)
         images = np.stack([first, first + 1], 1).ravel()
         problem = problem.replace(observation_image=images)
-    summary = bundle.solve(problem, max_num_iterations=1).summary
+    summary = solve(problem, max_num_iterations=1).summary
     assert summary.linear_solver_type_used == used
     assert reason in summary.linear_solver_choice

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from tests import scenes
-from tests.solve.problems import LOSSES, cost, minimum_by_scipy
+from tests.solve.problems import FUSED_SOLVERS, LOSSES, cost, minimum_by_scipy
 
 SOLVERS = [
     "auto",
@@ -27,10 +27,10 @@ CONVERGED = {
 
 
 @pytest.mark.parametrize("shared", [False, True])
-def test_reaches_the_minimum_that_scipy_finds(shared):
+def test_reaches_the_minimum_that_scipy_finds(solve, shared):
     problem = scenes.make_problem(num_images=3, num_points=12, shared=shared, seed=1)
     expected = minimum_by_scipy(problem)
-    result = bundle.solve(problem, gauge="none", **CONVERGED)
+    result = solve(problem, gauge="none", **CONVERGED)
     assert result.summary.initial_cost == pytest.approx(cost(problem), rel=1e-12)
     assert result.summary.final_cost == pytest.approx(cost(result.problem), rel=1e-10)
     assert result.summary.final_cost == pytest.approx(expected, rel=1e-7)
@@ -38,12 +38,18 @@ def test_reaches_the_minimum_that_scipy_finds(shared):
 
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("model", sorted(bundle.camera_models()))
-def test_every_solver_reaches_the_same_minimum(solver, model):
+def test_every_solver_reaches_the_same_minimum(solve, backend, solver, model):
     # Twelve numbers of distortion from one small image have several minima.
     shared = len(bundle.camera_models()[model]) > 8
     problem = scenes.make_problem(model=model, seed=2, shared=shared)
-    reference = bundle.solve(problem, linear_solver_type="dense_schur", **CONVERGED)
-    result = bundle.solve(problem, linear_solver_type=solver, **CONVERGED)
+    if backend == "fused" and solver not in FUSED_SOLVERS:
+        with pytest.raises(bundle.InputError, match=r"^linear_solver_type: .* fused .* found"):
+            solve(problem, linear_solver_type=solver)
+        return
+    reference = bundle.solve(
+        problem, backend="ceres", linear_solver_type="dense_schur", **CONVERGED
+    )
+    result = solve(problem, linear_solver_type=solver, **CONVERGED)
     assert result.summary.is_solution_usable
     assert result.summary.final_cost == pytest.approx(reference.summary.final_cost, rel=1e-5)
     assert result.summary.final_cost < 0.1 * result.summary.initial_cost
@@ -51,10 +57,16 @@ def test_every_solver_reaches_the_same_minimum(solver, model):
 
 @pytest.mark.parametrize("strategy", ["levenberg_marquardt", "dogleg", "subspace_dogleg"])
 @pytest.mark.parametrize("ordering", ["points_first", "cameras_first", "automatic"])
-def test_every_strategy_and_ordering_reaches_the_same_minimum(strategy, ordering):
+def test_every_strategy_and_ordering_reaches_the_same_minimum(solve, backend, strategy, ordering):
     problem = scenes.make_problem(shared=True, seed=3)
-    reference = bundle.solve(problem, linear_solver_type="dense_schur", **CONVERGED)
-    result = bundle.solve(
+    if backend == "fused" and ordering != "points_first":
+        with pytest.raises(bundle.InputError, match=r"^linear_solver_ordering: .* fused .* found"):
+            solve(problem, linear_solver_ordering=ordering)
+        return
+    reference = bundle.solve(
+        problem, backend="ceres", linear_solver_type="dense_schur", **CONVERGED
+    )
+    result = solve(
         problem,
         linear_solver_type="sparse_schur",
         linear_solver_ordering=ordering,
@@ -66,52 +78,52 @@ def test_every_strategy_and_ordering_reaches_the_same_minimum(strategy, ordering
 
 @pytest.mark.parametrize("loss", sorted(LOSSES))
 @pytest.mark.parametrize("scale", [0.5, 2.0])
-def test_losses_cost_what_their_formulas_say(loss, scale):
+def test_losses_cost_what_their_formulas_say(solve, loss, scale):
     problem = scenes.make_problem(seed=4, perturbation=2e-3)
-    result = bundle.solve(problem, loss=loss, loss_scale=scale, max_num_iterations=5)
+    result = solve(problem, loss=loss, loss_scale=scale, max_num_iterations=5)
     assert result.summary.initial_cost == pytest.approx(cost(problem, loss, scale), rel=1e-10)
     assert result.summary.final_cost == pytest.approx(cost(result.problem, loss, scale), rel=1e-10)
     assert result.summary.final_cost < result.summary.initial_cost
 
 
-def test_a_robust_loss_resists_outliers():
+def test_a_robust_loss_resists_outliers(solve):
     clean = scenes.make_problem(seed=5, noise=0.1, num_points=60)
     xy = clean.observation_xy.copy()
     xy[::50] += 200
     spoiled = clean.replace(observation_xy=xy)
-    truth = bundle.solve(clean).problem
-    robust = bundle.solve(spoiled, loss="cauchy", loss_scale=1.0).problem
-    plain = bundle.solve(spoiled).problem
+    truth = solve(clean).problem
+    robust = solve(spoiled, loss="cauchy", loss_scale=1.0).problem
+    plain = solve(spoiled).problem
     error = [
         np.abs(p.cam_from_world[:, 4:] - truth.cam_from_world[:, 4:]).max() for p in (robust, plain)
     ]
     assert error[0] < 0.02 * error[1]
 
 
-def test_the_input_is_untouched_and_what_did_not_change_is_shared():
+def test_the_input_is_untouched_and_what_did_not_change_is_shared(solve):
     problem = scenes.make_problem(seed=6)
     before = {name: getattr(problem, name).copy() for name in ("cam_from_world", "points")}
-    result = bundle.solve(problem)
+    result = solve(problem)
     for name, array in before.items():
         assert (getattr(problem, name) == array).all()
         assert not (getattr(result.problem, name) == array).all()
     assert np.shares_memory(result.problem.observation_xy, problem.observation_xy)
 
 
-def test_zero_iterations_keep_every_bit():
+def test_zero_iterations_keep_every_bit(solve):
     problem = scenes.make_problem(seed=7)
     poses = problem.cam_from_world * np.array([1.1] * 4 + [1.0] * 3)  # not normalised
     problem = problem.replace(cam_from_world=poses)
-    result = bundle.solve(problem, max_num_iterations=0)
+    result = solve(problem, max_num_iterations=0)
     for name in ("cam_from_world", "points", "camera_params"):
         assert (getattr(result.problem, name) == getattr(problem, name)).all()
     assert result.summary.final_cost == result.summary.initial_cost
 
 
-def test_the_same_solve_twice_gives_the_same_bits_on_one_thread():
+def test_the_same_solve_twice_gives_the_same_bits_on_one_thread(solve):
     problem = scenes.make_problem(seed=8)
-    first = bundle.solve(problem, num_threads=1)
-    second = bundle.solve(problem, num_threads=1)
+    first = solve(problem, num_threads=1)
+    second = solve(problem, num_threads=1)
     assert (first.problem.points == second.problem.points).all()
     assert (first.iterations["cost"] == second.iterations["cost"]).all()
 
@@ -133,8 +145,8 @@ def test_large_rotations_come_out_right():
     np.testing.assert_allclose(norms, 1, atol=1e-14)
 
 
-def test_iterations_are_ceres_records():
-    result = bundle.solve(scenes.make_problem(seed=10))
+def test_iterations_are_ceres_records(solve):
+    result = solve(scenes.make_problem(seed=10))
     iterations = result.iterations
     assert set(iterations) == {
         "iteration",
@@ -155,9 +167,9 @@ def test_iterations_are_ceres_records():
     assert (np.diff(iterations["cumulative_time_in_seconds"]) >= 0).all()
 
 
-def test_the_reprojection_error_is_per_observation():
+def test_the_reprojection_error_is_per_observation(solve):
     problem = scenes.make_problem(seed=11)
-    result = bundle.solve(problem)
+    result = solve(problem)
     n = problem.num_observations
     assert result.reprojection_error_before.rmse == pytest.approx(
         np.sqrt(2 * result.summary.initial_cost / n), rel=1e-10
@@ -167,10 +179,10 @@ def test_the_reprojection_error_is_per_observation():
     )
 
 
-def test_conjugate_gradients_survive_a_reduced_system_of_one_column():
+def test_conjugate_gradients_survive_a_reduced_system_of_one_column(solve):
     problem = scenes.make_problem(shared=True, seed=12)
     options = {"refine": "points,focal", **CONVERGED}
-    expected = bundle.solve(problem, linear_solver_type="dense_schur", **options).summary
-    found = bundle.solve(problem, linear_solver_type="iterative_schur", **options).summary
+    expected = solve(problem, linear_solver_type="dense_schur", **options).summary
+    found = solve(problem, linear_solver_type="iterative_schur", **options).summary
     assert found.is_solution_usable
     assert found.final_cost == pytest.approx(expected.final_cost, rel=1e-8)

@@ -10,12 +10,13 @@
 
 namespace bundle {
 
+template <typename T>
 struct Decentering {
-  double u, v;                 ///< t_u, t_v
-  double du_du, cross, dv_dv;  ///< dt_u/du; dt_u/dv = dt_v/du; dt_v/dv
-  double du_dp1, du_dp2, dv_dp1, dv_dp2;
+  T u, v;                 ///< t_u, t_v
+  T du_du, cross, dv_dv;  ///< dt_u/du; dt_u/dv = dt_v/du; dt_v/dv
+  T du_dp1, du_dp2, dv_dp1, dv_dp2;
 
-  Decentering(double p1, double p2, double x, double y)
+  Decentering(T p1, T p2, T x, T y)
       : du_du(2 * p1 * y + 6 * p2 * x),
         cross(2 * (p1 * x + p2 * y)),
         dv_dv(2 * p2 * x + 6 * p1 * y),

@@ -15,31 +15,19 @@
 
 namespace bundle {
 
-struct SimpleFisheye {
+struct SimpleFisheye : Lens<Equidistant, RadialPolynomial<0>, 1> {
   static constexpr char kName[] = "SIMPLE_FISHEYE";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Equidistant, RadialPolynomial<0>, 1>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
-struct Fisheye {
+struct Fisheye : Lens<Equidistant, RadialPolynomial<0>, 2> {
   static constexpr char kName[] = "FISHEYE";
   static constexpr CameraParam kParams[] = {{"fx", CameraParam::kFocal},
                                             {"fy", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Equidistant, RadialPolynomial<0>, 2>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
 }  // namespace bundle

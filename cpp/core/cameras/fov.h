@@ -42,6 +42,7 @@ namespace bundle {
 
 struct FovDistortion {
   static constexpr int kNumParams = 1;
+  static constexpr bool kIsPolynomial = false;
 
   static bool Distort(const double* k, double u, double v, double* uv_d, double* d_uv,
                       double* d_k) {
@@ -90,18 +91,13 @@ struct FovDistortion {
   };
 };
 
-struct Fov {
+struct Fov : Lens<Perspective, FovDistortion, 2> {
   static constexpr char kName[] = "FOV";
   static constexpr CameraParam kParams[] = {{"fx", CameraParam::kFocal},
                                             {"fy", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint},
                                             {"omega", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Perspective, FovDistortion, 2>(params, point, xy, d_point, d_params);
-  }
 };
 
 }  // namespace bundle

@@ -29,16 +29,17 @@ namespace bundle {
 
 struct RationalDistortion {
   static constexpr int kNumParams = 8;
+  static constexpr bool kIsPolynomial = false;
 
   static bool Distort(const double* k, double u, double v, double* uv_d, double* d_uv,
                       double* d_k) {
     const double s = u * u + v * v;
     const double above[] = {k[0], k[1], k[4]};
-    const EvenPolynomial<3> n(above, s);
-    const EvenPolynomial<3> m(k + 5, s);
+    const EvenPolynomial<3, double> n(above, s);
+    const EvenPolynomial<3, double> m(k + 5, s);
     const double d = n.value / m.value;
     if (!std::isfinite(d)) return false;
-    const Decentering t(k[2], k[3], u, v);
+    const Decentering<double> t(k[2], k[3], u, v);
     uv_d[0] = d * u + t.u;
     uv_d[1] = d * v + t.v;
     if (d_uv != nullptr) {
@@ -58,7 +59,7 @@ struct RationalDistortion {
   }
 };
 
-struct FullOpenCv {
+struct FullOpenCv : Lens<Perspective, RationalDistortion, 2> {
   static constexpr char kName[] = "FULL_OPENCV";
   static constexpr CameraParam kParams[] = {
       {"fx", CameraParam::kFocal},          {"fy", CameraParam::kFocal},
@@ -67,12 +68,6 @@ struct FullOpenCv {
       {"p1", CameraParam::kExtra},          {"p2", CameraParam::kExtra},
       {"k3", CameraParam::kExtra},          {"k4", CameraParam::kExtra},
       {"k5", CameraParam::kExtra},          {"k6", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Perspective, RationalDistortion, 2>(params, point, xy, d_point,
-                                                                  d_params);
-  }
 };
 
 }  // namespace bundle

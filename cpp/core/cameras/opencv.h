@@ -24,16 +24,17 @@ namespace bundle {
 
 struct BrownDistortion {
   static constexpr int kNumParams = 4;
+  static constexpr bool kIsPolynomial = true;
 
-  static bool Distort(const double* k, double u, double v, double* uv_d, double* d_uv,
-                      double* d_k) {
-    const double s = u * u + v * v;
-    const EvenPolynomial<2> d(k, s);
-    const Decentering t(k[2], k[3], u, v);
+  template <typename T>
+  static bool Distort(const T* k, T u, T v, T* uv_d, T* d_uv, T* d_k) {
+    const T s = u * u + v * v;
+    const EvenPolynomial<2, T> d(k, s);
+    const Decentering<T> t(k[2], k[3], u, v);
     uv_d[0] = d.value * u + t.u;
     uv_d[1] = d.value * v + t.v;
     if (d_uv != nullptr) {
-      const double slope = 2 * d.slope;
+      const T slope = 2 * d.slope;
       d_uv[0] = d.value + slope * u * u + t.du_du;
       d_uv[1] = d_uv[2] = slope * u * v + t.cross;
       d_uv[3] = d.value + slope * v * v + t.dv_dv;
@@ -46,19 +47,13 @@ struct BrownDistortion {
   }
 };
 
-struct OpenCv {
+struct OpenCv : Lens<Perspective, BrownDistortion, 2> {
   static constexpr char kName[] = "OPENCV";
   static constexpr CameraParam kParams[] = {
       {"fx", CameraParam::kFocal},          {"fy", CameraParam::kFocal},
       {"cx", CameraParam::kPrincipalPoint}, {"cy", CameraParam::kPrincipalPoint},
       {"k1", CameraParam::kExtra},          {"k2", CameraParam::kExtra},
       {"p1", CameraParam::kExtra},          {"p2", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Perspective, BrownDistortion, 2>(params, point, xy, d_point,
-                                                               d_params);
-  }
 };
 
 }  // namespace bundle

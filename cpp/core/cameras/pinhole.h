@@ -12,18 +12,12 @@
 
 namespace bundle {
 
-struct Pinhole {
+struct Pinhole : Lens<Perspective, RadialPolynomial<0>, 2> {
   static constexpr char kName[] = "PINHOLE";
   static constexpr CameraParam kParams[] = {{"fx", CameraParam::kFocal},
                                             {"fy", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Perspective, RadialPolynomial<0>, 2>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
 }  // namespace bundle

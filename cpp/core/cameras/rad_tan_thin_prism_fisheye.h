@@ -35,6 +35,7 @@ namespace bundle {
 
 struct RadTanThinPrismDistortion {
   static constexpr int kNumParams = 12;
+  static constexpr bool kIsPolynomial = false;
 
   static bool Distort(const double* k, double u, double v, double* uv_d, double* d_uv,
                       double* d_k) {
@@ -46,7 +47,7 @@ struct RadTanThinPrismDistortion {
     const double a = ab[0], b = ab[1];
     const double q = a * a + b * b;
     const double s0 = k[8], s1 = k[9], s2 = k[10], s3 = k[11];
-    const Decentering t(k[7], k[6], a, b);
+    const Decentering<double> t(k[7], k[6], a, b);
     uv_d[0] = a + t.u + q * (s0 + s1 * q);
     uv_d[1] = b + t.v + q * (s2 + s3 * q);
     const double prism_u = 2 * (s0 + 2 * s1 * q), prism_v = 2 * (s2 + 2 * s3 * q);
@@ -75,7 +76,7 @@ struct RadTanThinPrismDistortion {
   }
 };
 
-struct RadTanThinPrismFisheye {
+struct RadTanThinPrismFisheye : Lens<Equidistant, RadTanThinPrismDistortion, 2> {
   static constexpr char kName[] = "RAD_TAN_THIN_PRISM_FISHEYE";
   static constexpr CameraParam kParams[] = {
       {"fx", CameraParam::kFocal},          {"fy", CameraParam::kFocal},
@@ -86,12 +87,6 @@ struct RadTanThinPrismFisheye {
       {"p0", CameraParam::kExtra},          {"p1", CameraParam::kExtra},
       {"s0", CameraParam::kExtra},          {"s1", CameraParam::kExtra},
       {"s2", CameraParam::kExtra},          {"s3", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Equidistant, RadTanThinPrismDistortion, 2>(params, point, xy, d_point,
-                                                                         d_params);
-  }
 };
 
 }  // namespace bundle

@@ -16,33 +16,21 @@
 
 namespace bundle {
 
-struct SimpleRadial {
+struct SimpleRadial : Lens<Perspective, RadialPolynomial<1>, 1> {
   static constexpr char kName[] = "SIMPLE_RADIAL";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint},
                                             {"k", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Perspective, RadialPolynomial<1>, 1>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
-struct Radial {
+struct Radial : Lens<Perspective, RadialPolynomial<2>, 1> {
   static constexpr char kName[] = "RADIAL";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint},
                                             {"k1", CameraParam::kExtra},
                                             {"k2", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Perspective, RadialPolynomial<2>, 1>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
 }  // namespace bundle

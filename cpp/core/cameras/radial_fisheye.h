@@ -17,48 +17,30 @@
 
 namespace bundle {
 
-struct SimpleRadialFisheye {
+struct SimpleRadialFisheye : Lens<Equidistant, RadialPolynomial<1>, 1> {
   static constexpr char kName[] = "SIMPLE_RADIAL_FISHEYE";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint},
                                             {"k", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Equidistant, RadialPolynomial<1>, 1>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
-struct RadialFisheye {
+struct RadialFisheye : Lens<Equidistant, RadialPolynomial<2>, 1> {
   static constexpr char kName[] = "RADIAL_FISHEYE";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint},
                                             {"k1", CameraParam::kExtra},
                                             {"k2", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Equidistant, RadialPolynomial<2>, 1>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
-struct OpenCvFisheye {
+struct OpenCvFisheye : Lens<Equidistant, RadialPolynomial<4>, 2> {
   static constexpr char kName[] = "OPENCV_FISHEYE";
   static constexpr CameraParam kParams[] = {
       {"fx", CameraParam::kFocal},          {"fy", CameraParam::kFocal},
       {"cx", CameraParam::kPrincipalPoint}, {"cy", CameraParam::kPrincipalPoint},
       {"k1", CameraParam::kExtra},          {"k2", CameraParam::kExtra},
       {"k3", CameraParam::kExtra},          {"k4", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Equidistant, RadialPolynomial<4>, 2>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
 }  // namespace bundle

@@ -14,16 +14,16 @@
 namespace bundle {
 
 /// d(s) and d'(s), by Horner's rule.
-template <int n>
+template <int n, typename T>
 struct EvenPolynomial {
-  double value = 1, slope = 0;
+  T value = 1, slope = 0;
 
-  EvenPolynomial(const double* k, double s) {
+  EvenPolynomial(const T* k, T s) {
     if constexpr (n > 0) {
       value = k[n - 1];
       for (int j = n - 1; j >= 0; --j) {
         slope = value + s * slope;
-        value = (j > 0 ? k[j - 1] : 1) + s * value;
+        value = (j > 0 ? k[j - 1] : T(1)) + s * value;
       }
     }
   }
@@ -33,21 +33,22 @@ struct EvenPolynomial {
 template <int n>
 struct RadialPolynomial {
   static constexpr int kNumParams = n;
+  static constexpr bool kIsPolynomial = true;
 
-  static bool Distort(const double* k, double u, double v, double* uv_d, double* d_uv,
-                      double* d_k) {
-    const double s = u * u + v * v;
-    const EvenPolynomial<n> d(k, s);
+  template <typename T>
+  static bool Distort(const T* k, T u, T v, T* uv_d, T* d_uv, T* d_k) {
+    const T s = u * u + v * v;
+    const EvenPolynomial<n, T> d(k, s);
     uv_d[0] = d.value * u;
     uv_d[1] = d.value * v;
     if (d_uv != nullptr) {
-      const double slope = 2 * d.slope;
+      const T slope = 2 * d.slope;
       d_uv[0] = d.value + slope * u * u;
       d_uv[1] = d_uv[2] = slope * u * v;
       d_uv[3] = d.value + slope * v * v;
     }
     if (d_k != nullptr) {
-      double power = 1;
+      T power = 1;
       for (int j = 0; j < n; ++j) {
         power *= s;
         d_k[j] = power * u;
@@ -62,8 +63,10 @@ struct RadialPolynomial {
 template <>
 struct RadialPolynomial<0> {
   static constexpr int kNumParams = 0;
+  static constexpr bool kIsPolynomial = true;
 
-  static bool Distort(const double*, double u, double v, double* uv_d, double* d_uv, double*) {
+  template <typename T>
+  static bool Distort(const T*, T u, T v, T* uv_d, T* d_uv, T*) {
     uv_d[0] = u;
     uv_d[1] = v;
     if (d_uv != nullptr) d_uv[0] = d_uv[3] = 1, d_uv[1] = d_uv[2] = 0;

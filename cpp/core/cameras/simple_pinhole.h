@@ -12,17 +12,11 @@
 
 namespace bundle {
 
-struct SimplePinhole {
+struct SimplePinhole : Lens<Perspective, RadialPolynomial<0>, 1> {
   static constexpr char kName[] = "SIMPLE_PINHOLE";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Perspective, RadialPolynomial<0>, 1>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
 }  // namespace bundle

@@ -27,14 +27,15 @@ namespace bundle {
 
 struct ThinPrismDistortion {
   static constexpr int kNumParams = 8;
+  static constexpr bool kIsPolynomial = false;
 
   static bool Distort(const double* k, double u, double v, double* uv_d, double* d_uv,
                       double* d_k) {
     const double s = u * u + v * v;
     const double radial[] = {k[0], k[1], k[4], k[5]};
     const double sx = k[6], sy = k[7];
-    const EvenPolynomial<4> d(radial, s);
-    const Decentering t(k[2], k[3], u, v);
+    const EvenPolynomial<4, double> d(radial, s);
+    const Decentering<double> t(k[2], k[3], u, v);
     uv_d[0] = d.value * u + t.u + sx * s;
     uv_d[1] = d.value * v + t.v + sy * s;
     if (d_uv != nullptr) {
@@ -56,7 +57,7 @@ struct ThinPrismDistortion {
   }
 };
 
-struct ThinPrismFisheye {
+struct ThinPrismFisheye : Lens<Equidistant, ThinPrismDistortion, 2> {
   static constexpr char kName[] = "THIN_PRISM_FISHEYE";
   static constexpr CameraParam kParams[] = {
       {"fx", CameraParam::kFocal},          {"fy", CameraParam::kFocal},
@@ -65,12 +66,6 @@ struct ThinPrismFisheye {
       {"p1", CameraParam::kExtra},          {"p2", CameraParam::kExtra},
       {"k3", CameraParam::kExtra},          {"k4", CameraParam::kExtra},
       {"sx1", CameraParam::kExtra},         {"sy1", CameraParam::kExtra}};
-
-  static Projection Project(const double* params, const double* point, double* xy, double* d_point,
-                            double* d_params) {
-    return ProjectThroughLens<Equidistant, ThinPrismDistortion, 2>(params, point, xy, d_point,
-                                                                   d_params);
-  }
 };
 
 }  // namespace bundle

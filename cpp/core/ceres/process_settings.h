@@ -1,17 +1,20 @@
 #pragma once
 
+#include "core/blas_threads.h"
+
 namespace bundle {
 
-/// Settings that belong to the whole process, held while a solve runs and given back afterwards:
-/// glog prints nothing (what it would say is in the summary), and OpenBLAS uses `blas_threads`
-/// threads, because its idle threads spin and take the cores from ours. Solves that overlap share
-/// the settings of the first.
+/// Settings that belong to the whole process, held while Ceres runs and given back afterwards: glog
+/// prints nothing (what it would say is in the summary), and OpenBLAS uses `blas_threads` threads.
 class ProcessSettings {
  public:
   explicit ProcessSettings(int blas_threads);
   ~ProcessSettings();
   ProcessSettings(const ProcessSettings&) = delete;
   ProcessSettings& operator=(const ProcessSettings&) = delete;
+
+ private:
+  ScopedBlasThreads blas_threads_;
 };
 
 }  // namespace bundle

@@ -1,39 +1,27 @@
 #include "core/ceres/solve_with_ceres.h"
 
 #include <algorithm>
-#include <chrono>
-#include <cmath>
 #include <memory>
 #include <string>
 #include <utility>
 
+#include "core/blas_threads.h"
 #include "core/ceres/losses.h"
 #include "core/ceres/ordering.h"
 #include "core/ceres/process_settings.h"
 #include "core/ceres/reprojection_cost.h"
 #include "core/ceres/summarize.h"
 #include "core/ceres/translate_options.h"
-#include "core/error.h"
-#include "core/problem/reprojection_errors.h"
 #include "core/solve/camera_states.h"
-#include "core/solve/check_solution.h"
 #include "core/solve/choose_solver.h"
-#include "core/solve/convergence_watch.h"
-#include "core/solve/free_parameters.h"
-#include "core/solve/gauge.h"
-#include "core/solve/memory.h"
+#include "core/solve/finish.h"
 #include "core/solve/parameter_layout.h"
-#include "core/solve/plausibility.h"
 #include "core/solve/problem_shape.h"
+#include "core/solve/solver_checks.h"
+#include "core/stopwatch.h"
 
 namespace bundle {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-
-double SecondsSince(Clock::time_point start) {
-  return std::chrono::duration<double>(Clock::now() - start).count();
-}
 
 /// Expands the camera side once an evaluation.
 class UpdateCameraStates final : public ceres::EvaluationCallback {
@@ -71,10 +59,11 @@ class ReportProgress final : public ceres::IterationCallback {
 /// One solve, in the order of its methods.
 class CeresSolve {
  public:
-  CeresSolve(const ProblemView& problem, const SolveOptions& options)
+  CeresSolve(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared)
       : problem_(problem),
         options_(options),
-        layout_(problem, SelectFree()),
+        warnings_(std::move(prepared.warnings)),
+        layout_(std::move(prepared.layout)),
         states_(problem, layout_),
         context_{problem_, layout_, states_, options.cheirality},
         points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
@@ -83,38 +72,24 @@ class CeresSolve {
         loss_(MakeLoss(options.loss, options.loss_scale)) {}
 
   SolveOutput Run(const ProgressCallback& progress) {
-    const Clock::time_point start = Clock::now();
-    Warn(CountPointsSeenOnce(problem_, layout_));
     BuildProblem();
     ceres::Solver::Options ceres_options = ChooseSolver();
     ReportProgress report(progress, fixed_cost_);
     if (progress) ceres_options.callbacks.push_back(&report);
 
     const ProcessSettings settings(BlasThreads(ceres_options));
-    const Clock::time_point solve_start = Clock::now();
+    const Stopwatch solve_time;
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, ceres_problem_.get(), &summary);
-    const double solve_time = SecondsSince(solve_start);
-
-    SolveOutput output = Collect(summary);
+    SolveOutput output;
+    output.solve_time_in_seconds = solve_time.seconds();
+    output.summary = Summarize(summary, fixed_cost_);
     output.summary.interrupted = report.interrupted();
-    output.solve_time_in_seconds = solve_time;
-    output.build_time_in_seconds = SecondsSince(start) - solve_time;
+    Collect(summary, &output);
     return output;
   }
 
  private:
-  FreeParameters SelectFree() {
-    CheckCameraModelsKnown(problem_);
-    FreeParameters free = SelectFreeParameters(problem_, options_);
-    warnings_ = FixGauge(problem_, options_.gauge, &free);
-    return free;
-  }
-
-  void Warn(std::string sentence) {
-    if (!sentence.empty()) warnings_.push_back(std::move(sentence));
-  }
-
   void BuildProblem() {
     ceres::Problem::Options problem_options;
     problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -173,13 +148,10 @@ class CeresSolve {
       linear_solver_choice_ = std::move(choice.reason);
     }
     ceres::Solver::Options result = TranslateOptions(options);
-    if (!IsIterative(options.linear_solver_type) &&
-        options.preconditioner_type != PreconditionerType::kAuto) {
-      warnings_.push_back("The preconditioner is not used: " +
-                          std::string(LinearSolverTypeToString(result.linear_solver_type)) +
-                          " is a direct solver.");
-    }
-    RefuseTooMuchMemory(options, shape);
+    std::string idle = FindIdlePreconditioner(options);
+    if (!idle.empty()) warnings_.push_back(std::move(idle));
+    RefuseTooMuchMemory(options.linear_solver_type, shape,
+                        options.linear_solver_ordering == EliminationOrdering::kCamerasFirst);
     if (NothingToEliminate(options.linear_solver_ordering, layout_)) {
       warnings_.push_back(
           "Nothing of the ordering's first group is refined: Ceres chose what to eliminate.");
@@ -197,19 +169,6 @@ class CeresSolve {
     return result;
   }
 
-  void RefuseTooMuchMemory(const SolveOptions& options, const ProblemShape& shape) const {
-    const std::string name = LinearSolverTypeToString(ToCeres(options.linear_solver_type));
-    const double bytes = PredictDenseMatrixBytes(
-        options.linear_solver_type, shape,
-        options.linear_solver_ordering == EliminationOrdering::kCamerasFirst);
-    const double available = AvailableMemoryBytes();
-    if (bytes > 0.9 * available) {
-      throw InputError("linear_solver_type: " + name + " needs " + FormatBytes(bytes) +
-                       " for its dense matrices, of which this machine has " +
-                       FormatBytes(available) + " free; use sparse_schur or iterative_schur");
-    }
-  }
-
   /// OpenBLAS' own threads pay for the factorisation of a large reduced system only.
   int BlasThreads(const ceres::Solver::Options& options) const {
     const bool factorises = options.linear_solver_type == ceres::DENSE_SCHUR ||
@@ -218,36 +177,23 @@ class CeresSolve {
     return factorises && large ? options.num_threads : 1;
   }
 
-  SolveOutput Collect(const ceres::Solver::Summary& summary) {
-    SolveOutput output;
-    output.summary = Summarize(summary, fixed_cost_);
-    output.summary.linear_solver_choice = std::move(linear_solver_choice_);
+  void Collect(const ceres::Solver::Summary& summary, SolveOutput* output) {
+    output->summary.linear_solver_choice = std::move(linear_solver_choice_);
     if (summary.linear_solver_type_used != summary.linear_solver_type_given) {
-      warnings_.push_back("Ceres replaced " + output.summary.linear_solver_type_given + " by " +
-                          output.summary.linear_solver_type_used + ".");
-    }
-    if (summary.termination_type == ceres::FAILURE || !std::isfinite(summary.initial_cost)) {
-      output.summary.is_solution_usable = false;
-      Warn(FindOverflow(problem_, options_.cheirality));
+      warnings_.push_back("Ceres replaced " + output->summary.linear_solver_type_given + " by " +
+                          output->summary.linear_solver_type_used + ".");
     }
     for (const ceres::IterationSummary& iteration : summary.iterations) {
-      output.iterations.push_back(ToRecord(iteration, fixed_cost_));
+      output->iterations.push_back(ToRecord(iteration, fixed_cost_));
     }
-    std::string suspicion = WatchConvergence(output.iterations);
-    if (!suspicion.empty()) warnings_.push_back(std::move(suspicion));
     states_.Update(state_.data());
-    Warn(CheckSolution(problem_, layout_, states_, points_, options_.cheirality));
-    output.summary.warnings = std::move(warnings_);
-    output.cam_from_world = states_.CamFromWorld();
-    output.camera_params = states_.camera_params();
-    output.points = std::move(points_);
-    RejectImpossibleSolution(problem_, &output);
-    return output;
+    output->cam_from_world = states_.CamFromWorld();
+    output->camera_params = states_.camera_params();
+    output->points = std::move(points_);
+    FinishSolve(problem_, layout_, states_, options_, std::move(warnings_), output);
   }
 
   double* PointData(int point) { return points_.data() + 3 * static_cast<int64_t>(point); }
-
-  static constexpr int kColumnsWorthBlasThreads = 1000;
 
   const ProblemView& problem_;
   const SolveOptions& options_;
@@ -268,8 +214,8 @@ class CeresSolve {
 }  // namespace
 
 SolveOutput SolveWithCeres(const ProblemView& problem, const SolveOptions& options,
-                           const ProgressCallback& progress) {
-  return CeresSolve(problem, options).Run(progress);
+                           PreparedSolve prepared, const ProgressCallback& progress) {
+  return CeresSolve(problem, options, std::move(prepared)).Run(progress);
 }
 
 const char* CeresVersion() { return CERES_VERSION_STRING; }

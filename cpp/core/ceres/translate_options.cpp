@@ -4,6 +4,7 @@
 
 #include "core/error.h"
 #include "core/parallel_for.h"
+#include "core/solve/solver_checks.h"
 
 namespace bundle {
 namespace {
@@ -77,11 +78,6 @@ void SetTrustRegion(const SolveOptions& options, ceres::Solver::Options* result)
     result->trust_region_strategy_type = ceres::LEVENBERG_MARQUARDT;
     return;
   }
-  if (IsIterative(options.linear_solver_type)) {
-    throw InputError(
-        "trust_region_strategy_type: expected levenberg_marquardt with an iterative solver; dogleg "
-        "needs exact steps");
-  }
   result->trust_region_strategy_type = ceres::DOGLEG;
   result->dogleg_type = options.trust_region_strategy_type == TrustRegionStrategy::kDogleg
                             ? ceres::TRADITIONAL_DOGLEG
@@ -89,10 +85,6 @@ void SetTrustRegion(const SolveOptions& options, ceres::Solver::Options* result)
 }
 
 }  // namespace
-
-bool IsIterative(LinearSolverType type) {
-  return type == LinearSolverType::kIterativeSchur || type == LinearSolverType::kCgnr;
-}
 
 ceres::LinearSolverType ToCeres(LinearSolverType type) {
   switch (type) {
@@ -131,6 +123,7 @@ ceres::Solver::Options TranslateOptions(const SolveOptions& options) {
   // enough for 2^55, where no rounding is left to blame.
   result.max_num_consecutive_invalid_steps = 10;
   SetLinearSolver(options, &result);
+  CheckTrustRegion(options);
   SetTrustRegion(options, &result);
   std::string error;
   if (!result.IsValid(&error)) throw InputError("options: " + error);

@@ -8,9 +8,6 @@ namespace bundle {
 /// Ceres' name of a linear solver. `type` is not kAuto.
 ceres::LinearSolverType ToCeres(LinearSolverType type);
 
-/// True for the solvers that have a preconditioner and no exact steps.
-bool IsIterative(LinearSolverType type);
-
 /// The one place where our options become Ceres'. `options.linear_solver_type` is not kAuto; the
 /// ordering is set separately (ordering.h).
 ///

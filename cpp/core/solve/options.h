@@ -1,9 +1,9 @@
 #pragma once
 
-/// What a solve is asked for. No solver's header is included here: `ceres/translate_options.cpp`
-/// turns these into Ceres' options. Names, defaults and ranges are those of
-/// python/bundle/options.py (a test holds them against each other); values arrive here checked for
-/// range.
+/// What a solve is asked for, whichever backend runs it. No solver's header is included here:
+/// `ceres/translate_options.cpp` turns these into Ceres' options. Names, defaults and ranges are
+/// those of python/bundle/options.py (a test holds them against each other); values arrive here
+/// checked for range.
 
 #include <cstdint>
 #include <string_view>
@@ -14,6 +14,7 @@
 
 namespace bundle {
 
+enum class Backend { kAuto, kFused, kCeres };
 enum class LinearSolverType {
   kAuto,
   kDenseSchur,
@@ -41,6 +42,8 @@ enum class Gauge { kNone, kTwoCameras, kThreePoints };
 template <typename Enum>
 using NamedValue = std::pair<std::string_view, Enum>;
 
+inline constexpr NamedValue<Backend> kBackends[] = {
+    {"auto", Backend::kAuto}, {"fused", Backend::kFused}, {"ceres", Backend::kCeres}};
 inline constexpr NamedValue<LinearSolverType> kLinearSolverTypes[] = {
     {"auto", LinearSolverType::kAuto},
     {"dense_schur", LinearSolverType::kDenseSchur},
@@ -76,6 +79,7 @@ inline constexpr NamedValue<Cheirality> kCheiralities[] = {{"algebraic", Cheiral
                                                            {"zero", Cheirality::kZero}};
 
 struct SolveOptions {
+  Backend backend = Backend::kAuto;
   LinearSolverType linear_solver_type = LinearSolverType::kAuto;
   EliminationOrdering linear_solver_ordering = EliminationOrdering::kPointsFirst;
   PreconditionerType preconditioner_type = PreconditionerType::kAuto;
@@ -86,7 +90,8 @@ struct SolveOptions {
   double function_tolerance = 1e-6;
   double gradient_tolerance = 1e-10;
   double parameter_tolerance = 1e-8;
-  int num_threads = 0;  ///< 0: all cores
+  int num_threads = 0;         ///< 0: all cores
+  bool deterministic = false;  ///< the same bits for any number of threads
   bool refine_poses = true;
   bool refine_points = true;
   bool refine_focal = true;

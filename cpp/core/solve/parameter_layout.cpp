@@ -6,13 +6,10 @@
 namespace bundle {
 namespace {
 
-/// Number of observed images of each camera.
-std::vector<int> CountUsers(const ProblemView& problem) {
+std::vector<uint8_t> FindObservedImages(const ProblemView& problem) {
   std::vector<uint8_t> observed(problem.num_images);
   for (int64_t i = 0; i < problem.num_observations; ++i) observed[problem.observation_image[i]] = 1;
-  std::vector<int> users(problem.num_cameras);
-  for (int i = 0; i < problem.num_images; ++i) users[problem.image_camera[i]] += observed[i];
-  return users;
+  return observed;
 }
 
 }  // namespace
@@ -21,10 +18,12 @@ ParameterLayout::ParameterLayout(const ProblemView& problem, FreeParameters free
     : free_(std::move(free)),
       image_block_(problem.num_images, -1),
       camera_block_(problem.num_cameras, -1) {
-  const std::vector<int> users = CountUsers(problem);
+  const std::vector<uint8_t> observed = FindObservedImages(problem);
+  std::vector<int> users(problem.num_cameras);  // observed images of each camera
+  for (int i = 0; i < problem.num_images; ++i) users[problem.image_camera[i]] += observed[i];
   for (int i = 0; i < problem.num_images; ++i) {
     const int camera = problem.image_camera[i];
-    const bool own_camera = users[camera] == 1;
+    const bool own_camera = observed[i] && users[camera] == 1;
     image_block_[i] = AddBlock(free_.pose[i], own_camera ? free_.camera[camera] : 0);
   }
   for (int c = 0; c < problem.num_cameras; ++c) {

@@ -66,6 +66,10 @@ struct SolveSummary {
   int num_linear_solves = -1;
 
   // Beyond Ceres.
+  std::string backend_given;
+  std::string backend_used;
+  std::string backend_choice;        ///< why this backend, where we chose it
+  std::string instruction_set;       ///< of the fused backend's kernels
   std::string linear_solver_choice;  ///< why this solver, where we chose it
   bool interrupted = false;
   std::vector<std::string> warnings;  ///< sentences

@@ -32,6 +32,8 @@ def refinement(
         ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
         ("refined", _refined(solved.options)),
+        ("backend", _backend(summary)),
+        *((("", summary.backend_choice),) if summary.backend_choice else ()),
         ("solver", _solver(summary)),
         *((("", summary.linear_solver_choice),) if summary.linear_solver_choice else ()),
         ("ordering", _ordering(summary)),
@@ -87,6 +89,12 @@ def _refined(options: SolveOptions) -> str:
     )
     words += [f"{plural(len(ids), noun)} fixed" for ids, noun in fixed if ids]
     return "; ".join(words)
+
+
+def _backend(summary: Summary) -> str:
+    if summary.instruction_set:
+        return f"{summary.backend_used} ({summary.instruction_set})"
+    return summary.backend_used
 
 
 def _solver(summary: Summary) -> str:

@@ -42,9 +42,9 @@ class SchurProblem final : public LeastSquares {
   /// "avx512".
   const char* instruction_set() const;
 
-  /// Camera side and points at the state.
+  /// Camera side and points (as in ProblemView) at the state.
   const CameraStates& cameras() const;
-  std::vector<double> TakePoints();
+  std::vector<double> Points() const;
 
  private:
   class Impl;

@@ -63,10 +63,10 @@ class LeastSquares {
   /// Products of p and q after SolveNewton; for doglegs only.
   virtual DirectionProducts Products() = 0;
 
-  /// The candidate x + a p + b q, after Products.
+  /// The candidate x + a p + b q, after Products; often several times.
   virtual Candidate TryCombination(double a, double b) = 0;
 
-  /// x becomes the last candidate.
+  /// x becomes the last candidate, which becomes x: a second call takes the first back.
   virtual void Accept() = 0;
 
   /// ||x|| over all that is refined.

@@ -20,6 +20,14 @@ struct ReducedSolution {
   std::string message;
 };
 
+/// What a factorisation costs, for reports.
+struct FactorStatistics {
+  std::string ordering;  ///< "natural", "amd" or "metis"; empty without a factorisation
+  double entries = 0;    ///< of the factor, without the zeros that supernodes add
+  double flops = 0;      ///< multiplications and additions; n^3 / 3 if dense
+  double symbolic_time_in_seconds = 0;  ///< once for all solves
+};
+
 /// Solves the reduced camera system of one structure again and again.
 class ReducedSolver {
  public:
@@ -33,6 +41,8 @@ class ReducedSolver {
 
   /// True if it reads ReducedSystem::camera_diagonal.
   virtual bool NeedsCameraDiagonal() const { return false; }
+
+  virtual FactorStatistics factor_statistics() const { return {}; }
 };
 
 /// LAPACK's Cholesky factorisation; takes a dense structure.

@@ -1,0 +1,78 @@
+/// The fused backend does one thing: it eliminates the points and factorises or iterates on the
+/// reduced camera system. Whatever else can be asked for is Ceres'.
+
+#include "core/backend/choose_backend.h"
+
+#include <optional>
+
+#include "core/error.h"
+#include "core/solve/option_names.h"
+
+namespace bundle {
+namespace {
+
+/// An option that the fused backend does not take as it is.
+struct Unsupported {
+  std::string option;
+  std::string expected;
+  std::string found;
+};
+
+bool IsSupported(LinearSolverType type) {
+  return type == LinearSolverType::kAuto || type == LinearSolverType::kDenseSchur ||
+         type == LinearSolverType::kSparseSchur || type == LinearSolverType::kIterativeSchur;
+}
+
+bool IsSupported(PreconditionerType type) {
+  return type != PreconditionerType::kClusterJacobi &&
+         type != PreconditionerType::kClusterTridiagonal;
+}
+
+/// A preconditioner that no one reads is no obstacle.
+bool MayIterate(LinearSolverType type) {
+  return type == LinearSolverType::kAuto || type == LinearSolverType::kIterativeSchur;
+}
+
+std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
+                                           const ParameterLayout& layout) {
+  if (!IsSupported(options.linear_solver_type)) {
+    return Unsupported{"linear_solver_type", "auto, dense_schur, sparse_schur or iterative_schur",
+                       NameOf(options.linear_solver_type, kLinearSolverTypes)};
+  }
+  if (options.linear_solver_ordering != EliminationOrdering::kPointsFirst) {
+    return Unsupported{"linear_solver_ordering", "points_first",
+                       NameOf(options.linear_solver_ordering, kEliminationOrderings)};
+  }
+  if (MayIterate(options.linear_solver_type) && !IsSupported(options.preconditioner_type)) {
+    return Unsupported{"preconditioner_type",
+                       "identity, jacobi, schur_jacobi or schur_power_series_expansion",
+                       NameOf(options.preconditioner_type, kPreconditionerTypes)};
+  }
+  if (layout.num_free_points() == 0) {
+    return Unsupported{"refine", "points, to eliminate them,", "none that is refined"};
+  }
+  if (layout.blocks().empty()) {
+    return Unsupported{"refine", "poses or intrinsics beside the points", "none that are refined"};
+  }
+  return std::nullopt;
+}
+
+}  // namespace
+
+BackendChoice ChooseBackend(const SolveOptions& options, const ParameterLayout& layout) {
+  if (options.backend == Backend::kCeres) return {Backend::kCeres, ""};
+  const std::optional<Unsupported> obstacle = FindUnsupported(options, layout);
+  if (options.backend == Backend::kFused) {
+    if (!obstacle) return {Backend::kFused, ""};
+    throw InputError(obstacle->option + ": expected " + obstacle->expected +
+                     " with the fused backend, found " + obstacle->found);
+  }
+  if (!obstacle) {
+    return {Backend::kFused,
+            "The points are eliminated as they are linearised, in one pass over the observations."};
+  }
+  return {Backend::kCeres, "The fused backend expects " + obstacle->expected + " and found " +
+                               obstacle->found + " (" + obstacle->option + ")."};
+}
+
+}  // namespace bundle

@@ -1,0 +1,43 @@
+#include "core/backend/solve.h"
+
+#include <utility>
+
+#include "core/backend/choose_backend.h"
+#include "core/ceres/solve_with_ceres.h"
+#include "core/fused/solve_with_fused.h"
+#include "core/solve/option_names.h"
+#include "core/solve/prepare.h"
+#include "core/stopwatch.h"
+
+namespace bundle {
+namespace {
+
+/// Ceres adds costs and products up in the order in which its threads come by: the same bits for
+/// any number of threads are those of one.
+SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions options,
+                                  PreparedSolve prepared, const ProgressCallback& progress) {
+  if (options.deterministic && options.num_threads != 1) {
+    options.num_threads = 1;
+    prepared.warnings.push_back("Ceres is deterministic on one thread only, and so it got one.");
+  }
+  return SolveWithCeres(problem, options, std::move(prepared), progress);
+}
+
+}  // namespace
+
+SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+                  const ProgressCallback& progress) {
+  const Stopwatch time;
+  PreparedSolve prepared = PrepareSolve(problem, options);
+  BackendChoice choice = ChooseBackend(options, prepared.layout);
+  SolveOutput output = choice.backend == Backend::kFused
+                           ? fused::SolveWithFused(problem, options, std::move(prepared), progress)
+                           : SolveWithCeresAsAsked(problem, options, std::move(prepared), progress);
+  output.summary.backend_given = UpperName(options.backend, kBackends);
+  output.summary.backend_used = UpperName(choice.backend, kBackends);
+  output.summary.backend_choice = std::move(choice.reason);
+  output.build_time_in_seconds = time.seconds() - output.solve_time_in_seconds;
+  return output;
+}
+
+}  // namespace bundle

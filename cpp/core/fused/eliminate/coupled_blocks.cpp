@@ -1,0 +1,57 @@
+#include <algorithm>
+
+#include "core/fused/eliminate/schur_problem.h"
+
+namespace bundle::fused {
+
+std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
+                                                const ParameterLayout& layout) {
+  // The blocks of each observation's image, by point.
+  const auto num_blocks = static_cast<int>(layout.blocks().size());
+  std::vector<int64_t> begin(problem.num_points + 1);
+  for (int64_t i = 0; i < problem.num_observations; ++i) ++begin[problem.observation_point[i] + 1];
+  for (int p = 0; p < problem.num_points; ++p) begin[p + 1] += begin[p];
+  std::vector<int> image_of(problem.num_observations);
+  std::vector<int64_t> next(begin.begin(), begin.end() - 1);
+  std::vector<std::vector<int>> points_of(num_blocks);
+  const auto visit_blocks = [&](int image, const auto& visit) {
+    const int pose = layout.image_block(image);
+    const int camera = layout.camera_block(problem.image_camera[image]);
+    if (pose >= 0) visit(pose);
+    if (camera >= 0) visit(camera);
+  };
+  std::vector<std::vector<int>> columns(num_blocks);
+  for (int j = 0; j < num_blocks; ++j) columns[j].push_back(j);
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    const int image = problem.observation_image[i], point = problem.observation_point[i];
+    image_of[next[point]++] = image;
+    if (!layout.point_is_free(point)) continue;
+    visit_blocks(image, [&](int block) {
+      if (points_of[block].empty() || points_of[block].back() != point) {
+        points_of[block].push_back(point);
+      }
+    });
+  }
+  // A shared camera and its images' poses are coupled by each observation, of whatever point.
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int pose = layout.image_block(i), camera = layout.camera_block(problem.image_camera[i]);
+    if (pose >= 0 && camera >= 0) columns[std::min(pose, camera)].push_back(std::max(pose, camera));
+  }
+  std::vector<int> seen(num_blocks, -1);
+  for (int j = 0; j < num_blocks; ++j) {
+    for (const int block : columns[j]) seen[block] = j;
+    for (const int point : points_of[j]) {
+      for (int64_t k = begin[point]; k < begin[point + 1]; ++k) {
+        visit_blocks(image_of[k], [&](int block) {
+          if (block < j || seen[block] == j) return;
+          seen[block] = j;
+          columns[j].push_back(block);
+        });
+      }
+    }
+    std::sort(columns[j].begin(), columns[j].end());
+  }
+  return columns;
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,106 @@
+#pragma once
+
+/// The passes over a chunk of points, compiled once for each instruction set.
+
+#include <cstdint>
+
+#include "core/fused/eliminate/point_plan.h"
+#include "core/solve/options.h"
+
+namespace bundle::fused {
+
+/// The images of one camera model: what its Jacobians look like.
+struct ModelGroup {
+  int model = 0;       ///< index into CameraModels
+  int num_params = 0;  ///< of the model
+  /// Columns on the camera side that any image of the group refines, as in ParameterLayout.
+  int num_columns = 0;
+  int8_t columns[kPoseSize + kMaxCameraParams] = {};
+};
+
+/// What no pass changes.
+struct Terms {
+  const PointPlan* plan = nullptr;
+  const ModelGroup* groups = nullptr;
+  int num_groups = 0;
+  const uint8_t* image_group = nullptr;  ///< of each image
+  const uint8_t* image_refined = nullptr;
+  int num_columns =
+      0;             ///< of a Jacobian record: the largest group's, rounded up to a multiple of 4
+  int num_rows = 0;  ///< the largest group's
+  Cheirality cheirality = Cheirality::kZero;
+  LossType loss = LossType::kTrivial;
+  double loss_scale = 1;
+  int64_t longest_track = 0;
+};
+
+/// One state as the passes read it: a record an image (rotation 9, translation 3, left Jacobian 9,
+/// parameters from 24 on), and the points in the order of the plan.
+struct StateRecords {
+  static constexpr int kTranslation = 9, kLeftJacobian = 12, kParams = 24;
+  const double* images = nullptr;
+  int stride = 0;  ///< of `images`; a multiple of 4
+  const double* points = nullptr;
+};
+
+/// What a chunk adds to the normal equations, in units of its images and blocks.
+struct ChunkSum {
+  double* blocks = nullptr;  ///< num_blocks x num_rows x num_columns, rows of the first image
+  /// num_images x 4 x num_columns: J_c^T r, reduced right side, ||J e_j||^2, unused.
+  double* vectors = nullptr;
+  double* camera_diagonal = nullptr;  ///< num_images x num_rows x num_columns; nullptr: not wanted
+  double cost = 0;
+  double gradient_squared = 0;  ///< of the points
+  double gradient_max = 0;      ///< of the points
+};
+
+/// A step on the camera side, as the passes read it: a record an image: J_l dw (3), dt (3), 2
+/// unused, dparams from 8 on.
+struct StepRecords {
+  static constexpr int kTranslation = 3, kParams = 8;
+  const double* images = nullptr;
+  int stride = 0;
+};
+
+struct CandidateSum {
+  double model_cost_change = 0;
+  double cost = 0;
+  double step_squared = 0;   ///< of the points
+  double state_squared = 0;  ///< of the candidate's points
+};
+
+/// The products of the two directions over the points and all residuals.
+struct ProductSum {
+  double d_pp = 0, d_pq = 0, d_qq = 0, j_pp = 0, j_pq = 0, j_qq = 0, g_p = 0, g_q = 0;
+};
+
+/// Each pass but the last works in `memory`, which holds as many doubles as `memory_doubles` says.
+struct Kernels {
+  const char* name;
+
+  int64_t (*memory_doubles)(const Terms& terms);
+
+  /// Linearises and eliminates. `squared_scale` (3 a point) is filled if `first`, else read.
+  void (*eliminate)(const Terms& terms, const StateRecords& x, const Chunk& chunk, double damping,
+                    bool first, double* squared_scale, double* memory, ChunkSum* sum);
+
+  /// Back-substitutes the step of the cameras, writes the candidate's points, and evaluates both
+  /// the model and the candidate.
+  void (*try_newton)(const Terms& terms, const StateRecords& x, const Chunk& chunk, double damping,
+                     const double* squared_scale, const StepRecords& step,
+                     const StateRecords& candidate, double* candidate_points, double* memory,
+                     CandidateSum* sum);
+
+  /// Both directions of the points (3 a point each), out of those of the cameras, and products.
+  void (*products)(const Terms& terms, const StateRecords& x, const Chunk& chunk, double damping,
+                   const double* squared_scale, const StepRecords& p, const StepRecords& q,
+                   double* points_p, double* points_q, double* memory, ProductSum* sum);
+
+  /// The cost of the chunk at a state.
+  double (*cost)(const Terms& terms, const StateRecords& x, const Chunk& chunk);
+};
+
+/// Those for the best instruction set that this machine has.
+const Kernels& SelectKernels();
+
+}  // namespace bundle::fused

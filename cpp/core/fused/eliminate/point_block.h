@@ -1,0 +1,93 @@
+#pragma once
+
+/// The 3x3 block of a point, factorised for several points at once; kernels_impl.h says how to
+/// include this.
+///
+/// With V = sum of J_p^T J_p over the point's observations, g = sum of J_p^T r and the damping
+/// (least_squares.h) V' = V + damping D^2 = L L^T. What the passes need is L^-1, lower triangular,
+/// its columns c0, c1, c2, and h = L^-1 g: then
+///
+///   V'^-1 = L^-T L^-1,    y = L^-1 a for a row a^T of J_p,    V'^-1 g = L^-T h.
+
+#include "core/fused/eliminate/strip.h"
+
+namespace bundle::fused::BUNDLE_ISA {
+
+/// One point's numbers: what it sums up, then what is made of it.
+struct PointBlock {
+  /// Rows i of V, then entry i of g.
+  Quad sum[3];
+  double squared_scale[4];  ///< s_j^2; the last unused
+  /// Columns of L^-1, then h; last entries are zero.
+  Quad column[3];
+  Quad h;
+  double d_squared[4];  ///< D_j^2; the last unused
+
+  /// Adds one residual: `row` is (a, r).
+  void Add(const Quad& row) {
+    for (int i = 0; i < 3; ++i) sum[i] += row[i] * row;
+  }
+
+  /// y = L^-1 a, the last entry zero.
+  Quad Whiten(const Quad& row) const {
+    return column[0] * row[0] + column[1] * row[1] + column[2] * row[2];
+  }
+
+  double Gradient(int j) const { return sum[j][3]; }
+};
+
+/// L^-T y
+inline void SolveTransposed(const PointBlock& block, const Quad& y, double* out) {
+  for (int j = 0; j < 3; ++j) {
+    const Quad product = block.column[j] * y;
+    out[j] = product[0] + product[1] + product[2];
+  }
+}
+
+/// Fills in what is made of the sums of `count` points. With `first` their squared_scale as well.
+inline void Factorize(PointBlock* blocks, int count, double damping, bool first) {
+  constexpr double kMinDiagonal = 1e-6, kMaxDiagonal = 1e32;  // Ceres' defaults
+  for (int begin = 0; begin < count; begin += kLanes) {
+    double* records[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const int p = begin + lane < count ? begin + lane : count - 1;
+      records[lane] = reinterpret_cast<double*>(blocks + p);
+    }
+    Pack in[16];
+    GatherRecords(records, 16, in);
+    Pack scale[4] = {in[12], in[13], in[14], 0.0}, d_squared[4] = {0.0, 0.0, 0.0, 0.0}, v[3];
+    for (int j = 0; j < 3; ++j) {
+      const Pack squared_norm = in[5 * j];
+      if (first) {
+        const Pack s = 1 / (1 + Sqrt(squared_norm));
+        scale[j] = s * s;
+      }
+      const Pack scaled = scale[j] * squared_norm;
+      const Pack clamped = Select(scaled <= kMinDiagonal, kMinDiagonal,
+                                  Select(scaled >= kMaxDiagonal, kMaxDiagonal, scaled));
+      d_squared[j] = clamped / scale[j];
+      v[j] = squared_norm + damping * d_squared[j];
+    }
+    // L, with the inverses of its diagonal.
+    const Pack i0 = 1 / Sqrt(v[0]);
+    const Pack l10 = in[4] * i0, l20 = in[8] * i0;
+    const Pack i1 = 1 / Sqrt(v[1] - l10 * l10);
+    const Pack l21 = (in[9] - l20 * l10) * i1;
+    const Pack i2 = 1 / Sqrt(v[2] - l20 * l20 - l21 * l21);
+    const Pack zero = 0.0;
+    const Pack i10 = -(l10 * i0 * i1), i21 = -(l21 * i1 * i2);
+    const Pack i20 = -((l20 * i0 + l21 * i10) * i2);
+    const Pack h0 = i0 * in[3];
+    const Pack h1 = i10 * in[3] + i1 * in[7];
+    const Pack h2 = i20 * in[3] + i21 * in[7] + i2 * in[11];
+    const Pack* const out[6][4] = {{&scale[0], &scale[1], &scale[2], &scale[3]},
+                                   {&i0, &i10, &i20, &zero},
+                                   {&zero, &i1, &i21, &zero},
+                                   {&zero, &zero, &i2, &zero},
+                                   {&h0, &h1, &h2, &zero},
+                                   {&d_squared[0], &d_squared[1], &d_squared[2], &d_squared[3]}};
+    for (int k = 0; k < 6; ++k) ScatterRecords(out[k], records, 12 + 4 * k);
+  }
+}
+
+}  // namespace bundle::fused::BUNDLE_ISA

@@ -1,0 +1,284 @@
+#include "core/fused/eliminate/point_plan.h"
+
+#include <algorithm>
+#include <numeric>
+#include <unordered_map>
+
+namespace bundle::fused {
+namespace {
+
+constexpr int64_t kLargestChunk = 2048;    // observations: their share of a commit is small by then
+constexpr int64_t kSmallestChunk = 128;    // observations: below, a chunk costs more than its work
+constexpr int64_t kChunksWanted = 64;      // enough to spread evenly over threads
+constexpr int64_t kBufferBytes = 1 << 19;  // half of a common second-level cache
+constexpr int kMaxBlocks = 1 << 16;        // of a chunk: what its indices can tell apart
+
+class Planner {
+ public:
+  /// Of the observations with something to refine, or else of those without.
+  Planner(const ProblemView& problem, const ParameterLayout& layout, bool active)
+      : problem_(problem), layout_(layout), active_(active), refined_(problem.num_images) {
+    for (int i = 0; i < problem.num_images; ++i) {
+      refined_[i] = layout.image_block(i) >= 0 || layout.camera_block(problem.image_camera[i]) >= 0;
+    }
+  }
+
+  PointPlan Plan(int block_bytes) {
+    CountObservations();
+    SortPoints();
+    CopyObservations();
+    CutIntoChunks(block_bytes);
+    return std::move(plan_);
+  }
+
+ private:
+  bool IsWanted(int64_t i) const {
+    return active_ == (layout_.point_is_free(problem_.observation_point[i]) ||
+                       refined_[problem_.observation_image[i]] != 0);
+  }
+
+  /// by_point_: the wanted observations of each point in the order of the problem, found by
+  /// counting.
+  void CountObservations() {
+    begin_.assign(problem_.num_points + 1, 0);
+    for (int64_t i = 0; i < problem_.num_observations; ++i) {
+      if (IsWanted(i)) ++begin_[problem_.observation_point[i] + 1];
+    }
+    std::partial_sum(begin_.begin(), begin_.end(), begin_.begin());
+    by_point_.resize(begin_.back());
+    std::vector<int64_t> next(begin_.begin(), begin_.end() - 1);
+    for (int64_t i = 0; i < problem_.num_observations; ++i) {
+      if (IsWanted(i)) by_point_[next[problem_.observation_point[i]]++] = i;
+    }
+  }
+
+  /// Refined images in their order, then the others.
+  int64_t ImageRank(int64_t observation) const {
+    const int image = problem_.observation_image[observation];
+    return refined_[image] != 0 ? image : static_cast<int64_t>(image) + problem_.num_images;
+  }
+
+  void SortPoints() {
+    struct Key {
+      uint64_t images;  // the first three, 21 bits each
+      int point;
+    };
+    std::vector<Key> keys;
+    keys.reserve(problem_.num_points);
+    for (int p = 0; p < problem_.num_points; ++p) {
+      if (begin_[p] == begin_[p + 1]) continue;
+      std::stable_sort(by_point_.begin() + begin_[p], by_point_.begin() + begin_[p + 1],
+                       [&](int64_t a, int64_t b) { return ImageRank(a) < ImageRank(b); });
+      const bool fixed = !layout_.point_is_free(p);
+      uint64_t images = fixed ? 1 : 0;
+      for (int64_t k = 0; k < 3; ++k) {
+        const int64_t at = std::min(begin_[p] + k, begin_[p + 1] - 1);
+        images = images << 21 | (static_cast<uint64_t>(ImageRank(by_point_[at])) & 0x1fffff);
+      }
+      keys.push_back({images, p});
+      plan_.num_free_points += fixed ? 0 : 1;
+    }
+    std::sort(keys.begin(), keys.end(), [this](const Key& a, const Key& b) {
+      if (a.images != b.images) return a.images < b.images;
+      const int order = CompareFurtherImages(a.point, b.point);
+      return order != 0 ? order < 0 : a.point < b.point;
+    });
+    plan_.point.reserve(keys.size());
+    for (const Key& key : keys) plan_.point.push_back(key.point);
+  }
+
+  /// Lexicographically, from the fourth on.
+  int CompareFurtherImages(int a, int b) const {
+    int64_t i = begin_[a] + 3, j = begin_[b] + 3;
+    for (; i < begin_[a + 1] && j < begin_[b + 1]; ++i, ++j) {
+      const int64_t rank_i = ImageRank(by_point_[i]), rank_j = ImageRank(by_point_[j]);
+      if (rank_i != rank_j) return rank_i < rank_j ? -1 : 1;
+    }
+    return (i < begin_[a + 1] ? 1 : 0) - (j < begin_[b + 1] ? 1 : 0);
+  }
+
+  void CopyObservations() {
+    plan_.first.reserve(plan_.point.size() + 1);
+    plan_.image.reserve(by_point_.size());
+    plan_.xy.reserve(2 * by_point_.size());
+    for (const int p : plan_.point) {
+      plan_.first.push_back(plan_.num_observations());
+      for (int64_t k = begin_[p]; k < begin_[p + 1]; ++k) {
+        const int64_t i = by_point_[k];
+        plan_.image.push_back(problem_.observation_image[i]);
+        plan_.xy.push_back(problem_.observation_xy[2 * i]);
+        plan_.xy.push_back(problem_.observation_xy[2 * i + 1]);
+      }
+    }
+    plan_.first.push_back(plan_.num_observations());
+    std::vector<int64_t>().swap(by_point_);
+  }
+
+  int NumRefined(int point) const {
+    int count = 0;
+    for (int64_t k = plan_.first[point]; k < plan_.first[point + 1]; ++k) {
+      count += refined_[plan_.image[k]];
+    }
+    return count;
+  }
+
+  void CutIntoChunks(int block_bytes) {
+    const int64_t wanted =
+        std::clamp(plan_.num_observations() / kChunksWanted, kSmallestChunk, kLargestChunk);
+    const int64_t most_blocks = kBufferBytes / block_bytes;
+    plan_.image_in_chunk.resize(plan_.num_observations());
+    image_slot_.assign(problem_.num_images, -1);
+    last_chunk_.assign(problem_.num_images, -1);
+    for (int begin = 0; begin < plan_.num_points();) {
+      begin = HasTooManyBlocks(begin) ? AddRows(begin, most_blocks)
+                                      : AddChunk(begin, wanted, most_blocks);
+    }
+  }
+
+  bool HasTooManyBlocks(int point) const {
+    const int64_t refined = point < plan_.num_free_points ? NumRefined(point) : 0;
+    return refined * (refined + 1) / 2 >= kMaxBlocks / 2;
+  }
+
+  /// Adds a chunk of points from `begin` on and returns where it ended: at enough observations, or
+  /// where its blocks fill the buffer.
+  int AddChunk(int begin, int64_t wanted, int64_t most_blocks) {
+    pair_of_.clear();
+    Chunk chunk;
+    chunk.first_point = begin;
+    chunk.first_pair = static_cast<int64_t>(plan_.pair_block.size());
+    int p = begin;
+    for (; p < plan_.num_points(); ++p) {
+      const int64_t observations = plan_.first[p] - plan_.first[begin];
+      const bool full = chunk.num_blocks() > most_blocks && observations >= 4 * kSmallestChunk;
+      if (observations >= wanted || full || chunk.num_blocks() > kMaxBlocks / 2 ||
+          HasTooManyBlocks(p)) {
+        break;
+      }
+      AddPoint(p, 0, NumRefined(p), &chunk);
+    }
+    Finish(p, &chunk);
+    return p;
+  }
+
+  /// One point in several chunks.
+  int AddRows(int point, int64_t most_blocks) {
+    const int refined = NumRefined(point);
+    const auto rows = static_cast<int>(std::max<int64_t>(1, most_blocks / refined));
+    for (int row = 0; row < refined; row += rows) {
+      pair_of_.clear();
+      Chunk chunk;
+      chunk.first_point = point;
+      chunk.first_pair = static_cast<int64_t>(plan_.pair_block.size());
+      chunk.first_row = row;
+      chunk.last_row = std::min(row + rows, refined);
+      AddPoint(point, chunk.first_row, chunk.last_row, &chunk);
+      Finish(point + 1, &chunk);
+    }
+    return point + 1;
+  }
+
+  /// Images by the slot of their first appearance for now, pairs by a number that Finish replaces.
+  void AddPoint(int point, int first_row, int last_row, Chunk* chunk) {
+    const int64_t first = plan_.first[point];
+    for (int64_t k = first; k < plan_.first[point + 1]; ++k) {
+      int& slot = image_slot_[plan_.image[k]];
+      if (slot < 0) {
+        slot = static_cast<int>(chunk->images.size());
+        chunk->images.push_back(plan_.image[k]);
+      }
+      plan_.image_in_chunk[k] = static_cast<uint16_t>(slot);
+    }
+    if (point >= plan_.num_free_points) return;
+    const int refined = NumRefined(point);
+    for (int i = first_row; i < last_row; ++i) {
+      const uint16_t a = plan_.image_in_chunk[first + i];
+      for (int j = i + 1; j < refined; ++j) {
+        const uint16_t b = plan_.image_in_chunk[first + j];
+        if (a == b) {
+          plan_.pair_block.push_back(kDiagonal);
+          continue;
+        }
+        const auto [at, is_new] =
+            pair_of_.try_emplace(static_cast<uint32_t>(a) << 16 | b, chunk->pairs.size());
+        if (is_new) chunk->pairs.push_back({a, b});
+        plan_.pair_block.push_back(static_cast<uint16_t>(at->second));
+      }
+    }
+  }
+
+  /// Sorts images and pairs, so that a chunk is added to S forwards.
+  void Finish(int last_point, Chunk* chunk) {
+    chunk->last_point = last_point;
+    const std::vector<int> before = chunk->images;
+    std::sort(chunk->images.begin(), chunk->images.end());
+    std::vector<uint16_t> rank(before.size());
+    for (size_t s = 0; s < before.size(); ++s) {
+      const auto at = std::lower_bound(chunk->images.begin(), chunk->images.end(), before[s]);
+      rank[s] = static_cast<uint16_t>(at - chunk->images.begin());
+      image_slot_[before[s]] = -1;
+    }
+    for (int64_t k = plan_.first[chunk->first_point]; k < plan_.first[last_point]; ++k) {
+      plan_.image_in_chunk[k] = rank[plan_.image_in_chunk[k]];
+    }
+    std::vector<uint16_t> order(chunk->pairs.size());
+    std::iota(order.begin(), order.end(), uint16_t{0});
+    for (Chunk::Pair& pair : chunk->pairs) pair = {rank[pair.first], rank[pair.second]};
+    std::sort(order.begin(), order.end(), [&](uint16_t x, uint16_t y) {
+      const Chunk::Pair &a = chunk->pairs[x], &b = chunk->pairs[y];
+      return a.first != b.first ? a.first < b.first : a.second < b.second;
+    });
+    std::vector<Chunk::Pair> pairs(order.size());
+    std::vector<uint16_t> block(order.size());
+    for (size_t s = 0; s < order.size(); ++s) {
+      pairs[s] = chunk->pairs[order[s]];
+      block[order[s]] = static_cast<uint16_t>(chunk->images.size() + s);
+    }
+    chunk->pairs = std::move(pairs);
+    NumberPairs(*chunk, block);
+    for (const int image : chunk->images) {
+      chunk->previous_chunk.push_back(last_chunk_[image]);
+      last_chunk_[image] = static_cast<int>(plan_.chunks.size());
+    }
+    plan_.chunks.push_back(std::move(*chunk));
+  }
+
+  void NumberPairs(const Chunk& chunk, const std::vector<uint16_t>& block) {
+    int64_t next = chunk.first_pair;
+    for (int p = chunk.first_point; p < std::min(chunk.last_point, plan_.num_free_points); ++p) {
+      const int refined = NumRefined(p);
+      const int last_row = chunk.last_row > 0 ? chunk.last_row : refined;
+      for (int i = chunk.first_row; i < last_row; ++i) {
+        for (int j = i + 1; j < refined; ++j, ++next) {
+          uint16_t& number = plan_.pair_block[next];
+          number = number == kDiagonal ? plan_.image_in_chunk[plan_.first[p] + i] : block[number];
+        }
+      }
+    }
+  }
+
+  static constexpr uint16_t kDiagonal = 0xffff;  ///< an image that sees a point twice
+
+  const ProblemView& problem_;
+  const ParameterLayout& layout_;
+  const bool active_;
+  std::vector<uint8_t> refined_;  ///< of each image
+  std::vector<int64_t> begin_;
+  std::vector<int64_t> by_point_;
+  std::vector<int> image_slot_;  ///< in the chunk in the making; -1: not in it
+  std::vector<int> last_chunk_;  ///< in which an image occurred; -1: none
+  std::unordered_map<uint32_t, size_t> pair_of_;
+  PointPlan plan_;
+};
+
+}  // namespace
+
+PointPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout, int block_bytes) {
+  return Planner(problem, layout, true).Plan(block_bytes);
+}
+
+PointPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout) {
+  return Planner(problem, layout, false).Plan(1);
+}
+
+}  // namespace bundle::fused

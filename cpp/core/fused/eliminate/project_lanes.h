@@ -1,0 +1,120 @@
+#pragma once
+
+/// Camera models, several observations at once; kernels_impl.h says how to include this.
+///
+/// A perspective lens with a polynomial distortion has the same few operations for every point and
+/// goes through registers, by the formulae of its header. Other models branch by point or call the
+/// mathematical library: they are taken lane by lane through their CameraModel.
+
+#include <type_traits>
+
+#include "core/cameras/registry.h"
+#include "core/fused/eliminate/pack.h"
+#include "core/residuals/reprojection.h"
+
+namespace bundle::fused::BUNDLE_ISA {
+
+/// Residual (2) and, unless nullptr, its derivatives by the point in the camera (2x3) and the
+/// parameters (2 x number of them). Says which lanes count; outputs of the others are zero.
+using ProjectLanes = void (*)(const CameraModel& model, const Pack* params, const Pack* point,
+                              const Pack* measurement, Cheirality cheirality, Pack* residual,
+                              Pack* d_point, Pack* d_params);
+
+inline void ZeroUncounted(const Mask& counts, Pack* values, int size) {
+  for (int i = 0; i < size; ++i) values[i] = Select(counts, values[i], 0.0);
+}
+
+/// cameras/perspective.h, in lanes.
+struct PerspectiveLanes {
+  Pack u, v, inverse_z;
+  Mask counts;
+
+  PerspectiveLanes(const Pack* point, Cheirality cheirality) {
+    constexpr double kMinDepth = 2.220446049250313e-16;
+    counts = point[2] >= kMinDepth;
+    if (cheirality == Cheirality::kAlgebraic) counts = counts | (point[2] <= -kMinDepth);
+    inverse_z = 1 / Select(counts, point[2], 1.0);
+    u = point[0] * inverse_z;
+    v = point[1] * inverse_z;
+  }
+
+  void ChainRow(const Pack& d_u, const Pack& d_v, Pack* d_point_row) const {
+    d_point_row[0] = d_u * inverse_z;
+    d_point_row[1] = d_v * inverse_z;
+    d_point_row[2] = -(d_u * u + d_v * v) * inverse_z;
+  }
+};
+
+template <typename Model>
+void ProjectPerspective(const CameraModel&, const Pack* params, const Pack* point,
+                        const Pack* measurement, Cheirality cheirality, Pack* residual,
+                        Pack* d_point, Pack* d_params) {
+  using Distortion = typename Model::Distortion;
+  const PerspectiveLanes rays(point, cheirality);
+  Pack uv[2], d_uv[4], d_k[2 * Distortion::kNumParams + 1], xy[2];
+  const bool derive = d_point != nullptr;
+  Distortion::Distort(params + Model::kExtra, rays.u, rays.v, uv, derive ? d_uv : nullptr,
+                      derive ? d_k : nullptr);
+  Model::ToPixels(params, uv, xy);
+  for (int row = 0; row < 2; ++row) residual[row] = xy[row] - measurement[row];
+  if (derive) {
+    Model::ChainPoint(params, rays, d_uv, d_point);
+    Model::ChainParams(params, uv, d_k, d_params);
+  }
+  if (All(rays.counts)) return;
+  ZeroUncounted(rays.counts, residual, 2);
+  if (!derive) return;
+  ZeroUncounted(rays.counts, d_point, 6);
+  ZeroUncounted(rays.counts, d_params, 2 * Model::kNumLensParams);
+}
+
+inline void ProjectLaneByLane(const CameraModel& model, const Pack* params, const Pack* point,
+                              const Pack* measurement, Cheirality cheirality, Pack* residual,
+                              Pack* d_point, Pack* d_params) {
+  const int count = model.num_params;
+  for (int lane = 0; lane < kLanes; ++lane) {
+    double theta[kMaxCameraParams], p[3], xy[2], m[2], r[2] = {};
+    double by_point[6] = {}, by_params[2 * kMaxCameraParams] = {};
+    for (int i = 0; i < count; ++i) theta[i] = params[i].v[lane];
+    for (int i = 0; i < 3; ++i) p[i] = point[i].v[lane];
+    for (int i = 0; i < 2; ++i) m[i] = measurement[i].v[lane];
+    const bool derive = d_point != nullptr;
+    const Projection projection =
+        model.project(theta, p, xy, derive ? by_point : nullptr, derive ? by_params : nullptr);
+    const bool counts = projection == Projection::kValid ||
+                        (projection == Projection::kBehind && cheirality == Cheirality::kAlgebraic);
+    if (counts) model.difference(theta, xy, m, r);
+    for (int i = 0; i < 2; ++i) residual[i].v[lane] = r[i];
+    if (!derive) continue;
+    for (int i = 0; i < 6; ++i) d_point[i].v[lane] = counts ? by_point[i] : 0;
+    for (int i = 0; i < 2 * count; ++i) d_params[i].v[lane] = counts ? by_params[i] : 0;
+  }
+}
+
+template <typename Model, typename = void>
+struct IsPolynomialPerspective : std::false_type {};
+template <typename Model>
+struct IsPolynomialPerspective<Model, std::void_t<typename Model::Rays>>
+    : std::bool_constant<std::is_same_v<typename Model::Rays, Perspective> &&
+                         Model::Distortion::kIsPolynomial> {};
+
+template <typename Model>
+constexpr ProjectLanes ChooseProjectLanes() {
+  if constexpr (IsPolynomialPerspective<Model>::value) {
+    return &ProjectPerspective<Model>;
+  } else {
+    return &ProjectLaneByLane;
+  }
+}
+
+template <typename Models>
+struct ProjectTable;
+template <typename... Models>
+struct ProjectTable<std::tuple<Models...>> {
+  static constexpr ProjectLanes kOf[] = {ChooseProjectLanes<Models>()...};
+};
+
+/// Of each model in CameraModels.
+inline constexpr const ProjectLanes* kProjectLanes = ProjectTable<CameraModels>::kOf;
+
+}  // namespace bundle::fused::BUNDLE_ISA

@@ -1,0 +1,474 @@
+#include "core/fused/eliminate/schur_problem.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "core/cameras/registry.h"
+#include "core/fused/eliminate/assembler.h"
+#include "core/fused/eliminate/kernels.h"
+#include "core/fused/eliminate/point_plan.h"
+#include "core/fused/eliminate/state_records.h"
+#include "core/fused/thread_pool.h"
+#include "core/parallel_for.h"
+
+namespace bundle::fused {
+namespace {
+
+constexpr double kMinDiagonal = 1e-6, kMaxDiagonal = 1e32;  // Ceres' defaults
+
+struct Groups {
+  std::vector<ModelGroup> of;
+  std::vector<uint8_t> image_group;
+  std::vector<uint8_t> image_refined;
+  int num_rows = 1;  ///< the largest group's columns
+};
+
+uint32_t ColumnBits(const ParameterLayout& layout, int block) {
+  uint32_t bits = 0;
+  if (block < 0) return bits;
+  const CameraSideBlock& columns = layout.blocks()[block];
+  for (int k = 0; k < columns.size; ++k) bits |= 1u << columns.columns[k];
+  return bits;
+}
+
+/// A group for each camera model in use. Images of models that we do not know are in the first; no
+/// observation is in them.
+Groups GroupImages(const ProblemView& problem, const ParameterLayout& layout) {
+  Groups groups;
+  std::vector<int> group_of_model(kNumCameraModels, -1);
+  std::vector<uint32_t> bits;
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int camera = problem.image_camera[i];
+    const CameraModel* const model = problem.camera_models[camera];
+    const uint32_t columns =
+        ColumnBits(layout, layout.image_block(i)) | ColumnBits(layout, layout.camera_block(camera));
+    groups.image_refined.push_back(columns != 0 ? 1 : 0);
+    if (model == nullptr) {
+      groups.image_group.push_back(0);
+      continue;
+    }
+    int& group = group_of_model[model - AllCameraModels()];
+    if (group < 0) {
+      group = static_cast<int>(groups.of.size());
+      ModelGroup fresh;
+      fresh.model = static_cast<int>(model - AllCameraModels());
+      fresh.num_params = model->num_params;
+      groups.of.push_back(fresh);
+      bits.push_back(0);
+    }
+    bits[group] |= columns;
+    groups.image_group.push_back(static_cast<uint8_t>(group));
+  }
+  for (size_t g = 0; g < bits.size(); ++g) {
+    ModelGroup& group = groups.of[g];
+    for (int8_t j = 0; j < kPoseSize + kMaxCameraParams; ++j) {
+      if (bits[g] >> j & 1u) group.columns[group.num_columns++] = j;
+    }
+    groups.num_rows = std::max(groups.num_rows, group.num_columns);
+  }
+  return groups;
+}
+
+double Dot(const std::vector<double>& a, const std::vector<double>& b) {
+  double sum = 0;
+  for (size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
+  return sum;
+}
+
+}  // namespace
+
+class SchurProblem::Impl {
+ public:
+  Impl(const ProblemView& problem, const ParameterLayout& layout, const SolveOptions& options,
+       ReducedStructure structure, ReducedSolver* solver)
+      : problem_(problem),
+        layout_(layout),
+        structure_(std::move(structure)),
+        solver_(solver),
+        kernels_(SelectKernels()),
+        groups_(GroupImages(problem, layout)),
+        num_columns_((groups_.num_rows + 3) / 4 * 4),
+        plan_(PlanPoints(problem, layout, BlockSize() * static_cast<int>(sizeof(double)))),
+        terms_(MakeTerms(options, plan_)),
+        assembler_(problem, layout, groups_.of, groups_.image_group, structure_),
+        pool_(EffectiveNumThreads(options.num_threads)),
+        memory_(pool_.num_threads()),
+        states_{State(problem, layout, plan_), State(problem, layout, plan_)},
+        step_(problem, layout),
+        other_step_(problem, layout),
+        squared_scale_(x_->points.size()),
+        chunk_sums_(pool_.num_threads()),
+        last_added_(std::max(1, problem.num_images)) {
+    const auto n = static_cast<size_t>(structure_.num_columns());
+    scale_.resize(n);
+    d_squared_.resize(n);
+    newton_.resize(n);
+    state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
+    fixed_cost_ = FixedCost(options);
+  }
+
+  Linearization Linearize(double damping) {
+    damping_ = damping;
+    ClearSums();
+    const bool first = !scaled_;
+    Linearization result;
+    double gradient_squared = 0, gradient_max = 0;
+    std::vector<ChunkSum> parts(plan_.chunks.size());
+    ForChunks([&](int c, int thread) {
+      const Chunk& chunk = plan_.chunks[c];
+      ChunkSum& sum = PrepareSum(chunk, thread);
+      kernels_.eliminate(terms_, x_->records(), chunk, damping, first, squared_scale_.data(),
+                         Memory(thread), &sum);
+      AddInOrder(c, sum);
+      parts[c] = sum;
+    });
+    for (const ChunkSum& part : parts) {
+      result.cost += part.cost;
+      gradient_squared += part.gradient_squared;
+      if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
+    }
+    DampCameras(damping, first);
+    for (const double g : sums_.gradient) {
+      gradient_squared += g * g;
+      if (!(std::abs(g) <= gradient_max)) gradient_max = std::abs(g);
+    }
+    result.gradient_norm = std::sqrt(gradient_squared);
+    result.gradient_max_norm = gradient_max;
+    result.is_finite = std::isfinite(result.cost) && std::isfinite(result.gradient_norm);
+    scaled_ = true;
+    return result;
+  }
+
+  NewtonResult SolveNewton(double eta) {
+    const ReducedSolution solution = solver_->Solve(&sums_.system, scale_, eta, newton_.data());
+    NewtonResult result;
+    result.num_iterations = solution.num_iterations;
+    result.message = solution.message;
+    const bool finite = std::all_of(newton_.begin(), newton_.end(),
+                                    [](double value) { return std::isfinite(value); });
+    if (solution.status == ReducedSolution::Status::kFatal) {
+      result.status = NewtonResult::Status::kFatal;
+    } else if (solution.status == ReducedSolution::Status::kFailure || !finite) {
+      result.status = NewtonResult::Status::kFailure;
+    }
+    return result;
+  }
+
+  Candidate TryNewton() {
+    step_.Set(newton_, x_->cameras());
+    MoveCameras(newton_);
+    CandidateSum total;
+    std::vector<CandidateSum> parts(plan_.chunks.size());
+    ForChunks([&](int c, int thread) {
+      kernels_.try_newton(terms_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
+                          step_.records(), candidate_->records(), candidate_->points.data(),
+                          Memory(thread), &parts[c]);
+    });
+    for (const CandidateSum& part : parts) {
+      total.model_cost_change += part.model_cost_change;
+      total.cost += part.cost;
+      total.step_squared += part.step_squared;
+      total.state_squared += part.state_squared;
+    }
+    return Finish(newton_, total);
+  }
+
+  DirectionProducts Products() {
+    gradient_direction_.resize(newton_.size());
+    for (size_t j = 0; j < newton_.size(); ++j) {
+      gradient_direction_[j] = sums_.gradient[j] / d_squared_[j];
+    }
+    points_p_.resize(x_->points.size());
+    points_q_.resize(x_->points.size());
+    step_.Set(gradient_direction_, x_->cameras());
+    other_step_.Set(newton_, x_->cameras());
+    DirectionProducts total;
+    std::vector<ProductSum> parts(plan_.chunks.size());
+    ForChunks([&](int c, int thread) {
+      kernels_.products(terms_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
+                        step_.records(), other_step_.records(), points_p_.data(), points_q_.data(),
+                        Memory(thread), &parts[c]);
+    });
+    for (const ProductSum& part : parts) {
+      total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
+      total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
+      total.g_p += part.g_p, total.g_q += part.g_q;
+    }
+    for (size_t j = 0; j < newton_.size(); ++j) {
+      const double p = gradient_direction_[j], q = newton_[j];
+      total.d_pp += p * d_squared_[j] * p;
+      total.d_pq += p * d_squared_[j] * q;
+      total.d_qq += q * d_squared_[j] * q;
+      total.g_p += sums_.gradient[j] * p;
+      total.g_q += sums_.gradient[j] * q;
+    }
+    products_ = total;
+    return total;
+  }
+
+  Candidate TryCombination(double a, double b) {
+    std::vector<double> step(newton_.size());
+    for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
+    MoveCameras(step);
+    CandidateSum total;
+    std::vector<CandidateSum> parts(plan_.chunks.size());
+    ForChunks([&](int c, int) {
+      MovePoints(plan_.chunks[c], a, b, &parts[c]);
+      parts[c].cost = kernels_.cost(terms_, candidate_->records(), plan_.chunks[c]);
+    });
+    for (const CandidateSum& part : parts) {
+      total.cost += part.cost;
+      total.step_squared += part.step_squared;
+      total.state_squared += part.state_squared;
+    }
+    const DirectionProducts& d = products_;
+    total.model_cost_change =
+        -(a * d.g_p + b * d.g_q) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
+    return Finish(step, total);
+  }
+
+  void Accept() {
+    std::swap(x_, candidate_);
+    std::swap(state_norm_, candidate_norm_);
+  }
+
+  double state_norm() const { return state_norm_; }
+  int64_t num_observations() const { return plan_.num_observations(); }
+  double fixed_cost() const { return fixed_cost_; }
+  const char* instruction_set() const { return kernels_.name; }
+  const CameraStates& cameras() const { return x_->cameras(); }
+
+  std::vector<double> Points() const {
+    std::vector<double> points(problem_.points,
+                               problem_.points + 3 * static_cast<int64_t>(problem_.num_points));
+    for (int p = 0; p < plan_.num_free_points; ++p) {
+      std::copy_n(x_->points.data() + 3 * static_cast<int64_t>(p), 3,
+                  points.data() + 3 * static_cast<int64_t>(plan_.point[p]));
+    }
+    return points;
+  }
+
+ private:
+  struct ThreadSum {
+    std::vector<double> blocks, vectors, camera_diagonal;
+    ChunkSum sum;
+  };
+
+  int BlockSize() const { return groups_.num_rows * num_columns_; }
+
+  Terms MakeTerms(const SolveOptions& options, const PointPlan& plan) const {
+    Terms terms;
+    terms.plan = &plan;
+    terms.groups = groups_.of.data();
+    terms.num_groups = static_cast<int>(groups_.of.size());
+    terms.image_group = groups_.image_group.data();
+    terms.image_refined = groups_.image_refined.data();
+    terms.num_columns = num_columns_;
+    terms.num_rows = groups_.num_rows;
+    terms.cheirality = options.cheirality;
+    terms.loss = options.loss;
+    terms.loss_scale = options.loss_scale;
+    for (int p = 0; p < plan.num_points(); ++p) {
+      terms.longest_track = std::max(terms.longest_track, plan.first[p + 1] - plan.first[p]);
+    }
+    return terms;
+  }
+
+  /// Observations with nothing to refine, by the same kernels.
+  double FixedCost(const SolveOptions& options) const {
+    const PointPlan plan = PlanFixedPoints(problem_, layout_);
+    const Terms terms = MakeTerms(options, plan);
+    const State state(problem_, layout_, plan);
+    double cost = 0;
+    for (const Chunk& chunk : plan.chunks) cost += kernels_.cost(terms, state.records(), chunk);
+    return cost;
+  }
+
+  /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first.
+  template <typename Visit>
+  void ForChunks(const Visit& visit) {
+    const auto count = static_cast<int>(plan_.chunks.size());
+    std::atomic<int> next{0};
+    pool_.Run([&](int thread) {
+      for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) visit(c, thread);
+    });
+  }
+
+  /// Adds chunk c to S. Each block column is a queue of its own, in the order of the chunks: sums
+  /// do not depend on who comes first, and threads wait for each other at the same column only.
+  void AddInOrder(int c, const ChunkSum& sum) {
+    const Chunk& chunk = plan_.chunks[c];
+    const bool own_queue = assembler_.images_are_independent();
+    if (!own_queue) WaitFor(&last_added_[0], c - 1);
+    size_t pair = 0;
+    for (size_t i = 0; i < chunk.images.size(); ++i) {
+      const size_t first_pair = pair;
+      while (pair < chunk.pairs.size() && chunk.pairs[pair].first == i) ++pair;
+      std::atomic<int>& last_added = last_added_[chunk.images[i]];
+      if (own_queue) WaitFor(&last_added, chunk.previous_chunk[i]);
+      assembler_.AddImage(terms_, chunk, sum, i, first_pair, pair, &sums_);
+      if (own_queue) last_added.store(c, std::memory_order_release);
+    }
+    if (!own_queue) last_added_[0].store(c, std::memory_order_release);
+  }
+
+  static void WaitFor(const std::atomic<int>* value, int wanted) {
+    for (SpinWait wait; value->load(std::memory_order_acquire) != wanted;) wait.Once();
+  }
+
+  double* Memory(int thread) {
+    std::vector<double>& memory = memory_[thread];
+    if (memory.empty()) memory.resize(kernels_.memory_doubles(terms_));
+    return memory.data();
+  }
+
+  ChunkSum& PrepareSum(const Chunk& chunk, int thread) {
+    ThreadSum& buffers = chunk_sums_[thread];
+    const size_t images = chunk.images.size();
+    buffers.blocks.assign(static_cast<size_t>(chunk.num_blocks()) * BlockSize(), 0.0);
+    buffers.vectors.assign(images * 4 * num_columns_, 0.0);
+    buffers.sum = {};
+    buffers.sum.blocks = buffers.blocks.data();
+    buffers.sum.vectors = buffers.vectors.data();
+    if (solver_->NeedsCameraDiagonal()) {
+      buffers.camera_diagonal.assign(images * BlockSize(), 0.0);
+      buffers.sum.camera_diagonal = buffers.camera_diagonal.data();
+    }
+    return buffers.sum;
+  }
+
+  void ClearSums() {
+    const auto n = static_cast<size_t>(structure_.num_columns());
+    sums_.system.values.resize(structure_.num_values);
+    pool_.Run([&](int thread) {
+      double* const values = sums_.system.values.data();
+      const int64_t size = structure_.num_values, threads = pool_.num_threads();
+      std::fill(values + size * thread / threads, values + size * (thread + 1) / threads, 0.0);
+    });
+    for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
+    sums_.system.rhs.assign(n, 0.0);
+    sums_.gradient.assign(n, 0.0);
+    sums_.squared_norms.assign(n, 0.0);
+    if (solver_->NeedsCameraDiagonal()) {
+      sums_.system.camera_diagonal.assign(assembler_.diagonal_begin().back(), 0.0);
+    }
+  }
+
+  /// S += damping D^2, and the same for the block diagonal of the camera side.
+  void DampCameras(double damping, bool first) {
+    for (int b = 0; b < structure_.num_blocks(); ++b) {
+      const int size = structure_.block_size(b);
+      for (int k = 0; k < size; ++k) {
+        const int j = structure_.offset[b] + k;
+        const double squared_norm = sums_.squared_norms[j];
+        if (first) scale_[j] = 1 / (1 + std::sqrt(squared_norm));
+        const double squared_scale = scale_[j] * scale_[j];
+        d_squared_[j] =
+            std::clamp(squared_scale * squared_norm, kMinDiagonal, kMaxDiagonal) / squared_scale;
+        const double added = damping * d_squared_[j];
+        sums_.system.values[structure_.ValueIndex(b, structure_.column_begin[b], k, k)] += added;
+        if (sums_.system.camera_diagonal.empty()) continue;
+        double* const diagonal =
+            sums_.system.camera_diagonal.data() + assembler_.diagonal_begin()[b];
+        diagonal[k * size + k] += added;
+        for (int i = 0; i < k; ++i) diagonal[k * size + i] = diagonal[i * size + k];
+      }
+    }
+  }
+
+  void MoveCameras(const std::vector<double>& step) {
+    for (size_t j = 0; j < step.size(); ++j) {
+      candidate_->camera_side[j] = x_->camera_side[j] + step[j];
+    }
+    candidate_->Update();
+  }
+
+  void MovePoints(const Chunk& chunk, double a, double b, CandidateSum* sum) {
+    if (chunk.first_row > 0) return;
+    for (int64_t i = 3 * static_cast<int64_t>(chunk.first_point);
+         i < 3 * static_cast<int64_t>(chunk.last_point); ++i) {
+      const bool free = i < 3 * static_cast<int64_t>(plan_.num_free_points);
+      const double step = free ? a * points_p_[i] + b * points_q_[i] : 0;
+      candidate_->points[i] = x_->points[i] + step;
+      if (!free) continue;
+      sum->step_squared += step * step;
+      sum->state_squared += candidate_->points[i] * candidate_->points[i];
+    }
+  }
+
+  Candidate Finish(const std::vector<double>& step, const CandidateSum& sum) {
+    candidate_norm_ =
+        std::sqrt(Dot(candidate_->camera_side, candidate_->camera_side) + sum.state_squared);
+    Candidate result;
+    result.model_cost_change = sum.model_cost_change;
+    result.step_norm = std::sqrt(Dot(step, step) + sum.step_squared);
+    result.cost = sum.cost;
+    return result;
+  }
+
+  double FreePointsSquared() const {
+    double sum = 0;
+    for (int64_t i = 0; i < 3 * static_cast<int64_t>(plan_.num_free_points); ++i) {
+      sum += x_->points[i] * x_->points[i];
+    }
+    return sum;
+  }
+
+  const ProblemView& problem_;
+  const ParameterLayout& layout_;
+  const ReducedStructure structure_;
+  ReducedSolver* const solver_;
+  const Kernels& kernels_;
+  const Groups groups_;
+  const int num_columns_;  ///< of a Jacobian record
+  const PointPlan plan_;
+  const Terms terms_;
+  const Assembler assembler_;
+  ThreadPool pool_;
+  std::vector<std::vector<double>> memory_;  ///< of each thread
+  State states_[2];
+  State* x_ = &states_[0];
+  State* candidate_ = &states_[1];
+  Step step_;
+  Step other_step_;
+  std::vector<double> squared_scale_;  ///< of each point's columns
+  std::vector<ThreadSum> chunk_sums_;
+  std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
+  CameraSums sums_;
+  std::vector<double> scale_;      ///< Jacobi scaling of the camera side's columns
+  std::vector<double> d_squared_;  ///< D^2 of the camera side
+  std::vector<double> newton_;     ///< camera side of the Newton direction
+  std::vector<double> gradient_direction_;
+  std::vector<double> points_p_, points_q_;
+  DirectionProducts products_;
+  double damping_ = 0;
+  double state_norm_ = 0;
+  double candidate_norm_ = 0;
+  double fixed_cost_ = 0;
+  bool scaled_ = false;
+};
+
+SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
+                           const SolveOptions& options, ReducedStructure structure,
+                           ReducedSolver* solver)
+    : impl_(std::make_unique<Impl>(problem, layout, options, std::move(structure), solver)) {}
+
+SchurProblem::~SchurProblem() = default;
+
+Linearization SchurProblem::Linearize(double damping) { return impl_->Linearize(damping); }
+NewtonResult SchurProblem::SolveNewton(double eta) { return impl_->SolveNewton(eta); }
+Candidate SchurProblem::TryNewton() { return impl_->TryNewton(); }
+DirectionProducts SchurProblem::Products() { return impl_->Products(); }
+Candidate SchurProblem::TryCombination(double a, double b) { return impl_->TryCombination(a, b); }
+void SchurProblem::Accept() { impl_->Accept(); }
+double SchurProblem::StateNorm() const { return impl_->state_norm(); }
+int64_t SchurProblem::num_active_observations() const { return impl_->num_observations(); }
+double SchurProblem::fixed_cost() const { return impl_->fixed_cost(); }
+const char* SchurProblem::instruction_set() const { return impl_->instruction_set(); }
+const CameraStates& SchurProblem::cameras() const { return impl_->cameras(); }
+std::vector<double> SchurProblem::Points() const { return impl_->Points(); }
+
+}  // namespace bundle::fused

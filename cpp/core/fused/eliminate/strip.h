@@ -1,0 +1,186 @@
+#pragma once
+
+/// A strip: as many consecutive points as fit the first-level cache; kernels_impl.h says how to
+/// include this.
+///
+/// The passes go through a chunk strip by strip. Within one, work that is the same for every
+/// observation runs kLanes observations at a time, all of one camera model, each lane reading the
+/// records of its image, point and measurement; work within a point then reads what that left, a
+/// record an observation, in order.
+
+#include "core/fused/eliminate/kernels.h"
+#include "core/fused/eliminate/loss_lanes.h"
+#include "core/fused/eliminate/project_lanes.h"
+
+namespace bundle::fused::BUNDLE_ISA {
+
+inline constexpr int kStripPoints = 32;
+inline constexpr int kStripObservations = 64;  // reached by its last point
+
+/// Points [first, last) of the plan with observations [begin, end).
+struct Strip {
+  int first, last;
+  int64_t begin, end;
+
+  Strip(const PointPlan& plan, int first_point, int last_point)
+      : first(first_point), last(first_point), begin(plan.first.data()[first_point]) {
+    const int64_t* const at = plan.first.data();
+    do {
+      end = at[++last];
+    } while (last < last_point && last - first < kStripPoints && end - begin < kStripObservations);
+  }
+
+  int num_points() const { return last - first; }
+};
+
+/// Some observations of one group; lanes from `count` on repeat the last.
+struct Batch {
+  const ModelGroup* group;
+  int64_t observation[kLanes];
+  int point[kLanes];
+  int count;
+
+  void Add(int64_t i, int p) {
+    observation[count] = i;
+    point[count] = p;
+    ++count;
+  }
+
+  void Fill() {
+    for (int lane = count; lane < kLanes; ++lane) {
+      observation[lane] = observation[count - 1];
+      point[lane] = point[count - 1];
+    }
+  }
+};
+
+/// Calls visit(batch) until every observation of the strip was in one.
+template <typename Visit>
+inline void VisitBatches(const Terms& terms, const Strip& strip, const Visit& visit) {
+  const int64_t* const first = terms.plan->first.data();
+  const int32_t* const image = terms.plan->image.data();
+  for (int g = 0; g < terms.num_groups; ++g) {
+    Batch batch;
+    batch.group = terms.groups + g;
+    batch.count = 0;
+    for (int p = strip.first; p < strip.last; ++p) {
+      for (int64_t i = first[p]; i < first[p + 1]; ++i) {
+        if (terms.num_groups > 1 && terms.image_group[image[i]] != g) continue;
+        batch.Add(i, p);
+        if (batch.count < kLanes) continue;
+        visit(batch);
+        batch.count = 0;
+      }
+    }
+    if (batch.count == 0) continue;
+    batch.Fill();
+    visit(batch);
+  }
+}
+
+/// What the lanes of a batch read of a state.
+struct LaneState {
+  Pack pose[24];  ///< rotation, translation, left Jacobian and padding, as in StateRecords
+  Pack params[kMaxCameraParams];
+  Pack point[3];
+  Pack rotated[3];       ///< R X
+  Pack camera_point[3];  ///< R X + t
+
+  /// Without the left Jacobian unless `for_derivatives`.
+  LaneState(const Terms& terms, const StateRecords& x, const Batch& batch, bool for_derivatives) {
+    const int32_t* const image = terms.plan->image.data();
+    const double* records[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      records[lane] = x.images + static_cast<int64_t>(image[batch.observation[lane]]) * x.stride;
+      const double* at = x.points + 3 * static_cast<int64_t>(batch.point[lane]);
+      for (int i = 0; i < 3; ++i) point[i].v[lane] = at[i];
+    }
+    GatherRecords(records, for_derivatives ? 24 : 12, pose);
+    for (int lane = 0; lane < kLanes; ++lane) records[lane] += StateRecords::kParams;
+    GatherRecords(records, (batch.group->num_params + 3) / 4 * 4, params);
+    for (int i = 0; i < 3; ++i) {
+      rotated[i] = pose[3 * i] * point[0] + pose[3 * i + 1] * point[1] + pose[3 * i + 2] * point[2];
+      camera_point[i] = rotated[i] + pose[StateRecords::kTranslation + i];
+    }
+  }
+};
+
+/// Residuals of a batch and how they change, corrected for the loss.
+struct LaneResiduals {
+  Pack r[2];
+  Pack rho;
+  Pack d_camera_point[2 * 3];
+  Pack d_params[2 * kMaxCameraParams];
+
+  LaneResiduals(const Terms& terms, const LaneState& state, const Batch& batch, bool derive) {
+    const double* const xy = terms.plan->xy.data();
+    Pack measurement[2];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      for (int i = 0; i < 2; ++i) measurement[i].v[lane] = xy[2 * batch.observation[lane] + i];
+    }
+    const int model = batch.group->model;
+    kProjectLanes[model](AllCameraModels()[model], state.params, state.camera_point, measurement,
+                         terms.cheirality, r, derive ? d_camera_point : nullptr,
+                         derive ? d_params : nullptr);
+    const LossLanes loss = EvaluateLoss(terms.loss, terms.loss_scale, r[0] * r[0] + r[1] * r[1]);
+    rho = loss.rho;
+    if (!derive || terms.loss == LossType::kTrivial) return;
+    for (Pack& value : r) value *= loss.weight;
+    for (Pack& value : d_camera_point) value *= loss.weight;
+    for (int i = 0; i < 2 * batch.group->num_params; ++i) d_params[i] *= loss.weight;
+  }
+
+  /// Row of the derivative by the world point: a^T R.
+  void ChainPoint(const LaneState& state, int row, Pack* d_point) const {
+    const Pack* a = d_camera_point + 3 * row;
+    for (int j = 0; j < 3; ++j) {
+      d_point[j] = a[0] * state.pose[j] + a[1] * state.pose[3 + j] + a[2] * state.pose[6 + j];
+    }
+  }
+
+  /// Row of the derivative by the pose's chart: (q x a)^T J_l, a^T (residuals/reprojection.h).
+  void ChainPose(const LaneState& state, int row, Pack* d_pose) const {
+    const Pack* a = d_camera_point + 3 * row;
+    const Pack* q = state.rotated;
+    const Pack* left = state.pose + StateRecords::kLeftJacobian;
+    const Pack torque[3] = {q[1] * a[2] - q[2] * a[1], q[2] * a[0] - q[0] * a[2],
+                            q[0] * a[1] - q[1] * a[0]};
+    for (int j = 0; j < 3; ++j) {
+      d_pose[j] = torque[0] * left[j] + torque[1] * left[3 + j] + torque[2] * left[6 + j];
+      d_pose[3 + j] = a[j];
+    }
+  }
+
+  /// J_c d for the steps d of the lanes' images: with v = (J_l dw) x q + dt, a^T v + (dr/dtheta)
+  /// dtheta.
+  void Along(const Terms& terms, const StepRecords& step, const Batch& batch,
+             const LaneState& state, Pack* out) const {
+    const int32_t* const image = terms.plan->image.data();
+    const int num_params = batch.group->num_params;
+    const double* records[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      records[lane] =
+          step.images + static_cast<int64_t>(image[batch.observation[lane]]) * step.stride;
+    }
+    Pack d[StepRecords::kParams + kMaxCameraParams];
+    GatherRecords(records, StepRecords::kParams + (num_params + 3) / 4 * 4, d);
+    const Pack *w = d, *t = d + StepRecords::kTranslation, *q = state.rotated;
+    const Pack v[3] = {w[1] * q[2] - w[2] * q[1] + t[0], w[2] * q[0] - w[0] * q[2] + t[1],
+                       w[0] * q[1] - w[1] * q[0] + t[2]};
+    for (int row = 0; row < 2; ++row) {
+      const Pack* a = d_camera_point + 3 * row;
+      out[row] = a[0] * v[0] + a[1] * v[1] + a[2] * v[2];
+      for (int k = 0; k < num_params; ++k) {
+        out[row] += d_params[row * num_params + k] * d[StepRecords::kParams + k];
+      }
+    }
+  }
+};
+
+inline double Sum(const Pack& pack, int count) {
+  double sum = 0;
+  for (int lane = 0; lane < count; ++lane) sum += pack.v[lane];
+  return sum;
+}
+
+}  // namespace bundle::fused::BUNDLE_ISA

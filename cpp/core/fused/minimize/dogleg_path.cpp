@@ -1,0 +1,141 @@
+#include "core/fused/minimize/dogleg_path.h"
+
+/// Both doglegs in two dimensions. Every step is d = a p + b q, so that its length and what the
+/// model m(d) = (J^T r)^T d + 1/2 d^T J^T J d makes of it need the inner products of p and q only.
+/// Write <u, v> = u^T D^2 v and [u, v] = u^T J^T J v:
+///
+///   ||D d||^2 = a^2 <p,p> + 2 a b <p,q> + b^2 <q,q>,
+///   m(d)      = a <p,p> + b <p,q> + 1/2 (a^2 [p,p] + 2 a b [p,q] + b^2 [q,q]),
+///
+/// the linear term because p = D^-2 J^T r makes (J^T r)^T d = <p, d>. Ceres keeps D p and D q as
+/// vectors, its gradient_ and gauss_newton_step_.
+///
+/// Newton step. If <q,q> <= R^2 it is inside the radius and taken whole, by both.
+///
+/// Cauchy point. Along -p the model is -t <p,p> + 1/2 t^2 [p,p], with its minimum at
+/// t = alpha = <p,p> / [p,p].
+///
+/// Traditional dogleg. If the Cauchy point is outside, alpha^2 <p,p> >= R^2, the step is
+/// -(R / sqrt <p,p>) p. Otherwise it is c + beta (q - c), c = -alpha p, on the sphere:
+///
+///   beta^2 <q-c,q-c> + 2 beta <c,q-c> + <c,c> - R^2 = 0,
+///
+/// whose positive root is written such that nothing cancels, whatever the sign of <c,q-c>.
+///
+/// Subspace dogleg. In the orthonormal basis (of D-lengths)
+///
+///   u = p / P,  v = (q - t p) / Q,   P^2 = <p,p>,  t = <p,q> / <p,p>,  Q^2 = <q,q> - t <p,q>,
+///
+/// a step x u + y v has length x^2 + y^2, the gradient is (P, 0) and the curvature
+///
+///   A = [p,p] / P^2,  B = ([p,q] - t [p,p]) / (P Q),
+///   C = ([q,q] - 2 t [p,q] + t^2 [p,p]) / Q^2.
+///
+/// With q outside, the minimum is on the sphere and satisfies, for a multiplier z > 0,
+///
+///   (A + z) x + B y = -P,  B x + (C + z) y = 0,   or   (x, y) = -P (C + z, -B) / det,
+///   det = (A + z) (C + z) - B^2,                       x^2 + y^2 = R^2.
+///
+/// Ceres multiplies the last equation out, to a quartic polynomial in z, and tries all four roots.
+/// The curvature being positive semidefinite, there is but one z > 0, and it is the minimum's.
+/// Write w = (C + z, -B), so that the length is n = P ||w|| / det. 1/n is concave and increasing in
+/// z (J. J. More, D. C. Sorensen: Computing a Trust Region Step, 1983): Newton's method for 1/n =
+/// 1/R, started left of the solution, converges to it from the left. Its step is
+///
+///   z += (n - R) / R * (x, y)^2 / ((x, y) M^-1 (x, y)),     M = [[A + z, B], [B, C + z]],
+///      = (P ||w|| / R - det) ||w||^2 / (w^T adj(M) w),
+///
+/// the determinant multiplied out: M may be singular at z = 0. Left of the solution lies
+/// max(0, P / R - e), e the larger eigenvalue of the curvature, since n >= P / (e + z).
+///
+/// The products know the sine of the angle between p and q to half of the digits only. Below that
+/// they count as parallel and the step goes along -p: the angle between -p and (x, y), whose
+/// tangent is B / (C + z), only falls from the Newton step to z, so that the error is below half of
+/// the digits as well.
+
+#include <algorithm>
+#include <cmath>
+
+namespace bundle::fused {
+namespace {
+
+constexpr double kParallel = 1e-14;  // sine squared
+constexpr int kMaxSteps = 50;        // of Newton's method; it takes about five
+
+bool NewtonIsInside(const DirectionProducts& products, double radius) {
+  return std::sqrt(products.d_qq) <= radius;
+}
+
+Combination WholeNewtonStep(const DirectionProducts& products) {
+  return {0, 1, std::sqrt(products.d_qq)};
+}
+
+Combination AlongGradient(const DirectionProducts& products, double radius) {
+  return {-radius / std::sqrt(products.d_pp), 0, radius};
+}
+
+/// The model over steps x u + y v: gradient (slope, 0), curvature [[a, b], [b, c]].
+struct PlaneModel {
+  double slope, a, b, c;
+};
+
+struct PlaneStep {
+  double x, y;
+};
+
+/// The minimum of the model at distance `radius`.
+PlaneStep MinimumOnCircle(const PlaneModel& model, double radius) {
+  const double largest_curvature =
+      (model.a + model.c) / 2 + std::hypot((model.a - model.c) / 2, model.b);
+  double z = std::max(0.0, model.slope / radius - largest_curvature);
+  double x = 1, y = 0;
+  for (int k = 0; k < kMaxSteps; ++k) {
+    const double a = model.a + z, c = model.c + z;
+    x = c;
+    y = -model.b;
+    const double squared = x * x + y * y;
+    const double curvature = c * x * x - 2 * model.b * x * y + a * y * y;
+    const double change =
+        (model.slope * std::sqrt(squared) / radius - (a * c - model.b * model.b)) * squared /
+        curvature;
+    if (!(z + change > z)) break;
+    z += change;
+  }
+  const double scale = -radius / std::hypot(x, y);
+  return {scale * x, scale * y};
+}
+
+}  // namespace
+
+Combination TraditionalDogleg(const DirectionProducts& products, double radius) {
+  if (NewtonIsInside(products, radius)) return WholeNewtonStep(products);
+  const double alpha = products.d_pp / products.j_pp;
+  const double cauchy = alpha * alpha * products.d_pp;
+  if (cauchy >= radius * radius) return AlongGradient(products, radius);
+  const double cross = -alpha * products.d_pq;
+  const double along = cross - cauchy;
+  const double leg = cauchy - 2 * cross + products.d_qq;
+  const double left = radius * radius - cauchy;
+  const double root = std::sqrt(along * along + leg * left);
+  const double beta = along <= 0 ? (root - along) / leg : left / (root + along);
+  return {-alpha * (1 - beta), beta, radius};
+}
+
+Combination SubspaceDogleg(const DirectionProducts& products, double radius) {
+  if (NewtonIsInside(products, radius)) return WholeNewtonStep(products);
+  const double t = products.d_pq / products.d_pp;
+  const double q_squared = products.d_qq - t * products.d_pq;
+  if (!(q_squared > kParallel * products.d_qq)) return AlongGradient(products, radius);
+  const double p_length = std::sqrt(products.d_pp), q_length = std::sqrt(q_squared);
+  PlaneModel model;
+  model.slope = p_length;
+  model.a = products.j_pp / products.d_pp;
+  model.b = (products.j_pq - t * products.j_pp) / (p_length * q_length);
+  model.c = (products.j_qq - 2 * t * products.j_pq + t * t * products.j_pp) / q_squared;
+  model.c = std::max(model.c, model.b * model.b / model.a);  // semidefinite but for rounding
+  const PlaneStep best = MinimumOnCircle(model, radius);
+  const double q = best.y / q_length;
+  return {best.x / p_length - t * q, q, radius};
+}
+
+}  // namespace bundle::fused

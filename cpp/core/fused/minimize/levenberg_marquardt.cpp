@@ -1,0 +1,46 @@
+#include "core/fused/minimize/levenberg_marquardt.h"
+
+/// Levenberg-Marquardt: the step is q with damping 1 / R, R being called the radius though nothing
+/// keeps D q within it. An accepted step of quality t (actual decrease over predicted decrease)
+/// makes
+///
+///   R = R / max(1/3, 1 - (2 t - 1)^3),
+///
+/// three times R where the model was right, R where it promised twice too much, half of it
+/// where hardly anything came of it. Rejected and invalid steps divide R by 2, 4, 8, ... until one
+/// is accepted. (K. Madsen, H. B. Nielsen, O. Tingleff: Methods for Non-Linear Least Squares
+/// Problems, 2004, with Ceres' inverted damping.)
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace bundle::fused {
+namespace {
+
+constexpr double kMaxRadius = 1e16;
+constexpr double kForcingTerm = 0.1;  // Ceres' eta
+
+}  // namespace
+
+Step LevenbergMarquardt::ComputeStep(LeastSquares* problem) {
+  if (damping_has_changed_) problem->Linearize(Damping());
+  damping_has_changed_ = false;
+  NewtonResult newton = problem->SolveNewton(kForcingTerm);
+  Step step{newton.status, newton.num_iterations, std::move(newton.message), {}};
+  if (step.status == NewtonResult::Status::kSuccess) step.candidate = problem->TryNewton();
+  return step;
+}
+
+void LevenbergMarquardt::StepAccepted(double quality) {
+  radius_ = std::min(kMaxRadius, radius_ / std::max(1.0 / 3, 1 - std::pow(2 * quality - 1, 3)));
+  decrease_factor_ = 2;
+}
+
+void LevenbergMarquardt::StepRejected() {
+  radius_ /= decrease_factor_;
+  decrease_factor_ *= 2;
+  damping_has_changed_ = true;
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,45 @@
+#pragma once
+
+/// How a trust region finds a step for its radius, and a radius after the step.
+
+#include <memory>
+#include <string>
+
+#include "core/fused/minimize/least_squares.h"
+#include "core/solve/options.h"
+
+namespace bundle::fused {
+
+struct Step {
+  NewtonResult::Status status = NewtonResult::Status::kSuccess;
+  int num_iterations = 0;  ///< of the linear solver; 0 where it had nothing to do
+  std::string message;
+  Candidate candidate;  ///< where `status` is kSuccess
+};
+
+class Strategy {
+ public:
+  virtual ~Strategy() = default;
+
+  /// What the problem is to be linearised with at a new x.
+  virtual double Damping() const = 0;
+
+  /// Finds a step at x, where the problem has been linearised with Damping(), and tries it. Does so
+  /// again with another damping where that is needed after a step that did not succeed.
+  virtual Step ComputeStep(LeastSquares* problem) = 0;
+
+  /// One of these follows each ComputeStep. `quality`: actual decrease over predicted decrease.
+  virtual void StepAccepted(double quality) = 0;
+  virtual void StepRejected() = 0;
+  /// There was no step, or one that promised nothing.
+  virtual void StepIsInvalid() = 0;
+
+  virtual double Radius() const = 0;
+
+ protected:
+  static constexpr double kInitialRadius = 1e4;
+};
+
+std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type);
+
+}  // namespace bundle::fused

@@ -1,0 +1,64 @@
+#include "core/fused/reduced/reduced_system.h"
+
+#include <cstddef>
+#include <numeric>
+
+namespace bundle::fused {
+namespace {
+
+std::vector<int> Offsets(const std::vector<int>& block_sizes) {
+  std::vector<int> offset(block_sizes.size() + 1, 0);
+  std::partial_sum(block_sizes.begin(), block_sizes.end(), offset.begin() + 1);
+  return offset;
+}
+
+}  // namespace
+
+ReducedStructure DenseStructure(const std::vector<int>& block_sizes) {
+  ReducedStructure structure;
+  structure.dense = true;
+  structure.offset = Offsets(block_sizes);
+  const auto num_blocks = static_cast<int64_t>(block_sizes.size());
+  const int64_t n = structure.num_columns();
+  structure.num_values = n * n;
+  structure.panel_stride.assign(num_blocks, static_cast<int>(n));
+  structure.row_block.reserve(num_blocks * (num_blocks + 1) / 2);
+  structure.row_in_panel.reserve(num_blocks * (num_blocks + 1) / 2);
+  structure.column_begin.push_back(0);
+  for (int j = 0; j < num_blocks; ++j) {
+    const int64_t first = structure.offset[j];
+    structure.panel_begin.push_back(first * n + first);
+    for (int i = j; i < num_blocks; ++i) {
+      structure.row_block.push_back(i);
+      structure.row_in_panel.push_back(structure.offset[i] - structure.offset[j]);
+    }
+    structure.column_begin.push_back(static_cast<int64_t>(structure.row_block.size()));
+  }
+  return structure;
+}
+
+ReducedStructure SparseStructure(const std::vector<int>& block_sizes,
+                                 const std::vector<std::vector<int>>& columns) {
+  ReducedStructure structure;
+  structure.offset = Offsets(block_sizes);
+  size_t num_entries = 0;
+  for (const std::vector<int>& rows : columns) num_entries += rows.size();
+  structure.row_block.reserve(num_entries);
+  structure.row_in_panel.reserve(num_entries);
+  structure.column_begin.push_back(0);
+  for (size_t j = 0; j < columns.size(); ++j) {
+    int height = 0;
+    for (const int i : columns[j]) {
+      structure.row_block.push_back(i);
+      structure.row_in_panel.push_back(height);
+      height += block_sizes[i];
+    }
+    structure.column_begin.push_back(static_cast<int64_t>(structure.row_block.size()));
+    structure.panel_begin.push_back(structure.num_values);
+    structure.panel_stride.push_back(height);
+    structure.num_values += static_cast<int64_t>(height) * block_sizes[j];
+  }
+  return structure;
+}
+
+}  // namespace bundle::fused

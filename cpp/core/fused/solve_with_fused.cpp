@@ -1,0 +1,155 @@
+#include "core/fused/solve_with_fused.h"
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/fused/eliminate/schur_problem.h"
+#include "core/fused/minimize/trust_region.h"
+#include "core/fused/reduced/reduced_cost.h"
+#include "core/fused/reduced/reduced_solver.h"
+#include "core/fused/reduced/reduced_system.h"
+#include "core/fused/summarize.h"
+#include "core/parallel_for.h"
+#include "core/solve/finish.h"
+#include "core/solve/memory.h"
+#include "core/solve/parameter_layout.h"
+#include "core/solve/problem_shape.h"
+#include "core/solve/solver_checks.h"
+#include "core/stopwatch.h"
+
+namespace bundle::fused {
+namespace {
+
+/// One solve, in the order of its methods.
+class FusedSolve {
+ public:
+  FusedSolve(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared)
+      : problem_(problem),
+        options_(options),
+        warnings_(std::move(prepared.warnings)),
+        layout_(std::move(prepared.layout)) {}
+
+  SolveOutput Run(const ProgressCallback& progress) {
+    const Stopwatch total;
+    ChooseSolver();
+    BuildProblem();
+    times_.preprocessor = total.seconds();
+
+    const Stopwatch minimizer;
+    Minimum minimum = Minimize(options_, AddFixedCost(progress), schur_.get());
+    times_.minimizer = minimizer.seconds();
+
+    const Stopwatch postprocessor;
+    SolveOutput output;
+    CollectState(&output);
+    times_.postprocessor = postprocessor.seconds();
+    times_.total = total.seconds();
+    output.solve_time_in_seconds = times_.total;
+
+    output.summary = Summarize(options_, layout_, *schur_, minimum, times_);
+    output.summary.linear_solver_choice = std::move(linear_solver_choice_);
+    output.iterations = std::move(minimum.iterations);
+    for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
+    FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings_), &output);
+    return output;
+  }
+
+ private:
+  void ChooseSolver() {
+    const ProblemShape shape = ShapeOf(layout_, 2 * problem_.num_observations);
+    if (options_.linear_solver_type == LinearSolverType::kAuto) ChooseBySize(shape);
+    CheckTrustRegion(options_);
+    std::string idle = FindIdlePreconditioner(options_);
+    if (!idle.empty()) warnings_.push_back(std::move(idle));
+    RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
+    if (options_.preconditioner_type == PreconditionerType::kAuto) {
+      options_.preconditioner_type = PreconditionerType::kSchurJacobi;
+    }
+    options_.num_threads = EffectiveNumThreads(options_.num_threads);
+  }
+
+  /// Below a few hundred columns even the structure costs more than a dense factorisation.
+  void ChooseBySize(const ProblemShape& shape) {
+    constexpr int64_t kColumnsWorthALook = 300;
+    ReducedChoice choice;
+    if (shape.num_camera_columns < kColumnsWorthALook) {
+      choice.reason = "The reduced camera system (" + std::to_string(shape.num_camera_columns) +
+                      " columns) is small: its dense factorisation costs less than a millisecond.";
+    } else {
+      structure_ = MakeSparseStructure();
+      choice = ChooseReducedSolver(structure_, options_.num_threads, AvailableMemoryBytes());
+    }
+    options_.linear_solver_type = choice.type;
+    linear_solver_choice_ = std::move(choice.reason);
+  }
+
+  std::vector<int> BlockSizes() const {
+    std::vector<int> sizes;
+    for (const CameraSideBlock& block : layout_.blocks()) sizes.push_back(block.size);
+    return sizes;
+  }
+
+  ReducedStructure MakeSparseStructure() const {
+    return SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_));
+  }
+
+  void BuildProblem() {
+    ReducedStructure structure = std::move(structure_);
+    if (options_.linear_solver_type == LinearSolverType::kDenseSchur) {
+      structure = DenseStructure(BlockSizes());
+    } else if (structure.offset.empty()) {
+      structure = MakeSparseStructure();
+    }
+    solver_ = MakeSolver(structure);
+    schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure),
+                                            solver_.get());
+  }
+
+  std::unique_ptr<ReducedSolver> MakeSolver(const ReducedStructure& structure) const {
+    switch (options_.linear_solver_type) {
+      case LinearSolverType::kDenseSchur:
+        return MakeDenseSolver(structure, options_.num_threads);
+      case LinearSolverType::kSparseSchur:
+        return MakeSparseSolver(structure, options_.num_threads);
+      default:
+        return MakeIterativeSolver(structure, options_.preconditioner_type, options_.num_threads);
+    }
+  }
+
+  ProgressCallback AddFixedCost(const ProgressCallback& progress) const {
+    if (!progress) return progress;
+    return [&progress, fixed_cost = schur_->fixed_cost()](const IterationRecord& iteration) {
+      IterationRecord record = iteration;
+      record.cost += fixed_cost;
+      return progress(record);
+    };
+  }
+
+  void CollectState(SolveOutput* output) {
+    const CameraStates& cameras = schur_->cameras();
+    output->cam_from_world = cameras.CamFromWorld();
+    output->camera_params = cameras.camera_params();
+    output->points = schur_->Points();
+  }
+
+  const ProblemView& problem_;
+  SolveOptions options_;  ///< with nothing left to choose
+  std::vector<std::string> warnings_;
+  std::string linear_solver_choice_;
+  const ParameterLayout layout_;
+  ReducedStructure structure_;  ///< the sparse one, where it was needed for the choice
+  std::unique_ptr<ReducedSolver> solver_;
+  std::unique_ptr<SchurProblem> schur_;
+  SolveTimes times_;
+};
+
+}  // namespace
+
+SolveOutput SolveWithFused(const ProblemView& problem, const SolveOptions& options,
+                           PreparedSolve prepared, const ProgressCallback& progress) {
+  return FusedSolve(problem, options, std::move(prepared)).Run(progress);
+}
+
+}  // namespace bundle::fused

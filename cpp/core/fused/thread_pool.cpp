@@ -1,0 +1,78 @@
+#include "core/fused/thread_pool.h"
+
+#include <chrono>
+
+namespace bundle::fused {
+namespace {
+
+constexpr std::chrono::microseconds kStayAwake{200};
+constexpr int kSpinsBeforeYield = 2000;
+
+void Pause() {
+#if defined(__x86_64__) || defined(__i386__)
+  __builtin_ia32_pause();
+#elif defined(__aarch64__)
+  asm volatile("yield");
+#endif
+}
+
+}  // namespace
+
+void SpinWait::Once() {
+  if (++count_ < kSpinsBeforeYield) {
+    Pause();
+  } else {
+    std::this_thread::yield();
+  }
+}
+
+ThreadPool::ThreadPool(int num_threads) {
+  for (int thread = 1; thread < num_threads; ++thread) {
+    workers_.emplace_back([this, thread] { WorkerLoop(thread); });
+  }
+}
+
+ThreadPool::~ThreadPool() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    generation_.store(-1, std::memory_order_release);
+  }
+  wake_.notify_all();
+  for (std::thread& worker : workers_) worker.join();
+}
+
+void ThreadPool::Run(const std::function<void(int thread)>& work) {
+  if (!workers_.empty()) {
+    work_ = &work;
+    unfinished_.store(static_cast<int>(workers_.size()), std::memory_order_relaxed);
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      generation_.fetch_add(1, std::memory_order_release);
+    }
+    wake_.notify_all();
+  }
+  work(0);
+  for (SpinWait wait; unfinished_.load(std::memory_order_acquire) > 0;) wait.Once();
+}
+
+void ThreadPool::WorkerLoop(int thread) {
+  for (int seen = 0;;) {
+    const auto asleep_at = std::chrono::steady_clock::now() + kStayAwake;
+    int generation = generation_.load(std::memory_order_acquire);
+    for (SpinWait wait; generation == seen && std::chrono::steady_clock::now() < asleep_at;) {
+      wait.Once();
+      generation = generation_.load(std::memory_order_acquire);
+    }
+    if (generation == seen) {
+      std::unique_lock<std::mutex> lock(mutex_);
+      wake_.wait(lock, [&] { return generation_.load(std::memory_order_acquire) != seen; });
+      generation = generation_.load(std::memory_order_acquire);
+    }
+    if (generation < 0) return;
+    seen = generation;
+    (*work_)(thread);
+    unfinished_.fetch_sub(1, std::memory_order_release);
+  }
+}
+
+}  // namespace bundle::fused

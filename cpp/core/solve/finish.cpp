@@ -1,0 +1,29 @@
+#include "core/solve/finish.h"
+
+#include <cmath>
+#include <utility>
+
+#include "core/solve/check_solution.h"
+#include "core/solve/convergence_watch.h"
+#include "core/solve/plausibility.h"
+
+namespace bundle {
+
+void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
+                 const CameraStates& states, const SolveOptions& options,
+                 std::vector<std::string> warnings, SolveOutput* output) {
+  SolveSummary& summary = output->summary;
+  summary.warnings = std::move(warnings);
+  const auto warn = [&summary](std::string sentence) {
+    if (!sentence.empty()) summary.warnings.push_back(std::move(sentence));
+  };
+  if (summary.termination_type == "FAILURE" || !std::isfinite(summary.initial_cost)) {
+    summary.is_solution_usable = false;
+    warn(FindOverflow(problem, options.cheirality));
+  }
+  warn(WatchConvergence(output->iterations));
+  warn(CheckSolution(problem, layout, states, output->points, options.cheirality));
+  RejectImpossibleSolution(problem, output);
+}
+
+}  // namespace bundle

@@ -1,0 +1,22 @@
+#include "core/solve/prepare.h"
+
+#include <utility>
+
+#include "core/problem/reprojection_errors.h"
+#include "core/solve/free_parameters.h"
+#include "core/solve/gauge.h"
+#include "core/solve/plausibility.h"
+
+namespace bundle {
+
+PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options) {
+  CheckCameraModelsKnown(problem);
+  FreeParameters free = SelectFreeParameters(problem, options);
+  std::vector<std::string> warnings = FixGauge(problem, options.gauge, &free);
+  ParameterLayout layout(problem, std::move(free));
+  std::string seen_once = CountPointsSeenOnce(problem, layout);
+  if (!seen_once.empty()) warnings.push_back(std::move(seen_once));
+  return {std::move(layout), std::move(warnings)};
+}
+
+}  // namespace bundle

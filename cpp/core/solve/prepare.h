@@ -1,0 +1,23 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "core/problem/problem_view.h"
+#include "core/solve/options.h"
+#include "core/solve/parameter_layout.h"
+
+namespace bundle {
+
+/// What every backend starts from.
+struct PreparedSolve {
+  ParameterLayout layout;
+  std::vector<std::string> warnings;  ///< sentences for the user
+};
+
+/// Decides what is free and how it is laid out. The problem is valid (validate.h).
+///
+/// Throws InputError if a camera model is not supported or an id to be fixed does not exist.
+PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options);
+
+}  // namespace bundle

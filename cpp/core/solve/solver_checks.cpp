@@ -1,0 +1,41 @@
+#include "core/solve/solver_checks.h"
+
+#include "core/error.h"
+#include "core/solve/memory.h"
+#include "core/solve/option_names.h"
+
+namespace bundle {
+
+bool IsIterative(LinearSolverType type) {
+  return type == LinearSolverType::kIterativeSchur || type == LinearSolverType::kCgnr;
+}
+
+void CheckTrustRegion(const SolveOptions& options) {
+  if (IsIterative(options.linear_solver_type) &&
+      options.trust_region_strategy_type != TrustRegionStrategy::kLevenbergMarquardt) {
+    throw InputError(
+        "trust_region_strategy_type: expected levenberg_marquardt with an iterative solver; dogleg "
+        "needs exact steps");
+  }
+}
+
+std::string FindIdlePreconditioner(const SolveOptions& options) {
+  if (IsIterative(options.linear_solver_type) ||
+      options.preconditioner_type == PreconditionerType::kAuto) {
+    return "";
+  }
+  return "The preconditioner is not used: " +
+         UpperName(options.linear_solver_type, kLinearSolverTypes) + " is a direct solver.";
+}
+
+void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
+                         bool cameras_eliminated) {
+  const double bytes = PredictDenseMatrixBytes(type, shape, cameras_eliminated);
+  const double available = AvailableMemoryBytes();
+  if (bytes <= 0.9 * available) return;
+  throw InputError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) + " needs " +
+                   FormatBytes(bytes) + " for its dense matrices, of which this machine has " +
+                   FormatBytes(available) + " free; use sparse_schur or iterative_schur");
+}
+
+}  // namespace bundle

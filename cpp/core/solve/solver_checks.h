@@ -1,0 +1,25 @@
+#pragma once
+
+/// What goes with a linear solver and what does not, whichever backend it belongs to.
+
+#include <string>
+
+#include "core/solve/options.h"
+#include "core/solve/problem_shape.h"
+
+namespace bundle {
+
+/// True for the solvers that have a preconditioner and no exact steps.
+bool IsIterative(LinearSolverType type);
+
+/// Throws InputError if the trust region needs exact steps and the linear solver, which is not
+/// kAuto, has none.
+void CheckTrustRegion(const SolveOptions& options);
+
+/// One sentence if a preconditioner was asked for that the linear solver has no use for; else "".
+std::string FindIdlePreconditioner(const SolveOptions& options);
+
+/// Throws InputError if the dense matrices of a solver do not fit into the free memory.
+void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape, bool cameras_eliminated);
+
+}  // namespace bundle

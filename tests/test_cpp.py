@@ -1,0 +1,38 @@
+"""The tests of the core in C++ (tests/cpp), built and run; `make sanitize` runs them too."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pybind11
+
+ROOT = Path(__file__).parents[1]
+# Where `make lint` builds, whose objects are used again.
+BUILD = ROOT / "build" / "lint"
+
+
+def run(*command: str | Path) -> None:
+    """Run a command that finds CMake and Ninja beside this Python; fail with what it prints."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    done = subprocess.run(
+        command,
+        env=os.environ | {"PATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        timeout=1200,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_cpp() -> None:
+    run(
+        *("cmake", "-S", ROOT, "-B", BUILD, "-G", "Ninja", "-DBUNDLE_CPP_TESTS=ON"),
+        *(f"-DPython_EXECUTABLE={sys.executable}", f"-Dpybind11_DIR={pybind11.get_cmake_dir()}"),
+    )
+    run("cmake", "--build", BUILD, "--target", "bundle_tests")
+    run(BUILD / "tests" / "cpp" / "bundle_tests", "--gtest_brief=1")
