@@ -85,6 +85,7 @@ class IterativeSolver final : public ReducedSolver {
     double last_rho = 1;
     double last_model = 0;
     for (int i = 1;; ++i) {
+      if (IsZero(r_)) return {Status::kSuccess, i, "Convergence. |r| = 0."};
       preconditioner_->Multiply(r_.data(), z_.data());
       const double rho = Dot(r_, z_);
       const double beta = i == 1 ? 0 : rho / last_rho;
@@ -109,7 +110,6 @@ class IterativeSolver final : public ReducedSolver {
         return {Status::kSuccess, i, "Convergence: zeta = " + std::to_string(zeta) + "."};
       }
       last_model = model;
-      if (IsZero(r_)) return {Status::kSuccess, i, "Convergence. |r| = 0."};
       if (i >= max_iterations_) {
         return {Status::kSuccess, i, "Maximum number of iterations reached."};
       }
