@@ -40,7 +40,12 @@ def test_same_end(problem):
     options = {"function_tolerance": 1e-12, "max_num_iterations": 60}
     theirs = bundle.solve(problem, backend="ceres", **options).summary
     ours = bundle.solve(problem, backend="fused", **options).summary
-    if theirs.termination_type == ours.termination_type == "CONVERGENCE":
-        assert ours.final_cost == pytest.approx(theirs.final_cost, rel=1e-9)
-    else:  # 49-7776 creeps on
-        assert ours.final_cost == pytest.approx(theirs.final_cost, rel=1e-5)
+    assert ours.termination_type == theirs.termination_type
+    creeps = theirs.termination_type == "NO_CONVERGENCE"
+    assert creeps == problem_creeps(problem)
+    assert ours.final_cost == pytest.approx(theirs.final_cost, rel=1e-5 if creeps else 1e-9)
+
+
+def problem_creeps(problem):
+    """True for 49-7776, whose cost falls for hundreds of steps."""
+    return problem.num_points == 7776

@@ -84,12 +84,14 @@ class FusedSolve {
                                             solver_.get());
   }
 
+  /// Only the factorisations round by their number of threads, which are OpenBLAS'.
   std::unique_ptr<ReducedSolver> MakeSolver(const ReducedStructure& structure) const {
+    const int factorisation_threads = options_.deterministic ? 1 : options_.num_threads;
     switch (options_.linear_solver_type) {
       case LinearSolverType::kDenseSchur:
-        return MakeDenseSolver(structure, options_.num_threads);
+        return MakeDenseSolver(structure, factorisation_threads);
       case LinearSolverType::kSparseSchur:
-        return MakeSparseSolver(structure, options_.num_threads);
+        return MakeSparseSolver(structure, factorisation_threads);
       default:
         return MakeIterativeSolver(structure, options_.preconditioner_type, options_.num_threads);
     }
