@@ -79,7 +79,9 @@ class FusedSolve {
                       " columns) is small: its dense factorisation costs less than a millisecond.";
     } else {
       structure_ = MakeSparseStructure();
-      choice = ChooseReducedSolver(structure_, options_.num_threads, AvailableMemoryBytes());
+      // A choice that is to be the same for any number of threads must not know it.
+      const int num_threads = options_.deterministic ? 1 : options_.num_threads;
+      choice = ChooseReducedSolver(structure_, num_threads, AvailableMemoryBytes());
     }
     options_.linear_solver_type = choice.type;
     linear_solver_choice_ = std::move(choice.reason);
