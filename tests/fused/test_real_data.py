@@ -5,27 +5,29 @@ import pytest
 
 import bundle
 
-PROBLEMS = [
-    "bal/problem-16-22106-pre.txt.bz2",
-    "bal/problem-21-11315-pre.txt.bz2",
-    "bal/problem-49-7776-pre.txt.bz2",
-    "colmap/bartoszek",
-    "colmap/batmo_rigs",
-    "colmap/crane_mast",
-    "colmap/lund_door",
-    "colmap/maupertuis",
-    "colmap/video48",
-    "colmap/vr_opencv",
-]
+# Whether 60 steps do not get to where the cost changes by less than 1e-12 of itself.
+CREEPS = {
+    "bal/problem-16-22106-pre.txt.bz2": False,
+    "bal/problem-21-11315-pre.txt.bz2": False,
+    "bal/problem-49-7776-pre.txt.bz2": True,
+    "colmap/bartoszek": False,
+    "colmap/batmo_rigs": False,
+    "colmap/crane_mast": False,
+    "colmap/lund_door": False,
+    "colmap/maupertuis": False,
+    "colmap/video48": True,
+    "colmap/vr_opencv": False,
+}
 
 
-@pytest.fixture(scope="module", params=PROBLEMS)
-def problem(request, bundle_data):
-    return bundle.load(bundle_data / request.param)
+@pytest.fixture(scope="module", params=CREEPS)
+def named_problem(request, bundle_data):
+    return request.param, bundle.load(bundle_data / request.param)
 
 
 @pytest.mark.parametrize("solver", ["dense_schur", "sparse_schur", "iterative_schur"])
-def test_same_first_ten_steps(problem, solver):
+def test_same_first_ten_steps(named_problem, solver):
+    _, problem = named_problem
     options = {"linear_solver_type": solver, "max_num_iterations": 10}
     theirs = bundle.solve(problem, backend="ceres", **options)
     ours = bundle.solve(problem, backend="fused", **options)
@@ -36,16 +38,12 @@ def test_same_first_ten_steps(problem, solver):
     assert ours.summary.termination_type == theirs.summary.termination_type
 
 
-def test_same_end(problem):
+def test_same_end(named_problem):
+    name, problem = named_problem
     options = {"function_tolerance": 1e-12, "max_num_iterations": 60}
     theirs = bundle.solve(problem, backend="ceres", **options).summary
     ours = bundle.solve(problem, backend="fused", **options).summary
-    assert ours.termination_type == theirs.termination_type
-    creeps = theirs.termination_type == "NO_CONVERGENCE"
-    assert creeps == problem_creeps(problem)
+    creeps = CREEPS[name]
+    expected = "NO_CONVERGENCE" if creeps else "CONVERGENCE"
+    assert ours.termination_type == theirs.termination_type == expected
     assert ours.final_cost == pytest.approx(theirs.final_cost, rel=1e-5 if creeps else 1e-9)
-
-
-def problem_creeps(problem):
-    """True for 49-7776, whose cost falls for hundreds of steps."""
-    return problem.num_points == 7776

@@ -38,6 +38,17 @@ void Assembler::AddSegment(int block, const ParameterLayout& layout, const Model
     const int8_t* const end = group.columns + group.num_columns;
     segment.local[k] =
         static_cast<int8_t>(std::find(group.columns, end, columns.columns[k]) - group.columns);
+    segment.is_contiguous &= segment.local[k] == segment.local[0] + k;
+  }
+}
+
+/// Usually all that images of the model refine is refined, and side by side.
+void Assembler::AddColumn(const Segment& rows, const double* from, double* column) {
+  if (rows.is_contiguous) {
+    from += rows.local[0];
+    for (int j = 0; j < rows.size; ++j) column[j] += from[j];
+  } else {
+    for (int j = 0; j < rows.size; ++j) column[j] += from[rows.local[j]];
   }
 }
 
@@ -141,8 +152,7 @@ void Assembler::AddPair(const Terms& terms, int first, int second, const double*
       for (int i = 0; i < a.size; ++i) {
         const double* const row = block + a.local[i] * terms.num_columns;
         if (a.block < b.block) {
-          double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
-          for (int j = 0; j < b.size; ++j) column[j] += row[b.local[j]];
+          AddColumn(b, row, values + structure_.ValueIndex(a.block, entry, 0, i));
           continue;
         }
         for (int j = 0; j < b.size; ++j) {

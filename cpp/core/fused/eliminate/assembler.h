@@ -48,6 +48,7 @@ class Assembler {
   struct Segment {
     int block = -1;
     int size = 0;
+    bool is_contiguous = true;                        ///< local[k] = local[0] + k
     int8_t local[kPoseSize + kMaxCameraParams] = {};  ///< entry k of the block by local column
   };
   struct ImageSegments {
@@ -62,6 +63,7 @@ class Assembler {
   void AddCameraDiagonal(const Terms& terms, int image, const double* block, double* values) const;
   void AddPair(const Terms& terms, int first, int second, const double* block,
                double* values) const;
+  static void AddColumn(const Segment& rows, const double* from, double* column);
   void PrefetchPair(int first, int second, const double* values) const;
   int64_t Entry(int column, int row) const;
 

@@ -195,15 +195,12 @@ class SchurProblem::Impl {
     for (const ProductSum& part : parts) {
       total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
       total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
-      total.g_p += part.g_p, total.g_q += part.g_q;
     }
     for (size_t j = 0; j < newton_.size(); ++j) {
       const double p = gradient_direction_[j], q = newton_[j];
       total.d_pp += p * d_squared_[j] * p;
       total.d_pq += p * d_squared_[j] * q;
       total.d_qq += q * d_squared_[j] * q;
-      total.g_p += sums_.gradient[j] * p;
-      total.g_q += sums_.gradient[j] * q;
     }
     products_ = total;
     return total;
@@ -226,7 +223,7 @@ class SchurProblem::Impl {
     }
     const DirectionProducts& d = products_;
     total.model_cost_change =
-        -(a * d.g_p + b * d.g_q) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
+        -(a * d.d_pp + b * d.d_pq) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
     return Finish(step, total);
   }
 
