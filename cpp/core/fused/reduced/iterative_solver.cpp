@@ -88,6 +88,9 @@ class IterativeSolver final : public ReducedSolver {
       if (IsZero(r_)) return {Status::kSuccess, i, "Convergence. |r| = 0."};
       preconditioner_->Multiply(r_.data(), z_.data());
       const double rho = Dot(r_, z_);
+      // An exact solution, as where S has a single block, which is its own preconditioner. Ceres
+      // would fail here, but its products with S round too much to come by.
+      if (i > 1 && rho == 0) return {Status::kSuccess, i, "Convergence. r'z = 0."};
       const double beta = i == 1 ? 0 : rho / last_rho;
       if (!IsUsable(rho) || (i > 1 && !IsUsable(beta))) return Broken(i, "r'z", rho);
       for (size_t k = 0; k < p_.size(); ++k) p_[k] = z_[k] + (i == 1 ? 0 : beta * p_[k]);
