@@ -65,7 +65,7 @@ format: $(READY)  ## rewrite the sources in the house format
 docs: $(READY)  ## rewrite what README.md quotes from the code
 	$(VENV)/bin/python tools/camera_table.py --update
 
-bench: $(READY_TO_BENCH)  ## measure against the peers on real data (takes long; writes benchmarks/results)
+bench: $(READY_TO_BENCH)  ## measure against the peers, real data and synthetic (half an hour; writes benchmarks/results)
 	$(VENV)/bin/python benchmarks/run.py
 
 clean:  ## remove all that make made, but for benchmarks/results

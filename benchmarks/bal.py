@@ -106,22 +106,23 @@ def rotation_vectors(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
     return quaternions[:, :3] * np.where(sines > 0, angles / np.where(sines > 0, sines, 1.0), 2.0)
 
 
-def residuals(bal: Bal) -> NDArray[np.float64]:
+def residuals(bal: Bal, behind: str = "zero") -> NDArray[np.float64]:
     """Return (num_observations, 2) projection minus measurement in pixels.
 
-    An observation whose point lies behind its camera counts as zero, as in COLMAP and GTSAM.
+    An observation whose point lies behind its camera counts as zero, as in COLMAP and GTSAM, or
+    keeps its "algebraic" residual, as in Ceres' example.
     """
     cameras = bal.cameras[bal.camera_index]
     rotations = rotation_matrices(bal.cameras[:, :3])[bal.camera_index]
     points = np.einsum("nij,nj->ni", rotations, bal.points[bal.point_index]) + cameras[:, 3:6]
-    in_front = points[:, 2] < 0.0
+    in_front = (points[:, 2] < 0.0) if behind == "zero" else (points[:, 2] != 0.0)
     plane = -points[:, :2] / np.where(in_front, points[:, 2], -1.0)[:, None]
     square = np.einsum("ni,ni->n", plane, plane)
     scale = cameras[:, 6] * (1.0 + square * (cameras[:, 7] + square * cameras[:, 8]))
     return np.where(in_front[:, None], scale[:, None] * plane - bal.xy, 0.0)
 
 
-def cost(bal: Bal) -> float:
+def cost(bal: Bal, behind: str = "zero") -> float:
     """Return half the sum of squared residuals: the oracle every solver's final cost is held to."""
-    errors = residuals(bal).ravel()
+    errors = residuals(bal, behind).ravel()
     return 0.5 * float(errors @ errors)

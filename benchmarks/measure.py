@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import statistics
@@ -38,21 +39,28 @@ def environment(root: Path, threads: int) -> dict[str, str]:
     }
 
 
+def physical_memory() -> int:
+    """Return the memory of this machine in bytes."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
 def run_child(command: Sequence[str], env: dict[str, str], timeout: float) -> Child:
-    """Run a command in this process group, silently, killing it after ``timeout`` seconds.
+    """Run a command silently; after ``timeout`` seconds kill it and all that it has started.
 
     The peak memory is the kernel's ru_maxrss, which cannot be below this process' own size at the
     fork: the caller keeps small.
     """
     with tempfile.TemporaryFile() as errors:
         start = time.perf_counter()
-        process = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=errors)
-        timer = threading.Timer(timeout, os.kill, (process.pid, signal.SIGKILL))
+        process = subprocess.Popen(
+            command, env=env, stdout=subprocess.DEVNULL, stderr=errors, process_group=0
+        )
+        timer = threading.Timer(timeout, os.killpg, (process.pid, signal.SIGKILL))
         timer.start()
         try:
             _, status, usage = os.wait4(process.pid, 0)
         except BaseException:
-            process.kill()
+            os.killpg(process.pid, signal.SIGKILL)
             raise
         finally:
             timer.cancel()
@@ -85,6 +93,19 @@ class Spread:
         if not numbers or len(numbers) < len(known):
             return None
         return Spread(statistics.median(numbers), min(numbers), max(numbers))
+
+
+def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
+    """Return the exponent p of the least-squares fit values ~ c sizes^p, i.e. on log-log axes.
+
+    Raises:
+        ValueError: fewer than two sizes that differ.
+    """
+    if len(set(sizes)) < 2:
+        raise ValueError(f"a slope needs two sizes, found {len(set(sizes))}")
+    return statistics.linear_regression(
+        [math.log(size) for size in sizes], [math.log(value) for value in values]
+    ).slope
 
 
 def time_to_cost(trace: Iterable[Sequence[float]], target: float) -> float | None:

@@ -1,4 +1,4 @@
-"""Cost gap against time, log-log, one panel a BAL problem."""
+"""Cost gap against time, one panel a BAL problem, and cost against observations; all log-log."""
 
 from __future__ import annotations
 
@@ -6,9 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks import scaling
+from benchmarks.results import Results
 from benchmarks.rows import GAPS, Run
 
-COLOURS = {"bundle": "#c1272d", "pycolmap": "#0f6fb4", "gtsam": "#3a923a", "scipy": "#7f7f7f"}
+COLOURS = {
+    "bundle fused": "#c1272d",
+    "bundle ceres": "#e08a1e",
+    "bundle": "#222222",
+    "pycolmap": "#0f6fb4",
+    "ceres-example": "#7b4fa3",
+    "gtsam": "#3a923a",
+    "scipy": "#7f7f7f",
+}
+MARKERS = {"auto": "o", "dense-schur": "s", "sparse-schur": "^", "iterative-schur": "v"}
 LINES = {"auto": "-", "dense-schur": "--", "sparse-schur": "-.", "iterative-schur": ":"}
 # Costs printed with seven digits say nothing below this.
 SMALLEST_GAP = 1e-7
@@ -36,31 +47,72 @@ def _median_runs(runs: Sequence[Run]) -> dict[str, Run]:
     }
 
 
-def draw(panels: Sequence[tuple[str, Sequence[Run], float]], paths: Sequence[Path]) -> None:
-    """Draw (problem, runs, best known cost) panels side by side and save them to every path."""
+def _style(solver: str) -> dict[str, Any]:
+    """Return the colour of a solver's family and the line of its linear solver."""
+    colour = next(colour for family, colour in COLOURS.items() if solver.startswith(family))
+    return {"color": colour, "linestyle": LINES.get(solver.rpartition(" ")[2], "-")}
+
+
+def _pyplot() -> Any:
     import matplotlib as mpl
 
     mpl.use("Agg")
     mpl.rcParams["svg.hashsalt"] = "bundle"
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(
-        1, len(panels), figsize=(1 + 4.6 * len(panels), 4.6), squeeze=False, layout="constrained"
+    return plt
+
+
+def _save(figure: Any, paths: Sequence[Path]) -> None:
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=110)
+    _pyplot().close(figure)
+
+
+def draw(panels: Sequence[tuple[str, Sequence[Run], float]], paths: Sequence[Path]) -> None:
+    """Draw (problem, runs, best known cost) panels side by side and save them to every path."""
+    figure, axes = _pyplot().subplots(
+        1,
+        len(panels),
+        figsize=(max(1 + 4.6 * len(panels), 10), 5.4),
+        squeeze=False,
+        layout="constrained",
     )
     handles: dict[str, Any] = {}
     for axis, (problem, runs, best_cost) in zip(axes[0], panels, strict=True):
         for solver, run in _median_runs(runs).items():
-            family, kind = solver.split(" ", 1)
-            style = {"color": COLOURS[family], "linestyle": LINES.get(kind, "-")}
             times, gaps = _curve(run, best_cost)
-            (line,) = axis.step(times, gaps, where="post", linewidth=1.6, **style)
+            (line,) = axis.step(times, gaps, where="post", linewidth=1.6, **_style(solver))
             handles[solver] = line
         for gap in GAPS:
             axis.axhline(gap, color="0.8", linewidth=0.8, zorder=0)
         axis.set(xscale="log", yscale="log", title=problem, xlabel="seconds after loading")
     axes[0][0].set_ylabel("(cost - best known cost) / best known cost")
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5, fontsize=9)
-    for path in paths:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=110)
-    plt.close(figure)
+    _save(figure, paths)
+
+
+def draw_scaling(results: Results, solvers: Sequence[str], paths: Sequence[Path]) -> bool:
+    """Draw total time against observations, with fitted powers; False if there is no curve."""
+    curves = {solver: scaling.points(results, solver) for solver in solvers}
+    curves = {solver: found for solver, found in curves.items() if len(found) > 1}
+    if not curves:
+        return False
+    figure, axis = _pyplot().subplots(figsize=(8.4, 5.0), layout="constrained")
+    for solver, found in curves.items():
+        sizes = [size for size, _ in found]
+        middle = [spread.median for _, spread in found]
+        spread = [
+            [spread.median - spread.low for _, spread in found],
+            [spread.high - spread.median for _, spread in found],
+        ]
+        power = scaling.exponent(results, solver)
+        marker = MARKERS.get(solver.rpartition(" ")[2], "o")
+        label = f"{solver}: N^{power:.2f}"
+        axis.errorbar(sizes, middle, spread, marker=marker, label=label, **_style(solver))
+    axis.set(xscale="log", yscale="log", xlabel="observations", ylabel="seconds after loading")
+    axis.grid(which="both", color="0.92")
+    figure.legend(loc="outside right upper", fontsize=9)
+    _save(figure, paths)
+    return True

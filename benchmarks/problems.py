@@ -1,4 +1,4 @@
-"""Which problems there are to measure: every BAL file and COLMAP model under the data folder."""
+"""Which problems there are to measure: real data under the data folder, and synthetic scenes."""
 
 from __future__ import annotations
 
@@ -7,15 +7,26 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+# Everything that is made once and kept: scenes, peers that are built. Ignored by git.
+CACHE = ROOT / "build" / "bench"
 
 
 @dataclass(frozen=True)
 class BenchmarkProblem:
-    """A problem on disk; ``kind`` is "bal" or "colmap"."""
+    """A problem on disk.
+
+    Attributes:
+        kind: "bal" or "colmap".
+        is_synthetic: made by ``bundle.synthesize``.
+        num_images, num_observations: where they are known without reading the file; 0 otherwise.
+    """
 
     name: str
     kind: str
     path: Path
+    is_synthetic: bool = False
+    num_images: int = 0
+    num_observations: int = 0
 
 
 def data_folder() -> Path:

@@ -8,13 +8,16 @@ from typing import Any
 
 from benchmarks.measure import Spread, time_to_cost
 
-# Relative distances to the best known cost at which the clock is read.
+# Relative distances to the best known cost at which the clock is read; the smallest is beyond the
+# usual stopping rule and read from runs with a tight one.
 GAPS = (1e-3, 1e-5)
+TIGHT_GAPS = (1e-3, 1e-5, 1e-8)
 # A final cost that the independent evaluation finds further off than this is reported as wrong.
 COST_AGREEMENT = 1e-6
 
-# One run, as it stands in the JSON: problem, solver, failure ("" or why there is no outcome), wall
-# and cpu seconds of the process, outcome (protocol.Outcome as a dict, or None).
+# One run, as in the JSON: problem, solver, rule (of series.RULES), threads, failure ("" or
+# why there is no outcome), wall and cpu seconds of the process, outcome (protocol.Outcome as a
+# dict, or None).
 Run = dict[str, Any]
 
 
@@ -26,9 +29,10 @@ class Row:
         failure: why there are no numbers; "" otherwise.
         remark: which repeats failed, though others did not; "" otherwise.
         step: seconds per LM step.
-        reached: seconds to each of GAPS; None where no run got there.
+        reached: seconds to each gap; None where a run did not get there.
         total: seconds of build and solve.
         memory: peak bytes of the process.
+        added_memory: peak bytes of solving beyond the loaded problem; None if not measured.
         gap: (final cost - best known cost) / best known cost.
         cores: CPU seconds over wall seconds of the whole process.
         doubt: what is wrong with the final cost, "" if the independent evaluation confirms it.
@@ -44,6 +48,7 @@ class Row:
     reached: tuple[Spread | None, ...] = (None,) * len(GAPS)
     total: Spread | None = None
     memory: Spread | None = None
+    added_memory: Spread | None = None
     gap: float = float("nan")
     cores: float = float("nan")
     doubt: str = ""
@@ -55,7 +60,13 @@ def best_known_cost(runs: Sequence[Run]) -> float:
     return min((o["verified_cost"] for o in outcomes if not _doubt(o)), default=float("nan"))
 
 
-def row(problem: str, solver: str, runs: Sequence[Run], best_cost: float) -> Row:
+def row(
+    problem: str,
+    solver: str,
+    runs: Sequence[Run],
+    best_cost: float,
+    gaps: Sequence[float] = GAPS,
+) -> Row:
     """Return one solver's row on one problem; the numbers are of the runs that ended."""
     failures = [run["failure"] for run in runs if run["failure"]]
     outcomes = [run["outcome"] for run in runs if run["outcome"] is not None]
@@ -73,14 +84,20 @@ def row(problem: str, solver: str, runs: Sequence[Run], best_cost: float) -> Row
         step=Spread.of(steps),
         reached=tuple(
             Spread.of(time_to_cost(o["trace"], best_cost * (1.0 + gap)) for o in outcomes)
-            for gap in GAPS
+            for gap in gaps
         ),
         total=Spread.of(outcome["build"] + outcome["solve"] for outcome in outcomes),
         memory=Spread.of(outcome["peak_memory"] for outcome in outcomes),
+        added_memory=Spread.of(_added_memory(outcome) for outcome in outcomes),
         gap=last["verified_cost"] / best_cost - 1.0,
         cores=sum(run["cpu"] for run in runs) / sum(run["wall"] for run in runs),
         doubt=_doubt(last),
     )
+
+
+def _added_memory(outcome: dict[str, Any]) -> float | None:
+    added: int = outcome.get("added_memory", -1)
+    return added if added >= 0 else None
 
 
 def _step(outcome: dict[str, Any]) -> float | None:

@@ -7,6 +7,7 @@ import dataclasses
 import importlib.util
 import json
 import shlex
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -14,107 +15,89 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks import machine, measure, problems, report, solvers, whole
-from benchmarks.rows import Run
+from benchmarks import (
+    details,
+    machine,
+    measure,
+    problems,
+    report,
+    scaling,
+    series,
+    solvers,
+    synthetic,
+    whole,
+)
+from benchmarks.problems import BenchmarkProblem
+from benchmarks.results import Results
 
 RESULTS = problems.ROOT / "benchmarks" / "results"
-# Ceres' names; the first three tolerances are bundle's defaults, which are Ceres' own.
-STOPPING = {
-    "max_num_iterations": 100,
-    "function_tolerance": 1e-6,
-    "gradient_tolerance": 1e-10,
-    "parameter_tolerance": 1e-8,
-}
-# For the best known cost: run once, by the peer, never timed.
-MARK_STOPPING = {
-    "max_num_iterations": 300,
-    "function_tolerance": 1e-12,
-    "gradient_tolerance": 1e-12,
-    "parameter_tolerance": 1e-14,
-}
-MARK_SOLVER = solvers.Solver("pycolmap_", "dense-schur")
-REPEAT_BELOW = 20.0
+DOCS = problems.ROOT / "docs"
+QUICK_SOLVERS = "bundle,pycolmap-auto"
+QUICK_OBSERVATIONS = 200_000
 
 
 def arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     add = parser.add_argument
-    add("--repeat", type=int, default=3, metavar="N", help="runs of each pair (default 3)")
-    add("--problems", default="", metavar="LIST", help="names; default: all in BUNDLE_DATA")
+    add("--repeat", type=int, metavar="N", help="runs of each pair (default 5; 1 if --quick)")
+    add("--only", default="", metavar="LIST", help="names of problems; default: all there are")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--synthetic", action="store_true", help="synthetic scenes only")
+    which.add_argument("--no-synthetic", action="store_true", help="real data only")
+    add("--solvers", metavar="LIST", help="beginnings of names, such as bundle,pycolmap-auto")
     add(
-        "--solvers",
-        default=",".join(sorted({s.name.split()[0] for s in solvers.SOLVERS})),
-        metavar="LIST",
-        help="beginnings of names, such as bundle,pycolmap-auto (default: all)",
+        "--quick",
+        action="store_true",
+        help="a look: one run of each pair, no COLMAP models, small scenes, "
+        f"the default stopping rule alone, --solvers {QUICK_SOLVERS}",
     )
-    add("--threads", type=int, default=machine.cores(), metavar="N", help="default: all cores")
-    add("--timeout", type=float, default=90.0, metavar="SECONDS", help="of one run (default 90)")
-    add("--update-readme", action="store_true", help="put tables into README.md, plot into docs/")
+    add("--threads", type=int, metavar="N", help="default: 2, or all cores if there are fewer")
+    add("--timeout", type=float, default=150.0, metavar="SECONDS", help="of one run (default 150)")
+    add(
+        "--update-readme",
+        action="store_true",
+        help="put the short report into README.md, all tables and plots into docs/",
+    )
     add("--output", type=Path, default=RESULTS, metavar="FOLDER", help="default benchmarks/results")
-    return parser.parse_args()
+    options = parser.parse_args()
+    every = ",".join(sorted({solver.family for solver in solvers.SOLVERS}))
+    options.repeat = options.repeat or (1 if options.quick else 5)
+    options.solvers = options.solvers or (QUICK_SOLVERS if options.quick else every)
+    options.threads = options.threads or min(2, machine.cores())
+    return options
 
 
-def run_once(
-    problem: problems.BenchmarkProblem,
-    solver: solvers.Solver,
-    stopping: dict[str, float],
-    options: argparse.Namespace,
-) -> Run:
-    """Run one solver on one problem in its own process."""
-    run: Run = {"problem": problem.name, "solver": solver.name, "outcome": None}
-    reason = solver.reason_against(problem.kind)
-    if reason:
-        return {**run, "failure": reason, "wall": 0.0, "cpu": 0.0}
-    if importlib.util.find_spec(solver.runner.rstrip("_")) is None:
-        return {**run, "failure": "not installed", "wall": 0.0, "cpu": 0.0}
-    with tempfile.TemporaryDirectory() as folder:
-        request, answer = Path(folder) / "request.json", Path(folder) / "answer.json"
-        fields = {"path": str(problem.path), "kind": problem.kind, "solver": solver.solver}
-        request.write_text(json.dumps({**fields, "threads": options.threads, **stopping}))
-        module = f"benchmarks.runners.{solver.runner}"
-        command = [sys.executable, "-m", module, str(request), str(answer)]
-        env = measure.environment(problems.ROOT, options.threads)
-        child = measure.run_child(command, env, options.timeout)
-        outcome: dict[str, Any] = {}
-        if not child.failure:
-            outcome = json.loads(answer.read_text())
-    failure = child.failure or outcome.get("failure", "")
-    return {
-        **run,
-        "failure": failure,
-        "wall": child.wall,
-        "cpu": child.cpu,
-        "outcome": None if failure else outcome,
-    }
-
-
-def run_all(
-    chosen: list[problems.BenchmarkProblem],
-    options: argparse.Namespace,
-) -> tuple[list[Run], list[Run]]:
-    """Return all runs and the runs that only set the best known cost.
-
-    What failed, and what took longer than REPEAT_BELOW, is not repeated.
-    """
-    runs: list[Run] = []
-    marks: list[Run] = []
-    for problem in chosen:
-        marks.append(run_once(problem, MARK_SOLVER, MARK_STOPPING, options))
-        left = solvers.chosen(options.solvers)
-        for repeat in range(options.repeat):
-            for solver in list(left):
-                run = run_once(problem, solver, STOPPING, options)
-                runs.append(run)
-                said = run["failure"] or f"{run['wall']:.1f} s"
-                print(f"{problem.name}: {solver.name}, run {repeat + 1}: {said}", file=sys.stderr)
-                if run["failure"] or run["wall"] > REPEAT_BELOW:
-                    left.remove(solver)
-    return runs, marks
+def choose(options: argparse.Namespace) -> list[BenchmarkProblem]:
+    """Return the chosen problems; empty, with a line on standard error, if there is none."""
+    found: list[BenchmarkProblem] = []
+    if not options.synthetic:
+        found += problems.find(problems.data_folder())
+    if not options.no_synthetic:
+        found += [synthetic.problem(scene) for scene in synthetic.SCENES]
+    wanted = [name for name in options.only.split(",") if name]
+    chosen = [problem for problem in found if not wanted or problem.name in wanted]
+    if options.quick and not wanted:
+        chosen = [
+            problem
+            for problem in chosen
+            if problem.kind == "bal" and problem.num_observations <= QUICK_OBSERVATIONS
+        ]
+    unknown = set(wanted) - {problem.name for problem in chosen}
+    if unknown or not chosen:
+        missing = ", ".join(sorted(unknown)) or "nothing found"
+        names = ", ".join(problem.name for problem in found) or "nothing"
+        print(
+            f"error: no problem chosen: {missing}; {problems.data_folder()} and the synthetic "
+            f"scenes have {names}",
+            file=sys.stderr,
+        )
+        return []
+    return chosen
 
 
 def run_whole(
-    chosen: list[problems.BenchmarkProblem], options: argparse.Namespace, folder: Path
+    chosen: list[BenchmarkProblem], options: argparse.Namespace, folder: Path
 ) -> dict[str, dict[str, list[dict[str, Any]]]]:
     """Run the whole processes, interleaved; the last run of each also has its output's cost."""
     env = measure.environment(problems.ROOT, options.threads)
@@ -125,7 +108,7 @@ def run_whole(
         for repeat in range(options.repeat):
             target = folder / f"{problem.name}-{repeat}"
             target.mkdir()
-            for name, job in whole.jobs(problem, STOPPING, options.threads, target).items():
+            for name, job in whole.jobs(problem, series.STOPPING, options.threads, target).items():
                 run = whole.run(job, env, options.timeout)
                 results[problem.name][name].append(run)
                 said = run["failure"] or f"{run['wall']:.2f} s"
@@ -137,55 +120,97 @@ def run_whole(
     return results
 
 
-def plot(results: report.Results, folder: Path, readme: bool) -> str:
-    """Draw the BAL problems; return the image's path relative to the report, "" without one."""
+def dgemm(threads: int) -> float:
+    """Return the rate of DGEMM in flops a second, measured in a process of its own."""
+    command = [sys.executable, "-m", "benchmarks.flops", str(threads)]
+    env = measure.environment(problems.ROOT, threads)
+    return float(
+        subprocess.run(command, env=env, capture_output=True, check=True, text=True).stdout
+    )
+
+
+def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> Results:
+    """Make what is missing, run everything, and return what was measured."""
+    for problem in chosen:
+        if problem.is_synthetic:
+            synthetic.ensure(problem)
+    described = machine.describe()
+    runs = []
+    for problem in chosen:
+        wanted = solvers.chosen(options.solvers)
+        mine = series.of_problem(problem, wanted, options.threads, options.quick)
+        runs += series.run_interleaved(mine, options)
+    real = [] if options.quick else [problem for problem in chosen if not problem.is_synthetic]
+    with tempfile.TemporaryDirectory() as folder:
+        processes = run_whole(real, options, Path(folder))
+    return Results(
+        machine=described,
+        command=shlex.join(["python", "benchmarks/run.py", *sys.argv[1:]]),
+        settings={
+            "threads": options.threads,
+            "repeat": options.repeat,
+            "stopping": series.STOPPING,
+            "dgemm": dgemm(options.threads),
+        },
+        kinds={
+            problem.name: "synthetic" if problem.is_synthetic else problem.kind
+            for problem in chosen
+        },
+        runs=runs,
+        whole=processes,
+    )
+
+
+def plot(results: Results, folders: list[Path]) -> dict[str, str]:
+    """Draw the plots into every folder; return the names of those that there are."""
     if importlib.util.find_spec("matplotlib") is None:
-        print("no plot: matplotlib is not installed", file=sys.stderr)
-        return ""
+        print("no plots: matplotlib is not installed", file=sys.stderr)
+        return {}
     from benchmarks import plot as plotting
 
-    names = [name for name, kind in results.kinds.items() if kind == "bal"]
-    panels = [(name, results.of(name), results.best_cost(name)) for name in names]
-    if not panels:
-        return ""
-    paths = [folder / "bench.png", folder / "bench.svg"]
-    if readme:
-        paths.append(problems.ROOT / "docs" / "bench.png")
-    plotting.draw(panels, paths)
-    return "docs/bench.png" if readme else "bench.png"
+    drawn = {}
+    panels = [
+        (name, results.of(name), results.best_cost(name))
+        for name in results.problems("bal")
+        if any(run["outcome"] for run in results.of(name))
+    ]
+    if panels:
+        plotting.draw(panels, [folder / "bench.png" for folder in folders])
+        drawn["gap"] = "bench.png"
+    names = [solver.name for solver in solvers.SOLVERS]
+    paths = [folder / "bench_scaling.png" for folder in folders]
+    if scaling.growth_table(results) and plotting.draw_scaling(results, names, paths):
+        drawn["scaling"] = "bench_scaling.png"
+    return drawn
+
+
+def write(results: Results, options: argparse.Namespace) -> None:
+    """Write JSON, tables and plots; with --update-readme also those of the repository."""
+    text = json.dumps(dataclasses.asdict(results), indent=1)
+    (options.output / "bench.json").write_text(text)
+    folders = [options.output, *([DOCS] if options.update_readme else [])]
+    plots = plot(results, folders)
+    page = details.page(results, report.heading(results), plots)
+    for folder in folders:
+        (folder / "benchmarks.md").write_text(page)
+    short = report.markdown(results, "benchmarks.md", plots.get("gap", ""))
+    (options.output / "bench.md").write_text(short)
+    print(short)
+    if options.update_readme:
+        image = f"docs/{plots['gap']}" if "gap" in plots else ""
+        report.put_into(
+            problems.ROOT / "README.md", report.markdown(results, "docs/benchmarks.md", image)
+        )
 
 
 def main() -> int:
-    """Measure, then write JSON, tables and plot."""
+    """Measure, then write JSON, tables and plots."""
     options = arguments()
     options.output.mkdir(parents=True, exist_ok=True)
-    found = problems.find(problems.data_folder())
-    wanted = [name for name in options.problems.split(",") if name]
-    chosen = [problem for problem in found if not wanted or problem.name in wanted]
+    chosen = choose(options)
     if not chosen:
-        names = ", ".join(problem.name for problem in found) or "nothing"
-        print(f"error: no problem chosen; {problems.data_folder()} has {names}", file=sys.stderr)
         return 2
-    described = machine.describe()
-    runs, marks = run_all(chosen, options)
-    with tempfile.TemporaryDirectory() as folder:
-        processes = run_whole(chosen, options, Path(folder))
-    settings = {"threads": options.threads, "repeat": options.repeat, "stopping": STOPPING}
-    results = report.Results(
-        machine=described,
-        command=shlex.join(["python", "benchmarks/run.py", *sys.argv[1:]]),
-        settings={**settings, "repeat_below": REPEAT_BELOW},
-        kinds={problem.name: problem.kind for problem in chosen},
-        runs=runs,
-        marks=marks,
-        whole=processes,
-    )
-    (options.output / "bench.json").write_text(json.dumps(dataclasses.asdict(results), indent=1))
-    text = report.markdown(results, plot(results, options.output, options.update_readme))
-    (options.output / "bench.md").write_text(text)
-    print(text)
-    if options.update_readme:
-        report.put_into(problems.ROOT / "README.md", text)
+    write(measure_all(chosen, options), options)
     return 0
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from benchmarks.measure import Spread
 from benchmarks.rows import GAPS, Row
+
+if TYPE_CHECKING:
+    from benchmarks.targets import Target
 
 
 def seconds(value: float) -> str:
@@ -37,6 +41,14 @@ def ratio(
     middle, low, high = (
         f"{value / reference.median:.2f}" for value in (spread.median, spread.low, spread.high)
     )
+    return middle if low == high else f"{middle} ({low}-{high})"
+
+
+def absolute(spread: Spread | None, missing: str = "not reached") -> str:
+    """Return the median in seconds, and in brackets the extremes if they print differently."""
+    if spread is None:
+        return missing
+    middle, low, high = (seconds(value) for value in (spread.median, spread.low, spread.high))
     return middle if low == high else f"{middle} ({low}-{high})"
 
 
@@ -111,11 +123,11 @@ def of_pair(pairs: Sequence[tuple[Row, Row]]) -> str:
     return grid([*header, "peak memory"], lines)
 
 
-def of_targets(verdicts: Sequence[tuple[str, float | None, float]]) -> str:
-    """Return one line a target: what, ours over theirs, the limit, and whether it is met."""
+def of_targets(goals: Sequence[Target]) -> str:
+    """Return one line a target: what, the measured value, the limit, and whether it is met."""
     lines = []
-    for what, value, limit in verdicts:
-        measured = "not measured" if value is None else f"{value:.2f}"
-        met = "no" if value is None or value > limit else "yes"
-        lines.append([what, measured, f"{limit:.2f}", met])
-    return grid(["ours / pycolmap's", "measured", "at most", "met"], lines)
+    for goal in goals:
+        measured = "not measured" if goal.value is None else f"{goal.value:.3g}"
+        limit = f"{'at least' if goal.is_least else 'at most'} {goal.limit:g}"
+        lines.append([goal.what, measured, limit, "yes" if goal.met else "no"])
+    return grid(["target", "measured", "limit", "met"], lines)

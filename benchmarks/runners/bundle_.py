@@ -1,7 +1,7 @@
 """bundle itself, through its Python interface.
 
-``build`` is everything that bundle.solve does outside Ceres, before and after, statistics of the
-reprojection error included. The trace is shifted by all of it: unfair to us by the part after.
+``build`` is everything that bundle.solve does outside the backend, before and after, statistics of
+the reprojection error included. The trace is shifted by all of it: unfair to us by the part after.
 """
 
 from __future__ import annotations
@@ -51,13 +51,27 @@ def _verified_cost(problem: bundle.Problem, kind: str) -> float:
     return colmap.cost(problem.to_pycolmap())
 
 
+def _size(problem: bundle.Problem) -> dict[str, int]:
+    tracks = np.bincount(problem.observation_point)
+    return {
+        "images": problem.num_images,
+        "points": problem.num_points,
+        "observations": problem.num_observations,
+        "camera_pairs": int((tracks * (tracks - 1)).sum()) // 2,
+    }
+
+
 def run(request: protocol.Request) -> protocol.Outcome:
     """Load and solve, timing each."""
     start = time.perf_counter()
     problem = bundle.load(request.path)
     loaded = time.perf_counter()
+    load_memory = protocol.peak_memory()
+    loaded_memory = protocol.restart_peak_memory()
+    begun = time.perf_counter()
     result = bundle.solve(
         problem,
+        backend=request.backend,
         linear_solver_type=request.solver,
         num_threads=request.threads,
         max_num_iterations=request.max_num_iterations,
@@ -69,7 +83,7 @@ def run(request: protocol.Request) -> protocol.Outcome:
     solved = time.perf_counter()
     memory = protocol.peak_memory()
     summary = result.summary
-    build = solved - loaded - summary.total_time_in_seconds
+    build = solved - begun - summary.total_time_in_seconds
     seconds = build + np.asarray(result.iterations["cumulative_time_in_seconds"], dtype=float)
     return protocol.Outcome(
         load=loaded - start,
@@ -82,8 +96,14 @@ def run(request: protocol.Request) -> protocol.Outcome:
         final_cost=summary.final_cost,
         termination=summary.termination_type,
         verified_cost=_verified_cost(result.problem, request.kind),
-        peak_memory=memory,
-        notes=[summary.linear_solver_type_used, summary.schur_structure_used],
+        peak_memory=max(memory, load_memory),
+        added_memory=memory - loaded_memory if loaded_memory >= 0 else -1,
+        notes=[
+            summary.backend_used,
+            summary.linear_solver_type_used,
+            summary.schur_structure_used,
+        ],
+        size=_size(problem),
         versions={"bundle": bundle.__version__},
     )
 

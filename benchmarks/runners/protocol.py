@@ -16,14 +16,17 @@ from pathlib import Path
 class Request:
     """One problem for one solver.
 
-    ``path`` is a BAL file or a COLMAP folder (``kind`` "bal" or "colmap"). The tolerances are
-    Ceres'; a runner whose solver lacks one leaves it out.
+    ``path`` is a BAL file or a COLMAP folder (``kind`` "bal" or "colmap"). ``backend`` is bundle's
+    alone. ``memory_limit`` is in bytes of address space, 0 for none. The tolerances are Ceres'; a
+    runner whose solver lacks one leaves it out.
     """
 
     path: Path
     kind: str
     solver: str
+    backend: str
     threads: int
+    memory_limit: int
     max_num_iterations: int
     function_tolerance: float
     gradient_tolerance: float
@@ -44,7 +47,10 @@ class Outcome:
         final_cost: what the solver says.
         verified_cost: what bal.cost or colmap.cost says of the refined parameters.
         peak_memory: bytes, whole process, before the verification.
+        added_memory: bytes, the peak of solving beyond the loaded problem; -1 if not measured.
         notes: the linear solver used, and its structure.
+        size: of the problem, where the runner says it: "images", "points", "observations", and
+            "camera_pairs", the sum of L (L - 1) / 2 over all track lengths L.
         versions: of the libraries behind the numbers.
     """
 
@@ -59,7 +65,9 @@ class Outcome:
     termination: str
     verified_cost: float
     peak_memory: int
+    added_memory: int = -1
     notes: list[str] = field(default_factory=list)
+    size: dict[str, int] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
 
@@ -73,11 +81,27 @@ def peak_memory() -> int:
     VmHWM belongs to this program alone; ru_maxrss would include the parent's size at the fork.
     """
     try:
-        status = Path("/proc/self/status").read_text()
-        return 1024 * int(status.split("VmHWM:")[1].split()[0])
+        return _status("VmHWM")
     except (OSError, IndexError):
         unit = 1 if sys.platform == "darwin" else 1024
         return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def restart_peak_memory() -> int:
+    """Let ``peak_memory`` count anew; return the resident size in bytes, -1 where that cannot be.
+
+    What a loader needed for a moment would otherwise hide what the solver adds.
+    """
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+        return _status("VmRSS")
+    except (OSError, IndexError):
+        return -1
+
+
+def _status(field: str) -> int:
+    text = Path("/proc/self/status").read_text()
+    return 1024 * int(text.split(f"{field}:")[1].split()[0])
 
 
 def pin(threads: int) -> None:
@@ -86,16 +110,25 @@ def pin(threads: int) -> None:
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
 
 
+def limit_memory(size: int) -> None:
+    """Make allocations beyond ``size`` bytes fail, here and in children: 0 for no limit."""
+    if size:
+        resource.setrlimit(resource.RLIMIT_AS, (size, size))
+
+
 def main(run: Callable[[Request], Outcome]) -> None:
     """Read the request named first on the command line, run it, write the answer to the second."""
     request_path, answer_path = (Path(argument) for argument in sys.argv[1:3])
     fields = json.loads(request_path.read_text())
     request = Request(**{**fields, "path": Path(fields["path"])})
     pin(request.threads)
+    limit_memory(request.memory_limit)
     try:
         answer = dataclasses.asdict(run(request))
     except NotApplicableError as reason:
         answer = {"failure": str(reason)}
+    except MemoryError:
+        answer = {"failure": f"more than the memory limit of {request.memory_limit / 1e9:.0f} GB"}
     except Exception as error:  # a failed solver is a row, not the end of the benchmark
         answer = {"failure": f"{type(error).__name__}: {error}".splitlines()[0]}
     answer_path.write_text(json.dumps(answer))

@@ -1,14 +1,13 @@
 """pycolmap's Ceres bundle adjuster, called as its users call it.
 
 pycolmap hands out no list of iterations, but Ceres' own progress table on standard output has them:
-the runner turns it on and parses it. Costs there have seven digits, times three.
+the runner turns it on and reads it (see ceres_log). Costs there have seven digits, times three.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import os
-import re
 import tempfile
 import time
 from collections.abc import Iterator
@@ -20,16 +19,13 @@ import numpy as np
 import pycolmap
 
 from benchmarks import bal, colmap
-from benchmarks.runners import protocol
+from benchmarks.runners import ceres_log, protocol
 
 SOLVER_TYPES = {
     "dense-schur": "DENSE_SCHUR",
     "sparse-schur": "SPARSE_SCHUR",
     "iterative-schur": "ITERATIVE_SCHUR",
 }
-# Columns: iteration, cost, change, |gradient|, |step|, ratio, radius, linear solver iterations,
-# seconds of the iteration, seconds so far.
-_PROGRESS = re.compile(r"^\s*\d+\s+(\S+)(?:\s+\S+){7}\s+(\S+)\s*$", re.MULTILINE)
 
 
 def to_reconstruction(problem: bal.Bal) -> pycolmap.Reconstruction:
@@ -150,7 +146,7 @@ def run(request: protocol.Request) -> protocol.Outcome:
         with _standard_output_in(log):
             answer = prepared.solve()
         solved = time.perf_counter()
-        progress = _PROGRESS.findall(log.read_text())
+        printed = log.read_text()
     memory = protocol.peak_memory()
     summary = answer.ceres_summary
     if problem is None:
@@ -163,7 +159,10 @@ def run(request: protocol.Request) -> protocol.Outcome:
         solve=solved - built,
         minimizer=summary.minimizer_time_in_seconds,
         num_steps=summary.num_linear_solves,
-        trace=[(built - loaded + float(seconds), float(cost)) for cost, seconds in progress],
+        trace=[
+            (built - loaded + seconds, cost)
+            for seconds, cost in ceres_log.iterations(printed, summary.final_cost)
+        ],
         initial_cost=summary.initial_cost,
         final_cost=summary.final_cost,
         termination=summary.termination_type.name,

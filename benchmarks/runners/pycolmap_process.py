@@ -22,6 +22,8 @@ def main() -> None:
         path=path,
         kind="colmap" if path.is_dir() else "bal",
         solver="auto",
+        backend="",
+        memory_limit=0,
         threads=int(sys.argv[3]),
         max_num_iterations=int(sys.argv[4]),
         function_tolerance=float(sys.argv[5]),

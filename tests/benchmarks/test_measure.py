@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 
 import pytest
-from benchmarks.measure import Spread, environment, run_child, time_to_cost
+from benchmarks.measure import Spread, environment, run_child, slope, time_to_cost
 
 TRACE = [(0.1, 100.0), (0.2, 10.0), (0.3, 50.0), (0.4, 9.0)]
 
@@ -30,6 +31,16 @@ def test_spread_needs_every_value(values):
     assert Spread.of(values) is None
 
 
+@pytest.mark.parametrize("power", [0.5, 1.0, 1.7])
+def test_the_slope_is_the_power_of_growth(power):
+    sizes = [5e4, 2e5, 1e6, 5e6]
+    factors = [1.1, 1 / 1.1, 1 / 1.1, 1.1]  # nearly without effect on a line through four points
+    values = [3e-5 * n**power * factor for n, factor in zip(sizes, factors, strict=True)]
+    assert slope(sizes, values) == pytest.approx(power, abs=0.01)
+    with pytest.raises(ValueError, match="two sizes"):
+        slope([5.0, 5.0], [1.0, 2.0])
+
+
 def _child(code, timeout=30.0, **env):
     return run_child([sys.executable, "-c", code], {**os.environ, **env}, timeout)
 
@@ -46,6 +57,18 @@ def test_a_child_that_takes_too_long_is_stopped():
     child = _child("import time; time.sleep(60)", timeout=0.3)
     assert child.failure == "stopped after the time limit of 0.3 s"
     assert child.wall < 30.0
+
+
+def test_what_a_stopped_child_has_started_is_stopped_too(tmp_path):
+    proof = tmp_path / "alive"
+    grandchild = f"import time; time.sleep(2.5); open({str(proof)!r}, 'w')"
+    child = _child(
+        f"import subprocess, sys; subprocess.run([sys.executable, '-c', {grandchild!r}])",
+        timeout=1.0,
+    )
+    assert child.failure == "stopped after the time limit of 1 s"
+    time.sleep(2.5)
+    assert not proof.exists()
 
 
 def test_a_child_that_fails_gives_its_last_words():

@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 from benchmarks.measure import Spread
 from benchmarks.rows import Row
+from benchmarks.targets import Target
 
 from benchmarks import table
 
@@ -78,6 +79,21 @@ def test_pairs_are_theirs_over_ours():
     assert len({len(line) for line in lines}) == 1
 
 
-@pytest.mark.parametrize(("value", "met"), [(0.75, "yes"), (0.751, "no"), (None, "no")])
-def test_targets_are_met_up_to_their_limit(value, met):
-    assert cells(table.of_targets([("w", value, 0.75)]))[2][3] == met
+@pytest.mark.parametrize(
+    ("value", "is_least", "cells_expected"),
+    [
+        (0.75, False, ["w", "0.75", "at most 0.75", "yes"]),
+        (0.751, False, ["w", "0.751", "at most 0.75", "no"]),
+        (0.75, True, ["w", "0.75", "at least 0.75", "yes"]),
+        (0.749, True, ["w", "0.749", "at least 0.75", "no"]),
+        (None, False, ["w", "not measured", "at most 0.75", "no"]),
+    ],
+)
+def test_targets_are_met_up_to_their_limit(value, is_least, cells_expected):
+    assert cells(table.of_targets([Target("w", value, 0.75, is_least)]))[2] == cells_expected
+
+
+def test_absolute_times_show_a_spread_that_can_be_seen():
+    assert table.absolute(Spread(0.2, 0.1, 0.3)) == "200 ms (100 ms-300 ms)"
+    assert table.absolute(Spread(0.2, 0.20001, 0.20002)) == "200 ms"
+    assert table.absolute(None) == "not reached"

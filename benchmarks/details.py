@@ -1,0 +1,121 @@
+"""The page with everything: one table a problem, growth, threads, the limit of arithmetic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from benchmarks import flops, scaling, table, whole
+from benchmarks.results import Results
+from benchmarks.solvers import REFERENCE
+
+_SHARE_SOLVERS = tuple(
+    f"bundle {backend} {solver}"
+    for backend in ("fused", "ceres")
+    for solver in ("dense-schur", "sparse-schur", "iterative-schur")
+)
+
+
+def page(results: Results, heading: str, plots: dict[str, str]) -> str:
+    """Return the page; ``plots`` maps "gap" and "scaling" to paths as its links have them."""
+    parts = ["# Benchmarks", heading]
+    parts.append(
+        "Written by `benchmarks/run.py`; how each number is taken stands in "
+        "[benchmarks/README.md](../benchmarks/README.md). In brackets the spread of the runs."
+    )
+    for title, text in (
+        ("Growth with the observations", _with_plot(scaling.growth_table(results), plots)),
+        ("Threads: time per step, 1 thread over all", scaling.threads_table(results)),
+        ("Share of the limit of arithmetic", _share(results)),
+        ("Time to 1e-8 of the best known cost, tight stopping rule", _tight(results)),
+        ("Whole processes: start, load, solve, save", _whole_table(results)),
+    ):
+        if text:
+            parts += [f"## {title}", text]
+    parts.append("## Problem by problem")
+    if "gap" in plots:
+        parts.append(f"![Cost gap against time]({plots['gap']})")
+    for problem in results.kinds:
+        size = results.size(problem)
+        counts = ", ".join(f"{size[key]:,} {key}" for key in ("images", "points", "observations"))
+        parts += [
+            f"### {problem}",
+            f"{counts}; best known cost {results.best_cost(problem):.9e}; ratios to {REFERENCE}."
+            if size
+            else f"Best known cost {results.best_cost(problem):.9e}; ratios to {REFERENCE}.",
+            table.of_problem(results.rows_of(problem)),
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _with_plot(text: str, plots: dict[str, str]) -> str:
+    if text and "scaling" in plots:
+        return f"![Total time against observations]({plots['scaling']})\n\n{text}"
+    return text
+
+
+def _share(results: Results) -> str:
+    """Return, for the problems with BAL's camera, which share of DGEMM's rate a step reaches."""
+    peak = results.settings["dgemm"]
+    lines = []
+    for problem in results.problems("bal", "synthetic"):
+        size = results.size(problem)
+        if not size or not peak:
+            continue
+        shares = []
+        for solver in _SHARE_SOLVERS:
+            row = results.row(problem, solver)
+            least = flops.per_step(size, dense=solver.endswith("dense-schur")) / peak
+            step = row.step.median if row and row.step else None
+            shares.append(f"{100 * least / step:.1f} %" if step else "")
+        each = flops.per_step(size, dense=False) / size["observations"]
+        limit = flops.per_step(size, dense=False) / peak
+        lines.append([problem, f"{each:.0f}", table.seconds(limit), *shares])
+    if not lines:
+        return ""
+    header = ["problem", "flops an observation", "limit of a step", *_SHARE_SOLVERS]
+    text = (
+        "The limit is the least number of flops that the formulas of elimination need "
+        "([flops.py](../benchmarks/flops.py)) at the rate of DGEMM, "
+        f"{peak / 1e9:.0f} GFLOP/s on {results.settings['threads']} threads. The factorisation of "
+        "the reduced system is counted for dense-schur alone: the shares of the others are lower "
+        "bounds."
+    )
+    return f"{text}\n\n{table.grid(header, lines)}"
+
+
+def _tight(results: Results) -> str:
+    """Return one line a problem and solver: the absolute times to each gap."""
+    lines = []
+    for problem in results.kinds:
+        for row in results.rows_of(problem, "tight"):
+            if row.failure:
+                lines.append([problem, row.solver, f"no result: {row.failure}", "", "", "", ""])
+                continue
+            times = [table.absolute(time) for time in (*row.reached, row.total)]
+            lines.append([problem, row.solver, *times, f"{max(row.gap, 0.0):.0e}"])
+    header = ["problem", "solver", "time to 1e-3", "to 1e-5", "to 1e-8", "total", "final gap"]
+    return table.grid(header, lines) if lines else ""
+
+
+def _whole_table(results: Results) -> str:
+    header = ["problem", f"`{whole.OURS}`", "pycolmap, wall time", "pycolmap, peak memory"]
+    lines = [_whole_line(problem, processes) for problem, processes in results.whole.items()]
+    return table.grid([*header, "pycolmap, final cost - 1"], lines) if lines else ""
+
+
+def _whole_line(problem: str, processes: dict[str, list[dict[str, Any]]]) -> list[str]:
+    ours, theirs = processes[whole.OURS], processes[whole.THEIRS]
+    failures = [run["failure"] for run in ours + theirs if run["failure"]]
+    if failures:
+        return [problem, f"no result: {failures[0]}", "", "", ""]
+    (our_wall, our_memory), (their_wall, their_memory) = (
+        whole.spreads(ours),
+        whole.spreads(theirs),
+    )
+    return [
+        problem,
+        table.seconds(our_wall.median) if our_wall else "",
+        table.ratio(their_wall, our_wall),
+        table.ratio(their_memory, our_memory, table.megabytes),
+        f"{theirs[-1]['final_cost'] / ours[-1]['final_cost'] - 1.0:+.0e}",
+    ]

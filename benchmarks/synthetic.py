@@ -1,0 +1,111 @@
+"""Synthetic scenes, made once by `bundle.synthesize` and kept as BAL files.
+
+All but one are drives through a street, a thousand observations an image: what grows is the length
+of the drive, and co-visibility stays banded, so that work should grow with the observations. The
+photo collection has the same size as the drive of 1000 images, but a denser reduced camera system.
+
+`python -m benchmarks.synthetic NAME PATH` makes one: in a process of its own, since what starts the
+measured processes must stay small.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks import measure
+from benchmarks.problems import CACHE, ROOT, BenchmarkProblem
+
+_SOURCES = ROOT / "python" / "bundle" / "synthetic"
+_TRACK_LENGTH = 5
+_TIMEOUT = 600.0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is asked of the generator; every image has a camera of its own, as in BAL."""
+
+    kind: str
+    num_images: int
+    num_observations: int
+
+    @property
+    def name(self) -> str:
+        """Return the name of the problem, such as street-1000."""
+        return f"{self.kind.replace('_', '-')}-{self.num_images}"
+
+    def options(self) -> dict[str, Any]:
+        """Return the fields of bundle.SceneOptions."""
+        return {
+            "scene": self.kind,
+            "num_images": self.num_images,
+            "num_points": self.num_observations // _TRACK_LENGTH,
+            "mean_track_length": float(_TRACK_LENGTH),
+            "camera_model": "RADIAL",
+            "cameras": "individual",
+            "seed": 4,
+        }
+
+    def path(self, folder: Path) -> Path:
+        """Return the file's name, which changes with the options and with the generator."""
+        digest = hashlib.sha256(repr(dataclasses.astuple(self)).encode())
+        digest.update(repr(self.options()).encode())
+        for source in sorted(_SOURCES.glob("*.py")):
+            digest.update(source.read_bytes())
+        return folder / f"{self.name}-{digest.hexdigest()[:8]}.txt"
+
+
+SCENES = (
+    Scene("street", 50, 50_000),
+    Scene("street", 200, 200_000),
+    Scene("street", 1000, 1_000_000),
+    Scene("photo_collection", 1000, 1_000_000),
+    Scene("street", 5000, 5_000_000),
+)
+
+
+def problem(scene: Scene, folder: Path = CACHE / "synthetic") -> BenchmarkProblem:
+    """Return the problem of a scene, whose file may not be there yet."""
+    return BenchmarkProblem(
+        scene.name,
+        "bal",
+        scene.path(folder),
+        is_synthetic=True,
+        num_images=scene.num_images,
+        num_observations=scene.num_observations,
+    )
+
+
+def ensure(wanted: BenchmarkProblem) -> None:
+    """Make the file of a synthetic problem if it is missing.
+
+    Raises:
+        RuntimeError: the generator failed.
+    """
+    if wanted.path.exists():
+        return
+    wanted.path.parent.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "benchmarks.synthetic", wanted.name, str(wanted.path)]
+    child = measure.run_child(command, measure.environment(ROOT, 1), _TIMEOUT)
+    if child.failure:
+        raise RuntimeError(f"{wanted.name}: {child.failure}")
+    print(f"{wanted.name}: made in {child.wall:.0f} s", file=sys.stderr)
+
+
+def _main() -> None:
+    import bundle
+
+    name, path = sys.argv[1], Path(sys.argv[2])
+    (scene,) = (scene for scene in SCENES if scene.name == name)
+    made = bundle.synthesize(**scene.options())
+    partial = path.with_name(f"partial-{path.name}")
+    bundle.save(made.problem, partial)
+    partial.replace(path)
+
+
+if __name__ == "__main__":
+    _main()

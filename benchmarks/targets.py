@@ -1,0 +1,186 @@
+"""What was set out to be reached, computed from what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from benchmarks import scaling, whole
+from benchmarks.measure import Spread
+from benchmarks.results import Results
+from benchmarks.rows import Row
+from benchmarks.solvers import REFERENCE
+
+MAIN = "16-22106"
+FUSED, FUSED_ITERATIVE, FUSED_SPARSE = (
+    f"bundle fused {solver}" for solver in ("auto", "iterative-schur", "sparse-schur")
+)
+CERES, PEER = "bundle ceres auto", "pycolmap auto"
+CERES_SCHUR = (
+    CERES,
+    "bundle ceres dense-schur",
+    "bundle ceres sparse-schur",
+    "bundle ceres iterative-schur",
+)
+BYTES_AN_OBSERVATION = 120.0
+MANY_OBSERVATIONS = 5_000
+MANY_IMAGES = 1000
+FIVE_MILLION = 5_000_000
+
+
+@dataclass(frozen=True)
+class Target:
+    """A number and its limit; ``value`` is None if it could not be measured."""
+
+    what: str
+    value: float | None
+    limit: float
+    is_least: bool = True
+
+    @property
+    def met(self) -> bool:
+        """Whether the number is on the right side of its limit, or at it."""
+        if self.value is None:
+            return False
+        return self.value >= self.limit if self.is_least else self.value <= self.limit
+
+
+def of(results: Results) -> list[Target]:
+    """Return the targets whose problems were among those chosen."""
+    return [
+        *_main_problem(results),
+        *_other_real(results),
+        *_large_synthetic(results),
+        *_growth(results),
+        *_choice(results),
+    ]
+
+
+def quotient(over: Spread | None, under: Spread | None) -> float | None:
+    """Return the ratio of two medians, None without one of them."""
+    return over.median / under.median if over and under and under.median else None
+
+
+def _step(row: Row | None) -> Spread | None:
+    return row.step if row else None
+
+
+def _total(row: Row | None) -> Spread | None:
+    return row.total if row else None
+
+
+def _main_problem(results: Results) -> list[Target]:
+    if MAIN not in results.kinds:
+        return []
+    ours = _step(results.row(MAIN, REFERENCE))
+    lines = [
+        Target(
+            f"{MAIN}, time per step: {peer} / {REFERENCE}",
+            quotient(_step(results.row(MAIN, peer)), ours),
+            limit,
+        )
+        for peer, limit in ((PEER, 10.0), (CERES, 7.0))
+    ]
+    if results.settings["threads"] > 1:
+        one = _step(results.row(MAIN, FUSED, threads=1))
+        several = _step(results.row(MAIN, FUSED))
+        what = f"{MAIN}, time per step, {FUSED}: 1 thread / {results.settings['threads']} threads"
+        lines.append(Target(what, quotient(one, several), 1.7))
+    if MAIN in results.whole:
+        processes = results.whole[MAIN]
+        ours, theirs = (whole.spreads(processes[name])[0] for name in (whole.OURS, whole.THEIRS))
+        what = f"{MAIN}, whole process, load and save included: ours / pycolmap's"
+        lines.append(Target(what, quotient(ours, theirs), 0.7, is_least=False))
+    return lines
+
+
+def _other_real(results: Results) -> list[Target]:
+    names = [
+        name
+        for name in results.problems("bal", "colmap")
+        if name != MAIN
+        and (
+            results.kinds[name] == "bal"
+            or results.size(name).get("observations", 0) > MANY_OBSERVATIONS
+        )
+    ]
+    return [
+        _extreme(
+            f"{what}, {PEER} / {REFERENCE}, least of",
+            [
+                (name, quotient(of(results.row(name, PEER)), of(results.row(name, REFERENCE))))
+                for name in names
+            ],
+            limit,
+        )
+        for what, of, limit in (("time per step", _step, 6.0), ("total", _total, 5.0))
+        if names
+    ]
+
+
+def _large_synthetic(results: Results) -> list[Target]:
+    names = [
+        name
+        for name in results.problems("synthetic")
+        if results.size(name).get("images", 0) >= MANY_IMAGES
+    ]
+    ratios = []
+    for name in names:
+        ours = results.row(name, REFERENCE)
+        theirs = [row for solver in CERES_SCHUR if (row := results.row(name, solver))]
+        times = [row.reached[-1] for row in theirs if row.reached[-1]]
+        best = min((time for time in times if time), key=lambda time: time.median, default=None)
+        ratios.append((name, quotient(best, ours.reached[-1] if ours else None)))
+    what = f"time to 1e-05, best Schur solver of Ceres / {REFERENCE}, least of"
+    return [_extreme(what, ratios, 4.0)] if ratios else []
+
+
+def _growth(results: Results) -> list[Target]:
+    """Return the targets of the largest scene; none without it."""
+    names = results.problems("synthetic")
+    large = [n for n in names if results.size(n).get("observations", 0) >= FIVE_MILLION]
+    if not large:
+        return []
+    row = results.row(large[0], FUSED_SPARSE)
+    added = row.added_memory if row else None
+    observations = results.size(large[0])["observations"]
+    return [
+        Target(
+            f"total of {FUSED_ITERATIVE} grows as observations to the power of",
+            scaling.exponent(results, FUSED_ITERATIVE),
+            1.1,
+            is_least=False,
+        ),
+        Target(
+            f"{large[0]}, {FUSED_SPARSE}, bytes an observation beyond the loaded problem",
+            added.median / observations if added else None,
+            BYTES_AN_OBSERVATION,
+            is_least=False,
+        ),
+    ]
+
+
+def _choice(results: Results) -> list[Target]:
+    ratios = []
+    for name in results.kinds:
+        both = [_total(results.row(name, solver)) for solver in (FUSED, CERES)]
+        better = min((t for t in both if t), key=lambda time: time.median, default=None)
+        ratios.append((name, quotient(_total(results.row(name, REFERENCE)), better)))
+    what = f"total, {REFERENCE} / the better of {FUSED} and {CERES}, most of"
+    return [_extreme(what, ratios, 1.1, is_least=False)] if ratios else []
+
+
+def _extreme(
+    what: str, ratios: Iterable[tuple[str, float | None]], limit: float, is_least: bool = True
+) -> Target:
+    """Return the target over several problems, which its worst decides and is named for.
+
+    One problem without a number leaves the target without one.
+    """
+    pairs = list(ratios)
+    missing = [name for name, ratio in pairs if ratio is None]
+    if missing:
+        return Target(f"{what} {len(pairs)} ({missing[0]} has none)", None, limit, is_least)
+    choose: Callable[..., tuple[str, float | None]] = min if is_least else max
+    worst, ratio = choose(pairs, key=lambda pair: pair[1])
+    return Target(f"{what} {len(pairs)} ({worst})", ratio, limit, is_least)
