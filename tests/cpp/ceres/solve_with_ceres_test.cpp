@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/solve/prepare.h"
 #include "support/cost.h"
 #include "support/scene.h"
 
@@ -47,7 +48,7 @@ SolveOptions Converge(LinearSolverType type = LinearSolverType::kAuto) {
 /// What holds for every solve, however it ends: sizes, and a summary that says the truth.
 SolveOutput Solve(const Scene& scene, const SolveOptions& options) {
   const ProblemView problem = scene.View();
-  SolveOutput output = SolveWithCeres(problem, options, nullptr);
+  SolveOutput output = SolveWithCeres(problem, options, PrepareSolve(problem, options), nullptr);
   EXPECT_EQ(output.cam_from_world.size(), scene.cam_from_world.size());
   EXPECT_EQ(output.camera_params.size(), scene.camera_params.size());
   EXPECT_EQ(output.points.size(), scene.points.size());
@@ -223,11 +224,13 @@ TEST(SolveWithCeres, AnUnobservedImageLeavesItsCameraToTheOthers) {
 TEST(SolveWithCeres, ProgressCanStopIt) {
   const Scene scene = MakeScene(SceneOptions());
   int calls = 0;
-  const SolveOutput output =
-      SolveWithCeres(scene.View(), Converge(), [&](const IterationRecord& record) {
-        EXPECT_EQ(record.iteration, calls);
-        return ++calls < 3;
-      });
+  const ProblemView problem = scene.View();
+  const SolveOptions options = Converge();
+  const SolveOutput output = SolveWithCeres(problem, options, PrepareSolve(problem, options),
+                                            [&](const IterationRecord& record) {
+                                              EXPECT_EQ(record.iteration, calls);
+                                              return ++calls < 3;
+                                            });
   EXPECT_EQ(calls, 3);
   EXPECT_TRUE(output.summary.interrupted);
   EXPECT_EQ(output.iterations.size(), 3u);
@@ -236,7 +239,7 @@ TEST(SolveWithCeres, ProgressCanStopIt) {
 TEST(SolveWithCeres, AnUnknownModelIsNamed) {
   Scene scene = MakeScene(SceneOptions());
   scene.camera_models[0] = nullptr;
-  EXPECT_THROW(SolveWithCeres(scene.View(), SolveOptions(), nullptr), InputError);
+  EXPECT_THROW(PrepareSolve(scene.View(), SolveOptions()), InputError);
 }
 
 }  // namespace
