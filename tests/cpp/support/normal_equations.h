@@ -200,6 +200,7 @@ class EliminatedEquations {
     rhs = -problem.gradient.head(n);
     for (int p = 0; p < num_points; ++p) {
       for (int k = 0; k < 3; ++k) v_[p](k, k) += damping * d_squared[n + 3 * p + k];
+      if (n == 0) continue;
       const RealMatrix v_inverse_w = v_[p].ldlt().solve(w_[p].transpose());
       reduced -= w_[p] * v_inverse_w;
       rhs += v_inverse_w.transpose() * problem.gradient.segment(n + 3 * p, 3);
@@ -213,8 +214,9 @@ class EliminatedEquations {
     if (n > 0) q.head(n) = reduced.ldlt().solve(rhs);
     for (size_t p = 0; p < v_.size(); ++p) {
       const Eigen::Index at = n + 3 * static_cast<Eigen::Index>(p);
-      q.segment(at, 3) =
-          -v_[p].ldlt().solve(problem_.gradient.segment(at, 3) + w_[p].transpose() * q.head(n));
+      RealVector right = -problem_.gradient.segment(at, 3);
+      if (n > 0) right -= w_[p].transpose() * q.head(n);
+      q.segment(at, 3) = v_[p].ldlt().solve(right);
     }
     return q;
   }
