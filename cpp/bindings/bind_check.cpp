@@ -9,10 +9,14 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
 #include "core/ceres/function_check.h"
 #include "core/ceres/reprojection_check.h"
+#include "core/error.h"
+#include "core/solve/check_solution.h"
+#include "core/solve/gauge.h"
 
 namespace py = pybind11;
 
@@ -159,6 +163,45 @@ py::tuple CheckReprojections(const py::object& problem,
   return py::make_tuple(analytic, reference, uncertainty, ceres, counts, agrees, stable);
 }
 
+/// SpotCheck of what a solve with these options has at the problem's values, its charts turned by
+/// `rotation_offsets` (num_images, 3). `lie`, unless None, gets an observation and its Jacobian (2,
+/// 6 + parameters + 3), and returns the one that is claimed.
+std::string SpotCheckSolution(const py::object& problem, const py::dict& options,
+                              const py::array_t<double, py::array::c_style>& rotation_offsets,
+                              const py::object& lie) {
+  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  bundle::FreeParameters free = bundle::SelectFreeParameters(view, solve_options);
+  bundle::FixGauge(view, solve_options.gauge, &free);
+  const bundle::ParameterLayout layout(view, free);
+  std::vector<double> state = layout.InitialState(view);
+  for (int i = 0; i < view.num_images; ++i) {
+    if (layout.image_block(i) < 0) continue;
+    const bundle::CameraSideBlock& block = layout.blocks()[layout.image_block(i)];
+    for (int k = 0; k < block.size && block.columns[k] < 3; ++k) {
+      state[block.offset + k] = rotation_offsets.at(i, block.columns[k]);
+    }
+  }
+  bundle::CameraStates states(view, layout);
+  states.Update(state.data());
+  const std::vector<double> points(view.points, view.points + py::ssize_t{3} * view.num_points);
+  const bundle::SolutionUnderCheck solution(view, layout, states, points, solve_options.cheirality);
+  const std::vector<bundle::ObservationAtPoint> sample = solution.Sample();
+  return bundle::SpotCheck(
+      sample, [&](int64_t observation, const double* x, double* residual, double* jacobian) {
+        if (!solution(observation, x, residual, jacobian)) return false;
+        if (jacobian == nullptr || lie.is_none()) return true;
+        const py::ssize_t two = 2;
+        const int image = view.observation_image[observation];
+        const auto size = static_cast<py::ssize_t>(
+            bundle::kPoseSize + view.camera_models[view.image_camera[image]]->num_params + 3);
+        const auto claimed = py::cast<Array>(lie(observation, Array({two, size}, jacobian)));
+        if (claimed.size() != two * size) throw bundle::InputError("lie: another shape");
+        std::copy_n(claimed.data(), claimed.size(), jacobian);
+        return true;
+      });
+}
+
 }  // namespace
 
 void BindCheck(py::module_& m) {
@@ -168,6 +211,8 @@ void BindCheck(py::module_& m) {
         py::arg("blocks"), py::arg("manifolds"), py::arg("relative_precision"));
   m.def("manifold_tangent_size", &ManifoldTangentSize, py::arg("manifold"), py::arg("size"));
   m.def("manifold_plus", &ManifoldPlus, py::arg("manifold"), py::arg("x"), py::arg("delta"));
+  m.def("spot_check", &SpotCheckSolution, py::arg("problem"), py::arg("options"),
+        py::arg("rotation_offsets"), py::arg("lie"));
   m.def("check_reprojections", &CheckReprojections, py::arg("problem"), py::arg("observations"),
         py::arg("offsets"), py::arg("algebraic"), py::arg("relative_precision"),
         py::arg("num_threads"));

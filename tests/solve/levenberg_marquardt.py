@@ -7,8 +7,11 @@ where actual over predicted decrease exceeds 1e-3, radius / max(1/3, 1 - (2 rho 
 test checks.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
+from bundle import Problem
 from bundle.losses import evaluate_loss
 from bundle.reprojection import Linearization, linearize
 
@@ -34,7 +37,8 @@ class Chart:
         params = self.problem.camera_params[:, self.columns]
         return np.concatenate([pose.ravel(), params.ravel(), self.problem.points.ravel()])
 
-    def linearize(self, x):
+    def at(self, x):
+        """The problem at x but for its rotations, and the w that they are turned by."""
         pose, params, points = np.split(x, self.starts[1:3])
         problem, pose = self.problem, pose.reshape(-1, 6)
         camera_params = problem.camera_params.copy()
@@ -44,7 +48,11 @@ class Chart:
             camera_params=camera_params,
             points=points.reshape(-1, 3),
         )
-        return linearize(moved, "algebraic", rotation_offsets=pose[:, :3])
+        return moved, pose[:, :3].copy()
+
+    def linearize(self, x):
+        moved, rotation_offsets = self.at(x)
+        return linearize(moved, "algebraic", rotation_offsets=rotation_offsets)
 
     def dense(self, parts):
         """The (2 N, P) Jacobian of a Linearization."""
@@ -60,6 +68,14 @@ class Chart:
             where = start + width * index[:, None, None] + np.arange(width)
             np.put_along_axis(jacobian, np.broadcast_to(where, block.shape), block, axis=2)
         return jacobian.reshape(2 * n, -1)
+
+
+class Minimum(NamedTuple):
+    """Where a solve ended: see Chart.at for the last two."""
+
+    iterations: list[dict]
+    problem: Problem
+    rotation_offsets: np.ndarray
 
 
 def honest(parts: Linearization) -> Linearization:
@@ -80,7 +96,7 @@ def solve(
 ):
     """Refine everything but principal points with the Jacobians that `lie` makes of the true ones.
 
-    Returns the iterations, a list of one dict each under Ceres' names.
+    The iterations are one dict each, under Ceres' names.
     """
     chart = Chart(problem, columns)
 
@@ -156,4 +172,4 @@ def solve(
             break
         if radius < SMALLEST_RADIUS:
             break
-    return trace
+    return Minimum(trace, *chart.at(x))

@@ -190,7 +190,7 @@ class CeresSolve {
     output->cam_from_world = states_.CamFromWorld();
     output->camera_params = states_.camera_params();
     output->points = std::move(points_);
-    FinishSolve(problem_, options_, std::move(warnings_), output);
+    FinishSolve(problem_, layout_, states_, options_, std::move(warnings_), output);
   }
 
   double* PointData(int point) { return points_.data() + 3 * static_cast<int64_t>(point); }

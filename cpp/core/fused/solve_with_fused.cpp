@@ -51,7 +51,7 @@ class FusedSolve {
     output.summary.linear_solver_choice = std::move(linear_solver_choice_);
     output.iterations = std::move(minimum.iterations);
     for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
-    FinishSolve(problem_, options_, std::move(warnings_), &output);
+    FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings_), &output);
     return output;
   }
 

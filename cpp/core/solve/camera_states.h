@@ -17,6 +17,13 @@ class CameraStates {
 
   void Update(const double* state);
 
+  /// R0 and (w, t) of an image (residuals/reprojection.h).
+  const double* start_rotation(int image) const {
+    return start_rotations_.data() + 9 * static_cast<int64_t>(image);
+  }
+  const double* chart(int image) const {
+    return charts_.data() + kPoseSize * static_cast<int64_t>(image);
+  }
   const PoseState& pose(int image) const { return poses_[image]; }
   const double* params(int camera) const {
     return camera_params_.data() + static_cast<int64_t>(camera) * stride_;

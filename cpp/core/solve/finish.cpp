@@ -3,12 +3,14 @@
 #include <cmath>
 #include <utility>
 
+#include "core/solve/check_solution.h"
 #include "core/solve/convergence_watch.h"
 #include "core/solve/plausibility.h"
 
 namespace bundle {
 
-void FinishSolve(const ProblemView& problem, const SolveOptions& options,
+void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
+                 const CameraStates& states, const SolveOptions& options,
                  std::vector<std::string> warnings, SolveOutput* output) {
   SolveSummary& summary = output->summary;
   summary.warnings = std::move(warnings);
@@ -20,6 +22,7 @@ void FinishSolve(const ProblemView& problem, const SolveOptions& options,
     warn(FindOverflow(problem, options.cheirality));
   }
   warn(WatchConvergence(output->iterations));
+  warn(CheckSolution(problem, layout, states, output->points, options.cheirality));
   RejectImpossibleSolution(problem, output);
 }
 

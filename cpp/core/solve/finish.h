@@ -4,15 +4,18 @@
 #include <vector>
 
 #include "core/problem/problem_view.h"
+#include "core/solve/camera_states.h"
 #include "core/solve/options.h"
+#include "core/solve/parameter_layout.h"
 #include "core/solve/solve.h"
 
 namespace bundle {
 
 /// What every backend ends with: looks at the iterations and the solution that a backend left in
 /// `output`, says in its warnings, after `warnings`, what is wrong with them, and drops a solution
-/// that is none.
-void FinishSolve(const ProblemView& problem, const SolveOptions& options,
+/// that is none. `states` is the camera side of the solution.
+void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
+                 const CameraStates& states, const SolveOptions& options,
                  std::vector<std::string> warnings, SolveOutput* output);
 
 }  // namespace bundle

@@ -78,11 +78,23 @@ class Planner {
       keys.push_back({images, p});
       plan_.num_free_points += fixed ? 0 : 1;
     }
-    std::sort(keys.begin(), keys.end(), [](const Key& a, const Key& b) {
-      return a.images != b.images ? a.images < b.images : a.point < b.point;
+    std::sort(keys.begin(), keys.end(), [this](const Key& a, const Key& b) {
+      if (a.images != b.images) return a.images < b.images;
+      const int order = CompareFurtherImages(a.point, b.point);
+      return order != 0 ? order < 0 : a.point < b.point;
     });
     plan_.point.reserve(keys.size());
     for (const Key& key : keys) plan_.point.push_back(key.point);
+  }
+
+  /// Lexicographically, from the fourth on.
+  int CompareFurtherImages(int a, int b) const {
+    int64_t i = begin_[a] + 3, j = begin_[b] + 3;
+    for (; i < begin_[a + 1] && j < begin_[b + 1]; ++i, ++j) {
+      const int64_t rank_i = ImageRank(by_point_[i]), rank_j = ImageRank(by_point_[j]);
+      if (rank_i != rank_j) return rank_i < rank_j ? -1 : 1;
+    }
+    return (i < begin_[a + 1] ? 1 : 0) - (j < begin_[b + 1] ? 1 : 0);
   }
 
   void CopyObservations() {

@@ -23,6 +23,7 @@
 #include "core/fused/reduced/fill_ordering.h"
 #include "core/fused/reduced/reduced_solver.h"
 #include "core/fused/reduced/reordered_matrix.h"
+#include "core/fused/reduced/serial_openmp.h"
 #include "core/parallel_for.h"
 #include "core/solve/memory.h"
 
@@ -113,6 +114,7 @@ class SparseSolver final : public ReducedSolver {
     if (structure_.num_columns() == 0) return {};
     if (factor_ == nullptr) return Failed(analysis_status_);
     const ScopedBlasThreads blas_threads(blas_threads_);
+    const SerialOpenMp serial_openmp;
     double* values = matrix_.Reorder(&system->values, num_threads_);
     cholmod_l_factorize(pattern_.WithValues(values), factor_, &session_.common);
     if (session_.common.status != CHOLMOD_OK) return Failed(session_.common.status);
