@@ -196,7 +196,10 @@ std::string SpotCheckSolution(const py::object& problem, const py::dict& options
         const auto size = static_cast<py::ssize_t>(
             bundle::kPoseSize + view.camera_models[view.image_camera[image]]->num_params + 3);
         const auto claimed = py::cast<Array>(lie(observation, Array({two, size}, jacobian)));
-        if (claimed.size() != two * size) throw bundle::InputError("lie: another shape");
+        if (claimed.size() != two * size) {
+          throw bundle::InputError("lie: expected " + std::to_string(2 * size) + " values, found " +
+                                   std::to_string(claimed.size()));
+        }
         std::copy_n(claimed.data(), claimed.size(), jacobian);
         return true;
       });

@@ -116,6 +116,12 @@ def manifold_tangent_size(manifold: tuple[str, list[int]], size: int) -> int: ..
 def manifold_plus(
     manifold: tuple[str, list[int]], x: NDArray[np.float64], delta: NDArray[np.float64]
 ) -> NDArray[np.float64]: ...
+def spot_check(
+    problem: Problem,
+    options: dict[str, Any],
+    rotation_offsets: NDArray[np.float64],
+    lie: Callable[[int, NDArray[np.float64]], NDArray[np.float64]] | None,
+) -> str: ...
 def check_reprojections(
     problem: Problem,
     observations: NDArray[np.int64],

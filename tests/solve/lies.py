@@ -47,6 +47,15 @@ DEGREES = np.pi / 180
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 ROTATION, TRANSLATION, FOCAL, K1 = slice(0, 3), slice(3, 6), 0, 3
 
+# name -> changes to scenes.make_problem, camera parameters to refine
+SCENES = {
+    "arc": ({"seed": 0}, [0, 3]),
+    "shared camera": ({"seed": 7, "shared": True}, [0, 3]),
+    "short tracks": ({"seed": 8, "model": "RADIAL", "track": 3, "num_images": 6}, [0, 3, 4]),
+    "noisy": ({"seed": 9, "noise": 5.0}, [0, 3]),
+    "bad start": ({"seed": 2, "perturbation": 5e-2}, [0, 3]),
+}
+
 # name -> lie, for SIMPLE_RADIAL and RADIAL: f cx cy k1 ...
 LIES = {
     "sign of k1": scaled("d_params", K1, -1),
@@ -78,7 +87,7 @@ LIES = {
     "sign of the y row of poses": rows("d_pose", [1, -1]),
 }
 
-# Lies that leave a signature in every solve.
+# Lies that leave a signature in the iterations of every solve.
 CAUGHT = [
     "sign of k1",
     "sign of the focal length",
@@ -107,7 +116,7 @@ UNCERTAIN = [
     "factor 1/2 on points",
     "points' y row off by a factor of 1.5",
 ]
-# Lies that make a solve look badly scaled, which honest ones may be as well.
+# Lies that make a solve look badly scaled, which honest ones may be as well: for the spot check.
 UNSEEN = [
     "k1 forgotten",
     "focal length and k1 swapped",

@@ -11,21 +11,13 @@ import bundle
 from bundle import _core
 from tests import scenes
 from tests.solve import levenberg_marquardt
-from tests.solve.lies import CAUGHT, LIES, UNCERTAIN, UNSEEN
-
-SCENES = {
-    "arc": ({"seed": 0}, [0, 3]),
-    "shared camera": ({"seed": 7, "shared": True}, [0, 3]),
-    "short tracks": ({"seed": 8, "model": "RADIAL", "track": 3, "num_images": 6}, [0, 3, 4]),
-    "noisy": ({"seed": 9, "noise": 5.0}, [0, 3]),
-    "bad start": ({"seed": 2, "perturbation": 5e-2}, [0, 3]),
-}
+from tests.solve.lies import CAUGHT, LIES, SCENES, UNCERTAIN, UNSEEN
 
 
 def lying_trace(scene, lie, **options):
     changes, columns = SCENES[scene]
     problem = scenes.make_problem(**changes)
-    return levenberg_marquardt.solve(problem, LIES[lie], columns=columns, **options)
+    return levenberg_marquardt.solve(problem, LIES[lie], columns=columns, **options).iterations
 
 
 def watch(trace):
@@ -38,7 +30,7 @@ def test_the_replica_with_true_jacobians_does_what_ceres_does(scene, loss, loss_
     changes, columns = SCENES[scene]
     problem = scenes.make_problem(**changes)
     options = {"loss": loss, "loss_scale": loss_scale, "max_num_iterations": 15}
-    trace = levenberg_marquardt.solve(problem, columns=columns, **options)
+    trace = levenberg_marquardt.solve(problem, columns=columns, **options).iterations
     iterations = bundle.solve(
         problem, linear_solver_type="dense_qr", gauge="none", cheirality="algebraic", **options
     ).iterations
@@ -82,7 +74,7 @@ def test_true_jacobians_are_not_suspected():
         for loss, loss_scale in (("trivial", 1.0), ("cauchy", 0.3), ("tukey", 3.0)):
             trace = levenberg_marquardt.solve(
                 problem, columns=columns, loss=loss, loss_scale=loss_scale, function_tolerance=1e-10
-            )
+            ).iterations
             assert watch(trace) == "", (scene, loss)
 
 

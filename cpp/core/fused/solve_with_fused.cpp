@@ -7,12 +7,13 @@
 
 #include "core/fused/eliminate/schur_problem.h"
 #include "core/fused/minimize/trust_region.h"
+#include "core/fused/reduced/reduced_cost.h"
 #include "core/fused/reduced/reduced_solver.h"
 #include "core/fused/reduced/reduced_system.h"
 #include "core/fused/summarize.h"
 #include "core/parallel_for.h"
-#include "core/solve/choose_solver.h"
 #include "core/solve/finish.h"
+#include "core/solve/memory.h"
 #include "core/solve/parameter_layout.h"
 #include "core/solve/problem_shape.h"
 #include "core/solve/solver_checks.h"
@@ -58,11 +59,7 @@ class FusedSolve {
  private:
   void ChooseSolver() {
     const ProblemShape shape = ShapeOf(layout_, 2 * problem_.num_observations);
-    if (options_.linear_solver_type == LinearSolverType::kAuto) {
-      SolverChoice choice = ChooseLinearSolver(problem_, layout_, shape);
-      options_.linear_solver_type = choice.type;
-      linear_solver_choice_ = std::move(choice.reason);
-    }
+    if (options_.linear_solver_type == LinearSolverType::kAuto) ChooseBySize(shape);
     CheckTrustRegion(options_);
     std::string idle = FindIdlePreconditioner(options_);
     if (!idle.empty()) warnings_.push_back(std::move(idle));
@@ -73,12 +70,38 @@ class FusedSolve {
     options_.num_threads = EffectiveNumThreads(options_.num_threads);
   }
 
-  void BuildProblem() {
+  /// Below a few hundred columns even the structure costs more than a dense factorisation.
+  void ChooseBySize(const ProblemShape& shape) {
+    constexpr int64_t kColumnsWorthALook = 300;
+    ReducedChoice choice;
+    if (shape.num_camera_columns < kColumnsWorthALook) {
+      choice.reason = "The reduced camera system (" + std::to_string(shape.num_camera_columns) +
+                      " columns) is small: its dense factorisation costs less than a millisecond.";
+    } else {
+      structure_ = MakeSparseStructure();
+      choice = ChooseReducedSolver(structure_, options_.num_threads, AvailableMemoryBytes());
+    }
+    options_.linear_solver_type = choice.type;
+    linear_solver_choice_ = std::move(choice.reason);
+  }
+
+  std::vector<int> BlockSizes() const {
     std::vector<int> sizes;
     for (const CameraSideBlock& block : layout_.blocks()) sizes.push_back(block.size);
-    ReducedStructure structure = options_.linear_solver_type == LinearSolverType::kDenseSchur
-                                     ? DenseStructure(sizes)
-                                     : SparseStructure(sizes, FindCoupledBlocks(problem_, layout_));
+    return sizes;
+  }
+
+  ReducedStructure MakeSparseStructure() const {
+    return SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_));
+  }
+
+  void BuildProblem() {
+    ReducedStructure structure = std::move(structure_);
+    if (options_.linear_solver_type == LinearSolverType::kDenseSchur) {
+      structure = DenseStructure(BlockSizes());
+    } else if (structure.offset.empty()) {
+      structure = MakeSparseStructure();
+    }
     solver_ = MakeSolver(structure);
     schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure),
                                             solver_.get());
@@ -116,6 +139,7 @@ class FusedSolve {
   std::vector<std::string> warnings_;
   std::string linear_solver_choice_;
   const ParameterLayout layout_;
+  ReducedStructure structure_;  ///< the sparse one, where it was needed for the choice
   std::unique_ptr<ReducedSolver> solver_;
   std::unique_ptr<SchurProblem> schur_;
   SolveTimes times_;

@@ -44,7 +44,7 @@
 /// Changes of the cost near its rounding errors are no evidence. The bounds are set where several
 /// thousand honest solves, made as hard as one can, keep silent; that costs some
 /// lies. Those that leave no signature (a column far too small makes damping oscillate as any badly
-/// scaled problem does) are for `bundle check` to find.
+/// scaled problem does) are for the spot check to find (spot_check.h).
 
 #include <string>
 #include <vector>

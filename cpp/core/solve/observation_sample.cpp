@@ -1,14 +1,13 @@
 #include "core/solve/observation_sample.h"
 
 #include <algorithm>
-#include <cstddef>
 #include <map>
 
 namespace bundle {
 namespace {
 
 /// splitmix64 (Steele, Lea and Flood, OOPSLA 2014) of a counter: a uniform number in [0, 1).
-double Uniform(int64_t counter) {
+double Uniform(int counter) {
   uint64_t z = (static_cast<uint64_t>(counter) + 1) * 0x9e3779b97f4a7c15u;
   z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
   z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
@@ -27,16 +26,22 @@ std::vector<int64_t> SampleObservations(const ProblemView& problem, int64_t size
   for (int i = 0; i < problem.num_images; ++i) {
     if (observed[i] > 0) ++images[model_of(i)];
   }
-  // Each observation is drawn with the share of its image.
-  std::vector<double> share(problem.num_images);
+  // Each image draws at even distances, beginning anywhere.
+  std::vector<double> share(problem.num_images), due(problem.num_images);
   for (int i = 0; i < problem.num_images; ++i) {
     if (observed[i] == 0) continue;
-    share[i] = static_cast<double>(size) / static_cast<double>(images.size()) /
-               static_cast<double>(images[model_of(i)]) / static_cast<double>(observed[i]);
+    const auto drawn = static_cast<double>(size) / (static_cast<double>(images.size()) *
+                                                    static_cast<double>(images[model_of(i)]));
+    share[i] = std::min(1.0, drawn / static_cast<double>(observed[i]));
+    due[i] = Uniform(i);
   }
   std::vector<int64_t> sample;
   for (int64_t i = 0; i < problem.num_observations; ++i) {
-    if (Uniform(i) < share[problem.observation_image[i]]) sample.push_back(i);
+    const int image = problem.observation_image[i];
+    due[image] += share[image];
+    if (due[image] < 1) continue;
+    due[image] -= 1;
+    sample.push_back(i);
   }
   return sample;
 }

@@ -89,7 +89,7 @@ class Differences {
         result.verdict = Verdict::kConvicted;
         result.factor = Dot(claimed, found) / (size * size);
         result.error = error / size;
-        result.is_multiple = Norm(claimed - result.factor * found) < kSameFactor * Norm(claimed);
+        result.is_multiple = Norm(claimed - result.factor * found) <= kSameFactor * Norm(claimed);
       }
       convicting = found;
       suspicious = true;
@@ -213,11 +213,10 @@ std::string Deviation(const std::vector<Comparison>& convictions) {
                std::abs(comparison.factor - factor) <= kSameFactor * std::abs(factor);
       });
   std::ostringstream text;
-  text << std::setprecision(3);
   if (static_cast<double>(alike) >= kFactorShare * static_cast<double>(convictions.size())) {
-    text << factor << " times what differences of the residual give";
+    text << std::setprecision(4) << factor + 0.0 << " times what differences of the residual give";
   } else {
-    text << "off by " << 100 * Median(convictions, &Comparison::error)
+    text << std::setprecision(3) << "off by " << 100 * Median(convictions, &Comparison::error)
          << " % of what differences of the residual give";
   }
   return text.str();

@@ -9,24 +9,29 @@
 ///   R = D(h/2) + (D(h/2) - D(h)) / 3 = dr/dx_j + O(h^4),     u = ||D(h/2) - D(h)||,
 ///
 /// where u, of order h^2, is far above the error of R wherever r is smooth at the scale of h, and
-/// of the size of R where it is not: across a fold, a seam or the camera's plane, or among rounding
-/// errors. A step is *conclusive* if u is below a hundredth of ||R|| != 0. The column J_j then
-/// agrees with it if ||J_j - R|| < 1e-3 max(||J_j||, ||R||) + 4 u.
+/// of the size of R where it is not: across a fold, a seam or the camera's plane. Rounding adds n /
+/// h to u, with n = eps (||r|| + sum_k |x_k| ||J_k||), what the last digits of x and r may change.
+/// A step is *conclusive* if u is below a hundredth of ||R||. The column J_j then agrees with it if
 ///
-/// h moves the residual by a given number of pixels, as J_j claims: for a true J_j that is a scale
-/// at which the residual is nearly linear, be coordinates 1e-9 or 1e9, and a false one is not taken
-/// for better by it. (One near zero would ask for absurd steps; they are capped by the size of
-/// what they move.) A needle narrower than h can still make a smooth function look like another
-/// one: near the pole of a panorama, say, or a camera's centre. So
+///   ||J_j - R|| < 1e-3 max(||J_j||, ||R||) + 4 u.
+///
+/// h moves the residual by a given part of a pixel, as the largest claimed column of j's kind has
+/// it (rotation, translation, point, or the one parameter): for true columns that is a scale at
+/// which the residual is nearly linear, be coordinates 1e-9 or 1e9, and false ones, 1000 times too
+/// large or too small, are still seen at one of four such scales. Where nothing seems to move, the
+/// size of what is moved bounds h. A needle narrower than h may yet look smooth: near the pole of a
+/// panorama, say, or a camera's centre. So
 ///
 /// - any conclusive step that agrees acquits the observation's column,
-/// - two conclusive steps, 100 times apart, that agree with each other and not with J_j convict it,
+/// - two conclusive steps, 100 times apart or more, that agree and are not J_j convict it,
 /// - everything else leaves it undecided,
 ///
-/// and a column is reported where it is convicted in a quarter of the decided observations of a
-/// camera model, which must be a tenth of those tried: no matter how hard a problem, an honest
-/// column would have to be wrong there at every scale. A column that is not zero where the residual
-/// does not depend on its number is undecided: so does a residual look that lost its last digit.
+/// and a column is reported where it is convicted in a quarter, and four, of the decided
+/// observations of a camera model, which must be a tenth of those tried: however hard a problem,
+/// the residual would have to mislead at every scale in many places. What this leaves to `bundle
+/// check`: columns that are wrong in a few observations or by less than one in a thousand, and
+/// columns that should be zero and are not, since a residual that lost its last digit does not move
+/// either.
 
 #include <cstdint>
 #include <functional>

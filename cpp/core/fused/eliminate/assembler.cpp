@@ -3,6 +3,11 @@
 #include <algorithm>
 
 namespace bundle::fused {
+namespace {
+
+constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way at once, about
+
+}  // namespace
 
 Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
                      const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
@@ -12,6 +17,7 @@ Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
     const ModelGroup& group = groups[image_group[i]];
     AddSegment(layout.image_block(i), layout, group, &images_[i]);
     AddSegment(layout.camera_block(problem.image_camera[i]), layout, group, &images_[i]);
+    images_are_independent_ &= layout.camera_block(problem.image_camera[i]) < 0;
   }
   int64_t begin = 0;
   for (int j = 0; j < structure.num_blocks(); ++j) {
@@ -32,6 +38,17 @@ void Assembler::AddSegment(int block, const ParameterLayout& layout, const Model
     const int8_t* const end = group.columns + group.num_columns;
     segment.local[k] =
         static_cast<int8_t>(std::find(group.columns, end, columns.columns[k]) - group.columns);
+    segment.is_contiguous &= segment.local[k] == segment.local[0] + k;
+  }
+}
+
+/// Usually all that images of the model refine is refined, and side by side.
+void Assembler::AddColumn(const Segment& rows, const double* from, double* column) {
+  if (rows.is_contiguous) {
+    from += rows.local[0];
+    for (int j = 0; j < rows.size; ++j) column[j] += from[j];
+  } else {
+    for (int j = 0; j < rows.size; ++j) column[j] += from[rows.local[j]];
   }
 }
 
@@ -43,23 +60,41 @@ int64_t Assembler::Entry(int column, int row) const {
   return std::lower_bound(first, last, row) - structure_.row_block.begin();
 }
 
-void Assembler::Add(const Terms& terms, const Chunk& chunk, const ChunkSum& sum,
-                    CameraSums* sums) const {
+void Assembler::AddImage(const Terms& terms, const Chunk& chunk, const ChunkSum& sum, size_t i,
+                         size_t first_pair, size_t last_pair, CameraSums* sums) const {
   const int64_t block_size = static_cast<int64_t>(terms.num_rows) * terms.num_columns;
+  const auto slot = static_cast<int64_t>(i);
   double* const values = sums->system.values.data();
-  const double* block = sum.blocks;
-  for (size_t i = 0; i < chunk.images.size(); ++i, block += block_size) {
-    const int image = chunk.images[i];
-    AddVectors(terms, image, sum.vectors + 4 * terms.num_columns * static_cast<int64_t>(i), sums);
-    AddDiagonal(terms, image, block, values);
-    if (sum.camera_diagonal != nullptr) {
-      AddCameraDiagonal(terms, image, sum.camera_diagonal + block_size * static_cast<int64_t>(i),
-                        sums->system.camera_diagonal.data());
-    }
+  const int image = chunk.images[i];
+  const auto prefetch = [&](size_t pair) {
+    if (pair < last_pair) PrefetchPair(image, chunk.images[chunk.pairs[pair].second], values);
+  };
+  for (size_t ahead = 0; ahead < kPairsAhead; ++ahead) prefetch(first_pair + ahead);
+  AddVectors(terms, image, sum.vectors + 4 * terms.num_columns * slot, sums);
+  AddDiagonal(terms, image, sum.blocks + block_size * slot, values);
+  if (sum.camera_diagonal != nullptr) {
+    AddCameraDiagonal(terms, image, sum.camera_diagonal + block_size * slot,
+                      sums->system.camera_diagonal.data());
   }
-  for (const Chunk::Pair& pair : chunk.pairs) {
-    AddPair(terms, chunk.images[pair.first], chunk.images[pair.second], block, values);
-    block += block_size;
+  const auto num_images = static_cast<int64_t>(chunk.images.size());
+  const double* block = sum.blocks + block_size * (num_images + static_cast<int64_t>(first_pair));
+  for (size_t pair = first_pair; pair < last_pair; ++pair, block += block_size) {
+    prefetch(pair + kPairsAhead);
+    AddPair(terms, image, chunk.images[chunk.pairs[pair].second], block, values);
+  }
+}
+
+/// Asks for the columns of the block that most of a pair goes to; S does not fit a cache, and the
+/// columns of a block are far apart.
+void Assembler::PrefetchPair(int first, int second, const double* values) const {
+  if (images_[first].count == 0 || images_[second].count == 0) return;
+  const Segment &a = images_[first].of[0], &b = images_[second].of[0];
+  if (a.block >= b.block) return;
+  const int64_t entry = Entry(a.block, b.block);
+  for (int i = 0; i < a.size; ++i) {
+    const double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
+    __builtin_prefetch(column, 1);
+    __builtin_prefetch(column + b.size - 1, 1);
   }
 }
 
@@ -117,8 +152,7 @@ void Assembler::AddPair(const Terms& terms, int first, int second, const double*
       for (int i = 0; i < a.size; ++i) {
         const double* const row = block + a.local[i] * terms.num_columns;
         if (a.block < b.block) {
-          double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
-          for (int j = 0; j < b.size; ++j) column[j] += row[b.local[j]];
+          AddColumn(b, row, values + structure_.ValueIndex(a.block, entry, 0, i));
           continue;
         }
         for (int j = 0; j < b.size; ++j) {

@@ -32,7 +32,13 @@ class Assembler {
             const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
             const ReducedStructure& structure);
 
-  void Add(const Terms& terms, const Chunk& chunk, const ChunkSum& sum, CameraSums* sums) const;
+  /// Adds what a chunk has of image i of its images: its vectors, its diagonal block, and the pairs
+  /// [first_pair, last_pair), whose first it is.
+  void AddImage(const Terms& terms, const Chunk& chunk, const ChunkSum& sum, size_t i,
+                size_t first_pair, size_t last_pair, CameraSums* sums) const;
+
+  /// True if AddImage changes no other block columns of S than the image's own.
+  bool images_are_independent() const { return images_are_independent_; }
 
   /// Where block j of the layout begins in ReducedSystem::camera_diagonal.
   const std::vector<int64_t>& diagonal_begin() const { return diagonal_begin_; }
@@ -42,6 +48,7 @@ class Assembler {
   struct Segment {
     int block = -1;
     int size = 0;
+    bool is_contiguous = true;                        ///< local[k] = local[0] + k
     int8_t local[kPoseSize + kMaxCameraParams] = {};  ///< entry k of the block by local column
   };
   struct ImageSegments {
@@ -56,11 +63,14 @@ class Assembler {
   void AddCameraDiagonal(const Terms& terms, int image, const double* block, double* values) const;
   void AddPair(const Terms& terms, int first, int second, const double* block,
                double* values) const;
+  static void AddColumn(const Segment& rows, const double* from, double* column);
+  void PrefetchPair(int first, int second, const double* values) const;
   int64_t Entry(int column, int row) const;
 
   const ReducedStructure& structure_;
   std::vector<ImageSegments> images_;
   std::vector<int64_t> diagonal_begin_;
+  bool images_are_independent_ = true;
 };
 
 }  // namespace bundle::fused

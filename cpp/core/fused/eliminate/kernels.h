@@ -71,7 +71,7 @@ struct CandidateSum {
 
 /// The products of the two directions over the points and all residuals.
 struct ProductSum {
-  double d_pp = 0, d_pq = 0, d_qq = 0, j_pp = 0, j_pq = 0, j_qq = 0, g_p = 0, g_q = 0;
+  double d_pp = 0, d_pq = 0, d_qq = 0, j_pp = 0, j_pq = 0, j_qq = 0;
 };
 
 /// Each pass but the last works in `memory`, which holds as many doubles as `memory_doubles` says.

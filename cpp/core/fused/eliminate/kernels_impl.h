@@ -451,13 +451,11 @@ inline void Products(const Terms& terms, const StateRecords& x, const Chunk& chu
       if (i < terms.plan->num_free_points) {
         BackSubstitute(block, records, count, 10, q);
         for (int j = 0; j < 3; ++j) {
-          const double g = block.Gradient(j), d_squared = block.d_squared[j];
-          p[j] = g / d_squared;
+          const double d_squared = block.d_squared[j];
+          p[j] = block.Gradient(j) / d_squared;
           sum->d_pp += p[j] * d_squared * p[j];
           sum->d_pq += p[j] * d_squared * q[j];
           sum->d_qq += q[j] * d_squared * q[j];
-          sum->g_p += g * p[j];
-          sum->g_q += g * q[j];
         }
       }
       for (int64_t k = 0; k < count; ++k) AddProducts(records + k * kStepRecord, p, q, sum);

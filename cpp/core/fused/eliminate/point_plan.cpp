@@ -10,7 +10,7 @@ namespace {
 constexpr int64_t kLargestChunk = 2048;    // observations: their share of a commit is small by then
 constexpr int64_t kSmallestChunk = 128;    // observations: below, a chunk costs more than its work
 constexpr int64_t kChunksWanted = 64;      // enough to spread evenly over threads
-constexpr int64_t kBufferBytes = 1 << 19;  // half of a common second-level cache
+constexpr int64_t kBufferBytes = 1 << 22;  // half of a common second-level cache
 constexpr int kMaxBlocks = 1 << 16;        // of a chunk: what its indices can tell apart
 
 class Planner {
@@ -128,6 +128,7 @@ class Planner {
     const int64_t most_blocks = kBufferBytes / block_bytes;
     plan_.image_in_chunk.resize(plan_.num_observations());
     image_slot_.assign(problem_.num_images, -1);
+    last_chunk_.assign(problem_.num_images, -1);
     for (int begin = 0; begin < plan_.num_points();) {
       begin = HasTooManyBlocks(begin) ? AddRows(begin, most_blocks)
                                       : AddChunk(begin, wanted, most_blocks);
@@ -235,6 +236,10 @@ class Planner {
     }
     chunk->pairs = std::move(pairs);
     NumberPairs(*chunk, block);
+    for (const int image : chunk->images) {
+      chunk->previous_chunk.push_back(last_chunk_[image]);
+      last_chunk_[image] = static_cast<int>(plan_.chunks.size());
+    }
     plan_.chunks.push_back(std::move(*chunk));
   }
 
@@ -261,6 +266,7 @@ class Planner {
   std::vector<int64_t> begin_;
   std::vector<int64_t> by_point_;
   std::vector<int> image_slot_;  ///< in the chunk in the making; -1: not in it
+  std::vector<int> last_chunk_;  ///< in which an image occurred; -1: none
   std::unordered_map<uint32_t, size_t> pair_of_;
   PointPlan plan_;
 };

@@ -36,9 +36,11 @@ struct Chunk {
   int64_t first_pair = 0;  ///< in PointPlan::pair_block
   /// The images that occur, ascending; block i of the chunk is the diagonal one of images[i].
   std::vector<int> images;
+  /// Of each image, the last chunk before this one in which it occurs; -1: none.
+  std::vector<int> previous_chunk;
   /// Blocks images.size() and up: pairs of indices into `images`, the first the smaller.
   struct Pair {
-    uint16_t first, second;
+    uint16_t first, second;  ///< ascending by first, then second
   };
   std::vector<Pair> pairs;
 

@@ -100,7 +100,8 @@ class SchurProblem::Impl {
         step_(problem, layout),
         other_step_(problem, layout),
         squared_scale_(x_->points.size()),
-        chunk_sums_(pool_.num_threads()) {
+        chunk_sums_(pool_.num_threads()),
+        last_added_(std::max(1, problem.num_images)) {
     const auto n = static_cast<size_t>(structure_.num_columns());
     scale_.resize(n);
     d_squared_.resize(n);
@@ -115,19 +116,20 @@ class SchurProblem::Impl {
     const bool first = !scaled_;
     Linearization result;
     double gradient_squared = 0, gradient_max = 0;
-    ForChunks(
-        [&](const Chunk& chunk, int thread) {
-          ChunkSum& sum = PrepareSum(chunk, thread);
-          kernels_.eliminate(terms_, x_->records(), chunk, damping, first, squared_scale_.data(),
-                             Memory(thread), &sum);
-        },
-        [&](const Chunk& chunk, int thread) {
-          const ChunkSum& sum = chunk_sums_[thread].sum;
-          assembler_.Add(terms_, chunk, sum, &sums_);
-          result.cost += sum.cost;
-          gradient_squared += sum.gradient_squared;
-          if (!(sum.gradient_max <= gradient_max)) gradient_max = sum.gradient_max;
-        });
+    std::vector<ChunkSum> parts(plan_.chunks.size());
+    ForChunks([&](int c, int thread) {
+      const Chunk& chunk = plan_.chunks[c];
+      ChunkSum& sum = PrepareSum(chunk, thread);
+      kernels_.eliminate(terms_, x_->records(), chunk, damping, first, squared_scale_.data(),
+                         Memory(thread), &sum);
+      AddInOrder(c, sum);
+      parts[c] = sum;
+    });
+    for (const ChunkSum& part : parts) {
+      result.cost += part.cost;
+      gradient_squared += part.gradient_squared;
+      if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
+    }
     DampCameras(damping, first);
     for (const double g : sums_.gradient) {
       gradient_squared += g * g;
@@ -159,20 +161,18 @@ class SchurProblem::Impl {
     step_.Set(newton_, x_->cameras());
     MoveCameras(newton_);
     CandidateSum total;
-    std::vector<CandidateSum> parts(pool_.num_threads());
-    ForChunks(
-        [&](const Chunk& chunk, int thread) {
-          parts[thread] = {};
-          kernels_.try_newton(terms_, x_->records(), chunk, damping_, squared_scale_.data(),
-                              step_.records(), candidate_->records(), candidate_->points.data(),
-                              Memory(thread), &parts[thread]);
-        },
-        [&](const Chunk&, int thread) {
-          total.model_cost_change += parts[thread].model_cost_change;
-          total.cost += parts[thread].cost;
-          total.step_squared += parts[thread].step_squared;
-          total.state_squared += parts[thread].state_squared;
-        });
+    std::vector<CandidateSum> parts(plan_.chunks.size());
+    ForChunks([&](int c, int thread) {
+      kernels_.try_newton(terms_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
+                          step_.records(), candidate_->records(), candidate_->points.data(),
+                          Memory(thread), &parts[c]);
+    });
+    for (const CandidateSum& part : parts) {
+      total.model_cost_change += part.model_cost_change;
+      total.cost += part.cost;
+      total.step_squared += part.step_squared;
+      total.state_squared += part.state_squared;
+    }
     return Finish(newton_, total);
   }
 
@@ -186,27 +186,21 @@ class SchurProblem::Impl {
     step_.Set(gradient_direction_, x_->cameras());
     other_step_.Set(newton_, x_->cameras());
     DirectionProducts total;
-    std::vector<ProductSum> parts(pool_.num_threads());
-    ForChunks(
-        [&](const Chunk& chunk, int thread) {
-          parts[thread] = {};
-          kernels_.products(terms_, x_->records(), chunk, damping_, squared_scale_.data(),
-                            step_.records(), other_step_.records(), points_p_.data(),
-                            points_q_.data(), Memory(thread), &parts[thread]);
-        },
-        [&](const Chunk&, int thread) {
-          const ProductSum& part = parts[thread];
-          total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
-          total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
-          total.g_p += part.g_p, total.g_q += part.g_q;
-        });
+    std::vector<ProductSum> parts(plan_.chunks.size());
+    ForChunks([&](int c, int thread) {
+      kernels_.products(terms_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
+                        step_.records(), other_step_.records(), points_p_.data(), points_q_.data(),
+                        Memory(thread), &parts[c]);
+    });
+    for (const ProductSum& part : parts) {
+      total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
+      total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
+    }
     for (size_t j = 0; j < newton_.size(); ++j) {
       const double p = gradient_direction_[j], q = newton_[j];
       total.d_pp += p * d_squared_[j] * p;
       total.d_pq += p * d_squared_[j] * q;
       total.d_qq += q * d_squared_[j] * q;
-      total.g_p += sums_.gradient[j] * p;
-      total.g_q += sums_.gradient[j] * q;
     }
     products_ = total;
     return total;
@@ -217,21 +211,19 @@ class SchurProblem::Impl {
     for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
     MoveCameras(step);
     CandidateSum total;
-    std::vector<CandidateSum> parts(pool_.num_threads());
-    ForChunks(
-        [&](const Chunk& chunk, int thread) {
-          parts[thread] = {};
-          MovePoints(chunk, a, b, &parts[thread]);
-          parts[thread].cost = kernels_.cost(terms_, candidate_->records(), chunk);
-        },
-        [&](const Chunk&, int thread) {
-          total.cost += parts[thread].cost;
-          total.step_squared += parts[thread].step_squared;
-          total.state_squared += parts[thread].state_squared;
-        });
+    std::vector<CandidateSum> parts(plan_.chunks.size());
+    ForChunks([&](int c, int) {
+      MovePoints(plan_.chunks[c], a, b, &parts[c]);
+      parts[c].cost = kernels_.cost(terms_, candidate_->records(), plan_.chunks[c]);
+    });
+    for (const CandidateSum& part : parts) {
+      total.cost += part.cost;
+      total.step_squared += part.step_squared;
+      total.state_squared += part.state_squared;
+    }
     const DirectionProducts& d = products_;
     total.model_cost_change =
-        -(a * d.g_p + b * d.g_q) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
+        -(a * d.d_pp + b * d.d_pq) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
     return Finish(step, total);
   }
 
@@ -292,20 +284,36 @@ class SchurProblem::Impl {
     return cost;
   }
 
-  /// Calls compute(chunk, thread) on all chunks, on all threads, and add(chunk, thread) after it,
-  /// in the order of the chunks.
-  template <typename Compute, typename Add>
-  void ForChunks(const Compute& compute, const Add& add) {
+  /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first.
+  template <typename Visit>
+  void ForChunks(const Visit& visit) {
     const auto count = static_cast<int>(plan_.chunks.size());
-    std::atomic<int> next{0}, added{0};
+    std::atomic<int> next{0};
     pool_.Run([&](int thread) {
-      for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) {
-        compute(plan_.chunks[c], thread);
-        for (SpinWait wait; added.load(std::memory_order_acquire) != c;) wait.Once();
-        add(plan_.chunks[c], thread);
-        added.store(c + 1, std::memory_order_release);
-      }
+      for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) visit(c, thread);
     });
+  }
+
+  /// Adds chunk c to S. Each block column is a queue of its own, in the order of the chunks: sums
+  /// do not depend on who comes first, and threads wait for each other at the same column only.
+  void AddInOrder(int c, const ChunkSum& sum) {
+    const Chunk& chunk = plan_.chunks[c];
+    const bool own_queue = assembler_.images_are_independent();
+    if (!own_queue) WaitFor(&last_added_[0], c - 1);
+    size_t pair = 0;
+    for (size_t i = 0; i < chunk.images.size(); ++i) {
+      const size_t first_pair = pair;
+      while (pair < chunk.pairs.size() && chunk.pairs[pair].first == i) ++pair;
+      std::atomic<int>& last_added = last_added_[chunk.images[i]];
+      if (own_queue) WaitFor(&last_added, chunk.previous_chunk[i]);
+      assembler_.AddImage(terms_, chunk, sum, i, first_pair, pair, &sums_);
+      if (own_queue) last_added.store(c, std::memory_order_release);
+    }
+    if (!own_queue) last_added_[0].store(c, std::memory_order_release);
+  }
+
+  static void WaitFor(const std::atomic<int>* value, int wanted) {
+    for (SpinWait wait; value->load(std::memory_order_acquire) != wanted;) wait.Once();
   }
 
   double* Memory(int thread) {
@@ -337,6 +345,7 @@ class SchurProblem::Impl {
       const int64_t size = structure_.num_values, threads = pool_.num_threads();
       std::fill(values + size * thread / threads, values + size * (thread + 1) / threads, 0.0);
     });
+    for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
     sums_.system.rhs.assign(n, 0.0);
     sums_.gradient.assign(n, 0.0);
     sums_.squared_norms.assign(n, 0.0);
@@ -424,6 +433,7 @@ class SchurProblem::Impl {
   Step other_step_;
   std::vector<double> squared_scale_;  ///< of each point's columns
   std::vector<ThreadSum> chunk_sums_;
+  std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
   CameraSums sums_;
   std::vector<double> scale_;      ///< Jacobi scaling of the camera side's columns
   std::vector<double> d_squared_;  ///< D^2 of the camera side

@@ -20,13 +20,14 @@
 ///
 ///   beta^2 <q-c,q-c> + 2 beta <c,q-c> + <c,c> - R^2 = 0,
 ///
-/// whose positive root is written such that nothing cancels, whatever the sign of <c,q-c>.
+/// whose positive root is written such that nothing cancels where <c,q-c> >= 0. But for the damping
+/// in q that is always so, by Kantorovich's inequality: the path leads outwards.
 ///
 /// Subspace dogleg. In the orthonormal basis (of D-lengths)
 ///
 ///   u = p / P,  v = (q - t p) / Q,   P^2 = <p,p>,  t = <p,q> / <p,p>,  Q^2 = <q,q> - t <p,q>,
 ///
-/// a step x u + y v has length x^2 + y^2, the gradient is (P, 0) and the curvature
+/// a step x u + y v has squared length x^2 + y^2, the gradient is (P, 0) and the curvature
 ///
 ///   A = [p,p] / P^2,  B = ([p,q] - t [p,p]) / (P Q),
 ///   C = ([q,q] - 2 t [p,q] + t^2 [p,p]) / Q^2.
@@ -46,7 +47,8 @@
 ///      = (P ||w|| / R - det) ||w||^2 / (w^T adj(M) w),
 ///
 /// the determinant multiplied out: M may be singular at z = 0. Left of the solution lies
-/// max(0, P / R - e), e the larger eigenvalue of the curvature, since n >= P / (e + z).
+/// max(0, P / R - e), e the larger eigenvalue of the curvature, since n >= P / (e + z); that is
+/// above zero where w is zero at z = 0.
 ///
 /// The products know the sine of the angle between p and q to half of the digits only. Below that
 /// they count as parallel and the step goes along -p: the angle between -p and (x, y), whose
@@ -60,7 +62,7 @@ namespace bundle::fused {
 namespace {
 
 constexpr double kParallel = 1e-14;  // sine squared
-constexpr int kMaxSteps = 50;        // of Newton's method; it takes about five
+constexpr int kMaxSteps = 50;        // of Newton's method; ten at most in the tests
 
 bool NewtonIsInside(const DirectionProducts& products, double radius) {
   return std::sqrt(products.d_qq) <= radius;
@@ -117,7 +119,7 @@ Combination TraditionalDogleg(const DirectionProducts& products, double radius) 
   const double leg = cauchy - 2 * cross + products.d_qq;
   const double left = radius * radius - cauchy;
   const double root = std::sqrt(along * along + leg * left);
-  const double beta = along <= 0 ? (root - along) / leg : left / (root + along);
+  const double beta = left / (root + along);
   return {-alpha * (1 - beta), beta, radius};
 }
 
@@ -132,7 +134,6 @@ Combination SubspaceDogleg(const DirectionProducts& products, double radius) {
   model.a = products.j_pp / products.d_pp;
   model.b = (products.j_pq - t * products.j_pp) / (p_length * q_length);
   model.c = (products.j_qq - 2 * t * products.j_pq + t * t * products.j_pp) / q_squared;
-  model.c = std::max(model.c, model.b * model.b / model.a);  // semidefinite but for rounding
   const PlaneStep best = MinimumOnCircle(model, radius);
   const double q = best.y / q_length;
   return {best.x / p_length - t * q, q, radius};

@@ -33,11 +33,11 @@ struct NewtonResult {
   std::string message;
 };
 
-/// Inner products of the two directions.
+/// Inner products of the two directions. Those with J^T r are among them: p^T J^T r = d_pp and
+/// q^T J^T r = d_pq.
 struct DirectionProducts {
   double d_pp = 0, d_pq = 0, d_qq = 0;  ///< p^T D^2 p and so on
   double j_pp = 0, j_pq = 0, j_qq = 0;  ///< p^T J^T J p and so on
-  double g_p = 0, g_q = 0;              ///< p^T J^T r, q^T J^T r
 };
 
 struct Candidate {
@@ -63,7 +63,7 @@ class LeastSquares {
   /// Products of p and q after SolveNewton; for doglegs only.
   virtual DirectionProducts Products() = 0;
 
-  /// The candidate x + a p + b q, after Products; often several times.
+  /// The candidate x + a p + b q, after Products; again for another a and b after a rejected step.
   virtual Candidate TryCombination(double a, double b) = 0;
 
   /// x becomes the last candidate, which becomes x: a second call takes the first back.

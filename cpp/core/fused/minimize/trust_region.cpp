@@ -170,7 +170,7 @@ class TrustRegion {
 
   bool GradientToleranceReached() {
     const double norm = record_.gradient_max_norm;
-    if (!record_.step_is_successful || norm > options_.gradient_tolerance) return false;
+    if (norm > options_.gradient_tolerance) return false;
     return Converge("Gradient tolerance reached. Gradient max norm: " +
                     AtMost(norm, options_.gradient_tolerance));
   }

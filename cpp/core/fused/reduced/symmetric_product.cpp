@@ -72,6 +72,16 @@ void MultiplyDiagonalBlock(const double* values, int64_t stride, int size, const
   }
 }
 
+int64_t CountSlices(const ReducedStructure& structure) {
+  return std::clamp<int64_t>(structure.num_values / kMinSliceValues, 1, kMaxSlices);
+}
+
+/// No more than there are slices.
+int CountThreads(const ReducedStructure& structure, int num_threads) {
+  return static_cast<int>(
+      std::min<int64_t>(EffectiveNumThreads(num_threads), CountSlices(structure)));
+}
+
 int PanelRows(const ReducedStructure& structure, int j) {
   const int64_t last = structure.column_begin[j + 1] - 1;
   return structure.row_in_panel[last] + structure.block_size(structure.row_block[last]);
@@ -80,14 +90,14 @@ int PanelRows(const ReducedStructure& structure, int j) {
 }  // namespace
 
 SymmetricProduct::SymmetricProduct(const ReducedStructure& structure, int num_threads)
-    : structure_(structure), num_threads_(num_threads) {
+    : structure_(structure), pool_(CountThreads(structure, num_threads)) {
   MakeSlices();
 }
 
 void SymmetricProduct::MakeSlices() {
   const int num_blocks = structure_.num_blocks();
   const int64_t num_values = structure_.num_values;
-  const auto num_slices = std::clamp<int64_t>(num_values / kMinSliceValues, 1, kMaxSlices);
+  const int64_t num_slices = CountSlices(structure_);
   int64_t values_before = 0;
   for (int j = 0; j < num_blocks; ++j) {
     const auto slices = static_cast<int64_t>(slices_.size());
@@ -111,12 +121,13 @@ void SymmetricProduct::MakeSlices() {
 }
 
 void SymmetricProduct::Multiply(const std::vector<double>& values, const double* x, double* y) {
-  ParallelFor(
-      static_cast<int64_t>(slices_.size()), num_threads_,
-      [&](int64_t begin, int64_t end) {
-        for (int64_t s = begin; s < end; ++s) MultiplySlice(values.data(), x, &slices_[s]);
-      },
-      1);
+  const auto num_slices = static_cast<int>(slices_.size());
+  pool_.Run([&](int thread) {
+    const int end = num_slices * (thread + 1) / pool_.num_threads();
+    for (int s = num_slices * thread / pool_.num_threads(); s < end; ++s) {
+      MultiplySlice(values.data(), x, &slices_[s]);
+    }
+  });
   std::fill(y, y + structure_.num_columns(), 0.0);
   for (const Slice& slice : slices_) {
     double* rows = y + slice.begin_row;

@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "core/fused/reduced/reduced_system.h"
+#include "core/fused/thread_pool.h"
 
 namespace bundle::fused {
 
@@ -32,7 +33,7 @@ class SymmetricProduct {
   void MultiplyPanel(const double* values, int block, const double* x, Slice* slice) const;
 
   const ReducedStructure& structure_;
-  const int num_threads_;
+  ThreadPool pool_;
   std::vector<Slice> slices_;
 };
 

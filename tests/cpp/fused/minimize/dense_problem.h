@@ -53,8 +53,7 @@ class DenseProblem final : public LeastSquares {
     const Eigen::VectorXd gradient = j_.transpose() * r_;
     p_ = gradient.array() / d_.square();
     const Eigen::VectorXd dp = d_ * p_.array(), dq = d_ * q_.array(), jp = j_ * p_, jq = j_ * q_;
-    return {dp.dot(dp), dp.dot(dq), dq.dot(dq),       jp.dot(jp),
-            jp.dot(jq), jq.dot(jq), p_.dot(gradient), q_.dot(gradient)};
+    return {dp.dot(dp), dp.dot(dq), dq.dot(dq), jp.dot(jp), jp.dot(jq), jq.dot(jq)};
   }
 
   Candidate TryCombination(double a, double b) override { return Try(a * p_ + b * q_); }

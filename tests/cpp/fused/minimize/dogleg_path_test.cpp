@@ -26,8 +26,7 @@ struct Model {
     newton = -(hessian + damping * identity).fullPivLu().solve(gradient);
     const Vector hg = hessian * gradient, hn = hessian * newton;
     products = {gradient.dot(gradient), gradient.dot(newton), newton.dot(newton),
-                gradient.dot(hg),       gradient.dot(hn),     newton.dot(hn),
-                gradient.dot(gradient), newton.dot(gradient)};
+                gradient.dot(hg),       gradient.dot(hn),     newton.dot(hn)};
   }
 
   Vector Step(const Combination& c) const { return c.p * gradient + c.q * newton; }
@@ -139,6 +138,33 @@ TEST(DoglegPath, SubspaceStandsCurvatureThatIsNextToNothing) {
       EXPECT_NEAR(step.norm(), radius, 1e-6 * radius);
       const double best = SearchCircle(model, radius);
       EXPECT_NEAR(model.At(step), best, 1e-6 * std::abs(best)) << tiny << ", " << radius;
+    }
+  }
+}
+
+/// (H + z)^-1 of the gradient, of length `radius`.
+Vector ExactStep(const Model& model, double radius) {
+  const auto step = [&](double z) -> Vector {
+    return -model.gradient.array() / (model.hessian.diagonal().array() + z);
+  };
+  double low = 0, high = model.gradient.norm() / radius;
+  for (int k = 0; k < 200; ++k) {
+    const double middle = (low + high) / 2;
+    (step(middle).norm() > radius ? low : high) = middle;
+  }
+  return step(high);
+}
+
+// The angle between the directions goes from what matters to what is lost in rounding.
+TEST(DoglegPath, SubspaceIsContinuousAsTheDirectionsBecomeParallel) {
+  for (double exponent = -2; exponent > -17; exponent -= 0.125) {
+    const double small = std::pow(10, exponent);
+    for (const Vector& diagonal : {Vector{{1, 1 + small}}, Vector{{1, small}}, Vector{{1, 0}}}) {
+      const Vector gradient = diagonal[1] > 0.5 ? Vector{{1, 1}} : Vector{{1, small}};
+      const Model model(diagonal.asDiagonal(), gradient, 1e-8);
+      const double radius = model.newton.norm() / 2;
+      const Vector step = model.Step(SubspaceDogleg(model.products, radius));
+      EXPECT_LT((step - ExactStep(model, radius)).norm(), 1e-7 * radius) << exponent;
     }
   }
 }

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "fused/minimize/ceres_oracle.h"
@@ -255,8 +256,10 @@ TEST(TrustRegion, DoglegsGiveUpWhereNoDampingHelps) {
   Unreliable problem(Hilbert(), std::vector<NewtonResult>(100, kIndefinite));
   const Minimum minimum = Minimize(Endless(TrustRegionStrategy::kDogleg), nullptr, &problem);
   EXPECT_EQ(minimum.termination_type, "FAILURE");
-  EXPECT_EQ(minimum.iterations.size(), 10u);
-  EXPECT_EQ(minimum.num_linear_solves, 8);  // 1e-8 to 1e-1
+  ASSERT_EQ(minimum.iterations.size(), 10u);
+  EXPECT_EQ(minimum.iterations[1].linear_solver_iterations, 1);
+  EXPECT_EQ(minimum.iterations[2].linear_solver_iterations, -1);  // nothing left to try
+  EXPECT_EQ(minimum.num_linear_solves, 8);                        // 1e-8 to 1e-1
   EXPECT_EQ(minimum.num_candidates, 0);
 }
 
