@@ -44,6 +44,10 @@ sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBeh
 	  -DCMAKE_BUILD_TYPE=Sanitize -DCMAKE_CXX_FLAGS_SANITIZE="-O1 -g1"
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(SANITIZE_BUILD) --target bundle_tests
 	UBSAN_OPTIONS=print_stacktrace=1 $(SANITIZE_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
+	for set in baseline avx2; do \
+	  BUNDLE_INSTRUCTION_SET=$$set UBSAN_OPTIONS=print_stacktrace=1 \
+	    $(SANITIZE_BUILD)/tests/cpp/bundle_tests --gtest_brief=1 --gtest_filter='*Schur*:*Fused*' || exit 1; \
+	done
 
 lint: $(READY)  ## check format, style, types and compiler warnings
 	$(VENV)/bin/ruff check .

@@ -1,0 +1,203 @@
+#include "core/fused/solve_with_fused.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+#include <vector>
+
+#include "core/backend/solve.h"
+#include "core/error.h"
+#include "core/solve/option_names.h"
+#include "support/checked_solve.h"
+#include "support/scene.h"
+#include "support/ugly_scenes.h"
+
+namespace bundle::fused {
+namespace {
+
+using testing::CheckedSolve;
+using testing::MakeScene;
+using testing::Scene;
+using testing::SceneOptions;
+
+constexpr LinearSolverType kSolvers[] = {LinearSolverType::kDenseSchur,
+                                         LinearSolverType::kSparseSchur,
+                                         LinearSolverType::kIterativeSchur};
+constexpr TrustRegionStrategy kStrategies[] = {TrustRegionStrategy::kLevenbergMarquardt,
+                                               TrustRegionStrategy::kDogleg,
+                                               TrustRegionStrategy::kSubspaceDogleg};
+
+SolveOptions Options(LinearSolverType type = LinearSolverType::kDenseSchur) {
+  SolveOptions options;
+  options.backend = Backend::kFused;
+  options.linear_solver_type = type;
+  options.gauge = Gauge::kTwoCameras;
+  options.loss_scale = 5;
+  options.max_num_iterations = 12;
+  options.num_threads = 2;
+  return options;
+}
+
+SolveOutput ByCeres(const Scene& scene, SolveOptions options) {
+  options.backend = Backend::kCeres;
+  return CheckedSolve(scene, options);
+}
+
+/// The same costs and decisions, as far as rounding lets two solvers agree.
+void ExpectSameSteps(const SolveOutput& found, const SolveOutput& expected, double tolerance) {
+  const size_t count = std::min({found.iterations.size(), expected.iterations.size(), size_t{6}});
+  EXPECT_EQ(count, std::min(expected.iterations.size(), size_t{6}));
+  for (size_t i = 0; i < count; ++i) {
+    const IterationRecord &a = found.iterations[i], &b = expected.iterations[i];
+    EXPECT_NEAR(a.cost, b.cost, tolerance * b.cost) << "iteration " << i;
+    EXPECT_EQ(a.step_is_successful, b.step_is_successful) << "iteration " << i;
+    EXPECT_NEAR(a.trust_region_radius, b.trust_region_radius, 1e-4 * b.trust_region_radius)
+        << "iteration " << i;
+  }
+  EXPECT_NEAR(found.summary.final_cost, expected.summary.final_cost,
+              std::max(tolerance, 1e-7) * expected.summary.final_cost);
+  EXPECT_EQ(found.summary.termination_type, expected.summary.termination_type);
+}
+
+class SolveWithFusedTest : public ::testing::TestWithParam<int> {};
+
+TEST_P(SolveWithFusedTest, TakesTheStepsOfCeres) {
+  for (const int images_per_camera : {1, 2, 5}) {
+    SceneOptions scene_options;
+    scene_options.model = AllCameraModels()[GetParam()].name;
+    scene_options.images_per_camera = images_per_camera;
+    const Scene scene = MakeScene(scene_options);
+    for (const LinearSolverType type : kSolvers) {
+      SCOPED_TRACE(::testing::Message()
+                   << NameOf(type, kLinearSolverTypes) << ", " << images_per_camera);
+      SolveOptions options = Options(type);
+      options.refine_extra = false;  // a small scene does not determine a flexible lens
+      ExpectSameSteps(CheckedSolve(scene, options), ByCeres(scene, options), 1e-8);
+    }
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(All, SolveWithFusedTest, ::testing::Range(0, kNumCameraModels),
+                         [](const auto& test) { return AllCameraModels()[test.param].name; });
+
+TEST(SolveWithFused, EveryLossGaugeAndStrategy) {
+  SceneOptions scene_options;
+  scene_options.outlier_share = 0.05;
+  scene_options.perturbation = 2e-3;
+  const Scene scene = MakeScene(scene_options);
+  for (const auto& [loss_name, loss] : kLossTypes) {
+    for (const auto& [gauge_name, gauge] : kGauges) {
+      for (const TrustRegionStrategy strategy : kStrategies) {
+        // A dogleg damps by 1e-8 only: without a gauge its equations are next to singular, and no
+        // two ways to solve them agree.
+        const bool damped = strategy == TrustRegionStrategy::kLevenbergMarquardt;
+        if (gauge == Gauge::kNone && !damped) continue;
+        SCOPED_TRACE(::testing::Message()
+                     << loss_name << " " << gauge_name << " " << static_cast<int>(strategy));
+        SolveOptions options = Options();
+        options.loss = loss;
+        options.gauge = gauge;
+        options.trust_region_strategy_type = strategy;
+        ExpectSameSteps(CheckedSolve(scene, options), ByCeres(scene, options), 1e-8);
+      }
+    }
+  }
+}
+
+/// A result does not depend on how many threads found it, to the last bit.
+TEST(SolveWithFused, EveryThreadCountGivesTheSameBits) {
+  SceneOptions scene_options;
+  scene_options.num_images = 12;
+  scene_options.num_points = 300;  // several chunks
+  scene_options.track_length = 6;
+  const Scene scene = MakeScene(scene_options);
+  for (const LinearSolverType type : kSolvers) {
+    SolveOptions options = Options(type);
+    options.num_threads = 1;
+    options.max_num_iterations = 6;
+    const SolveOutput expected = CheckedSolve(scene, options);
+    for (const int threads : {2, 3, 4}) {
+      options.num_threads = threads;
+      const SolveOutput found = CheckedSolve(scene, options);
+      EXPECT_EQ(found.points, expected.points) << NameOf(type, kLinearSolverTypes) << threads;
+      EXPECT_EQ(found.cam_from_world, expected.cam_from_world);
+      EXPECT_EQ(found.camera_params, expected.camera_params);
+    }
+  }
+}
+
+TEST(SolveWithFused, UglyProblemsEndOrderly) {
+  for (const auto& [scene_name, scene] : testing::UglyScenes()) {
+    for (const LinearSolverType type : kSolvers) {
+      for (const TrustRegionStrategy strategy : kStrategies) {
+        if (type == LinearSolverType::kIterativeSchur &&
+            strategy != TrustRegionStrategy::kLevenbergMarquardt) {
+          continue;
+        }
+        for (const auto& [cheirality_name, cheirality] : kCheiralities) {
+          SCOPED_TRACE(::testing::Message()
+                       << scene_name << ", " << NameOf(type, kLinearSolverTypes) << ", "
+                       << static_cast<int>(strategy) << ", " << cheirality_name);
+          SolveOptions options = Options(type);
+          options.max_num_iterations = 8;
+          options.cheirality = cheirality;
+          options.trust_region_strategy_type = strategy;
+          options.num_threads = 1 + static_cast<int>(cheirality);
+          if (scene.num_observations() == 0) {
+            EXPECT_THROW(CheckedSolve(scene, options), InputError);
+            continue;
+          }
+          const SolveOutput found = CheckedSolve(scene, options);
+          const SolveOutput expected = ByCeres(scene, options);
+          EXPECT_EQ(found.summary.is_solution_usable, expected.summary.is_solution_usable);
+        }
+      }
+    }
+  }
+}
+
+TEST(SolveWithFused, WhateverIsFixed) {
+  SceneOptions scene_options;
+  scene_options.images_per_camera = 2;
+  const Scene scene = MakeScene(scene_options);
+  for (int bits = 0; bits < 64; ++bits) {
+    SCOPED_TRACE(bits);
+    SolveOptions options = Options(kSolvers[bits % 2]);
+    options.gauge = Gauge::kNone;
+    options.max_num_iterations = 4;
+    options.refine_poses = bits & 1;
+    options.refine_points = bits & 2;
+    options.refine_focal = bits & 4;
+    options.refine_principal_point = bits & 8;
+    options.refine_extra = bits & 16;
+    if (bits & 32) {
+      options.fixed_image_ids = {scene.image_ids[1]};
+      options.fixed_camera_ids = {scene.camera_ids[2]};
+      options.fixed_point_ids = {scene.point_ids[7]};
+    }
+    if (!options.refine_points || (bits & 29) == 0) {
+      EXPECT_THROW(CheckedSolve(scene, options), InputError);
+      continue;
+    }
+    const SolveOutput found = CheckedSolve(scene, options);
+    ExpectSameSteps(found, ByCeres(scene, options), 1e-7);
+    EXPECT_EQ(found.cam_from_world == scene.cam_from_world, !options.refine_poses);
+  }
+}
+
+TEST(SolveWithFused, ProgressCanStopIt) {
+  const Scene scene = MakeScene(SceneOptions());
+  int calls = 0;
+  const SolveOutput output = Solve(scene.View(), Options(), [&](const IterationRecord& record) {
+    EXPECT_EQ(record.iteration, calls);
+    return ++calls < 3;
+  });
+  EXPECT_EQ(calls, 3);
+  EXPECT_TRUE(output.summary.interrupted);
+  EXPECT_EQ(output.iterations.size(), 3u);
+}
+
+}  // namespace
+}  // namespace bundle::fused

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include "core/backend/solve.h"
+#include "core/problem/problem_view.h"
+#include "core/solve/options.h"
+#include "core/solve/solve.h"
+#include "support/cost.h"
+#include "support/scene.h"
+
+namespace bundle::testing {
+
+/// What holds for every solve, however it ends: sizes, and a summary that says the truth.
+inline SolveOutput CheckedSolve(const Scene& scene, const SolveOptions& options) {
+  const ProblemView problem = scene.View();
+  SolveOutput output = Solve(problem, options, nullptr);
+  EXPECT_EQ(output.cam_from_world.size(), scene.cam_from_world.size());
+  EXPECT_EQ(output.camera_params.size(), scene.camera_params.size());
+  EXPECT_EQ(output.points.size(), scene.points.size());
+  if (!output.summary.is_solution_usable) {
+    EXPECT_EQ(output.cam_from_world, scene.cam_from_world);
+    EXPECT_EQ(output.points, scene.points);
+    return output;
+  }
+  const long double initial = ProblemCost(problem, options);
+  const long double final_cost = SolvedCost(scene, output, options);
+  EXPECT_NEAR(output.summary.initial_cost, static_cast<double>(initial),
+              1e-12 * static_cast<double>(initial));
+  EXPECT_NEAR(output.summary.final_cost, static_cast<double>(final_cost),
+              1e-9 * static_cast<double>(final_cost) + 1e-15);
+  EXPECT_LE(output.summary.final_cost, output.summary.initial_cost);
+  return output;
+}
+
+}  // namespace bundle::testing
