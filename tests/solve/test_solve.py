@@ -1,5 +1,7 @@
 """What a solve does to a problem, against minima and costs computed independently."""
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -26,10 +28,15 @@ CONVERGED = {
 }
 
 
+@functools.cache
+def problem_and_its_minimum(shared):
+    problem = scenes.make_problem(num_images=3, num_points=12, shared=shared, seed=1)
+    return problem, minimum_by_scipy(problem)
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_reaches_the_minimum_that_scipy_finds(solve, shared):
-    problem = scenes.make_problem(num_images=3, num_points=12, shared=shared, seed=1)
-    expected = minimum_by_scipy(problem)
+    problem, expected = problem_and_its_minimum(shared)
     result = solve(problem, gauge="none", **CONVERGED)
     assert result.summary.initial_cost == pytest.approx(cost(problem), rel=1e-12)
     assert result.summary.final_cost == pytest.approx(cost(result.problem), rel=1e-10)
