@@ -193,3 +193,15 @@ def test_conjugate_gradients_survive_a_reduced_system_of_one_column(solve):
     found = solve(problem, linear_solver_type="iterative_schur", **options).summary
     assert found.is_solution_usable
     assert found.final_cost == pytest.approx(expected.final_cost, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    "preconditioner", ["identity", "jacobi", "schur_jacobi", "schur_power_series_expansion"]
+)
+def test_every_preconditioner_of_the_fused_backend_reaches_the_same_minimum(preconditioner):
+    problem = scenes.make_problem(seed=13, shared=True)
+    options = {"linear_solver_type": "iterative_schur", "preconditioner_type": preconditioner}
+    expected = bundle.solve(problem, backend="ceres", **CONVERGED).summary
+    found = bundle.solve(problem, backend="fused", **options, **CONVERGED).summary
+    assert found.preconditioner_type_used == preconditioner.upper()
+    assert found.final_cost == pytest.approx(expected.final_cost, rel=1e-8)
