@@ -7,10 +7,12 @@
 namespace bundle::fused {
 namespace {
 
-constexpr int64_t kLargestChunk = 2048;    // observations: their share of a commit is small by then
-constexpr int64_t kSmallestChunk = 128;    // observations: below, a chunk costs more than its work
-constexpr int64_t kChunksWanted = 64;      // enough to spread evenly over threads
-constexpr int64_t kBufferBytes = 1 << 22;  // half of a common second-level cache
+// Observations. The larger a chunk, the more often a block is added to before it goes to S; the more
+// chunks, the more evenly they spread over threads.
+constexpr int64_t kLargestChunk = 4096;
+constexpr int64_t kSmallestChunk = 128;
+constexpr int64_t kChunksWanted = 8;
+constexpr int64_t kBufferBytes = 1 << 22;  // a thread's share of a common third-level cache
 constexpr int kMaxBlocks = 1 << 16;        // of a chunk: what its indices can tell apart
 
 class Planner {

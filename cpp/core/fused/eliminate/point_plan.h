@@ -6,8 +6,8 @@
 /// images that see it. Adding each to S where it lies costs more than computing it: the block comes
 /// from far and goes back. So points are sorted by the images that see them, which puts points with
 /// the same images next to each other, and taken in chunks. A chunk knows the image pairs that
-/// occur in it and sums their blocks in a buffer that fits the second-level cache; one addition a
-/// block and chunk then goes to S.
+/// occur in it and sums their blocks in a buffer, of which its points use one part after the other;
+/// one addition a block and chunk then goes to S.
 ///
 /// A chunk is a pure function of the state: its points in, its part of S, of the right side and of
 /// the cost out. The sum over the chunks, in their order, is the whole, whoever computed them;
