@@ -82,6 +82,32 @@ def test_folder_that_is_no_model(run, tmp_path):
         (["refine", "IN"], ["--output"]),
         (["refine", "IN", "-o", "OUT", "--solver", "magic"], ["--solver", "magic", "dense-schur"]),
         (["refine", "IN", "-o", "OUT", "--solv", "auto"], ["--solv"]),
+        (["refine", "IN", "-o", "OUT", "--backend", "gpu"], ["--backend", "gpu", "fused"]),
+        (
+            ["refine", "IN", "-o", "OUT", "--backend", "fused", "--solver", "cgnr"],
+            ["--solver:", "fused backend", "found cgnr"],
+        ),
+        (
+            ["refine", "IN", "-o", "OUT", "--backend", "fused", "--ordering", "automatic"],
+            ["--ordering:", "points_first", "found automatic"],
+        ),
+        (
+            [
+                "refine",
+                "IN",
+                "-o",
+                "OUT",
+                "--backend",
+                "fused",
+                "--preconditioner",
+                "cluster-jacobi",
+            ],
+            ["--preconditioner:", "fused backend", "found cluster_jacobi"],
+        ),
+        (
+            ["refine", "IN", "-o", "OUT", "--backend", "fused", "--refine", "poses"],
+            ["--refine:", "fused backend", "found none"],
+        ),
         (["refine", "IN", "-o", "OUT", "--threads", "two"], ["--threads", "two"]),
         (["refine", "IN", "-o", "OUT", "--threads", "-1"], ["--threads", "-1"]),
         (["refine", "IN", "-o", "OUT", "--threads", "99999999999"], ["--threads", "at most"]),

@@ -28,10 +28,11 @@ ITERATION = [
 ]
 
 
-def test_refines_and_reports(run, model, tmp_path):
+def test_refines_and_reports(run, model, tmp_path, backend):
     output = tmp_path / "refined.txt"
-    code, out, err = run("refine", model, "-o", output)
+    code, out, err = run("refine", model, "-o", output, "--backend", backend)
     assert code == 0
+    assert backend.upper() in out
     assert "Converged after" in out
     assert "4 images, 4 cameras, 30 points, 120 observations" in out
     assert f"{output} (BAL)" in out
@@ -47,9 +48,9 @@ def test_refines_and_reports(run, model, tmp_path):
     assert np.sqrt(np.mean(errors**2)) < 0.7  # the noise is 0.5 px in x and in y, less the fit
 
 
-def test_json_against_the_contract(run, model, tmp_path):
-    report_path = tmp_path / "report.json"
-    code, _, _ = run("refine", model, "-o", tmp_path / "r.txt", "--json", report_path)
+def test_json_against_the_contract(run, model, tmp_path, backend):
+    report_path, output = tmp_path / "report.json", tmp_path / "r.txt"
+    code, _, _ = run("refine", model, "-o", output, "--json", report_path, "--backend", backend)
     assert code == 0
     report = json.loads(report_path.read_text())
     assert list(report) == [
@@ -69,6 +70,10 @@ def test_json_against_the_contract(run, model, tmp_path):
     assert set(report["options"]) == {field.name for field in dataclasses.fields(SolveOptions)}
     assert set(report["summary"]) == {field.name for field in dataclasses.fields(Summary)}
     assert all(list(iteration) == ITERATION for iteration in report["iterations"])
+    used = {name: report["summary"][f"backend_{name}"] for name in ("given", "used", "choice")}
+    assert used == {"given": backend.upper(), "used": backend.upper(), "choice": ""}
+    assert report["options"]["backend"] == backend.upper()
+    assert bool(report["summary"]["instruction_set"]) == (backend == "fused")
     assert report["summary"]["termination_type"] == "CONVERGENCE"
     assert report["summary"]["linear_solver_ordering_used"] == [30, 4]
     statistics = {"rmse", "mean", "median", "p95", "max"}
@@ -97,6 +102,21 @@ def test_quiet(run, model, tmp_path):
     code, out, err = run("refine", model, "-o", tmp_path / "r.txt", "--quiet")
     assert (code, err) == (0, "")
     assert "Converged" in out
+
+
+def test_auto_says_which_backend_and_why(run, model, tmp_path):
+    _, out, _ = run("refine", model, "-o", tmp_path / "r.txt", "--quiet")
+    assert "FUSED" in out
+    assert "The points are eliminated as they are linearised" in out
+    assert "back-substitution, residuals" in out
+    _, out, _ = run("refine", model, "-o", tmp_path / "r.txt", "--quiet", "--solver", "dense-qr")
+    assert "CERES" in out
+    assert "residual evaluation" in out
+    words = " ".join(out.split())
+    assert (
+        "The fused backend expects auto, dense_schur, sparse_schur or iterative_schur and found "
+        "dense_qr (linear_solver_type)." in words
+    )
 
 
 def test_output_may_be_the_input(run, model):

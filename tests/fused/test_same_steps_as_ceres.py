@@ -1,8 +1,8 @@
 """The fused backend takes the steps that Ceres takes, whatever it is asked for.
 
-A covering design, so that every pair of values of two options occurs. Costs are compared to 1e-8 as
-far as Ceres agrees with itself: how much rounding matters to a problem is seen from the same solve
-with its observations in another order.
+A covering design, so that every pair of values of two options occurs. Costs are compared to 1e-8
+as far as Ceres agrees with itself: how much rounding matters to a problem is seen from its DENSE_QR
+or, for inexact steps, from the same solver with the observations in another order.
 """
 
 import collections
@@ -96,6 +96,14 @@ def options_of(row):
     }
 
 
+def witness_of(row):
+    """Another solve by Ceres that would be the same one without rounding."""
+    problem, options = problem_of(row), options_of(row)
+    if options["linear_solver_type"] != "iterative_schur":
+        return problem, {**options, "linear_solver_type": "dense_qr"}
+    return shuffled(problem), options
+
+
 def shuffled(problem):
     order = np.random.default_rng(0).permutation(problem.num_observations)
     names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
@@ -104,12 +112,13 @@ def shuffled(problem):
 
 @functools.cache
 def traces(number):
-    """The iterations of Ceres, of Ceres on the same problem shuffled, and of the fused backend."""
+    """What Ceres makes of a row, what its witness does, and what the fused backend does."""
     row = ROWS[number]
     problem, options = problem_of(row), options_of(row)
+    witnessed, witness_options = witness_of(row)
     return (
         bundle.solve(problem, backend="ceres", **options),
-        bundle.solve(shuffled(problem), backend="ceres", **options),
+        bundle.solve(witnessed, backend="ceres", **witness_options),
         bundle.solve(problem, backend="fused", **options),
     )
 
@@ -123,8 +132,12 @@ def num_comparable(number):
     expected, other, _ = (result.iterations for result in traces(number))
     n = min(len(expected["cost"]), len(other["cost"]))
     same = expected["step_is_successful"][:n] == other["step_is_successful"][:n]
-    same &= relative(other["cost"][:n], expected["cost"][:n]) < 1e-10
+    same &= relative(other["cost"][:n], expected["cost"][:n]) < 1e-9
     return n if same.all() else int(np.argmin(same))
+
+
+def is_comparable_to_the_end(number):
+    return num_comparable(number) == len(traces(number)[0].iterations["cost"])
 
 
 @pytest.mark.parametrize("number", range(len(ROWS)))
@@ -141,19 +154,13 @@ def test_same_steps(number):
     np.testing.assert_array_equal(
         ours["linear_solver_iterations"][: n - 1], theirs["linear_solver_iterations"][: n - 1]
     )
-
-
-@pytest.mark.parametrize("number", range(len(ROWS)))
-def test_same_end(number):
-    expected, _, found = traces(number)
-    if num_comparable(number) < len(expected.iterations["cost"]):
-        pytest.skip("Ceres' own end depends on the order of observations")
-    assert found.summary.termination_type == expected.summary.termination_type
-    assert len(found.iterations["cost"]) == len(expected.iterations["cost"])
-    assert found.summary.final_cost == pytest.approx(expected.summary.final_cost, rel=1e-9)
     assert found.summary.initial_cost == pytest.approx(expected.summary.initial_cost, rel=1e-12)
     assert found.summary.fixed_cost == pytest.approx(expected.summary.fixed_cost, rel=1e-12)
-    assert found.summary.warnings == expected.summary.warnings
+    if is_comparable_to_the_end(number):
+        assert found.summary.termination_type == expected.summary.termination_type
+        assert len(ours["cost"]) == len(theirs["cost"])
+        assert found.summary.final_cost == pytest.approx(expected.summary.final_cost, rel=1e-9)
+        assert found.summary.warnings == expected.summary.warnings
 
 
 def test_the_summaries_count_the_same():
@@ -168,7 +175,7 @@ def test_the_summaries_count_the_same():
     names += ["linear_solver_ordering_given", "linear_solver_ordering_used", "num_linear_solves"]
     for number in range(0, len(ROWS), 4):
         expected, _, found = traces(number)
-        if num_comparable(number) < len(expected.iterations["cost"]):
+        if not is_comparable_to_the_end(number):
             continue
         for name in names:
             assert getattr(found.summary, name) == getattr(expected.summary, name), (number, name)
@@ -179,10 +186,10 @@ def test_the_design_covers_what_it_says():
     assert all(seen[name, value] for name, values in FACTORS.items() for value in values)
     assert len(ROWS) < 250
     # Most of it can be compared to the end, and much of it has steps that are not taken.
-    whole = [num_comparable(n) == len(traces(n)[0].iterations["cost"]) for n in range(len(ROWS))]
-    rejected = [not all(traces(n)[0].iterations["step_is_successful"]) for n in range(len(ROWS))]
-    assert np.mean(whole) > 0.8
-    assert sum(rejected) > 20
+    numbers = range(len(ROWS))
+    assert sum(map(is_comparable_to_the_end, numbers)) > 0.7 * len(ROWS)
+    assert sum(not traces(n)[0].iterations["step_is_successful"].all() for n in numbers) > 20
+    assert sum(min(num_comparable(n), 11) for n in numbers) > 5 * len(ROWS)
 
 
 @pytest.mark.parametrize("refine", ["poses", "points", "focal,extra", "poses,focal,extra"])

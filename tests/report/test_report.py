@@ -230,3 +230,21 @@ def test_what_does_not_exist_is_a_dash():
 
 def test_plural():
     assert [plural(n, "image") for n in (0, 1, 2)] == ["0 images", "1 image", "2 images"]
+
+
+def test_the_fused_backend_is_named_and_so_is_what_it_does():
+    fused = fakes.summary(
+        backend_given="AUTO",
+        backend_used="FUSED",
+        backend_choice="It is the faster one.",
+        instruction_set="avx2+fma",
+    )
+    table = rows(fused.breakdown())
+    assert table["back-substitution, residuals"] == ["0.062", "6.2 %"]
+    assert table["Jacobians, elimination"] == ["0.125", "12.5 %"]
+    assert table["reduced linear solver"] == ["0.250", "25.0 %"]
+    report = rows(fused.full_report())
+    assert report["backend"] == ["AUTO", "FUSED"]
+    assert report["why this backend"] == ["It is the faster one."]
+    assert report["instruction set"] == ["avx2+fma", "avx2+fma"]
+    assert "instruction set" not in fakes.CONVERGED.full_report()

@@ -26,13 +26,16 @@ def watch(trace):
 
 @pytest.mark.parametrize("loss, loss_scale", [("trivial", 1.0), ("cauchy", 0.5), ("tukey", 4.0)])
 @pytest.mark.parametrize("scene", SCENES)
-def test_the_replica_with_true_jacobians_does_what_ceres_does(scene, loss, loss_scale):
+def test_the_replica_with_true_jacobians_does_what_a_solve_does(
+    solve, backend, scene, loss, loss_scale
+):
     changes, columns = SCENES[scene]
     problem = scenes.make_problem(**changes)
     options = {"loss": loss, "loss_scale": loss_scale, "max_num_iterations": 15}
     trace = levenberg_marquardt.solve(problem, columns=columns, **options).iterations
-    iterations = bundle.solve(
-        problem, linear_solver_type="dense_qr", gauge="none", cheirality="algebraic", **options
+    exact = {"ceres": "dense_qr", "fused": "dense_schur"}[backend]
+    iterations = solve(
+        problem, linear_solver_type=exact, gauge="none", cheirality="algebraic", **options
     ).iterations
     assert len(trace) == len(iterations["cost"]) >= 3
     # Ceres 2.2 measures steps only from the first that succeeds on.
@@ -127,12 +130,13 @@ def hard_options(rng):
     }
 
 
+@pytest.mark.parametrize("backend", ["auto", "ceres"])
 @pytest.mark.parametrize("batch", range(4))
-def test_honest_problems_however_hard_are_not_suspected(batch):
+def test_honest_problems_however_hard_are_not_suspected(batch, backend):
     oscillated = 0
     for seed in range(100 * batch, 100 * (batch + 1)):
         rng = np.random.default_rng(seed)
-        result = bundle.solve(hard_problem(rng, seed), **hard_options(rng))
+        result = bundle.solve(hard_problem(rng, seed), backend=backend, **hard_options(rng))
         assert not suspicions(result), seed
         accepted = result.iterations["step_is_successful"]
         oscillated += np.count_nonzero(np.diff(accepted.astype(int))) > 4
@@ -164,11 +168,11 @@ REAL_DATA = [
 
 
 @pytest.mark.parametrize("name", REAL_DATA)
-def test_real_data_is_not_suspected(bundle_data, name):
+def test_real_data_is_not_suspected(solve, bundle_data, name):
     problem = bundle.load(bundle_data / name)
     large = problem.num_observations > 20000
     for options in REAL_OPTIONS if large else [*REAL_OPTIONS, *MORE_REAL_OPTIONS]:
-        result = bundle.solve(problem, max_num_iterations=10 if large else 30, **options)
+        result = solve(problem, max_num_iterations=10 if large else 30, **options)
         assert not suspicions(result), options
 
 

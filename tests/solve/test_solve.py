@@ -1,5 +1,7 @@
 """What a solve does to a problem, against minima and costs computed independently."""
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -26,10 +28,15 @@ CONVERGED = {
 }
 
 
+@functools.cache
+def problem_and_its_minimum(shared):
+    problem = scenes.make_problem(num_images=3, num_points=12, shared=shared, seed=1)
+    return problem, minimum_by_scipy(problem)
+
+
 @pytest.mark.parametrize("shared", [False, True])
 def test_reaches_the_minimum_that_scipy_finds(solve, shared):
-    problem = scenes.make_problem(num_images=3, num_points=12, shared=shared, seed=1)
-    expected = minimum_by_scipy(problem)
+    problem, expected = problem_and_its_minimum(shared)
     result = solve(problem, gauge="none", **CONVERGED)
     assert result.summary.initial_cost == pytest.approx(cost(problem), rel=1e-12)
     assert result.summary.final_cost == pytest.approx(cost(result.problem), rel=1e-10)
@@ -185,4 +192,16 @@ def test_conjugate_gradients_survive_a_reduced_system_of_one_column(solve):
     expected = solve(problem, linear_solver_type="dense_schur", **options).summary
     found = solve(problem, linear_solver_type="iterative_schur", **options).summary
     assert found.is_solution_usable
+    assert found.final_cost == pytest.approx(expected.final_cost, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    "preconditioner", ["identity", "jacobi", "schur_jacobi", "schur_power_series_expansion"]
+)
+def test_every_preconditioner_of_the_fused_backend_reaches_the_same_minimum(preconditioner):
+    problem = scenes.make_problem(seed=13, shared=True)
+    options = {"linear_solver_type": "iterative_schur", "preconditioner_type": preconditioner}
+    expected = bundle.solve(problem, backend="ceres", **CONVERGED).summary
+    found = bundle.solve(problem, backend="fused", **options, **CONVERGED).summary
+    assert found.preconditioner_type_used == preconditioner.upper()
     assert found.final_cost == pytest.approx(expected.final_cost, rel=1e-8)

@@ -79,7 +79,9 @@ class FusedSolve {
                       " columns) is small: its dense factorisation costs less than a millisecond.";
     } else {
       structure_ = MakeSparseStructure();
-      choice = ChooseReducedSolver(structure_, options_.num_threads, AvailableMemoryBytes());
+      // A choice that is to be the same for any number of threads must not know it.
+      const int num_threads = options_.deterministic ? 1 : options_.num_threads;
+      choice = ChooseReducedSolver(structure_, num_threads, AvailableMemoryBytes());
     }
     options_.linear_solver_type = choice.type;
     linear_solver_choice_ = std::move(choice.reason);
@@ -107,12 +109,14 @@ class FusedSolve {
                                             solver_.get());
   }
 
+  /// Only the factorisations round by their number of threads, which are OpenBLAS'.
   std::unique_ptr<ReducedSolver> MakeSolver(const ReducedStructure& structure) const {
+    const int factorisation_threads = options_.deterministic ? 1 : options_.num_threads;
     switch (options_.linear_solver_type) {
       case LinearSolverType::kDenseSchur:
-        return MakeDenseSolver(structure, options_.num_threads);
+        return MakeDenseSolver(structure, factorisation_threads);
       case LinearSolverType::kSparseSchur:
-        return MakeSparseSolver(structure, options_.num_threads);
+        return MakeSparseSolver(structure, factorisation_threads);
       default:
         return MakeIterativeSolver(structure, options_.preconditioner_type, options_.num_threads);
     }

@@ -11,6 +11,7 @@
 #include "core/fused/eliminate/kernels.h"
 #include "core/fused/eliminate/point_plan.h"
 #include "core/fused/eliminate/state_records.h"
+#include "core/fused/huge_pages.h"
 #include "core/fused/thread_pool.h"
 #include "core/parallel_for.h"
 
@@ -339,6 +340,7 @@ class SchurProblem::Impl {
 
   void ClearSums() {
     const auto n = static_cast<size_t>(structure_.num_columns());
+    ReserveHugePages(structure_.num_values, &sums_.system.values);
     sums_.system.values.resize(structure_.num_values);
     pool_.Run([&](int thread) {
       double* const values = sums_.system.values.data();

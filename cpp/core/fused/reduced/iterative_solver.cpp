@@ -12,6 +12,10 @@
 /// of S or U block by block, this is z = M^-1 r: the scaling drops out. It remains in the identity
 /// alone, M' = I, z = C^2 r. So nothing is scaled here.
 ///
+/// A residual that is exactly 0 ends them too. In Ceres it makes the next step 0 / 0 and fails,
+/// which rounding saves it from as a rule; with one block and its exact inverse it is no exception
+/// here.
+///
 /// S is explicit. Its products are nearly all of the time, one an iteration and one more every
 /// 10th; 6 with the power series.
 
@@ -38,6 +42,10 @@ constexpr int kResidualResetPeriod = 10;  // Ceres' ConjugateGradientsSolver
 
 double Dot(const std::vector<double>& a, const std::vector<double>& b) {
   return std::inner_product(a.begin(), a.end(), b.begin(), 0.0);
+}
+
+bool IsZero(const std::vector<double>& a) {
+  return std::all_of(a.begin(), a.end(), [](double v) { return v == 0; });
 }
 
 bool IsUsable(double value) { return value != 0 && std::isfinite(value); }
@@ -72,15 +80,17 @@ class IterativeSolver final : public ReducedSolver {
  private:
   ReducedSolution Iterate(const ReducedSystem& system, double eta) {
     const std::vector<double>& b = system.rhs;
-    if (std::all_of(b.begin(), b.end(), [](double v) { return v == 0; })) {
-      return {Status::kSuccess, 0, "Convergence. |b| = 0."};
-    }
+    if (IsZero(b)) return {Status::kSuccess, 0, "Convergence. |b| = 0."};
     r_ = b;
     double last_rho = 1;
     double last_model = 0;
     for (int i = 1;; ++i) {
+      if (IsZero(r_)) return {Status::kSuccess, i, "Convergence. |r| = 0."};
       preconditioner_->Multiply(r_.data(), z_.data());
       const double rho = Dot(r_, z_);
+      // An exact solution, as where S has a single block, which is its own preconditioner. Ceres
+      // would fail here, but its products with S round too much to come by.
+      if (i > 1 && rho == 0) return {Status::kSuccess, i, "Convergence. r'z = 0."};
       const double beta = i == 1 ? 0 : rho / last_rho;
       if (!IsUsable(rho) || (i > 1 && !IsUsable(beta))) return Broken(i, "r'z", rho);
       for (size_t k = 0; k < p_.size(); ++k) p_[k] = z_[k] + (i == 1 ? 0 : beta * p_[k]);

@@ -9,7 +9,7 @@
 ///
 /// Measured on a server core (AVX-512, OpenBLAS 0.3.21) in processor time: dpotrf of 2000 columns
 /// 37 GFLOP/s; CHOLMOD on streets, photographs of a plane and random couplings of 500 to 3000
-/// cameras, f from 3e8 to 2e11: between 5 and 48 GFLOP/s, within 20 % of f / 40 GFLOP/s + 9 ns l;
+/// cameras, f from 3e8 to 2e11: between 13 and 48 GFLOP/s, within 30 % of f / 40 GFLOP/s + 9 ns l;
 /// its analysis 40 ns a value, spread over ten steps; products with S 8 GB/s. OpenBLAS' threads are
 /// counted where they are used, and bandwidth as that of at most four cores.
 ///

@@ -178,6 +178,19 @@ TEST(IterativeSolver, NeedsNoIterationWithoutARightSide) {
   EXPECT_TRUE(x.isZero());
 }
 
+TEST(IterativeSolver, StopsAtAResidualOfZero) {
+  RandomSystem system = MakeRandomSystem({2, 2}, 1, 1);
+  system.s = Eigen::Vector4d(4, 16, 1, 64).asDiagonal();
+  const ReducedStructure structure = SparseStructure(system.sizes, system.columns);
+  const auto solver = MakeIterativeSolver(structure, PreconditionerType::kSchurJacobi, 1);
+  ReducedSystem stored = Store(system, structure);
+  VectorXd x(4);
+  const ReducedSolution solution = solver->Solve(&stored, system.scale, 0.1, x.data());
+  EXPECT_EQ(solution.status, Status::kSuccess) << solution.message;
+  EXPECT_EQ(solution.num_iterations, 2);
+  EXPECT_EQ(x, ExactSolution(system));
+}
+
 TEST(IterativeSolver, SolvesASystemWithoutBlocks) {
   const ReducedStructure structure = SparseStructure({}, {});
   ReducedSystem empty;
