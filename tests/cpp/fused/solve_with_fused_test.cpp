@@ -74,7 +74,10 @@ TEST_P(SolveWithFusedTest, TakesTheStepsOfCeres) {
                    << NameOf(type, kLinearSolverTypes) << ", " << images_per_camera);
       SolveOptions options = Options(type);
       options.refine_extra = false;  // a small scene does not determine a flexible lens
-      ExpectSameSteps(CheckedSolve(scene, options), ByCeres(scene, options), 1e-8);
+      // Twenty conjugate gradients magnify rounding: tests/fused/test_same_steps_as_ceres.py
+      // measures by how much.
+      const double tolerance = type == LinearSolverType::kIterativeSchur ? 2e-6 : 1e-8;
+      ExpectSameSteps(CheckedSolve(scene, options), ByCeres(scene, options), tolerance);
     }
   }
 }

@@ -6,8 +6,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <numeric>
 #include <random>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/cameras/registry.h"
@@ -76,79 +78,105 @@ struct SceneOptions {
   uint64_t seed = 1;
 };
 
+namespace internal {
+
+class SceneMaker {
+ public:
+  explicit SceneMaker(const SceneOptions& options)
+      : options_(options),
+        random_(options.seed),
+        model_(FindCameraModel(options.model)),
+        order_(options.num_images) {}
+
+  Scene Make() {
+    for (int i = 0; i < options_.num_images; ++i) AddImage(i);
+    const int num_cameras = options_.num_images == 0 ? 0 : scene_.image_camera.back() + 1;
+    for (int c = 0; c < num_cameras; ++c) AddCamera(c);
+    std::iota(order_.begin(), order_.end(), 0);
+    for (int p = 0; p < options_.num_points; ++p) AddPoint(p);
+    for (size_t i = 0; i < scene_.cam_from_world.size(); ++i) {
+      if (i % 7 >= 4) scene_.cam_from_world[i] += Perturbation();
+    }
+    return std::move(scene_);
+  }
+
+ private:
+  double Uniform() { return std::uniform_real_distribution<double>(-1, 1)(random_); }
+  double Normal() { return normal_(random_); }
+  double Perturbation() { return options_.perturbation * Normal(); }
+
+  /// On the ring; the true rotation, the perturbed one in the scene.
+  void AddImage(int i) {
+    const double angle = 1.2 * i / std::max(options_.num_images - 1, 1) - 0.6;
+    const double turn[3] = {0.1 * Uniform(), angle, 0.1 * Uniform()};
+    const double w[3] = {Perturbation(), Perturbation(), Perturbation()};
+    double rotation[9], left_jacobian[9], truth[4], change[4], start[4];
+    ExpRotation(turn, rotation, left_jacobian);
+    rotations_.insert(rotations_.end(), rotation, rotation + 9);
+    ExpQuaternion(turn, truth);
+    ExpQuaternion(w, change);
+    QuaternionProduct(change, truth, start);
+    scene_.cam_from_world.insert(scene_.cam_from_world.end(), start, start + 4);
+    scene_.cam_from_world.insert(scene_.cam_from_world.end(),
+                                 {0.1 * angle, -0.1 * angle, 4 + 0.3 * angle});
+    scene_.image_ids.push_back(1 + 2 * i);
+    scene_.image_camera.push_back(i / options_.images_per_camera);
+  }
+
+  void AddCamera(int c) {
+    scene_.camera_ids.push_back(101 + 2 * c);
+    scene_.camera_models.push_back(model_);
+    std::vector<double> params = UsualParams(*model_);
+    params.resize(Scene::kStride);
+    scene_.camera_params.insert(scene_.camera_params.end(), params.begin(), params.end());
+  }
+
+  /// And its observations, in `track_length` images drawn.
+  void AddPoint(int p) {
+    const double point[3] = {Uniform(), Uniform(), Uniform()};
+    std::shuffle(order_.begin(), order_.end(), random_);
+    const int track = options_.track_length > 0
+                          ? std::min(options_.track_length, options_.num_images)
+                          : options_.num_images;
+    std::sort(order_.begin(), order_.begin() + track);
+    for (int k = 0; k < track; ++k) Observe(order_[k], p, point);
+    scene_.point_ids.push_back(1001 + 2 * p);
+    for (const double x : point) scene_.points.push_back(x + Perturbation());
+  }
+
+  void Observe(int image, int p, const double* point) {
+    const double* translation = &scene_.cam_from_world[7 * static_cast<size_t>(image) + 4];
+    double in_camera[3], xy[2] = {};
+    MatrixVector3(&rotations_[9 * static_cast<size_t>(image)], point, in_camera);
+    for (int j = 0; j < 3; ++j) in_camera[j] += translation[j];
+    const auto camera = static_cast<size_t>(scene_.image_camera[image]);
+    model_->project(&scene_.camera_params[camera * Scene::kStride], in_camera, xy, nullptr,
+                    nullptr);
+    const bool outlier = 0.5 * (Uniform() + 1) < options_.outlier_share;
+    for (double pixel : xy) {
+      pixel += options_.noise * Normal();
+      const double distance = 50 + 100 * std::abs(Normal());
+      if (outlier) pixel += std::copysign(distance, Uniform());
+      scene_.observation_xy.push_back(pixel);
+    }
+    scene_.observation_image.push_back(image);
+    scene_.observation_point.push_back(p);
+  }
+
+  const SceneOptions& options_;
+  std::mt19937_64 random_;
+  std::normal_distribution<double> normal_;
+  const CameraModel* const model_;
+  std::vector<int> order_;  ///< of the images
+  std::vector<double> rotations_;
+  Scene scene_;
+};
+
+}  // namespace internal
+
 /// Image ids count from 1, camera ids from 101, point ids from 1001, in steps of 2 to be no
 /// indices. Observations are sorted by point.
-inline Scene MakeScene(const SceneOptions& options) {
-  std::mt19937_64 random(options.seed);
-  std::normal_distribution<double> normal;
-  std::uniform_real_distribution<double> uniform(-1, 1);
-  Scene scene;
-  std::vector<double> rotations;  // of the truth
-  for (int i = 0; i < options.num_images; ++i) {
-    const double angle = 1.2 * i / std::max(options.num_images - 1, 1) - 0.6;
-    const double turn[3] = {0.1 * uniform(random), angle, 0.1 * uniform(random)};
-    double rotation[9], left_jacobian[9], q[4], change[4], start[4];
-    ExpRotation(turn, rotation, left_jacobian);
-    rotations.insert(rotations.end(), rotation, rotation + 9);
-    ExpQuaternion(turn, q);
-    const double w[3] = {options.perturbation * normal(random),
-                         options.perturbation * normal(random),
-                         options.perturbation * normal(random)};
-    ExpQuaternion(w, change);
-    QuaternionProduct(change, q, start);
-    scene.cam_from_world.insert(scene.cam_from_world.end(), start, start + 4);
-    for (const double t : {0.1 * angle, -0.1 * angle, 4 + 0.3 * angle}) {
-      scene.cam_from_world.push_back(t);
-    }
-    scene.image_ids.push_back(1 + 2 * i);
-    scene.image_camera.push_back(i / options.images_per_camera);
-  }
-  const CameraModel* model = FindCameraModel(options.model);
-  const int num_cameras = options.num_images == 0 ? 0 : scene.image_camera.back() + 1;
-  for (int c = 0; c < num_cameras; ++c) {
-    scene.camera_ids.push_back(101 + 2 * c);
-    scene.camera_models.push_back(model);
-    std::vector<double> params = UsualParams(*model);
-    params.resize(Scene::kStride);
-    scene.camera_params.insert(scene.camera_params.end(), params.begin(), params.end());
-  }
-  std::vector<int> order(options.num_images);
-  for (int i = 0; i < options.num_images; ++i) order[i] = i;
-  const int track = options.track_length > 0 ? std::min(options.track_length, options.num_images)
-                                             : options.num_images;
-  for (int p = 0; p < options.num_points; ++p) {
-    const double point[3] = {uniform(random), uniform(random), uniform(random)};
-    scene.point_ids.push_back(1001 + 2 * p);
-    std::shuffle(order.begin(), order.end(), random);
-    std::sort(order.begin(), order.begin() + track);
-    for (int k = 0; k < track; ++k) {
-      const int image = order[k];
-      double in_camera[3], xy[2] = {};
-      MatrixVector3(&rotations[9 * static_cast<size_t>(image)], point, in_camera);
-      for (int j = 0; j < 3; ++j) {
-        in_camera[j] += scene.cam_from_world[7 * static_cast<size_t>(image) + 4 + j];
-      }
-      const int camera = scene.image_camera[image];
-      model->project(&scene.camera_params[static_cast<size_t>(camera) * Scene::kStride], in_camera,
-                     xy, nullptr, nullptr);
-      const bool outlier = 0.5 * (uniform(random) + 1) < options.outlier_share;
-      for (double& pixel : xy) {
-        pixel += options.noise * normal(random);
-        if (outlier) pixel += std::copysign(50 + 100 * std::abs(normal(random)), normal(random));
-        scene.observation_xy.push_back(pixel);
-      }
-      scene.observation_image.push_back(image);
-      scene.observation_point.push_back(p);
-    }
-    for (const double x : point) scene.points.push_back(x + options.perturbation * normal(random));
-  }
-  for (int i = 0; i < options.num_images; ++i) {
-    for (int j = 4; j < 7; ++j) {
-      scene.cam_from_world[7 * static_cast<size_t>(i) + j] += options.perturbation * normal(random);
-    }
-  }
-  return scene;
-}
+inline Scene MakeScene(const SceneOptions& options) { return internal::SceneMaker(options).Make(); }
 
 /// Adds another scene that shares nothing with this one: a piece of its own.
 inline void Append(const Scene& other, Scene* scene) {
