@@ -101,7 +101,7 @@ class SchurProblem::Impl {
         step_(problem, layout),
         other_step_(problem, layout),
         squared_scale_(x_->points.size()),
-        chunk_sums_(pool_.num_threads()),
+        thread_sums_(pool_.num_threads()),
         last_added_(std::max(1, problem.num_images)) {
     const auto n = static_cast<size_t>(structure_.num_columns());
     scale_.resize(n);
@@ -118,14 +118,19 @@ class SchurProblem::Impl {
     Linearization result;
     double gradient_squared = 0, gradient_max = 0;
     std::vector<ChunkSum> parts(plan_.chunks.size());
-    ForChunks([&](int c, int thread) {
-      const Chunk& chunk = plan_.chunks[c];
-      ChunkSum& sum = PrepareSum(chunk, thread);
-      kernels_.eliminate(terms_, x_->records(), chunk, damping, first, squared_scale_.data(),
-                         Memory(thread), &sum);
-      AddInOrder(c, sum);
-      parts[c] = sum;
-    });
+    ForChunks(
+        [&](int c, int thread) {
+          ThreadSums& sums = thread_sums_[thread];
+          if (sums.IsFull()) AddOldest(&sums);
+          ChunkSum& sum = PrepareSum(c, &sums);
+          kernels_.eliminate(terms_, x_->records(), plan_.chunks[c], damping, first,
+                             squared_scale_.data(), Memory(thread), &sum);
+          parts[c] = sum;
+          while (!sums.IsEmpty() && IsNext(sums.Oldest().chunk)) AddOldest(&sums);
+        },
+        [&](int thread) {
+          while (!thread_sums_[thread].IsEmpty()) AddOldest(&thread_sums_[thread]);
+        });
     for (const ChunkSum& part : parts) {
       result.cost += part.cost;
       gradient_squared += part.gradient_squared;
@@ -250,9 +255,28 @@ class SchurProblem::Impl {
   }
 
  private:
-  struct ThreadSum {
+  /// The sum of a chunk, until it is added to S.
+  struct Buffer {
     std::vector<double> blocks, vectors, camera_diagonal;
     ChunkSum sum;
+    int chunk = -1;
+  };
+
+  /// A thread's chunks that wait for those before them, a short queue.
+  struct ThreadSums {
+    static constexpr int kBuffers = 3;
+    Buffer buffers[kBuffers];
+    int oldest = 0;
+    int count = 0;
+
+    bool IsEmpty() const { return count == 0; }
+    bool IsFull() const { return count == kBuffers; }
+    Buffer& Oldest() { return buffers[oldest]; }
+    Buffer& Push() { return buffers[(oldest + count++) % kBuffers]; }
+    void Pop() {
+      oldest = (oldest + 1) % kBuffers;
+      --count;
+    }
   };
 
   int BlockSize() const { return groups_.num_rows * num_columns_; }
@@ -285,32 +309,47 @@ class SchurProblem::Impl {
     return cost;
   }
 
-  /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first.
-  template <typename Visit>
-  void ForChunks(const Visit& visit) {
+  /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
+  /// finish(thread) on each thread after its last.
+  template <typename Visit, typename Finish>
+  void ForChunks(const Visit& visit, const Finish& finish) {
     const auto count = static_cast<int>(plan_.chunks.size());
     std::atomic<int> next{0};
     pool_.Run([&](int thread) {
       for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) visit(c, thread);
+      finish(thread);
     });
   }
 
-  /// Adds chunk c to S. Each block column is a queue of its own, in the order of the chunks: sums
-  /// do not depend on who comes first, and threads wait for each other at the same column only.
-  void AddInOrder(int c, const ChunkSum& sum) {
+  template <typename Visit>
+  void ForChunks(const Visit& visit) {
+    ForChunks(visit, [](int) {});
+  }
+
+  /// True if all chunks before were added to S.
+  bool IsNext(int c) const { return num_added_.load(std::memory_order_acquire) == c; }
+
+  /// Adds a thread's oldest chunk to S, after those before it. Each block column is a queue of its
+  /// own, in the order of the chunks: sums do not depend on who comes first, and threads wait for
+  /// each other at the same column only.
+  void AddOldest(ThreadSums* sums) {
+    const Buffer& buffer = sums->Oldest();
+    const int c = buffer.chunk;
     const Chunk& chunk = plan_.chunks[c];
     const bool own_queue = assembler_.images_are_independent();
-    if (!own_queue) WaitFor(&last_added_[0], c - 1);
+    if (!own_queue) WaitFor(&num_added_, c);
     size_t pair = 0;
     for (size_t i = 0; i < chunk.images.size(); ++i) {
       const size_t first_pair = pair;
       while (pair < chunk.pairs.size() && chunk.pairs[pair].first == i) ++pair;
       std::atomic<int>& last_added = last_added_[chunk.images[i]];
       if (own_queue) WaitFor(&last_added, chunk.previous_chunk[i]);
-      assembler_.AddImage(terms_, chunk, sum, i, first_pair, pair, &sums_);
-      if (own_queue) last_added.store(c, std::memory_order_release);
+      assembler_.AddImage(terms_, chunk, buffer.sum, i, first_pair, pair, &sums_);
+      last_added.store(c, std::memory_order_release);
     }
-    if (!own_queue) last_added_[0].store(c, std::memory_order_release);
+    WaitFor(&num_added_, c);
+    num_added_.store(c + 1, std::memory_order_release);
+    sums->Pop();
   }
 
   static void WaitFor(const std::atomic<int>* value, int wanted) {
@@ -323,19 +362,21 @@ class SchurProblem::Impl {
     return memory.data();
   }
 
-  ChunkSum& PrepareSum(const Chunk& chunk, int thread) {
-    ThreadSum& buffers = chunk_sums_[thread];
+  ChunkSum& PrepareSum(int c, ThreadSums* sums) {
+    const Chunk& chunk = plan_.chunks[c];
+    Buffer& buffer = sums->Push();
+    buffer.chunk = c;
     const size_t images = chunk.images.size();
-    buffers.blocks.assign(static_cast<size_t>(chunk.num_blocks()) * BlockSize(), 0.0);
-    buffers.vectors.assign(images * 4 * num_columns_, 0.0);
-    buffers.sum = {};
-    buffers.sum.blocks = buffers.blocks.data();
-    buffers.sum.vectors = buffers.vectors.data();
+    buffer.blocks.assign(static_cast<size_t>(chunk.num_blocks()) * BlockSize(), 0.0);
+    buffer.vectors.assign(images * 4 * num_columns_, 0.0);
+    buffer.sum = {};
+    buffer.sum.blocks = buffer.blocks.data();
+    buffer.sum.vectors = buffer.vectors.data();
     if (solver_->NeedsCameraDiagonal()) {
-      buffers.camera_diagonal.assign(images * BlockSize(), 0.0);
-      buffers.sum.camera_diagonal = buffers.camera_diagonal.data();
+      buffer.camera_diagonal.assign(images * BlockSize(), 0.0);
+      buffer.sum.camera_diagonal = buffer.camera_diagonal.data();
     }
-    return buffers.sum;
+    return buffer.sum;
   }
 
   void ClearSums() {
@@ -348,6 +389,7 @@ class SchurProblem::Impl {
       std::fill(values + size * thread / threads, values + size * (thread + 1) / threads, 0.0);
     });
     for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
+    num_added_.store(0, std::memory_order_relaxed);
     sums_.system.rhs.assign(n, 0.0);
     sums_.gradient.assign(n, 0.0);
     sums_.squared_norms.assign(n, 0.0);
@@ -434,8 +476,9 @@ class SchurProblem::Impl {
   Step step_;
   Step other_step_;
   std::vector<double> squared_scale_;  ///< of each point's columns
-  std::vector<ThreadSum> chunk_sums_;
+  std::vector<ThreadSums> thread_sums_;
   std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
+  std::atomic<int> num_added_{0};             ///< chunks
   CameraSums sums_;
   std::vector<double> scale_;      ///< Jacobi scaling of the camera side's columns
   std::vector<double> d_squared_;  ///< D^2 of the camera side
