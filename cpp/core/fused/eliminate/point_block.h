@@ -90,4 +90,24 @@ inline void Factorize(PointBlock* blocks, int count, double damping, bool first)
   }
 }
 
+/// Sums up the blocks of a strip's points and factorises them. `rows` points at (a_0, r_0, a_1,
+/// r_1) of the strip's first observation; the next one's are `stride` doubles on.
+inline void FormPointBlocks(const Terms& terms, const Strip& strip, const double* rows, int stride,
+                            double damping, bool first, const double* squared_scale,
+                            PointBlock* blocks) {
+  const int64_t* const begin = terms.plan->first.data();
+  for (int p = strip.first; p < strip.last; ++p) {
+    PointBlock& block = blocks[p - strip.first];
+    for (Quad& row : block.sum) row = Quad{};
+    for (int64_t i = begin[p]; i < begin[p + 1]; ++i) {
+      const double* const at = rows + (i - strip.begin) * stride;
+      block.Add(LoadQuad(at));
+      block.Add(LoadQuad(at + 4));
+    }
+    for (int j = 0; j < 3; ++j) block.squared_scale[j] = first ? 0 : squared_scale[3 * p + j];
+    block.squared_scale[3] = 0;
+  }
+  Factorize(blocks, strip.num_points(), damping, first);
+}
+
 }  // namespace bundle::fused::BUNDLE_ISA

@@ -6,12 +6,12 @@
 #include <limits>
 #include <utility>
 
-#include "core/cameras/registry.h"
 #include "core/fused/eliminate/assembler.h"
 #include "core/fused/eliminate/kernels.h"
+#include "core/fused/eliminate/model_groups.h"
+#include "core/fused/eliminate/ordered_sums.h"
 #include "core/fused/eliminate/point_plan.h"
 #include "core/fused/eliminate/state_records.h"
-#include "core/fused/huge_pages.h"
 #include "core/fused/thread_pool.h"
 #include "core/parallel_for.h"
 
@@ -19,59 +19,6 @@ namespace bundle::fused {
 namespace {
 
 constexpr double kMinDiagonal = 1e-6, kMaxDiagonal = 1e32;  // Ceres' defaults
-
-struct Groups {
-  std::vector<ModelGroup> of;
-  std::vector<uint8_t> image_group;
-  std::vector<uint8_t> image_refined;
-  int num_rows = 1;  ///< the largest group's columns
-};
-
-uint32_t ColumnBits(const ParameterLayout& layout, int block) {
-  uint32_t bits = 0;
-  if (block < 0) return bits;
-  const CameraSideBlock& columns = layout.blocks()[block];
-  for (int k = 0; k < columns.size; ++k) bits |= 1u << columns.columns[k];
-  return bits;
-}
-
-/// A group for each camera model in use. Images of models that we do not know are in the first; no
-/// observation is in them.
-Groups GroupImages(const ProblemView& problem, const ParameterLayout& layout) {
-  Groups groups;
-  std::vector<int> group_of_model(kNumCameraModels, -1);
-  std::vector<uint32_t> bits;
-  for (int i = 0; i < problem.num_images; ++i) {
-    const int camera = problem.image_camera[i];
-    const CameraModel* const model = problem.camera_models[camera];
-    const uint32_t columns =
-        ColumnBits(layout, layout.image_block(i)) | ColumnBits(layout, layout.camera_block(camera));
-    groups.image_refined.push_back(columns != 0 ? 1 : 0);
-    if (model == nullptr) {
-      groups.image_group.push_back(0);
-      continue;
-    }
-    int& group = group_of_model[model - AllCameraModels()];
-    if (group < 0) {
-      group = static_cast<int>(groups.of.size());
-      ModelGroup fresh;
-      fresh.model = static_cast<int>(model - AllCameraModels());
-      fresh.num_params = model->num_params;
-      groups.of.push_back(fresh);
-      bits.push_back(0);
-    }
-    bits[group] |= columns;
-    groups.image_group.push_back(static_cast<uint8_t>(group));
-  }
-  for (size_t g = 0; g < bits.size(); ++g) {
-    ModelGroup& group = groups.of[g];
-    for (int8_t j = 0; j < kPoseSize + kMaxCameraParams; ++j) {
-      if (bits[g] >> j & 1u) group.columns[group.num_columns++] = j;
-    }
-    groups.num_rows = std::max(groups.num_rows, group.num_columns);
-  }
-  return groups;
-}
 
 double Dot(const std::vector<double>& a, const std::vector<double>& b) {
   double sum = 0;
@@ -91,18 +38,17 @@ class SchurProblem::Impl {
         solver_(solver),
         kernels_(SelectKernels()),
         groups_(GroupImages(problem, layout)),
-        num_columns_((groups_.num_rows + 3) / 4 * 4),
-        plan_(PlanPoints(problem, layout, BlockSize() * static_cast<int>(sizeof(double)))),
+        plan_(PlanPoints(problem, layout, groups_.block_size() * static_cast<int>(sizeof(double)))),
         terms_(MakeTerms(options, plan_)),
-        assembler_(problem, layout, groups_.of, groups_.image_group, structure_),
+        assembler_(problem, layout, groups_.groups, groups_.image_group, structure_),
         pool_(EffectiveNumThreads(options.num_threads)),
         memory_(pool_.num_threads()),
         states_{State(problem, layout, plan_), State(problem, layout, plan_)},
         step_(problem, layout),
         other_step_(problem, layout),
         squared_scale_(x_->points.size()),
-        thread_sums_(pool_.num_threads()),
-        last_added_(std::max(1, problem.num_images)) {
+        sums_(terms_, structure_, assembler_, problem.num_images, pool_.num_threads(),
+              solver->NeedsCameraDiagonal()) {
     const auto n = static_cast<size_t>(structure_.num_columns());
     scale_.resize(n);
     d_squared_.resize(n);
@@ -113,31 +59,27 @@ class SchurProblem::Impl {
 
   Linearization Linearize(double damping) {
     damping_ = damping;
-    ClearSums();
+    sums_.Clear(&pool_);
     const bool first = !scaled_;
     Linearization result;
     double gradient_squared = 0, gradient_max = 0;
     std::vector<ChunkSum> parts(plan_.chunks.size());
     ForChunks(
         [&](int c, int thread) {
-          ThreadSums& sums = thread_sums_[thread];
-          if (sums.IsFull()) AddOldest(&sums);
-          ChunkSum& sum = PrepareSum(c, &sums);
+          ChunkSum& sum = sums_.Begin(c, thread);
           kernels_.eliminate(terms_, x_->records(), plan_.chunks[c], damping, first,
                              squared_scale_.data(), Memory(thread), &sum);
           parts[c] = sum;
-          while (!sums.IsEmpty() && IsNext(sums.Oldest().chunk)) AddOldest(&sums);
+          sums_.End(thread);
         },
-        [&](int thread) {
-          while (!thread_sums_[thread].IsEmpty()) AddOldest(&thread_sums_[thread]);
-        });
+        [&](int thread) { sums_.Flush(thread); });
     for (const ChunkSum& part : parts) {
       result.cost += part.cost;
       gradient_squared += part.gradient_squared;
       if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
     }
     DampCameras(damping, first);
-    for (const double g : sums_.gradient) {
+    for (const double g : gradient()) {
       gradient_squared += g * g;
       if (!(std::abs(g) <= gradient_max)) gradient_max = std::abs(g);
     }
@@ -149,7 +91,8 @@ class SchurProblem::Impl {
   }
 
   NewtonResult SolveNewton(double eta) {
-    const ReducedSolution solution = solver_->Solve(&sums_.system, scale_, eta, newton_.data());
+    const ReducedSolution solution =
+        solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
     NewtonResult result;
     result.num_iterations = solution.num_iterations;
     result.message = solution.message;
@@ -185,7 +128,7 @@ class SchurProblem::Impl {
   DirectionProducts Products() {
     gradient_direction_.resize(newton_.size());
     for (size_t j = 0; j < newton_.size(); ++j) {
-      gradient_direction_[j] = sums_.gradient[j] / d_squared_[j];
+      gradient_direction_[j] = gradient()[j] / d_squared_[j];
     }
     points_p_.resize(x_->points.size());
     points_q_.resize(x_->points.size());
@@ -255,40 +198,14 @@ class SchurProblem::Impl {
   }
 
  private:
-  /// The sum of a chunk, until it is added to S.
-  struct Buffer {
-    std::vector<double> blocks, vectors, camera_diagonal;
-    ChunkSum sum;
-    int chunk = -1;
-  };
-
-  /// A thread's chunks that wait for those before them, a short queue.
-  struct ThreadSums {
-    static constexpr int kBuffers = 3;
-    Buffer buffers[kBuffers];
-    int oldest = 0;
-    int count = 0;
-
-    bool IsEmpty() const { return count == 0; }
-    bool IsFull() const { return count == kBuffers; }
-    Buffer& Oldest() { return buffers[oldest]; }
-    Buffer& Push() { return buffers[(oldest + count++) % kBuffers]; }
-    void Pop() {
-      oldest = (oldest + 1) % kBuffers;
-      --count;
-    }
-  };
-
-  int BlockSize() const { return groups_.num_rows * num_columns_; }
-
   Terms MakeTerms(const SolveOptions& options, const PointPlan& plan) const {
     Terms terms;
     terms.plan = &plan;
-    terms.groups = groups_.of.data();
-    terms.num_groups = static_cast<int>(groups_.of.size());
+    terms.groups = groups_.groups.data();
+    terms.num_groups = static_cast<int>(groups_.groups.size());
     terms.image_group = groups_.image_group.data();
     terms.image_refined = groups_.image_refined.data();
-    terms.num_columns = num_columns_;
+    terms.num_columns = groups_.num_columns();
     terms.num_rows = groups_.num_rows;
     terms.cheirality = options.cheirality;
     terms.loss = options.loss;
@@ -326,99 +243,36 @@ class SchurProblem::Impl {
     ForChunks(visit, [](int) {});
   }
 
-  /// True if all chunks before were added to S.
-  bool IsNext(int c) const { return num_added_.load(std::memory_order_acquire) == c; }
-
-  /// Adds a thread's oldest chunk to S, after those before it. Each block column is a queue of its
-  /// own, in the order of the chunks: sums do not depend on who comes first, and threads wait for
-  /// each other at the same column only.
-  void AddOldest(ThreadSums* sums) {
-    const Buffer& buffer = sums->Oldest();
-    const int c = buffer.chunk;
-    const Chunk& chunk = plan_.chunks[c];
-    const bool own_queue = assembler_.images_are_independent();
-    if (!own_queue) WaitFor(&num_added_, c);
-    size_t pair = 0;
-    for (size_t i = 0; i < chunk.images.size(); ++i) {
-      const size_t first_pair = pair;
-      while (pair < chunk.pairs.size() && chunk.pairs[pair].first == i) ++pair;
-      std::atomic<int>& last_added = last_added_[chunk.images[i]];
-      if (own_queue) WaitFor(&last_added, chunk.previous_chunk[i]);
-      assembler_.AddImage(terms_, chunk, buffer.sum, i, first_pair, pair, &sums_);
-      last_added.store(c, std::memory_order_release);
-    }
-    WaitFor(&num_added_, c);
-    num_added_.store(c + 1, std::memory_order_release);
-    sums->Pop();
-  }
-
-  static void WaitFor(const std::atomic<int>* value, int wanted) {
-    for (SpinWait wait; value->load(std::memory_order_acquire) != wanted;) wait.Once();
-  }
-
   double* Memory(int thread) {
     std::vector<double>& memory = memory_[thread];
     if (memory.empty()) memory.resize(kernels_.memory_doubles(terms_));
     return memory.data();
   }
 
-  ChunkSum& PrepareSum(int c, ThreadSums* sums) {
-    const Chunk& chunk = plan_.chunks[c];
-    Buffer& buffer = sums->Push();
-    buffer.chunk = c;
-    const size_t images = chunk.images.size();
-    buffer.blocks.assign(static_cast<size_t>(chunk.num_blocks()) * BlockSize(), 0.0);
-    buffer.vectors.assign(images * 4 * num_columns_, 0.0);
-    buffer.sum = {};
-    buffer.sum.blocks = buffer.blocks.data();
-    buffer.sum.vectors = buffer.vectors.data();
-    if (solver_->NeedsCameraDiagonal()) {
-      buffer.camera_diagonal.assign(images * BlockSize(), 0.0);
-      buffer.sum.camera_diagonal = buffer.camera_diagonal.data();
-    }
-    return buffer.sum;
-  }
-
-  void ClearSums() {
-    const auto n = static_cast<size_t>(structure_.num_columns());
-    ReserveHugePages(structure_.num_values, &sums_.system.values);
-    sums_.system.values.resize(structure_.num_values);
-    pool_.Run([&](int thread) {
-      double* const values = sums_.system.values.data();
-      const int64_t size = structure_.num_values, threads = pool_.num_threads();
-      std::fill(values + size * thread / threads, values + size * (thread + 1) / threads, 0.0);
-    });
-    for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
-    num_added_.store(0, std::memory_order_relaxed);
-    sums_.system.rhs.assign(n, 0.0);
-    sums_.gradient.assign(n, 0.0);
-    sums_.squared_norms.assign(n, 0.0);
-    if (solver_->NeedsCameraDiagonal()) {
-      sums_.system.camera_diagonal.assign(assembler_.diagonal_begin().back(), 0.0);
-    }
-  }
-
   /// S += damping D^2, and the same for the block diagonal of the camera side.
   void DampCameras(double damping, bool first) {
+    CameraSums& sums = sums_.sums();
     for (int b = 0; b < structure_.num_blocks(); ++b) {
       const int size = structure_.block_size(b);
       for (int k = 0; k < size; ++k) {
         const int j = structure_.offset[b] + k;
-        const double squared_norm = sums_.squared_norms[j];
+        const double squared_norm = sums.squared_norms[j];
         if (first) scale_[j] = 1 / (1 + std::sqrt(squared_norm));
         const double squared_scale = scale_[j] * scale_[j];
         d_squared_[j] =
             std::clamp(squared_scale * squared_norm, kMinDiagonal, kMaxDiagonal) / squared_scale;
         const double added = damping * d_squared_[j];
-        sums_.system.values[structure_.ValueIndex(b, structure_.column_begin[b], k, k)] += added;
-        if (sums_.system.camera_diagonal.empty()) continue;
+        sums.system.values[structure_.ValueIndex(b, structure_.column_begin[b], k, k)] += added;
+        if (sums.system.camera_diagonal.empty()) continue;
         double* const diagonal =
-            sums_.system.camera_diagonal.data() + assembler_.diagonal_begin()[b];
+            sums.system.camera_diagonal.data() + assembler_.diagonal_begin()[b];
         diagonal[k * size + k] += added;
         for (int i = 0; i < k; ++i) diagonal[k * size + i] = diagonal[i * size + k];
       }
     }
   }
+
+  const std::vector<double>& gradient() { return sums_.sums().gradient; }
 
   void MoveCameras(const std::vector<double>& step) {
     for (size_t j = 0; j < step.size(); ++j) {
@@ -463,8 +317,7 @@ class SchurProblem::Impl {
   const ReducedStructure structure_;
   ReducedSolver* const solver_;
   const Kernels& kernels_;
-  const Groups groups_;
-  const int num_columns_;  ///< of a Jacobian record
+  const ModelGroups groups_;
   const PointPlan plan_;
   const Terms terms_;
   const Assembler assembler_;
@@ -476,10 +329,7 @@ class SchurProblem::Impl {
   Step step_;
   Step other_step_;
   std::vector<double> squared_scale_;  ///< of each point's columns
-  std::vector<ThreadSums> thread_sums_;
-  std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
-  std::atomic<int> num_added_{0};             ///< chunks
-  CameraSums sums_;
+  OrderedSums sums_;
   std::vector<double> scale_;      ///< Jacobi scaling of the camera side's columns
   std::vector<double> d_squared_;  ///< D^2 of the camera side
   std::vector<double> newton_;     ///< camera side of the Newton direction

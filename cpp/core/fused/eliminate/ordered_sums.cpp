@@ -1,0 +1,99 @@
+#include "core/fused/eliminate/ordered_sums.h"
+
+#include <algorithm>
+#include <cstddef>
+
+#include "core/fused/huge_pages.h"
+
+namespace bundle::fused {
+namespace {
+
+void WaitFor(const std::atomic<int>& value, int wanted) {
+  for (SpinWait wait; value.load(std::memory_order_acquire) != wanted;) wait.Once();
+}
+
+}  // namespace
+
+OrderedSums::OrderedSums(const Terms& terms, const ReducedStructure& structure,
+                         const Assembler& assembler, int num_images, int num_threads,
+                         bool wants_camera_diagonal)
+    : terms_(terms),
+      structure_(structure),
+      assembler_(assembler),
+      wants_camera_diagonal_(wants_camera_diagonal),
+      waiting_(num_threads),
+      last_added_(num_images) {}
+
+void OrderedSums::Clear(ThreadPool* pool) {
+  std::vector<double>& values = sums_.system.values;
+  ReserveHugePages(structure_.num_values, &values);
+  values.resize(structure_.num_values);
+  pool->Run([&](int thread) {
+    const int64_t size = structure_.num_values, threads = pool->num_threads();
+    std::fill(values.data() + size * thread / threads,
+              values.data() + size * (thread + 1) / threads, 0.0);
+  });
+  const auto n = static_cast<size_t>(structure_.num_columns());
+  sums_.system.rhs.assign(n, 0.0);
+  sums_.gradient.assign(n, 0.0);
+  sums_.squared_norms.assign(n, 0.0);
+  if (wants_camera_diagonal_) {
+    sums_.system.camera_diagonal.assign(assembler_.diagonal_begin().back(), 0.0);
+  }
+  for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
+  num_added_.store(0, std::memory_order_relaxed);
+}
+
+ChunkSum& OrderedSums::Begin(int chunk, int thread) {
+  Waiting& waiting = waiting_[thread];
+  if (waiting.IsFull()) AddOldest(&waiting);
+  Buffer& buffer = waiting.Push();
+  buffer.chunk = chunk;
+  const Chunk& what = terms_.plan->chunks[chunk];
+  const size_t images = what.images.size();
+  const size_t block_size = static_cast<size_t>(terms_.num_rows) * terms_.num_columns;
+  buffer.blocks.assign(what.num_blocks() * block_size, 0.0);
+  buffer.vectors.assign(images * 4 * terms_.num_columns, 0.0);
+  buffer.sum = {};
+  buffer.sum.blocks = buffer.blocks.data();
+  buffer.sum.vectors = buffer.vectors.data();
+  if (wants_camera_diagonal_) {
+    buffer.camera_diagonal.assign(images * block_size, 0.0);
+    buffer.sum.camera_diagonal = buffer.camera_diagonal.data();
+  }
+  return buffer.sum;
+}
+
+void OrderedSums::End(int thread) {
+  Waiting& waiting = waiting_[thread];
+  while (!waiting.IsEmpty() &&
+         num_added_.load(std::memory_order_acquire) == waiting.Oldest().chunk) {
+    AddOldest(&waiting);
+  }
+}
+
+void OrderedSums::Flush(int thread) {
+  while (!waiting_[thread].IsEmpty()) AddOldest(&waiting_[thread]);
+}
+
+void OrderedSums::AddOldest(Waiting* waiting) {
+  const Buffer& buffer = waiting->Oldest();
+  const int c = buffer.chunk;
+  const Chunk& chunk = terms_.plan->chunks[c];
+  const bool own_queues = assembler_.images_are_independent();
+  if (!own_queues) WaitFor(num_added_, c);
+  size_t pair = 0;
+  for (size_t i = 0; i < chunk.images.size(); ++i) {
+    const size_t first_pair = pair;
+    while (pair < chunk.pairs.size() && chunk.pairs[pair].first == i) ++pair;
+    std::atomic<int>& last_added = last_added_[chunk.images[i]];
+    if (own_queues) WaitFor(last_added, chunk.previous_chunk[i]);
+    assembler_.AddImage(terms_, chunk, buffer.sum, i, first_pair, pair, &sums_);
+    last_added.store(c, std::memory_order_release);
+  }
+  WaitFor(num_added_, c);
+  num_added_.store(c + 1, std::memory_order_release);
+  waiting->Pop();
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <atomic>
+#include <vector>
+
+#include "core/fused/eliminate/assembler.h"
+#include "core/fused/eliminate/kernels.h"
+#include "core/fused/thread_pool.h"
+
+namespace bundle::fused {
+
+/// Sums up chunks that several threads work on, in the order of the chunks, so that no bit of the
+/// sum depends on who was faster.
+///
+/// Each image's block column of S is a queue of its own: threads wait for each other at the same
+/// column only. A thread that is early keeps its chunk and goes on to the next.
+class OrderedSums {
+ public:
+  /// Keeps references to all but the last.
+  OrderedSums(const Terms& terms, const ReducedStructure& structure, const Assembler& assembler,
+              int num_images, int num_threads, bool wants_camera_diagonal);
+
+  /// Starts anew, at zero.
+  void Clear(ThreadPool* pool);
+
+  /// Zeros for a thread to sum up a chunk in, until it calls End.
+  ChunkSum& Begin(int chunk, int thread);
+  void End(int thread);
+
+  /// Adds what a thread still keeps, after its last chunk.
+  void Flush(int thread);
+
+  CameraSums& sums() { return sums_; }
+
+ private:
+  struct Buffer {
+    std::vector<double> blocks, vectors, camera_diagonal;
+    ChunkSum sum;
+    int chunk = -1;
+  };
+
+  /// A thread's chunks that wait for those before them, a short queue.
+  struct Waiting {
+    static constexpr int kBuffers = 3;
+    Buffer buffers[kBuffers];
+    int oldest = 0;
+    int count = 0;
+
+    bool IsEmpty() const { return count == 0; }
+    bool IsFull() const { return count == kBuffers; }
+    Buffer& Oldest() { return buffers[oldest]; }
+    Buffer& Push() { return buffers[(oldest + count++) % kBuffers]; }
+    void Pop() {
+      oldest = (oldest + 1) % kBuffers;
+      --count;
+    }
+  };
+
+  void AddOldest(Waiting* waiting);
+
+  const Terms& terms_;
+  const ReducedStructure& structure_;
+  const Assembler& assembler_;
+  const bool wants_camera_diagonal_;
+  CameraSums sums_;
+  std::vector<Waiting> waiting_;              ///< of each thread
+  std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
+  std::atomic<int> num_added_{0};             ///< chunks
+};
+
+}  // namespace bundle::fused
