@@ -35,8 +35,8 @@ RULES = {"default": STOPPING, "tight": TIGHT_STOPPING}
 
 # Runs of a process that took longer, in seconds, are not repeated.
 REPEAT_BELOW = 10.0
-# With the tight rule only problems up to here: pycolmap needs minutes beyond.
-MOST_OBSERVATIONS_TIGHT = 300_000
+# With the tight rule, and with one thread, only problems up to here: pycolmap needs minutes beyond.
+MOST_OBSERVATIONS_FURTHER = 300_000
 # Address space of a child beyond this share of the machine's memory is refused to it.
 MEMORY_SHARE = 0.85
 
@@ -63,12 +63,12 @@ def of_problem(
     series = [Series(problem, solver, "default", threads) for solver in wanted]
     if quick:
         return series
-    if problem.num_observations <= MOST_OBSERVATIONS_TIGHT:
+    if problem.num_observations <= MOST_OBSERVATIONS_FURTHER:
         tight = [solver for solver in wanted if solver.name in solvers.TIGHT]
         series += [Series(problem, solver, "tight", threads) for solver in tight]
-    if threads > 1 and problem.kind == "bal":
-        scaled = [solver for solver in wanted if solver.name in solvers.SCALED]
-        series += [Series(problem, solver, "default", 1) for solver in scaled]
+        if threads > 1 and problem.kind == "bal":
+            scaled = [solver for solver in wanted if solver.name in solvers.SCALED]
+            series += [Series(problem, solver, "default", 1) for solver in scaled]
     return series
 
 
