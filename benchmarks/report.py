@@ -34,7 +34,7 @@ def markdown(results: Results, page: str, image: str) -> str:
     parts = [heading(results)]
     goals = targets.of(results)
     if goals:
-        parts.append(table.of_targets(goals))
+        parts.append(targets.as_table(goals))
     if image:
         parts.append(f"![Cost gap against time]({image})")
     for peer in (targets.PEER, targets.CERES):

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 from benchmarks.measure import Spread
 from benchmarks.rows import GAPS, Row
-
-if TYPE_CHECKING:
-    from benchmarks.targets import Target
 
 
 def seconds(value: float) -> str:
@@ -121,13 +117,3 @@ def of_pair(pairs: Sequence[tuple[Row, Row]]) -> str:
         )
     header = ["problem", "our time per LM step", "time per LM step", *_gap_header(), "total"]
     return grid([*header, "peak memory"], lines)
-
-
-def of_targets(goals: Sequence[Target]) -> str:
-    """Return one line a target: what, the measured value, the limit, and whether it is met."""
-    lines = []
-    for goal in goals:
-        measured = "not measured" if goal.value is None else f"{goal.value:.3g}"
-        limit = f"{'at least' if goal.is_least else 'at most'} {goal.limit:g}"
-        lines.append([goal.what, measured, limit, "yes" if goal.met else "no"])
-    return grid(["target", "measured", "limit", "met"], lines)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from benchmarks import scaling, whole
+from benchmarks import scaling, table, whole
 from benchmarks.measure import Spread
 from benchmarks.results import Results
 from benchmarks.rows import Row
@@ -184,3 +184,13 @@ def _extreme(
     choose: Callable[..., tuple[str, float | None]] = min if is_least else max
     worst, ratio = choose(pairs, key=lambda pair: pair[1])
     return Target(f"{what} {len(pairs)} ({worst})", ratio, limit, is_least)
+
+
+def as_table(goals: Sequence[Target]) -> str:
+    """Return one line a target: what, the measured value, the limit, and whether it is met."""
+    lines = []
+    for goal in goals:
+        measured = "not measured" if goal.value is None else f"{goal.value:.3g}"
+        limit = f"{'at least' if goal.is_least else 'at most'} {goal.limit:g}"
+        lines.append([goal.what, measured, limit, "yes" if goal.met else "no"])
+    return table.grid(["target", "measured", "limit", "met"], lines)

@@ -5,7 +5,7 @@ from benchmarks.measure import Spread
 from benchmarks.rows import Row
 from benchmarks.targets import Target
 
-from benchmarks import table
+from benchmarks import table, targets
 
 
 def row(solver, milliseconds, failure="", **changes):
@@ -90,7 +90,7 @@ def test_pairs_are_theirs_over_ours():
     ],
 )
 def test_targets_are_met_up_to_their_limit(value, is_least, cells_expected):
-    assert cells(table.of_targets([Target("w", value, 0.75, is_least)]))[2] == cells_expected
+    assert cells(targets.as_table([Target("w", value, 0.75, is_least)]))[2] == cells_expected
 
 
 def test_absolute_times_show_a_spread_that_can_be_seen():
