@@ -3,9 +3,12 @@
 
 #include "core/backend/choose_backend.h"
 
+#include <cstdint>
 #include <optional>
+#include <string>
 
 #include "core/error.h"
+#include "core/fused/eliminate/point_plan.h"
 #include "core/solve/option_names.h"
 
 namespace bundle {
@@ -33,7 +36,7 @@ bool MayIterate(LinearSolverType type) {
   return type == LinearSolverType::kAuto || type == LinearSolverType::kIterativeSchur;
 }
 
-std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
+std::optional<Unsupported> FindUnsupported(const ProblemView& problem, const SolveOptions& options,
                                            const ParameterLayout& layout) {
   if (!IsSupported(options.linear_solver_type)) {
     return Unsupported{"linear_solver_type", "auto, dense_schur, sparse_schur or iterative_schur",
@@ -54,14 +57,21 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
   if (layout.blocks().empty()) {
     return Unsupported{"refine", "poses or intrinsics beside the points", "none that are refined"};
   }
+  const int64_t longest_track = fused::LongestTrack(problem);
+  if (longest_track > fused::kMaxTrackLength) {
+    return Unsupported{
+        "backend", "at most " + std::to_string(fused::kMaxTrackLength) + " observations a point",
+        "one with " + std::to_string(longest_track)};
+  }
   return std::nullopt;
 }
 
 }  // namespace
 
-BackendChoice ChooseBackend(const SolveOptions& options, const ParameterLayout& layout) {
+BackendChoice ChooseBackend(const ProblemView& problem, const SolveOptions& options,
+                            const ParameterLayout& layout) {
   if (options.backend == Backend::kCeres) return {Backend::kCeres, ""};
-  const std::optional<Unsupported> obstacle = FindUnsupported(options, layout);
+  const std::optional<Unsupported> obstacle = FindUnsupported(problem, options, layout);
   if (options.backend == Backend::kFused) {
     if (!obstacle) return {Backend::kFused, ""};
     throw InputError(obstacle->option + ": expected " + obstacle->expected +

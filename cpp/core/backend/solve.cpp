@@ -29,7 +29,7 @@ SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
                   const ProgressCallback& progress) {
   const Stopwatch time;
   PreparedSolve prepared = PrepareSolve(problem, options);
-  BackendChoice choice = ChooseBackend(options, prepared.layout);
+  BackendChoice choice = ChooseBackend(problem, options, prepared.layout);
   SolveOutput output = choice.backend == Backend::kFused
                            ? fused::SolveWithFused(problem, options, std::move(prepared), progress)
                            : SolveWithCeresAsAsked(problem, options, std::move(prepared), progress);

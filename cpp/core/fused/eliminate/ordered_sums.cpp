@@ -22,7 +22,22 @@ OrderedSums::OrderedSums(const Terms& terms, const ReducedStructure& structure,
       assembler_(assembler),
       wants_camera_diagonal_(wants_camera_diagonal),
       waiting_(num_threads),
-      last_added_(num_images) {}
+      last_added_(num_images) {
+  // All memory now: nothing may fail once threads wait for each other.
+  size_t images = 0, blocks = 0;
+  for (const Chunk& chunk : terms.plan->chunks) {
+    images = std::max(images, chunk.images.size());
+    blocks = std::max<size_t>(blocks, chunk.num_blocks());
+  }
+  const size_t block_size = static_cast<size_t>(terms.num_rows) * terms.num_columns;
+  for (Waiting& waiting : waiting_) {
+    for (Buffer& buffer : waiting.buffers) {
+      buffer.blocks.reserve(blocks * block_size);
+      buffer.vectors.reserve(images * 4 * terms.num_columns);
+      if (wants_camera_diagonal) buffer.camera_diagonal.reserve(images * block_size);
+    }
+  }
+}
 
 void OrderedSums::Clear(ThreadPool* pool) {
   std::vector<double>& values = sums_.system.values;

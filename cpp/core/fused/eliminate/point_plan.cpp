@@ -144,8 +144,9 @@ class Planner {
   }
 
   bool HasTooManyBlocks(int point) const {
+    const int64_t observations = plan_.first[point + 1] - plan_.first[point];
     const int64_t refined = point < plan_.num_free_points ? NumRefined(point) : 0;
-    return refined * (refined + 1) / 2 >= kMaxBlocks / 2;
+    return observations + refined * (refined - 1) / 2 >= kMaxBlocks / 2;
   }
 
   /// Adds a chunk of points from `begin` on and returns where it ended: at enough work, or
@@ -279,6 +280,12 @@ class Planner {
 };
 
 }  // namespace
+
+int64_t LongestTrack(const ProblemView& problem) {
+  std::vector<int64_t> length(problem.num_points);
+  for (int64_t i = 0; i < problem.num_observations; ++i) ++length[problem.observation_point[i]];
+  return length.empty() ? 0 : *std::max_element(length.begin(), length.end());
+}
 
 PointPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout, int block_bytes) {
   return Planner(problem, layout, true).Plan(block_bytes);

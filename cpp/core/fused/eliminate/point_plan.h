@@ -64,6 +64,12 @@ struct PointPlan {
   int64_t num_observations() const { return static_cast<int64_t>(image.size()); }
 };
 
+/// As many observations as a point may have, so that 16 bits number the blocks of a chunk.
+inline constexpr int64_t kMaxTrackLength = 30000;
+
+/// The most observations of one point.
+int64_t LongestTrack(const ProblemView& problem);
+
 /// The observations with something to refine. `block_bytes`: of one block's buffer.
 PointPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout, int block_bytes);
 

@@ -42,7 +42,7 @@ class SchurProblem::Impl {
         terms_(MakeTerms(options, plan_)),
         assembler_(problem, layout, groups_.groups, groups_.image_group, structure_),
         pool_(EffectiveNumThreads(options.num_threads)),
-        memory_(pool_.num_threads()),
+        memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(terms_))),
         states_{State(problem, layout, plan_), State(problem, layout, plan_)},
         step_(problem, layout),
         other_step_(problem, layout),
@@ -243,11 +243,7 @@ class SchurProblem::Impl {
     ForChunks(visit, [](int) {});
   }
 
-  double* Memory(int thread) {
-    std::vector<double>& memory = memory_[thread];
-    if (memory.empty()) memory.resize(kernels_.memory_doubles(terms_));
-    return memory.data();
-  }
+  double* Memory(int thread) { return memory_[thread].data(); }
 
   /// S += damping D^2, and the same for the block diagonal of the camera side.
   void DampCameras(double damping, bool first) {
