@@ -29,7 +29,9 @@ def named_problem(request, bundle_data):
 def test_same_first_ten_steps(named_problem, solver):
     _, problem = named_problem
     options = {"linear_solver_type": solver, "max_num_iterations": 10}
-    theirs = bundle.solve(problem, backend="ceres", **options)
+    # On several threads Ceres adds up in an order that changes from run to run, which on video48 is
+    # now and then a conjugate gradient more.
+    theirs = bundle.solve(problem, backend="ceres", num_threads=1, **options)
     ours = bundle.solve(problem, backend="fused", **options)
     for name, tolerance in (("cost", 1e-8), ("step_is_successful", 0), ("iteration", 0)):
         np.testing.assert_allclose(
