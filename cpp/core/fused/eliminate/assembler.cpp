@@ -12,19 +12,15 @@ constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way 
 Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
                      const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
                      const ReducedStructure& structure)
-    : structure_(structure), images_(problem.num_images) {
+    : structure_(structure),
+      images_(problem.num_images),
+      diagonal_begin_(DiagonalBlockOffsets(structure)) {
   for (int i = 0; i < problem.num_images; ++i) {
     const ModelGroup& group = groups[image_group[i]];
     AddSegment(layout.image_block(i), layout, group, &images_[i]);
     AddSegment(layout.camera_block(problem.image_camera[i]), layout, group, &images_[i]);
     images_are_independent_ &= layout.camera_block(problem.image_camera[i]) < 0;
   }
-  int64_t begin = 0;
-  for (int j = 0; j < structure.num_blocks(); ++j) {
-    diagonal_begin_.push_back(begin);
-    begin += static_cast<int64_t>(structure.block_size(j)) * structure.block_size(j);
-  }
-  diagonal_begin_.push_back(begin);
 }
 
 void Assembler::AddSegment(int block, const ParameterLayout& layout, const ModelGroup& group,
@@ -70,7 +66,7 @@ void Assembler::AddImage(const Terms& terms, const Chunk& chunk, const ChunkSum&
     if (pair < last_pair) PrefetchPair(image, chunk.images[chunk.pairs[pair].second], values);
   };
   for (size_t ahead = 0; ahead < kPairsAhead; ++ahead) prefetch(first_pair + ahead);
-  AddVectors(terms, image, sum.vectors + 4 * terms.num_columns * slot, sums);
+  AddVectors(terms, image, sum.vectors + ChunkSum::kVectors * terms.num_columns * slot, sums);
   AddDiagonal(terms, image, sum.blocks + block_size * slot, values);
   if (sum.camera_diagonal != nullptr) {
     AddCameraDiagonal(terms, image, sum.camera_diagonal + block_size * slot,

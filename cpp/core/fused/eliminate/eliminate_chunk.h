@@ -131,8 +131,9 @@ class Elimination {
       reduced[0] -= Dot3(y_0, h);
       reduced[1] -= Dot3(y_1, h);
     }
-    UpdateVectors<kQuads>(rows, r, reduced,
-                          sum_.vectors + static_cast<int64_t>(image_[i]) * 4 * kColumns);
+    UpdateVectors<kQuads>(
+        rows, r, reduced,
+        sum_.vectors + static_cast<int64_t>(image_[i]) * ChunkSum::kVectors * kColumns);
     const double cross = Dot3(y_0, y_1);
     const double middle[4] = {Dot3(y_0, y_0) - 1, cross, cross, Dot3(y_1, y_1) - 1};
     Subtract(rows, middle, rows, true, sum_.blocks + image_[i] * block_size_);

@@ -18,6 +18,9 @@ struct ModelGroup {
   int8_t columns[kPoseSize + kMaxCameraParams] = {};
 };
 
+/// Of D^2 (minimize/least_squares.h): Ceres' defaults.
+inline constexpr double kMinDiagonal = 1e-6, kMaxDiagonal = 1e32;
+
 /// What no pass changes.
 struct Terms {
   const PointPlan* plan = nullptr;
@@ -25,9 +28,8 @@ struct Terms {
   int num_groups = 0;
   const uint8_t* image_group = nullptr;  ///< of each image
   const uint8_t* image_refined = nullptr;
-  int num_columns =
-      0;             ///< of a Jacobian record: the largest group's, rounded up to a multiple of 4
-  int num_rows = 0;  ///< the largest group's
+  int num_rows = 0;     ///< the largest group's columns
+  int num_columns = 0;  ///< of a Jacobian record: num_rows, rounded up to a multiple of 4
   Cheirality cheirality = Cheirality::kZero;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
@@ -46,7 +48,8 @@ struct StateRecords {
 /// What a chunk adds to the normal equations, in units of its images and blocks.
 struct ChunkSum {
   double* blocks = nullptr;  ///< num_blocks x num_rows x num_columns, rows of the first image
-  /// num_images x 4 x num_columns: J_c^T r, reduced right side, ||J e_j||^2, unused.
+  static constexpr int kVectors = 3;
+  /// num_images x kVectors x num_columns: J_c^T r, reduced right side, ||J e_j||^2.
   double* vectors = nullptr;
   double* camera_diagonal = nullptr;  ///< num_images x num_rows x num_columns; nullptr: not wanted
   double cost = 0;

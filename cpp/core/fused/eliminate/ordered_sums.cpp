@@ -33,7 +33,7 @@ OrderedSums::OrderedSums(const Terms& terms, const ReducedStructure& structure,
   for (Waiting& waiting : waiting_) {
     for (Buffer& buffer : waiting.buffers) {
       buffer.blocks.reserve(blocks * block_size);
-      buffer.vectors.reserve(images * 4 * terms.num_columns);
+      buffer.vectors.reserve(images * ChunkSum::kVectors * terms.num_columns);
       if (wants_camera_diagonal) buffer.camera_diagonal.reserve(images * block_size);
     }
   }
@@ -68,7 +68,7 @@ ChunkSum& OrderedSums::Begin(int chunk, int thread) {
   const size_t images = what.images.size();
   const size_t block_size = static_cast<size_t>(terms_.num_rows) * terms_.num_columns;
   buffer.blocks.assign(what.num_blocks() * block_size, 0.0);
-  buffer.vectors.assign(images * 4 * terms_.num_columns, 0.0);
+  buffer.vectors.assign(images * ChunkSum::kVectors * terms_.num_columns, 0.0);
   buffer.sum = {};
   buffer.sum.blocks = buffer.blocks.data();
   buffer.sum.vectors = buffer.vectors.data();

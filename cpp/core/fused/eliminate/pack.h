@@ -36,13 +36,6 @@ struct Pack {
   Pack(double x) : v(x - Vector{}) {}  // NOLINT: implicit, as from int to double
   explicit Pack(const Vector& vector) : v(vector) {}
 
-  static Pack Load(const double* from) {
-    Pack pack;
-    __builtin_memcpy(&pack.v, from, sizeof pack.v);
-    return pack;
-  }
-  void Store(double* to) const { __builtin_memcpy(to, &v, sizeof v); }
-
   Pack& operator+=(const Pack& o) { return v += o.v, *this; }
   Pack& operator*=(const Pack& o) { return v *= o.v, *this; }
   Pack operator-() const { return Pack(-v); }
@@ -57,7 +50,6 @@ struct Mask {
   Pack::Bits bits;
 
   friend Mask operator|(const Mask& a, const Mask& b) { return {a.bits | b.bits}; }
-  friend Mask operator&(const Mask& a, const Mask& b) { return {a.bits & b.bits}; }
 };
 
 inline Mask operator<=(const Pack& a, const Pack& b) { return {a.v <= b.v}; }

@@ -46,7 +46,6 @@ inline void SolveTransposed(const PointBlock& block, const Quad& y, double* out)
 
 /// Fills in what is made of the sums of `count` points. With `first` their squared_scale as well.
 inline void Factorize(PointBlock* blocks, int count, double damping, bool first) {
-  constexpr double kMinDiagonal = 1e-6, kMaxDiagonal = 1e32;  // Ceres' defaults
   for (int begin = 0; begin < count; begin += kLanes) {
     double* records[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {

@@ -7,8 +7,9 @@
 namespace bundle::fused {
 namespace {
 
-// In units of work: an observation counts one, a pair half. The larger a chunk, the more often a
-// block is added to before it goes to S; the more chunks, the more evenly they spread over threads.
+// In units of work: an observation counts one, a pair half. A chunk takes an eighth of the
+// observations' worth, within limits. The larger a chunk, the more often a block is added to before
+// it goes to S; the more chunks, the more evenly they spread over threads.
 constexpr int64_t kLargestChunk = 8192;
 constexpr int64_t kSmallestChunk = 128;
 constexpr int64_t kChunksWanted = 8;
@@ -114,14 +115,12 @@ class Planner {
     }
     plan_.first.push_back(plan_.num_observations());
     std::vector<int64_t>().swap(by_point_);
-  }
-
-  int NumRefined(int point) const {
-    int count = 0;
-    for (int64_t k = plan_.first[point]; k < plan_.first[point + 1]; ++k) {
-      count += refined_[plan_.image[k]];
+    num_refined_.resize(plan_.point.size());
+    for (int p = 0; p < plan_.num_free_points; ++p) {
+      for (int64_t k = plan_.first[p]; k < plan_.first[p + 1]; ++k) {
+        num_refined_[p] += refined_[plan_.image[k]];
+      }
     }
-    return count;
   }
 
   void CutIntoChunks(int block_bytes) {
@@ -137,25 +136,30 @@ class Planner {
     }
   }
 
+  int64_t NumObservations(int point) const { return plan_.first[point + 1] - plan_.first[point]; }
+
   int64_t WorkOf(int point) const {
-    const int64_t observations = plan_.first[point + 1] - plan_.first[point];
-    const int64_t refined = point < plan_.num_free_points ? NumRefined(point) : 0;
-    return observations + refined * (refined - 1) / 4;
+    const int64_t refined = num_refined_[point];
+    return NumObservations(point) + refined * (refined - 1) / 4;
   }
 
   bool HasTooManyBlocks(int point) const {
-    const int64_t observations = plan_.first[point + 1] - plan_.first[point];
-    const int64_t refined = point < plan_.num_free_points ? NumRefined(point) : 0;
-    return observations + refined * (refined - 1) / 2 >= kMaxBlocks / 2;
+    const int64_t refined = num_refined_[point];
+    return NumObservations(point) + refined * (refined - 1) / 2 >= kMaxBlocks / 2;
+  }
+
+  Chunk StartChunk(int point) {
+    pair_of_.clear();
+    Chunk chunk;
+    chunk.first_point = point;
+    chunk.first_pair = static_cast<int64_t>(plan_.pair_block.size());
+    return chunk;
   }
 
   /// Adds a chunk of points from `begin` on and returns where it ended: at enough work, or
   /// where its blocks fill the buffer.
   int AddChunk(int begin, int64_t wanted, int64_t most_blocks) {
-    pair_of_.clear();
-    Chunk chunk;
-    chunk.first_point = begin;
-    chunk.first_pair = static_cast<int64_t>(plan_.pair_block.size());
+    Chunk chunk = StartChunk(begin);
     int64_t work = 0;
     int p = begin;
     for (; p < plan_.num_points(); work += WorkOf(p++)) {
@@ -163,7 +167,7 @@ class Planner {
       if (work >= wanted || full || chunk.num_blocks() > kMaxBlocks / 2 || HasTooManyBlocks(p)) {
         break;
       }
-      AddPoint(p, 0, NumRefined(p), &chunk);
+      AddPoint(p, 0, num_refined_[p], &chunk);
     }
     Finish(p, &chunk);
     return p;
@@ -171,13 +175,10 @@ class Planner {
 
   /// One point in several chunks.
   int AddRows(int point, int64_t most_blocks) {
-    const int refined = NumRefined(point);
+    const int refined = num_refined_[point];
     const auto rows = static_cast<int>(std::max<int64_t>(1, most_blocks / refined));
     for (int row = 0; row < refined; row += rows) {
-      pair_of_.clear();
-      Chunk chunk;
-      chunk.first_point = point;
-      chunk.first_pair = static_cast<int64_t>(plan_.pair_block.size());
+      Chunk chunk = StartChunk(point);
       chunk.first_row = row;
       chunk.last_row = std::min(row + rows, refined);
       AddPoint(point, chunk.first_row, chunk.last_row, &chunk);
@@ -197,8 +198,7 @@ class Planner {
       }
       plan_.image_in_chunk[k] = static_cast<uint16_t>(slot);
     }
-    if (point >= plan_.num_free_points) return;
-    const int refined = NumRefined(point);
+    const int refined = num_refined_[point];
     for (int i = first_row; i < last_row; ++i) {
       const uint16_t a = plan_.image_in_chunk[first + i];
       for (int j = i + 1; j < refined; ++j) {
@@ -253,8 +253,8 @@ class Planner {
 
   void NumberPairs(const Chunk& chunk, const std::vector<uint16_t>& block) {
     int64_t next = chunk.first_pair;
-    for (int p = chunk.first_point; p < std::min(chunk.last_point, plan_.num_free_points); ++p) {
-      const int refined = NumRefined(p);
+    for (int p = chunk.first_point; p < chunk.last_point; ++p) {
+      const int refined = num_refined_[p];
       const int last_row = chunk.last_row > 0 ? chunk.last_row : refined;
       for (int i = chunk.first_row; i < last_row; ++i) {
         for (int j = i + 1; j < refined; ++j, ++next) {
@@ -273,8 +273,9 @@ class Planner {
   std::vector<uint8_t> refined_;  ///< of each image
   std::vector<int64_t> begin_;
   std::vector<int64_t> by_point_;
-  std::vector<int> image_slot_;  ///< in the chunk in the making; -1: not in it
-  std::vector<int> last_chunk_;  ///< in which an image occurred; -1: none
+  std::vector<int> num_refined_;  ///< of each point's observations; 0 for fixed points
+  std::vector<int> image_slot_;   ///< in the chunk in the making; -1: not in it
+  std::vector<int> last_chunk_;   ///< in which an image occurred; -1: none
   std::unordered_map<uint32_t, size_t> pair_of_;
   PointPlan plan_;
 };

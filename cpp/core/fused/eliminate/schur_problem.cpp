@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
-#include <limits>
 #include <utility>
 
 #include "core/fused/eliminate/assembler.h"
@@ -18,12 +17,21 @@
 namespace bundle::fused {
 namespace {
 
-constexpr double kMinDiagonal = 1e-6, kMaxDiagonal = 1e32;  // Ceres' defaults
-
 double Dot(const std::vector<double>& a, const std::vector<double>& b) {
   double sum = 0;
   for (size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
   return sum;
+}
+
+CandidateSum Total(const std::vector<CandidateSum>& parts) {
+  CandidateSum total;
+  for (const CandidateSum& part : parts) {
+    total.model_cost_change += part.model_cost_change;
+    total.cost += part.cost;
+    total.step_squared += part.step_squared;
+    total.state_squared += part.state_squared;
+  }
+  return total;
 }
 
 }  // namespace
@@ -109,20 +117,13 @@ class SchurProblem::Impl {
   Candidate TryNewton() {
     step_.Set(newton_, x_->cameras());
     MoveCameras(newton_);
-    CandidateSum total;
     std::vector<CandidateSum> parts(plan_.chunks.size());
     ForChunks([&](int c, int thread) {
       kernels_.try_newton(terms_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
                           step_.records(), candidate_->records(), candidate_->points.data(),
                           Memory(thread), &parts[c]);
     });
-    for (const CandidateSum& part : parts) {
-      total.model_cost_change += part.model_cost_change;
-      total.cost += part.cost;
-      total.step_squared += part.step_squared;
-      total.state_squared += part.state_squared;
-    }
-    return Finish(newton_, total);
+    return Finish(newton_, Total(parts));
   }
 
   DirectionProducts Products() {
@@ -159,17 +160,12 @@ class SchurProblem::Impl {
     std::vector<double> step(newton_.size());
     for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
     MoveCameras(step);
-    CandidateSum total;
     std::vector<CandidateSum> parts(plan_.chunks.size());
     ForChunks([&](int c, int) {
       MovePoints(plan_.chunks[c], a, b, &parts[c]);
       parts[c].cost = kernels_.cost(terms_, candidate_->records(), plan_.chunks[c]);
     });
-    for (const CandidateSum& part : parts) {
-      total.cost += part.cost;
-      total.step_squared += part.step_squared;
-      total.state_squared += part.state_squared;
-    }
+    CandidateSum total = Total(parts);
     const DirectionProducts& d = products_;
     total.model_cost_change =
         -(a * d.d_pp + b * d.d_pq) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
@@ -218,6 +214,7 @@ class SchurProblem::Impl {
 
   /// Observations with nothing to refine, by the same kernels.
   double FixedCost(const SolveOptions& options) const {
+    if (plan_.num_observations() == problem_.num_observations) return 0;
     const PointPlan plan = PlanFixedPoints(problem_, layout_);
     const Terms terms = MakeTerms(options, plan);
     const State state(problem_, layout_, plan);

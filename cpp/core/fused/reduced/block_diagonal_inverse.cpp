@@ -6,13 +6,9 @@
 namespace bundle::fused {
 
 BlockDiagonalInverse::BlockDiagonalInverse(const ReducedStructure& structure)
-    : structure_(structure), begin_(structure.num_blocks() + 1, 0) {
-  for (int j = 0; j < structure.num_blocks(); ++j) {
-    const int64_t size = structure.block_size(j);
-    begin_[j + 1] = begin_[j] + size * size;
-  }
-  values_.resize(begin_.back());
-}
+    : structure_(structure),
+      begin_(DiagonalBlockOffsets(structure)),
+      values_(static_cast<size_t>(begin_.back())) {}
 
 bool BlockDiagonalInverse::Invert(int block, const double* values, int stride) {
   const int size = structure_.block_size(block);

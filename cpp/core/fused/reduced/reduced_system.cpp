@@ -14,6 +14,15 @@ std::vector<int> Offsets(const std::vector<int>& block_sizes) {
 
 }  // namespace
 
+std::vector<int64_t> DiagonalBlockOffsets(const ReducedStructure& structure) {
+  std::vector<int64_t> begin = {0};
+  for (int j = 0; j < structure.num_blocks(); ++j) {
+    const int64_t size = structure.block_size(j);
+    begin.push_back(begin.back() + size * size);
+  }
+  return begin;
+}
+
 ReducedStructure DenseStructure(const std::vector<int>& block_sizes) {
   ReducedStructure structure;
   structure.dense = true;

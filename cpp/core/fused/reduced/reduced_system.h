@@ -35,6 +35,10 @@ struct ReducedStructure {
   }
 };
 
+/// Where the diagonal blocks begin when they stand one after the other, squares of their sizes, and
+/// the end.
+std::vector<int64_t> DiagonalBlockOffsets(const ReducedStructure& structure);
+
 /// Every block nonzero. `block_sizes` in the order of the layout.
 ReducedStructure DenseStructure(const std::vector<int>& block_sizes);
 
