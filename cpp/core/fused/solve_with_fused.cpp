@@ -12,6 +12,7 @@
 #include "core/fused/reduced/reduced_system.h"
 #include "core/fused/summarize.h"
 #include "core/parallel_for.h"
+#include "core/solve/coupled_blocks.h"
 #include "core/solve/finish.h"
 #include "core/solve/memory.h"
 #include "core/solve/parameter_layout.h"

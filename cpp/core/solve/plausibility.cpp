@@ -8,15 +8,13 @@
 
 #include "core/error.h"
 #include "core/problem/reprojection_errors.h"
+#include "core/problem/tracks.h"
 #include "core/problem/validate.h"
 
 namespace bundle {
 
 std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayout& layout) {
-  std::vector<int32_t> observations(problem.num_points);
-  for (int64_t i = 0; i < problem.num_observations; ++i) {
-    ++observations[problem.observation_point[i]];
-  }
+  const std::vector<int64_t> observations = TrackLengths(problem);
   int64_t count = 0;
   int first = -1;
   for (int p = 0; p < problem.num_points; ++p) {

@@ -4,6 +4,8 @@
 #include <numeric>
 #include <unordered_map>
 
+#include "core/problem/tracks.h"
+
 namespace bundle::fused {
 namespace {
 
@@ -283,9 +285,8 @@ class Planner {
 }  // namespace
 
 int64_t LongestTrack(const ProblemView& problem) {
-  std::vector<int64_t> length(problem.num_points);
-  for (int64_t i = 0; i < problem.num_observations; ++i) ++length[problem.observation_point[i]];
-  return length.empty() ? 0 : *std::max_element(length.begin(), length.end());
+  const std::vector<int64_t> lengths = TrackLengths(problem);
+  return lengths.empty() ? 0 : *std::max_element(lengths.begin(), lengths.end());
 }
 
 PointPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout, int block_bytes) {

@@ -13,11 +13,6 @@
 
 namespace bundle::fused {
 
-/// The block pairs of the reduced camera system that some point couples: columns[j] holds the
-/// blocks i >= j that share a free point with block j (or an observation), ascending, j first.
-std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
-                                                const ParameterLayout& layout);
-
 /// Bundle adjustment with the points eliminated: a LeastSquares made of passes over the points.
 class SchurProblem final : public LeastSquares {
  public:

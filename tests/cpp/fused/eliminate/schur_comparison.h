@@ -8,6 +8,7 @@
 
 #include "core/fused/eliminate/schur_problem.h"
 #include "core/fused/reduced/reduced_system.h"
+#include "core/solve/coupled_blocks.h"
 #include "core/solve/prepare.h"
 #include "fused/eliminate/capturing_solver.h"
 #include "support/normal_equations.h"

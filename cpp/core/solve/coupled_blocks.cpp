@@ -1,18 +1,16 @@
+#include "core/solve/coupled_blocks.h"
+
 #include <algorithm>
+#include <cstdint>
 
-#include "core/fused/eliminate/schur_problem.h"
+#include "core/problem/tracks.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
                                                 const ParameterLayout& layout) {
-  // The blocks of each observation's image, by point.
   const auto num_blocks = static_cast<int>(layout.blocks().size());
-  std::vector<int64_t> begin(problem.num_points + 1);
-  for (int64_t i = 0; i < problem.num_observations; ++i) ++begin[problem.observation_point[i] + 1];
-  for (int p = 0; p < problem.num_points; ++p) begin[p + 1] += begin[p];
-  std::vector<int> image_of(problem.num_observations);
-  std::vector<int64_t> next(begin.begin(), begin.end() - 1);
+  const Tracks tracks = GroupByPoint(problem);
   std::vector<std::vector<int>> points_of(num_blocks);
   const auto visit_blocks = [&](int image, const auto& visit) {
     const int pose = layout.image_block(image);
@@ -24,7 +22,6 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
   for (int j = 0; j < num_blocks; ++j) columns[j].push_back(j);
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     const int image = problem.observation_image[i], point = problem.observation_point[i];
-    image_of[next[point]++] = image;
     if (!layout.point_is_free(point)) continue;
     visit_blocks(image, [&](int block) {
       if (points_of[block].empty() || points_of[block].back() != point) {
@@ -41,8 +38,8 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
   for (int j = 0; j < num_blocks; ++j) {
     for (const int block : columns[j]) seen[block] = j;
     for (const int point : points_of[j]) {
-      for (int64_t k = begin[point]; k < begin[point + 1]; ++k) {
-        visit_blocks(image_of[k], [&](int block) {
+      for (int64_t k = tracks.starts[point]; k < tracks.starts[point + 1]; ++k) {
+        visit_blocks(tracks.images[k], [&](int block) {
           if (block < j || seen[block] == j) return;
           seen[block] = j;
           columns[j].push_back(block);
@@ -54,4 +51,4 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
   return columns;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle
