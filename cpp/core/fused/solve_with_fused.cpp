@@ -66,7 +66,7 @@ class FusedSolve {
     if (!idle.empty()) warnings_.push_back(std::move(idle));
     RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
     if (options_.preconditioner_type == PreconditionerType::kAuto) {
-      options_.preconditioner_type = PreconditionerType::kSchurJacobi;
+      options_.preconditioner_type = PreconditionerType::kTwoLevel;
     }
     options_.num_threads = EffectiveNumThreads(options_.num_threads);
   }
