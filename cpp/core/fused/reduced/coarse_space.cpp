@@ -29,6 +29,7 @@
 
 #include "core/fused/reduced/clusters.h"
 #include "core/fused/reduced/fill_ordering.h"
+#include "core/fused/reduced/supernodes.h"
 #include "core/parallel_for.h"
 
 namespace bundle::fused {
@@ -76,10 +77,7 @@ CoarseSpace::CoarseSpace(const ReducedStructure& structure, const ReducedSystem&
     moves_[k] = std::any_of(row, row + kNumSimilarities, [](double v) { return v != 0; });
   }
   std::vector<char> alone(fine_.num_blocks(), 0);
-  for (int j = 0; j < fine_.num_blocks(); ++j) {
-    const auto first = moves_.begin() + fine_.offset[j];
-    alone[j] = std::none_of(first, first + fine_.block_size(j), [](char m) { return m != 0; });
-  }
+  for (int j = 0; j < fine_.num_blocks(); ++j) alone[j] = !Moves(j);
   NumberClusters(ClusterBlocks(fine_, system.values, alone, kMaxClusterSize));
   CollectTerms();
   direction_begin_.push_back(0);
@@ -90,6 +88,11 @@ CoarseSpace::CoarseSpace(const ReducedStructure& structure, const ReducedSystem&
   directions_.resize(direction_begin_.back());
   is_idle_.resize(coarse_.num_columns());
   values_.resize(coarse_.num_values);
+}
+
+bool CoarseSpace::Moves(int block) const {
+  const auto first = moves_.begin() + fine_.offset[block];
+  return std::any_of(first, first + fine_.block_size(block), [](char moves) { return moves != 0; });
 }
 
 /// Gives the clusters the numbers of their elimination and lays out A.
@@ -107,31 +110,27 @@ void CoarseSpace::NumberClusters(const std::vector<int>& cluster) {
   }
   for (int c = 0; c < count; ++c) size[c] += moves[c] != 0 ? kNumSimilarities : 0;
 
-  const auto lay_out = [&](const std::vector<int>& number, const std::vector<int>& sizes) {
-    std::vector<std::vector<int>> columns(count);
-    for (int c = 0; c < count; ++c) columns[c].push_back(c);
-    for (int j = 0; j < fine_.num_blocks(); ++j) {
-      for (int64_t e = fine_.column_begin[j] + 1; e < fine_.column_begin[j + 1]; ++e) {
-        const int a = number[cluster[fine_.row_block[e]]], b = number[cluster[j]];
-        if (a != b) columns[std::min(a, b)].push_back(std::max(a, b));
-      }
+  std::vector<std::vector<int>> columns(count);
+  for (int c = 0; c < count; ++c) columns[c].push_back(c);
+  for (int j = 0; j < fine_.num_blocks(); ++j) {
+    for (int64_t e = fine_.column_begin[j] + 1; e < fine_.column_begin[j + 1]; ++e) {
+      const int a = cluster[fine_.row_block[e]], b = cluster[j];
+      if (a != b) columns[std::min(a, b)].push_back(std::max(a, b));
     }
-    for (std::vector<int>& rows : columns) {
-      std::sort(rows.begin(), rows.end());
-      rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
-    }
-    return SparseStructure(sizes, columns);
-  };
-  std::vector<int> number(count);
-  for (int c = 0; c < count; ++c) number[c] = c;
-  const FillOrdering ordering = FindFillOrdering(lay_out(number, size));
-  std::vector<int> ordered_size(count);
-  for (int k = 0; k < count; ++k) {
-    number[ordering.order[k]] = k;
-    ordered_size[k] = size[ordering.order[k]];
   }
-  coarse_ = lay_out(number, ordered_size);
+  for (std::vector<int>& rows : columns) {
+    std::sort(rows.begin(), rows.end());
+    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+  }
+  const ReducedStructure unordered = SparseStructure(size, columns);
+  const FillOrdering ordering = FindFillOrdering(unordered);
+  const ReducedStructure ordered = Reorder(unordered, ordering.order);
+  Supernodes supernodes = FindSupernodes(ordered);
+  coarse_ = PlaceInFactor(ordered, supernodes);
+  cholesky_ = std::make_unique<SupernodalCholesky>(coarse_.offset, std::move(supernodes));
 
+  std::vector<int> number(count);
+  for (int k = 0; k < count; ++k) number[ordering.order[k]] = k;
   members_.resize(count);
   for (int j = 0; j < fine_.num_blocks(); ++j) {
     cluster_.push_back(number[cluster[j]]);
@@ -168,7 +167,7 @@ void CoarseSpace::CollectTerms() {
   }
 }
 
-std::vector<double>& CoarseSpace::Project(const ReducedSystem& system) {
+bool CoarseSpace::Factorize(const ReducedSystem& system) {
   constexpr int64_t kSlices = 64;
   ParallelFor(
       coarse_.num_blocks(), num_threads_,
@@ -176,6 +175,7 @@ std::vector<double>& CoarseSpace::Project(const ReducedSystem& system) {
         for (int64_t c = begin; c < end; ++c) MakeDirections(system, static_cast<int>(c));
       },
       /*min_slice=*/50);
+  std::fill(values_.begin(), values_.end(), 0.0);
   const auto num_terms = static_cast<int64_t>(terms_.size());
   const auto first_entry = [&](int64_t slice) {
     return std::lower_bound(term_begin_.begin(), term_begin_.end() - 1,
@@ -190,8 +190,10 @@ std::vector<double>& CoarseSpace::Project(const ReducedSystem& system) {
         }
       },
       /*min_slice=*/1);
-  return values_;
+  return cholesky_->Factorize(values_.data()) == 0;
 }
+
+void CoarseSpace::Solve(double* x) { cholesky_->Solve(values_.data(), x); }
 
 void CoarseSpace::MakeDirections(const ReducedSystem& system, int cluster) {
   int num_rows = 0;
@@ -201,12 +203,7 @@ void CoarseSpace::MakeDirections(const ReducedSystem& system, int cluster) {
   Eigen::VectorXd weight(num_rows);
   int row = 0;
   for (const int j : members_[cluster]) {
-    // A cluster without similarities has intrinsics alone.
-    int intrinsic = num_columns;
-    const auto first = moves_.begin() + fine_.offset[j];
-    intrinsic = std::any_of(first, first + fine_.block_size(j), [](char m) { return m != 0; })
-                    ? kNumSimilarities
-                    : 0;
+    int intrinsic = Moves(j) ? kNumSimilarities : 0;
     for (int k = 0; k < fine_.block_size(j); ++k, ++row) {
       const int column = fine_.offset[j] + k;
       weight[row] = std::sqrt(system.values[fine_.ValueIndex(j, fine_.column_begin[j], k, k)]);
@@ -247,7 +244,6 @@ void CoarseSpace::ProjectEntry(const std::vector<double>& values, int column, in
       &values_[coarse_.ValueIndex(column, entry, 0, 0)],
       coarse_.block_size(coarse_.row_block[entry]), coarse_.block_size(column),
       Eigen::OuterStride<>(coarse_.panel_stride[column]));
-  sum.setZero();
   Eigen::MatrixXd x;
   const bool on_diagonal = coarse_.row_block[entry] == column;
   for (int64_t t = term_begin_[entry]; t < term_begin_[entry + 1]; ++t) {

@@ -1,9 +1,11 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "core/fused/reduced/reduced_system.h"
+#include "core/fused/reduced/supernodal_cholesky.h"
 
 namespace bundle::fused {
 
@@ -15,11 +17,13 @@ class CoarseSpace {
   /// Forms clusters from the first system. Keeps a reference to the structure.
   CoarseSpace(const ReducedStructure& structure, const ReducedSystem& system, int num_threads);
 
-  /// Of A: a block a cluster, in an order that keeps its factor sparse.
-  const ReducedStructure& structure() const { return coarse_; }
+  int num_columns() const { return coarse_.num_columns(); }
 
-  /// Makes Q and A for a system. Returns the values of A.
-  std::vector<double>& Project(const ReducedSystem& system);
+  /// Makes Q and A for a system, and the factor of A. False if A is not positive definite.
+  bool Factorize(const ReducedSystem& system);
+
+  /// x = A^-1 x
+  void Solve(double* x);
 
   /// to = Q^T from, and to += Q from.
   void Restrict(const double* from, double* to) const;
@@ -36,6 +40,7 @@ class CoarseSpace {
     bool diagonal;    ///< only its lower triangle means anything
   };
 
+  bool Moves(int block) const;
   void NumberClusters(const std::vector<int>& cluster);
   void CollectTerms();
   void MakeDirections(const ReducedSystem& system, int cluster);
@@ -47,7 +52,8 @@ class CoarseSpace {
   std::vector<char> moves_;                ///< of each column of S: a similarity changes it
   std::vector<int> cluster_;               ///< of each block of S
   std::vector<std::vector<int>> members_;  ///< the blocks of each cluster, ascending
-  ReducedStructure coarse_;
+  ReducedStructure coarse_;                ///< of A: a block a cluster, placed in its factor
+  std::unique_ptr<SupernodalCholesky> cholesky_;
   std::vector<int> coarse_column_;   ///< of each coarse entry
   std::vector<int64_t> term_begin_;  ///< of each coarse entry
   std::vector<Term> terms_;

@@ -20,6 +20,8 @@ class Preconditioner {
 
   virtual bool NeedsCameraDiagonal() const { return false; }
   virtual bool NeedsSimilarities() const { return false; }
+  /// Of the forcing term that conjugate gradients stop by.
+  virtual double ForcingFactor() const { return 1; }
 };
 
 /// `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi, kSchurPowerSeriesExpansion and
