@@ -97,7 +97,7 @@ class FusedSolve {
 
   void FindSparseStructure() {
     structure_ = SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_));
-    if (!IsIterative(options_.linear_solver_type)) ordering_ = FindFillOrdering(structure_);
+    ordering_ = FindFillOrdering(structure_);
   }
 
   void BuildProblem() {
@@ -106,8 +106,9 @@ class FusedSolve {
     } else if (structure_.offset.empty()) {
       FindSparseStructure();
     }
-    if (options_.linear_solver_type == LinearSolverType::kSparseSchur) {
-      // Then the order of the elimination is that of the blocks for everyone.
+    if (options_.linear_solver_type != LinearSolverType::kDenseSchur) {
+      // The order of the elimination becomes that of the blocks for everyone. Images that share
+      // points are near each other in it, which the passes over points like as well.
       layout_.Reorder(ordering_.order);
       structure_ = Reorder(structure_, ordering_.order);
     }

@@ -1,5 +1,5 @@
-/// Clusters grow one block at a time: from the first block without one, by the block that is
-/// coupled most to what the cluster has already. The coupling of blocks i and j is
+/// Clusters start as single blocks. The blocks that are coupled most are joined first, with the
+/// clusters they are in, unless these together are too large. The coupling of blocks i and j is
 ///
 ///   sum over the entries of S_ij of s_kl^2 / (s_kk s_ll),
 ///
@@ -9,7 +9,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstddef>
 #include <cstdint>
 #include <numeric>
 #include <utility>
@@ -17,15 +16,9 @@
 namespace bundle::fused {
 namespace {
 
-struct Neighbour {
-  int block;
-  double coupling;
-};
-
-/// The neighbours of block i are those from begin[i] to begin[i + 1].
-struct Couplings {
-  std::vector<int64_t> begin;
-  std::vector<Neighbour> neighbours;
+struct Coupling {
+  double strength;
+  int first, second;
 };
 
 std::vector<double> InverseDiagonal(const ReducedStructure& structure,
@@ -40,7 +33,7 @@ std::vector<double> InverseDiagonal(const ReducedStructure& structure,
   return inverse;
 }
 
-double Coupling(const ReducedStructure& structure, const std::vector<double>& values,
+double Strength(const ReducedStructure& structure, const std::vector<double>& values,
                 const std::vector<double>& inverse_diagonal, int j, int64_t e) {
   const int i = structure.row_block[e];
   double sum = 0;
@@ -55,62 +48,70 @@ double Coupling(const ReducedStructure& structure, const std::vector<double>& va
   return std::isfinite(sum) ? sum : 0;
 }
 
-Couplings FindCouplings(const ReducedStructure& structure, const std::vector<double>& values) {
+/// Strongest first.
+std::vector<Coupling> FindCouplings(const ReducedStructure& structure,
+                                    const std::vector<double>& values) {
   const std::vector<double> inverse_diagonal = InverseDiagonal(structure, values);
-  Couplings result;
-  result.begin.assign(structure.num_blocks() + 1, 0);
-  const auto for_each = [&](const auto& visit) {
-    for (int j = 0; j < structure.num_blocks(); ++j) {
-      for (int64_t e = structure.column_begin[j] + 1; e < structure.column_begin[j + 1]; ++e) {
-        visit(structure.row_block[e], j, e);
-      }
+  std::vector<Coupling> couplings;
+  couplings.reserve(structure.row_block.size() - structure.num_blocks());
+  for (int j = 0; j < structure.num_blocks(); ++j) {
+    for (int64_t e = structure.column_begin[j] + 1; e < structure.column_begin[j + 1]; ++e) {
+      const double strength = Strength(structure, values, inverse_diagonal, j, e);
+      couplings.push_back({strength, j, structure.row_block[e]});
     }
-  };
-  for_each([&](int i, int j, int64_t) { ++result.begin[i + 1], ++result.begin[j + 1]; });
-  std::partial_sum(result.begin.begin(), result.begin.end(), result.begin.begin());
-  result.neighbours.resize(result.begin.back());
-  std::vector<int64_t> next(result.begin.begin(), result.begin.end() - 1);
-  for_each([&](int i, int j, int64_t e) {
-    const double coupling = Coupling(structure, values, inverse_diagonal, j, e);
-    result.neighbours[next[i]++] = {j, coupling};
-    result.neighbours[next[j]++] = {i, coupling};
+  }
+  std::sort(couplings.begin(), couplings.end(), [](const Coupling& a, const Coupling& b) {
+    if (a.strength != b.strength) return a.strength > b.strength;
+    return a.first != b.first ? a.first < b.first : a.second < b.second;
   });
-  return result;
+  return couplings;
 }
+
+/// Disjoint sets, each with one of its members for a name (Tarjan, 1975; paths are halved).
+class Sets {
+ public:
+  explicit Sets(int count) : parent_(count), size_(count, 1) {
+    std::iota(parent_.begin(), parent_.end(), 0);
+  }
+
+  int NameOf(int member) {
+    while (parent_[member] != member) {
+      parent_[member] = parent_[parent_[member]];
+      member = parent_[member];
+    }
+    return member;
+  }
+
+  void JoinUpTo(int max_size, int a, int b) {
+    a = NameOf(a);
+    b = NameOf(b);
+    if (a == b || size_[a] + size_[b] > max_size) return;
+    if (size_[a] < size_[b]) std::swap(a, b);
+    parent_[b] = a;
+    size_[a] += size_[b];
+  }
+
+ private:
+  std::vector<int> parent_;
+  std::vector<int> size_;  ///< of a set, by its name
+};
 
 }  // namespace
 
 std::vector<int> ClusterBlocks(const ReducedStructure& structure, const std::vector<double>& values,
                                const std::vector<char>& alone, int max_size) {
-  const Couplings couplings = FindCouplings(structure, values);
-  std::vector<int> cluster(structure.num_blocks(), -1);
-  std::vector<double> strength(structure.num_blocks(), -1);  // of the blocks next to the cluster
-  std::vector<int> candidates;
+  Sets sets(structure.num_blocks());
+  for (const Coupling& coupling : FindCouplings(structure, values)) {
+    if (alone[coupling.first] != 0 || alone[coupling.second] != 0) continue;
+    sets.JoinUpTo(max_size, coupling.first, coupling.second);
+  }
+  std::vector<int> number(structure.num_blocks(), -1);
+  std::vector<int> cluster(structure.num_blocks());
   int num_clusters = 0;
-  for (int seed = 0; seed < structure.num_blocks(); ++seed) {
-    if (cluster[seed] >= 0) continue;
-    int block = seed;
-    for (int size = 1; block >= 0; ++size) {
-      cluster[block] = num_clusters;
-      if (size == max_size || alone[seed]) break;
-      for (int64_t k = couplings.begin[block]; k < couplings.begin[block + 1]; ++k) {
-        const Neighbour& neighbour = couplings.neighbours[k];
-        if (cluster[neighbour.block] >= 0 || alone[neighbour.block]) continue;
-        if (strength[neighbour.block] < 0) {
-          strength[neighbour.block] = 0;
-          candidates.push_back(neighbour.block);
-        }
-        strength[neighbour.block] += neighbour.coupling;
-      }
-      block = -1;
-      for (const int candidate : candidates) {
-        if (cluster[candidate] >= 0) continue;
-        if (block < 0 || strength[candidate] > strength[block]) block = candidate;
-      }
-    }
-    for (const int candidate : candidates) strength[candidate] = -1;
-    candidates.clear();
-    ++num_clusters;
+  for (int j = 0; j < structure.num_blocks(); ++j) {
+    int& of_set = number[sets.NameOf(j)];
+    if (of_set < 0) of_set = num_clusters++;
+    cluster[j] = of_set;
   }
   return cluster;
 }
