@@ -44,6 +44,7 @@ class FusedSolve {
     times_.minimizer = minimizer.seconds();
 
     const Stopwatch postprocessor;
+    schur_->FreeSystem();
     SolveOutput output;
     CollectState(&output);
     times_.postprocessor = postprocessor.seconds();
@@ -113,6 +114,8 @@ class FusedSolve {
       structure_ = Reorder(structure_, ordering_.order);
     }
     solver_ = MakeSolver();
+    RefuseTooMuchMemory(options_.linear_solver_type,
+                        sizeof(double) * static_cast<double>(structure_.num_values));
     schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure_),
                                             solver_.get());
   }
