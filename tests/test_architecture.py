@@ -48,6 +48,7 @@ PYTHON_MAY_IMPORT = {
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
     "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
+    "inspection": {"_core", "errors"},
     "report": {
         "_core",
         "checking",

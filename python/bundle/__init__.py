@@ -17,10 +17,12 @@ from bundle.summary import Summary
 
 if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
+    from bundle.inspection import GraphInspection, inspect_graph
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
     "GradientReport",
+    "GraphInspection",
     "InputError",
     "Problem",
     "ReprojectionError",
@@ -34,6 +36,7 @@ __all__ = [
     "check_gradients",
     "check_jacobians",
     "get_include",
+    "inspect_graph",
     "load",
     "project",
     "save",
@@ -52,4 +55,8 @@ def __getattr__(name: str) -> Any:
         from bundle import checking
 
         return getattr(checking, name)
+    if name in ("GraphInspection", "inspect_graph"):
+        from bundle import inspection
+
+        return getattr(inspection, name)
     raise AttributeError(f"module 'bundle' has no attribute {name!r}")

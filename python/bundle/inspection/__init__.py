@@ -1,0 +1,19 @@
+"""What solving costs, before any arithmetic."""
+
+from __future__ import annotations
+
+from bundle.inspection.elimination import EliminationStep
+from bundle.inspection.graph_file import GraphFile, load_graph
+from bundle.inspection.graph_inspection import GRAPH_ORDERINGS, GraphInspection, inspect_graph
+from bundle.inspection.schur_counts import SchurCounts, count_schur_by_hand
+
+__all__ = [
+    "GRAPH_ORDERINGS",
+    "EliminationStep",
+    "GraphFile",
+    "GraphInspection",
+    "SchurCounts",
+    "count_schur_by_hand",
+    "inspect_graph",
+    "load_graph",
+]
