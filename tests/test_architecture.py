@@ -47,9 +47,11 @@ PYTHON_MAY_IMPORT = {
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
     "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
+    "comparison": {"_core", "errors", "options", "problem", "result", "solver", "summary"},
     "report": {
         "_core",
         "checking",
+        "comparison",
         "errors",
         "options",
         "problem",

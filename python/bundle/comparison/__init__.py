@@ -1,0 +1,25 @@
+"""The same start under several methods: measured, compared, recommended."""
+
+from bundle.comparison.method import Method
+from bundle.comparison.result import (
+    GAPS,
+    ComparedProblem,
+    Comparison,
+    Measurement,
+    PerformanceProfile,
+    Prediction,
+    Recommendation,
+    Run,
+)
+
+__all__ = [
+    "GAPS",
+    "ComparedProblem",
+    "Comparison",
+    "Measurement",
+    "Method",
+    "PerformanceProfile",
+    "Prediction",
+    "Recommendation",
+    "Run",
+]
