@@ -49,6 +49,8 @@ PYTHON_MAY_IMPORT = {
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
     "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
     "comparison": {"_core", "errors", "options", "problem", "result", "solver", "summary"},
+    "pictures": {"comparison", "errors", "problem", "statistics"},
+    "html": {"_core", "comparison", "errors", "inspection", "io", "pictures", "problem"},
     "report": {
         "_core",
         "checking",
@@ -77,6 +79,7 @@ OUTSIDERS = {
     "argparse": {"cli"},
     "rich": {"checking", "cli", "report", "summary", "tables"},
     "pycolmap": {"io", "problem"},
+    "matplotlib": {"pictures"},
 }
 
 CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})

@@ -41,6 +41,8 @@ def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[s
     values = np.array([*flops.values()], float)
     values[~(values > 0)] = np.nan
     bars = ax.barh(np.arange(len(values)), np.nan_to_num(values), color=COLOURS[0], log=True)
+    lowest, highest = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
+    lowest, highest = (lowest / 10, highest) if np.isfinite(highest) else (1.0, 10.0)
     for bar, name, value in zip(bars, flops, values, strict=True):
         if name in impossible:
             bar.set(facecolor="none", edgecolor=COLOURS[1], hatch="////")
@@ -48,12 +50,10 @@ def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[s
         text += ", does not fit in memory" if name in impossible else ""
         middle = bar.get_y() + bar.get_height() / 2
         ax.annotate(
-            text, (1.0 if np.isnan(value) else value, middle), (3, 0),
+            text, (lowest if np.isnan(value) else value, middle), (3, 0),
             textcoords="offset points", va="center", fontsize=8,
         )  # fmt: skip
-    lowest, highest = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
-    if np.isfinite(highest):
-        ax.set_xlim(lowest / 10, highest * 100)
+    ax.set_xlim(lowest, highest * (highest / lowest) ** 0.6)
     ax.set_yticks(np.arange(len(values)), [*flops], fontsize=8)
     ax.set(ylim=(len(values) - 0.4, -0.6), xlabel="flops of one step", title="predicted flops")
 
@@ -102,7 +102,7 @@ def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -
     )
     ax.grid(which="major", color="0.9")
     if ax.lines:
-        ax.legend(fontsize=7)
+        ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def draw_breakdown(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
@@ -147,4 +147,4 @@ def draw_performance_profile(ax: Axes, comparison: Comparison, gap: float = 1e-3
         title="performance profile",
     )
     if profiles:
-        ax.legend(fontsize=7, loc="lower right")
+        ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 __all__ = ["CovisibilityGraph", "covisibility_graph", "draw_covisibility"]
 
 STRONGEST_OF_EACH = 3
+# Height of a graph by its width, below which it is stretched.
+NARROWEST = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +73,14 @@ def draw_covisibility(ax: Axes, problem: Problem, max_edges: int = 4000) -> None
     ax.add_collection(lines)
     size = np.clip(3000 / max(len(positions), 1), 1.5, 30)
     ax.scatter(positions[:, 0], positions[:, 1], s=size, color="0.1", zorder=2, linewidths=0)
-    ax.set(aspect="equal", xticks=[], yticks=[], title="co-visibility")
+    along, across = np.ptp(positions, axis=0) if len(positions) else (1.0, 1.0)
+    stretched = across < NARROWEST * along
+    ax.set(aspect="auto" if stretched else "equal", xticks=[], yticks=[], title="co-visibility")
     ax.autoscale_view()
-    drawn = "" if len(graph.edges) == graph.num_pairs else f", the strongest {len(graph.edges):,}"
-    ax.set_xlabel(f"{len(positions):,} images, {graph.num_pairs:,} pairs{drawn}", fontsize=8)
+    words = f"{len(positions):,} images, {graph.num_pairs:,} pairs"
+    if len(graph.edges) < graph.num_pairs:
+        words += f", the strongest {len(graph.edges):,}"
+    ax.set_xlabel(words + ("; height stretched" if stretched else ""), fontsize=8)
 
 
 def within_view(positions: NDArray[np.float64]) -> NDArray[np.float64]:
