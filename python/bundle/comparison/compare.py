@@ -28,6 +28,7 @@ from bundle.comparison.result import (
     ComparedProblem,
     Comparison,
     Measurement,
+    PerformanceProfile,
     Prediction,
     Run,
 )
@@ -275,7 +276,7 @@ def _run(
 
 
 def _measurement(sent: dict[str, Any]) -> Measurement:
-    summary = {
+    summary: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in sent["summary"].items()
     }
@@ -289,10 +290,10 @@ def _columns(iterations: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]] | 
     return {name: np.asarray([one[name] for one in iterations]) for name in iterations[0]}
 
 
-def _profiles(comparison: Comparison) -> tuple[Any, ...]:
+def _profiles(comparison: Comparison) -> tuple[PerformanceProfile, ...]:
     if len(comparison.problems) < 2:
         return ()
-    profiles = []
+    profiles: list[PerformanceProfile] = []
     for gap in GAPS:
         times = [
             {run.method: comparison.time_to_gap(run, gap) for run in comparison.runs_of(index)}

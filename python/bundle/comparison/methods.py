@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
+from typing import Any
 
 from bundle import _core
 from bundle.comparison.method import ITERATIVE, Method
@@ -33,7 +34,7 @@ def expand(
     Raises:
         InputError: a value is none of its option, or one of the lists is empty.
     """
-    given = {
+    given: dict[str, tuple[Any, ...]] = {
         "backend": tuple(backends),
         "linear_solver_type": tuple(solvers),
         "linear_solver_ordering": tuple(orderings),
@@ -43,8 +44,9 @@ def expand(
     for name, values in given.items():
         if not values:
             raise InputError(f"{name}: expected at least one to compare, found none")
-    found = (dict(zip(given, values, strict=True)) for values in itertools.product(*given.values()))
-    return tuple(dict.fromkeys(_method(SolveOptions(**values)) for values in found))
+    combinations = itertools.product(*given.values())
+    chosen = (SolveOptions(**dict(zip(given, values, strict=True))) for values in combinations)
+    return tuple(dict.fromkeys(map(_method, chosen)))
 
 
 def _method(options: SolveOptions) -> Method:

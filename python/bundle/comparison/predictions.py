@@ -43,17 +43,19 @@ def _match(method: Method, inspected: Sequence[Any]) -> Any | None:
 
 
 def _fits(method: Method, inspected: Any) -> bool:
-    same = inspected.linear_solver_type.lower() == method.linear_solver_type
-    same = same and inspected.backend.lower() == method.backend
+    if inspected.linear_solver_type.lower() != method.linear_solver_type:
+        return False
+    if inspected.backend.lower() != method.backend:
+        return False
     if method.linear_solver_type == "sparse_schur":
         orders = ("amd", "metis") if method.backend == "fused" else ("amd",)
-        return same and inspected.ordering.lower() in orders
+        return str(inspected.ordering).lower() in orders
     if method.is_iterative:
         wanted = method.preconditioner_type
         if wanted == "auto":
             wanted = "schur_jacobi" if method.linear_solver_type == "iterative_schur" else "jacobi"
-        return same and inspected.preconditioner.lower() == wanted
-    return same
+        return str(inspected.preconditioner).lower() == wanted
+    return True
 
 
 def _prediction(inspected: Any) -> Prediction:

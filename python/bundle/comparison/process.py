@@ -25,7 +25,7 @@ __all__ = ["WorkerEnd", "run_worker", "worker_command"]
 SECONDS_BETWEEN_LOOKS = 0.05
 SECONDS_TO_END = 10.0
 _MEMORY_WORDS = re.compile(
-    r"out of memory|bad_alloc|cannot allocate memory|memory allocation", re.I
+    r"out of memory|bad_alloc|cannot allocate memory|memory allocation", re.IGNORECASE
 )
 
 

@@ -26,10 +26,17 @@ def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> s
     structure = _structure(winner, runs)
     begin = f"{method.name}: {structure}; " if structure else f"{method.name}: "
     total = winner.total_time_in_seconds
+    words = [f"it takes {_seconds(total)} in all"]
     rivals = _rivals(winner, runs)
-    words = [_pays(comparison, winner, rival, tolerance) for rival in rivals]
-    took = f"it takes {_seconds(total)} in all"
-    return f"{begin}{'; '.join([took, *words])}."
+    slower = [rival for rival in rivals if rival.is_usable]
+    if slower:
+        words.append(", ".join(_pays(comparison, winner, rival, tolerance) for rival in slower))
+    words += [
+        f"{_told_apart(method, rival.method)} has no result ({rival.outcome.replace('_', ' ')})"
+        for rival in rivals
+        if not rival.is_usable
+    ]
+    return f"{begin}{'; '.join(words)}."
 
 
 def reason_on_many(method: Method, ratios: Sequence[Mapping[Method, float]]) -> str:
@@ -124,10 +131,8 @@ def _speed(run: Run) -> tuple[bool, float]:
 
 def _pays(comparison: Comparison, winner: Run, rival: Run, tolerance: float) -> str:
     """Return what a rival pays for not being the winner."""
-    name = _told_apart(winner.method, rival.method)
-    if not rival.is_usable:
-        return f"{name} has no result ({rival.outcome.replace('_', ' ')})"
-    words = f"{name} pays {_times(rival.total_time_in_seconds / winner.total_time_in_seconds)} that"
+    ratio = rival.total_time_in_seconds / winner.total_time_in_seconds
+    words = f"{_told_apart(winner.method, rival.method)} pays {_times(ratio)} that"
     gap = comparison.gap(rival)
     if gap > tolerance:
         words += f" and ends {gap:.1e} above the best cost"
