@@ -48,7 +48,7 @@ PYTHON_MAY_IMPORT = {
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
     "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
-    "comparison": {"_core", "errors", "options", "problem", "result", "solver", "summary"},
+    "comparison": {"_core", "errors", "io", "options", "problem", "result", "solver", "summary"},
     "pictures": {"comparison", "errors", "problem", "statistics"},
     "html": {"_core", "comparison", "errors", "inspection", "io", "pictures", "problem"},
     "report": {

@@ -1,5 +1,6 @@
 """The same start under several methods: measured, compared, recommended."""
 
+from bundle.comparison.compare import Progress, compare
 from bundle.comparison.method import Method
 from bundle.comparison.result import (
     GAPS,
@@ -20,6 +21,8 @@ __all__ = [
     "Method",
     "PerformanceProfile",
     "Prediction",
+    "Progress",
     "Recommendation",
     "Run",
+    "compare",
 ]

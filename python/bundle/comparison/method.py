@@ -35,6 +35,11 @@ class Method:
         return " ".join(words)
 
     @property
+    def threads(self) -> str:
+        """Return "2 threads"."""
+        return f"{self.num_threads} thread{'s' if self.num_threads > 1 else ''}"
+
+    @property
     def is_iterative(self) -> bool:
         """Whether it is sure to iterate on the linear system."""
         return self.linear_solver_type in ITERATIVE

@@ -33,9 +33,10 @@ Trace = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 @dataclass(frozen=True, kw_only=True)
 class ComparedProblem:
-    """One input: ``name`` is its path as given, or "problem 1" for one from memory."""
+    """One input: ``name`` is the path of its file, or "problem 1" for one from memory."""
 
     name: str
+    is_file: bool
     format: str
     num_cameras: int
     num_images: int

@@ -132,7 +132,7 @@ def _steps(graph: GraphInspection) -> str:
         def named(variables: Sequence[int]) -> str:
             return ", ".join(graph.names[variable] for variable in variables) or "none"
 
-        fill = ", ".join("–".join(graph.names[end] for end in edge) for edge in step.fill)
+        fill = ", ".join("-".join(graph.names[end] for end in edge) for edge in step.fill)
         return [
             graph.names[step.variable], f"{number}", named(step.neighbours), fill or "none",
             f"{step.flops:,}", f"{step.total_fill:,}", f"{step.total_flops:,}",

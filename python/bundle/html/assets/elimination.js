@@ -123,7 +123,7 @@
     if (last.neighbours.length === 0) {
       return `${name} is eliminated; nothing is left that it meets. No fill, no flops.`;
     }
-    const made = last.fill.map((ends) => ends.map((end) => data.names[end]).join("–"));
+    const made = last.fill.map((ends) => ends.map((end) => data.names[end]).join("-"));
     const news = made.length === 0
       ? "which all meet each other already: no fill."
       : `which makes ${plural(made.length, "fill edge")}: ${made.join(", ")}.`;
