@@ -54,12 +54,15 @@ def elimination_data(graphs: Sequence[GraphInspection]) -> dict[str, Any]:
     first = graphs[0]
     count = first.num_variables
     radius = float(np.clip(70.0 / np.sqrt(max(count, 1)), 4.0, 17.0))
-    positions = place(count, first.edges) * (SIDE - 2 * radius - 6) + radius + 3
+    margin = radius + 3.0
+    positions = place(count, first.edges) * (SIDE - 2.0 * margin)
+    positions += margin - positions.min(0, initial=SIDE)
     return {
         "names": list(first.names),
         "labels": _labels(first.names),
         "edges": [list(edge) for edge in first.edges],
         "positions": positions.round(1).tolist(),
+        "height": round(float(positions[:, 1].max(initial=0.0)) + margin, 1),
         "radius": round(radius, 1),
         "runs": [_run(graph) for graph in graphs],
     }

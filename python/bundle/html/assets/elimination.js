@@ -5,7 +5,7 @@
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
   const MILLISECONDS = 900;
-  const MATRIX = 400;
+  const SIDE = 400;
   const data = JSON.parse(document.getElementById("data").textContent).elimination;
   if (!data) return;
 
@@ -42,6 +42,7 @@
 
   function drawGraph(svg) {
     svg.replaceChildren();
+    svg.setAttribute("viewBox", `0 0 ${SIDE} ${data.height}`);
     const at = data.positions;
     for (const pair of run.pairs) {
       const [[x1, y1], [x2, y2]] = pair.ends.map((variable) => at[variable]);
@@ -59,12 +60,12 @@
 
   function drawMatrix(svg) {
     svg.replaceChildren();
-    const size = MATRIX / count;
+    const size = SIDE / count;
     const gap = Math.min(1, size / 8);
     for (let index = 0; index < count; index++) {
       const [row, column] = [
-        { x: 0, y: index * size, width: MATRIX, height: size },
-        { x: index * size, y: 0, width: size, height: MATRIX },
+        { x: 0, y: index * size, width: SIDE, height: size },
+        { x: index * size, y: 0, width: size, height: SIDE },
       ];
       run.bands.push([row, column].map((box) => add(svg, "rect", { class: "band", ...box })));
     }
@@ -124,9 +125,9 @@
       return `${name} is eliminated; nothing is left that it meets. No fill, no flops.`;
     }
     const made = last.fill.map((ends) => ends.map((end) => data.names[end]).join("-"));
-    const news = made.length === 0
-      ? "which all meet each other already: no fill."
-      : `which makes ${plural(made.length, "fill edge")}: ${made.join(", ")}.`;
+    let news = `which makes ${plural(made.length, "fill edge")}: ${made.join(", ")}.`;
+    if (last.neighbours.length === 1) news = "and nothing else: no fill.";
+    else if (made.length === 0) news = "which all meet each other already: no fill.";
     return `${name} is eliminated for ${plural(last.flops, "flop")}; ` +
       `it meets ${list(last.neighbours)}, ${news}`;
   }
