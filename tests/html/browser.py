@@ -165,5 +165,7 @@ class Browser:
 
     def requested(self) -> list[str]:
         """Return the addresses that the page asked for."""
-        sent = [event for event in self.events if event.get("method") == "Network.requestWillBeSent"]
+        sent = [
+            event for event in self.events if event.get("method") == "Network.requestWillBeSent"
+        ]
         return [event["params"]["request"]["url"] for event in sent]

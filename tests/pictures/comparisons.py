@@ -117,6 +117,7 @@ def comparison(num_problems: int = 2) -> Comparison:
         ComparedProblem(
             name=name,
             format="bal",
+            is_file=True,
             num_cameras=980 * (index + 1),
             num_images=980 * (index + 1),
             num_points=107_000,

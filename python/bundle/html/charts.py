@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from html import escape
 
 from bundle.html.page import tag
-from bundle.html.scale import Scale, linear, logarithmic, short
+from bundle.html.numbers import amount
+from bundle.html.scale import Scale, logarithmic, short
 
 __all__ = ["Curve", "bars", "curves", "stacked_bars"]
 
@@ -62,7 +63,7 @@ def bars(values: Mapping[str, float], *, impossible: Sequence[str] = (), unit: s
         there = math.isfinite(value) and value > 0
         width = 66.0 * scale(value) if there else 0.0
         kind = "bar impossible" if name in impossible else "bar"
-        words = f"{value:.2g}{unit}" if there else "none"
+        words = amount(value) + unit if there else "none"
         words += ", does not fit" if name in impossible else ""
         rows.append(tag("div", escape(name)))
         bar = tag("div", class_=kind, style=f"width:{width:.2f}%")
@@ -154,10 +155,3 @@ def _x(share: float) -> float:
 
 def _y(share: float) -> float:
     return HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM)
-
-
-def linear_or_log(values: Sequence[float]) -> Scale:
-    """Return a log scale where values span more than two powers of ten, a linear one else."""
-    positive = [value for value in values if math.isfinite(value) and value > 0]
-    wide = bool(positive) and max(positive) > 100 * min(positive)
-    return logarithmic(positive) if wide else linear(positive)

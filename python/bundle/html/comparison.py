@@ -9,9 +9,10 @@ from pathlib import Path
 
 from bundle.comparison import GAPS, Comparison, Run
 from bundle.html.charts import Curve, curves, stacked_bars
+from bundle.html.numbers import amount, memory, seconds
 from bundle.html.page import tag, write_page
 from bundle.html.scale import Scale, linear, logarithmic
-from bundle.html.table import amount, convention, memory, seconds, table
+from bundle.html.table import convention, table
 from bundle.pictures.series import cost_curve, labels, profile_curve, styles
 
 __all__ = ["write_comparison"]

@@ -1,14 +1,13 @@
-"""Tables, and how numbers look in them."""
+"""Tables, and the sentence that says what their numbers count."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
 from html import escape
 
 from bundle.html.page import tag
 
-__all__ = ["amount", "convention", "memory", "seconds", "table"]
+__all__ = ["convention", "table"]
 
 # Characters of a sentence that wraps.
 LONG = 20
@@ -61,26 +60,3 @@ def table(
 def convention() -> str:
     """Return the sentence that says what is counted."""
     return tag("p", CONVENTION, class_="convention")
-
-
-def amount(value: float) -> str:
-    """Return a count in full up to seven digits, else with three of them; "-" for none."""
-    if not math.isfinite(value):
-        return "-"
-    return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.2e}"
-
-
-def memory(size: float) -> str:
-    """Return bytes as kB, MB or GB (10^9 bytes); "-" where unknown."""
-    if not math.isfinite(size) or size < 0:
-        return "-"
-    if size >= 1e9:
-        return f"{size / 1e9:.2f} GB"
-    return f"{size / 1e6:.0f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
-
-
-def seconds(time: float) -> str:
-    """Return a duration; "-" where there is none."""
-    if not math.isfinite(time) or time < 0:
-        return "-"
-    return f"{time:.1f} s" if time >= 10 else f"{time:.3f} s"

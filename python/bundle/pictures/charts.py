@@ -40,9 +40,11 @@ def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[s
     """
     values = np.array([*flops.values()], float)
     values[~(values > 0)] = np.nan
-    bars = ax.barh(np.arange(len(values)), np.nan_to_num(values), color=COLOURS[0], log=True)
     lowest, highest = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
     lowest, highest = (lowest / 10, highest) if np.isfinite(highest) else (1.0, 10.0)
+    ax.set_xscale("log")
+    lengths = np.fmax(values, lowest) - lowest
+    bars = ax.barh(np.arange(len(values)), lengths, left=lowest, color=COLOURS[0])
     for bar, name, value in zip(bars, flops, values, strict=True):
         if name in impossible:
             bar.set(facecolor="none", edgecolor=COLOURS[1], hatch="////")

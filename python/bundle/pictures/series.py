@@ -46,8 +46,7 @@ def labels(methods: tuple[Method, ...]) -> dict[Method, str]:
     """Return the name of each method, with its threads where methods differ in them."""
     several = len({method.num_threads for method in methods}) > 1
     return {
-        method: f"{method.name}, {method.num_threads} threads" if several else method.name
-        for method in methods
+        method: f"{method.name}, {method.threads}" if several else method.name for method in methods
     }
 
 
