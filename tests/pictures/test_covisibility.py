@@ -30,7 +30,7 @@ def in_a_plane(num_images, seed=3):
     rng = np.random.default_rng(seed)
     problem = make_problem(num_images=num_images, num_points=60, track=3, seed=seed)
     flat = np.column_stack([rng.normal(size=(num_images, 2)) * (5, 2), np.zeros(num_images)])
-    centres = Rotation.random(random_state=seed).apply(flat) + (10, -3, 7)
+    centres = Rotation.random(random_state=seed).apply(flat) + np.array([10, -3, 7])
     turned = Rotation.random(num_images, random_state=seed)
     # Quaternions need not be normalised.
     poses = np.hstack([3.0 * turned.as_quat(), -turned.apply(centres)])

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-from bundle.html.page import tag
 from bundle.html.numbers import amount
+from bundle.html.page import tag
 from bundle.html.scale import Scale, logarithmic, short
 
 __all__ = ["Curve", "bars", "curves", "stacked_bars"]
@@ -55,15 +55,21 @@ def curves(
     return chart + _legend(lines)
 
 
-def bars(values: Mapping[str, float], *, impossible: Sequence[str] = (), unit: str = "") -> str:
+def bars(
+    values: Mapping[str, float],
+    *,
+    impossible: Sequence[str] = (),
+    show: Callable[[float], str] = amount,
+) -> str:
     """Return horizontal bars on a log scale; NaN and 0 have none, impossible ones are hatched."""
     scale = logarithmic([value / 3 for value in values.values()] + [*values.values()])
+    longest = 46.0 if impossible else 66.0  # leaves room for what is written behind
     rows = []
     for name, value in values.items():
         there = math.isfinite(value) and value > 0
-        width = 66.0 * scale(value) if there else 0.0
+        width = longest * scale(value) if there else 0.0
         kind = "bar impossible" if name in impossible else "bar"
-        words = amount(value) + unit if there else "none"
+        words = show(value) if there else "none"
         words += ", does not fit" if name in impossible else ""
         rows.append(tag("div", escape(name)))
         bar = tag("div", class_=kind, style=f"width:{width:.2f}%")

@@ -40,8 +40,8 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
         if steppable
         else tag("p", f"More than {MOST_VARIABLES} variables are not drawn one by one."),
         tag("h2", "Orders compared"),
-        tag("div", tag("figure", tag("h3", "Flops, on a log scale"), bars(flops)), column_counts(profiles),
-            class_="grid"),
+        tag("div", tag("figure", tag("h3", "Flops, on a log scale"), bars(flops)),
+            column_counts(profiles), class_="grid"),
         tag("h2", "Matrix and factor"),
         orderings(pattern, {graph.ordering: graph.order for graph in graphs}, "matrix"),
     ]  # fmt: skip

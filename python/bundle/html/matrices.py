@@ -67,7 +67,7 @@ def covisibility(graph: CovisibilityGraph) -> str:
         weak = (kind + 1) / STRENGTHS
         look = {"stroke_opacity": round(0.08 + 0.6 * weak, 2), "stroke_width": 0.4 + weak}
         paths.append(tag("path", d=drawn, **look) if drawn else "")
-    radius = round(float(np.clip(40 / np.sqrt(len(positions)), 0.8, 4.0)), 2)
+    radius = round(float(np.clip(30 / np.sqrt(len(positions)), 0.6, 4.0)), 2)
     nodes = [
         tag("circle", cx=f"{a:.1f}", cy=f"{b:.1f}", r=radius) for a, b in zip(x, y, strict=True)
     ]

@@ -27,4 +27,6 @@ def seconds(time: float) -> str:
     """Return a duration; "-" where there is none."""
     if not math.isfinite(time) or time < 0:
         return "-"
+    if time >= 3600:
+        return f"{time / 3600:.1f} h"
     return f"{time:.1f} s" if time >= 10 else f"{time:.3f} s"
