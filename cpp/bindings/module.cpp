@@ -13,6 +13,7 @@ void BindLosses(py::module_& m);
 void BindSolve(py::module_& m);
 void BindCheck(py::module_& m);
 void BindInspection(py::module_& m);
+void BindSymbolic(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of bundle. Private: use the Python package.";
@@ -26,4 +27,5 @@ PYBIND11_MODULE(_core, m) {
   BindSolve(m);
   BindCheck(m);
   BindInspection(m);
+  BindSymbolic(m);
 }
