@@ -157,3 +157,12 @@ def reduced_pattern(
 def full_pattern(
     problem: Problem, options: dict[str, Any]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...
+
+# bind_inspection.cpp
+MAX_TRACK_LENGTH: int
+
+def available_memory() -> float: ...
+def parameter_blocks(
+    problem: Problem, options: dict[str, Any]
+) -> dict[str, Any]: ...  # size, image_block, camera_block: NDArray[np.int32]; point_is_free: bool
+def elimination_plan(problem: Problem, options: dict[str, Any]) -> dict[str, int]: ...

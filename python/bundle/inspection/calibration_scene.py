@@ -45,7 +45,7 @@ def make_scene(
     points[:, 0] = position[images, 0].mean(1) + rng.uniform(-1.0, 1.0, num_points)
     points[:, 1] = rng.uniform(-2.0, 2.0, num_points)
     points[:, 2] = rng.uniform(_DEPTH, 2.0 * _DEPTH, num_points)
-    image, point = images.ravel(), np.repeat(np.arange(num_points), track_length)
+    image, point = images.ravel(), np.repeat(np.arange(num_points, dtype=np.int32), track_length)
     seen = points[point] - position[image]
     xy = _FOCAL * seen[:, :2] / seen[:, 2:] + rng.normal(0.0, _NOISE, (len(image), 2))
     poses = np.zeros((num_images, 7))
