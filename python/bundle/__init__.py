@@ -17,11 +17,14 @@ from bundle.summary import Summary
 
 if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
+    from bundle.inspection import Inspection, MethodInspection, inspect
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
     "GradientReport",
     "InputError",
+    "Inspection",
+    "MethodInspection",
     "Problem",
     "ReprojectionError",
     "Result",
@@ -34,6 +37,7 @@ __all__ = [
     "check_gradients",
     "check_jacobians",
     "get_include",
+    "inspect",
     "load",
     "project",
     "save",
@@ -52,4 +56,8 @@ def __getattr__(name: str) -> Any:
         from bundle import checking
 
         return getattr(checking, name)
+    if name in ("Inspection", "MethodInspection", "inspect"):
+        from bundle import inspection
+
+        return getattr(inspection, name)
     raise AttributeError(f"module 'bundle' has no attribute {name!r}")
