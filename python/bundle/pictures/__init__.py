@@ -9,7 +9,7 @@
 Matplotlib is an optional extra, ``pip install 'bundle[pictures]'``.
 """
 
-from bundle.pictures.block_pattern import BlockPattern
+from bundle.pictures.matrix_pattern import MatrixPattern
 from bundle.pictures.charts import (
     draw_breakdown,
     draw_column_counts,
@@ -22,7 +22,7 @@ from bundle.pictures.figure import figure
 from bundle.pictures.spy import draw_orderings, spy, spy_factor
 
 __all__ = [
-    "BlockPattern",
+    "MatrixPattern",
     "draw_breakdown",
     "draw_column_counts",
     "draw_cost_against_time",
