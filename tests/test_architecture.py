@@ -48,10 +48,12 @@ PYTHON_MAY_IMPORT = {
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
     "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
+    "inspection": {"_core", "errors", "options", "problem", "solver"},
     "report": {
         "_core",
         "checking",
         "errors",
+        "inspection",
         "options",
         "problem",
         "result",
