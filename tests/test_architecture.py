@@ -67,6 +67,7 @@ PYTHON_MAY_IMPORT = {
         "checking",
         "comparison",
         "errors",
+        "inspection",
         "options",
         "problem",
         "result",
