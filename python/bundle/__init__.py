@@ -17,9 +17,11 @@ from bundle.summary import Summary
 
 if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
+    from bundle.comparison import Comparison, compare
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
+    "Comparison",
     "GradientReport",
     "InputError",
     "Problem",
@@ -33,6 +35,7 @@ __all__ = [
     "camera_models",
     "check_gradients",
     "check_jacobians",
+    "compare",
     "get_include",
     "load",
     "project",
@@ -48,6 +51,10 @@ def __getattr__(name: str) -> Any:
         from bundle import synthetic
 
         return getattr(synthetic, name)
+    if name in ("Comparison", "compare"):
+        from bundle import comparison
+
+        return getattr(comparison, name)
     if name in ("GradientReport", "check_gradients", "check_jacobians"):
         from bundle import checking
 

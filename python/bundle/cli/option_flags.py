@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -18,21 +18,27 @@ MOST_IDS = 10_000_000
 """Ids that a list may hold: a slip in a range must not fill the memory."""
 
 
-def add_options(parser: argparse.ArgumentParser, kind: type[Any], title: str) -> None:
-    """Add one flag for each field of an option class."""
+def add_options(
+    parser: argparse.ArgumentParser,
+    kind: type[Any],
+    title: str,
+    without: Container[str] = (),
+) -> None:
+    """Add one flag for each field of an option class, but for those named in `without`."""
     group = parser.add_argument_group(title)
     for field in dataclasses.fields(kind):
-        _add_option(group, field)
+        if field.name not in without:
+            _add_option(group, field)
 
 
 def options_given(arguments: argparse.Namespace, kind: type[Options]) -> Options:
-    """Return the options that were given.
+    """Return the options that were given; those without a flag have their defaults.
 
     Raises:
         InputError: a value is out of range; the message names the flag.
     """
     names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
-    values = {name: getattr(arguments, name) for name in names}
+    values = {name: getattr(arguments, name, None) for name in names}
     with naming_flags(kind):
         return kind(**{name: value for name, value in values.items() if value is not None})
 
