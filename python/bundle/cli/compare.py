@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import importlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.cli.option_flags import add_options, options_given
 from bundle.errors import InputError
 from bundle.options import SolveOptions
 
@@ -20,13 +22,14 @@ __all__ = ["HELP", "NAME", "add_arguments", "run"]
 NAME = "compare"
 HELP = "the same start under several solvers: measured, and one of them recommended"
 
-COMPARED = (
-    "backend",
-    "linear_solver_type",
-    "linear_solver_ordering",
-    "preconditioner_type",
-    "num_threads",
-)
+COMPARED = {
+    "backend": "--backends",
+    "linear_solver_type": "--solvers",
+    "linear_solver_ordering": "--orderings",
+    "preconditioner_type": "--preconditioners",
+    "num_threads": "--threads",
+}
+"""Options that are compared, with the flags that take a list of their values."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,15 +49,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_methods(group: argparse._ArgumentGroup) -> None:
     fields = SolveOptions.__dataclass_fields__
-    for flag, name, default, words in (
-        ("--solvers", "linear_solver_type", "dense-schur,sparse-schur,iterative-schur", ""),
-        ("--backends", "backend", "fused,ceres", ""),
-        ("--preconditioners", "preconditioner_type", "auto", "for solvers that iterate, "),
-        ("--orderings", "linear_solver_ordering", "points-first", "what is eliminated first, "),
+    for name, default, words in (
+        ("linear_solver_type", "dense-schur,sparse-schur,iterative-schur", ""),
+        ("backend", "fused,ceres", ""),
+        ("preconditioner_type", "auto", "for solvers that iterate, "),
+        ("linear_solver_ordering", "points-first", "what is eliminated first, "),
     ):
         choices = ", ".join(fields[name].metadata["choices"]).replace("_", "-")
         group.add_argument(
-            flag,
+            COMPARED[name],
             metavar="LIST",
             type=_names,
             default=_names(default),
@@ -110,7 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--timeout: expected more than 0 seconds, found {arguments.timeout:g}")
     check_json(arguments.json, *arguments.inputs)
     check_json(arguments.html, *arguments.inputs, *filter(None, [arguments.json]))
-    with Progress(quiet=arguments.quiet) as progress, naming_flags(SolveOptions):
+    with Progress(quiet=arguments.quiet) as progress, _naming_flags():
         comparison = compare(
             arguments.inputs,
             options,
@@ -140,6 +143,18 @@ def _show_progress(progress: Progress, at: comparison.Progress) -> None:
     elif progress.is_live:
         values = at.iteration
         progress.stage(f"{at.stage}: iter {values['iteration']}  cost {values['cost']:.4e}")
+
+
+@contextmanager
+def _naming_flags() -> Iterator[None]:
+    """Let an InputError about an option that is compared name its flag here."""
+    try:
+        yield
+    except InputError as error:
+        name, _, rest = str(error).partition(":")
+        if name in COMPARED:
+            raise InputError(f"{COMPARED[name]}:{rest}") from None
+        raise
 
 
 def _memory_cap(text: str | None) -> int:

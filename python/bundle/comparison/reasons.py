@@ -81,7 +81,9 @@ def _fullness(known: Prediction) -> str:
     cells = float(known.num_unknowns) ** 2
     if not 0 < known.nnz_reduced <= cells:
         return ""
-    return f"S ({known.num_unknowns} columns) is {100 * known.nnz_reduced / cells:.2g} % full"
+    share = 100 * known.nnz_reduced / cells
+    full = f"{share:.0f}" if share >= 9.5 else f"{share:.1g}"
+    return f"S ({known.num_unknowns} columns) is {full} % full"
 
 
 def _least_flops(runs: Sequence[Run]) -> float:
