@@ -23,10 +23,11 @@ CORE_MAY_INCLUDE = {
     "residuals": {"cameras", "geometry"},
     "problem": {"residuals", "cameras", "geometry"},
     "io": {"problem", "cameras", "geometry"},
-    "solve": {"problem", "residuals", "cameras", "geometry"},
-    "ceres": {"solve", "problem", "residuals", "cameras", "geometry"},
-    "fused": {"solve", "problem", "residuals", "cameras", "geometry"},
-    "backend": {"ceres", "fused", "solve", "problem"},
+    "symbolic": set(),
+    "solve": {"symbolic", "problem", "residuals", "cameras", "geometry"},
+    "ceres": {"solve", "symbolic", "problem", "residuals", "cameras", "geometry"},
+    "fused": {"solve", "symbolic", "problem", "residuals", "cameras", "geometry"},
+    "backend": {"ceres", "fused", "solve", "symbolic", "problem"},
 }
 
 # Modules and packages directly in python/bundle.

@@ -138,3 +138,31 @@ def check_reprojections(
     NDArray[np.bool_],  # agrees
     NDArray[np.bool_],  # stable
 ]: ...
+
+# bind_symbolic.cpp
+# A graph of blocks: sizes (num_blocks,), column_begin (num_blocks + 1,), rows: the lower triangle by
+# block columns, ascending, the diagonal first. Orders and counts are by position in the order.
+def order_blocks(
+    sizes: NDArray[np.int32], column_begin: NDArray[np.int64], rows: NDArray[np.int32], method: str
+) -> NDArray[np.int32]: ...
+def count_factor(
+    sizes: NDArray[np.int32],
+    column_begin: NDArray[np.int64],
+    rows: NDArray[np.int32],
+    order: NDArray[np.int32],
+) -> dict[str, Any]: ...
+def reduced_pattern(
+    problem: Problem, options: dict[str, Any]
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...
+def full_pattern(
+    problem: Problem, options: dict[str, Any]
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...
+
+# bind_inspection.cpp
+MAX_TRACK_LENGTH: int
+
+def available_memory() -> float: ...
+def parameter_blocks(
+    problem: Problem, options: dict[str, Any]
+) -> dict[str, Any]: ...  # size, image_block, camera_block: NDArray[np.int32]; point_is_free: bool
+def elimination_plan(problem: Problem, options: dict[str, Any]) -> dict[str, int]: ...

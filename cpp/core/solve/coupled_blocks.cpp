@@ -7,6 +7,18 @@
 
 namespace bundle {
 
+std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& problem,
+                                                        const ParameterLayout& layout) {
+  const auto num_blocks = static_cast<int>(layout.blocks().size());
+  std::vector<std::vector<int>> columns(num_blocks);
+  for (int j = 0; j < num_blocks; ++j) columns[j].push_back(j);
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int pose = layout.image_block(i), camera = layout.camera_block(problem.image_camera[i]);
+    if (pose >= 0 && camera >= 0) columns[std::min(pose, camera)].push_back(std::max(pose, camera));
+  }
+  return columns;
+}
+
 std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
                                                 const ParameterLayout& layout) {
   const auto num_blocks = static_cast<int>(layout.blocks().size());
@@ -18,8 +30,6 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
     if (pose >= 0) visit(pose);
     if (camera >= 0) visit(camera);
   };
-  std::vector<std::vector<int>> columns(num_blocks);
-  for (int j = 0; j < num_blocks; ++j) columns[j].push_back(j);
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     const int image = problem.observation_image[i], point = problem.observation_point[i];
     if (!layout.point_is_free(point)) continue;
@@ -29,11 +39,7 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
       }
     });
   }
-  // A shared camera and its images' poses are coupled by each observation, of whatever point.
-  for (int i = 0; i < problem.num_images; ++i) {
-    const int pose = layout.image_block(i), camera = layout.camera_block(problem.image_camera[i]);
-    if (pose >= 0 && camera >= 0) columns[std::min(pose, camera)].push_back(std::max(pose, camera));
-  }
+  std::vector<std::vector<int>> columns = FindDirectlyCoupledBlocks(problem, layout);
   std::vector<int> seen(num_blocks, -1);
   for (int j = 0; j < num_blocks; ++j) {
     for (const int block : columns[j]) seen[block] = j;

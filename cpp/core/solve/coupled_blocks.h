@@ -12,4 +12,8 @@ namespace bundle {
 std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
                                                 const ParameterLayout& layout);
 
+/// Those that a residual couples, whatever its point: a shared camera and the poses of its images.
+std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& problem,
+                                                        const ParameterLayout& layout);
+
 }  // namespace bundle

@@ -19,7 +19,7 @@
 #include <vector>
 
 #include "core/blas_threads.h"
-#include "core/fused/reduced/cholmod_session.h"
+#include "core/symbolic/cholmod_session.h"
 #include "core/fused/reduced/fill_ordering.h"
 #include "core/fused/reduced/reduced_solver.h"
 #include "core/fused/reduced/reordered_matrix.h"

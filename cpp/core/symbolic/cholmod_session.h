@@ -2,10 +2,10 @@
 
 #include <cholmod.h>
 
-namespace bundle::fused {
+namespace bundle {
 
 /// CHOLMOD's workspace and settings, silent: what went wrong is in `common.status`. Its 64-bit
-/// functions throughout, as the values of S may be more than 2^31.
+/// functions throughout, as a matrix may have more than 2^31 values.
 class CholmodSession {
  public:
   CholmodSession() {
@@ -29,4 +29,4 @@ class CholmodSession {
   cholmod_common common;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

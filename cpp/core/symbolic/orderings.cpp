@@ -1,0 +1,170 @@
+#include "core/symbolic/orderings.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <numeric>
+#include <utility>
+
+#include "core/error.h"
+#include "core/symbolic/cholmod_session.h"
+
+namespace bundle {
+namespace {
+
+constexpr std::pair<const char*, OrderingMethod> kNames[] = {
+    {"natural", OrderingMethod::kNatural}, {"reverse", OrderingMethod::kReverse},
+    {"amd", OrderingMethod::kAmd},         {"colamd", OrderingMethod::kColamd},
+    {"metis", OrderingMethod::kMetis},     {"nesdis", OrderingMethod::kNesdis}};
+
+/// A pattern of CHOLMOD's that lives in our vectors. `symmetric`: the lower triangle of a square.
+class Graph {
+ public:
+  Graph(int64_t num_rows, std::vector<int64_t> column_begin, std::vector<int64_t> rows,
+        bool symmetric)
+      : column_begin_(std::move(column_begin)), rows_(std::move(rows)) {
+    sparse.nrow = num_rows;
+    sparse.ncol = column_begin_.size() - 1;
+    sparse.nzmax = rows_.size();
+    sparse.p = column_begin_.data();
+    sparse.i = rows_.data();
+    sparse.stype = symmetric ? -1 : 0;
+    sparse.itype = CHOLMOD_LONG;
+    sparse.xtype = CHOLMOD_PATTERN;
+    sparse.dtype = CHOLMOD_DOUBLE;
+    sparse.sorted = 1;
+    sparse.packed = 1;
+  }
+  Graph(const Graph&) = delete;
+  Graph& operator=(const Graph&) = delete;
+
+  cholmod_sparse sparse = {};
+
+ private:
+  std::vector<int64_t> column_begin_;
+  std::vector<int64_t> rows_;
+};
+
+Graph Adjacency(const BlockPatternView& pattern) {
+  return Graph(pattern.num_blocks,
+               {pattern.column_begin, pattern.column_begin + pattern.num_blocks + 1},
+               {pattern.row, pattern.row + pattern.num_entries()}, /*symmetric=*/true);
+}
+
+/// Transposed, as CHOLMOD's COLAMD takes a matrix: a column for each edge, with its two vertices. A
+/// vertex without edges is an empty row, which COLAMD puts last.
+Graph Incidence(const BlockPatternView& pattern) {
+  std::vector<int64_t> column_begin(pattern.num_edges() + 1), rows;
+  for (size_t e = 0; e < column_begin.size(); ++e) column_begin[e] = 2 * static_cast<int64_t>(e);
+  rows.reserve(2 * pattern.num_edges());
+  for (int j = 0; j < pattern.num_blocks; ++j) {
+    for (int64_t e = pattern.column_begin[j] + 1; e < pattern.column_begin[j + 1]; ++e) {
+      rows.push_back(j);
+      rows.push_back(pattern.row[e]);
+    }
+  }
+  return Graph(pattern.num_blocks, std::move(column_begin), std::move(rows), /*symmetric=*/false);
+}
+
+/// Asks for a method by CHOLMOD's arguments: method(graph, order, common) is 0 where it failed.
+template <typename Method>
+std::vector<int> OrderBy(Graph graph, const Method& method) {
+  std::vector<int64_t> order(graph.sparse.nrow);
+  CholmodSession session;
+  if (method(&graph.sparse, order.data(), &session.common) == 0) return {};
+  return {order.begin(), order.end()};
+}
+
+std::vector<int> Amd(const BlockPatternView& pattern) {
+  return OrderBy(Adjacency(pattern), [](auto* graph, int64_t* order, cholmod_common* common) {
+    return cholmod_l_amd(graph, nullptr, 0, order, common);
+  });
+}
+
+std::vector<int> Colamd(const BlockPatternView& pattern) {
+  return OrderBy(Incidence(pattern), [](auto* graph, int64_t* order, cholmod_common* common) {
+    return cholmod_l_colamd(graph, nullptr, 0, /*postorder=*/0, order, common);
+  });
+}
+
+std::vector<int> Metis(const BlockPatternView& pattern) {
+  return OrderBy(Adjacency(pattern), [](auto* graph, int64_t* order, cholmod_common* common) {
+    return cholmod_l_metis(graph, nullptr, 0, /*postorder=*/0, order, common);
+  });
+}
+
+std::vector<int> Nesdis(const BlockPatternView& pattern) {
+  return OrderBy(Adjacency(pattern), [&](auto* graph, int64_t* order, cholmod_common* common) {
+    std::vector<int64_t> parent(pattern.num_blocks), member(pattern.num_blocks);
+    return cholmod_l_nested_dissection(graph, nullptr, 0, order, parent.data(), member.data(),
+                                       common) >= 0;
+  });
+}
+
+std::vector<int> Natural(int num_blocks) {
+  std::vector<int> order(num_blocks);
+  std::iota(order.begin(), order.end(), 0);
+  return order;
+}
+
+}  // namespace
+
+OrderingMethod OrderingFromName(const std::string& name) {
+  std::string known;
+  for (const auto& [candidate, method] : kNames) {
+    if (name == candidate) return method;
+    known += std::string(known.empty() ? "" : ", ") + candidate;
+  }
+  throw InputError("ordering: expected one of " + known + ", found " + name);
+}
+
+std::string OrderingName(OrderingMethod method) {
+  for (const auto& [name, candidate] : kNames) {
+    if (candidate == method) return name;
+  }
+  return "";
+}
+
+std::vector<int> FindOrder(const BlockPatternView& pattern, OrderingMethod method) {
+  std::vector<int> natural = Natural(pattern.num_blocks);
+  if (pattern.num_edges() == 0 && method != OrderingMethod::kReverse) return natural;
+  switch (method) {
+    case OrderingMethod::kNatural:
+      return natural;
+    case OrderingMethod::kReverse:
+      return {natural.rbegin(), natural.rend()};
+    case OrderingMethod::kAmd:
+      return Amd(pattern);
+    case OrderingMethod::kColamd:
+      return Colamd(pattern);
+    case OrderingMethod::kMetis:
+      return IsNearlyFull(pattern) ? Amd(pattern) : Metis(pattern);
+    case OrderingMethod::kNesdis:
+      return IsNearlyFull(pattern) ? Amd(pattern) : Nesdis(pattern);
+  }
+  return natural;
+}
+
+bool IsNearlyFull(const BlockPatternView& pattern) {
+  constexpr double kDensest = 0.66;
+  const double n = pattern.num_blocks;
+  return static_cast<double>(pattern.num_entries()) > kDensest * n * (n + 1) / 2;
+}
+
+void CheckOrder(const std::vector<int>& order, int num_blocks) {
+  if (static_cast<int>(order.size()) != num_blocks) {
+    throw InputError("order: expected " + std::to_string(num_blocks) + " blocks, found " +
+                     std::to_string(order.size()));
+  }
+  std::vector<bool> seen(num_blocks, false);
+  for (const int block : order) {
+    if (block < 0 || block >= num_blocks || seen[block]) {
+      throw InputError("order: expected each of the blocks 0 to " + std::to_string(num_blocks - 1) +
+                       " once, found " + std::to_string(block) +
+                       (block < 0 || block >= num_blocks ? "" : " twice"));
+    }
+    seen[block] = true;
+  }
+}
+
+}  // namespace bundle
