@@ -35,7 +35,9 @@ from bundle.comparison.recommend import COST_TOLERANCE, NEAR_ENOUGH
 SHAPES: dict[str, dict[str, Any]] = {
     "street-30": {"scene": "street", "num_images": 30, "num_points": 6000},
     "street-150-shared": {"scene": "street", "num_images": 150, "num_points": 20_000},
-    "street-400": {"scene": "street", "num_images": 400, "num_points": 30_000, "cameras": "individual"},
+    "street-400": {
+        "scene": "street", "num_images": 400, "num_points": 30_000, "cameras": "individual",
+    },
     "street-700-short": {
         "scene": "street", "num_images": 700, "num_points": 60_000, "mean_track_length": 3.0,
         "cameras": "individual",
@@ -45,9 +47,11 @@ SHAPES: dict[str, dict[str, Any]] = {
         "cameras": "individual",
     },
     "orbit-40-long": {
-        "scene": "orbit", "num_images": 40, "num_points": 3000, "mean_track_length": 15.0,
+        "scene": "orbit", "num_images": 40, "num_points": 3000, "mean_track_length": 10.0,
     },
-    "orbit-120": {"scene": "orbit", "num_images": 120, "num_points": 10_000, "mean_track_length": 8.0},
+    "orbit-120": {
+        "scene": "orbit", "num_images": 120, "num_points": 10_000, "mean_track_length": 8.0,
+    },
     "orbit-300-individual": {
         "scene": "orbit", "num_images": 300, "num_points": 20_000, "cameras": "individual",
     },
