@@ -59,6 +59,8 @@ PYTHON_MAY_IMPORT = {
         "solver",
         "summary",
     },
+    "pictures": {"comparison", "errors", "problem", "statistics"},
+    "html": {"_core", "comparison", "errors", "inspection", "io", "pictures", "problem"},
     "report": {
         "_core",
         "checking",
@@ -87,6 +89,7 @@ OUTSIDERS = {
     "argparse": {"cli"},
     "rich": {"checking", "cli", "report", "summary", "tables"},
     "pycolmap": {"io", "problem"},
+    "matplotlib": {"pictures"},
 }
 
 CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})

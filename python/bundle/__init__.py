@@ -18,12 +18,15 @@ from bundle.summary import Summary
 if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
+    from bundle.inspection import Inspection, MethodInspection, inspect
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
     "Comparison",
     "GradientReport",
     "InputError",
+    "Inspection",
+    "MethodInspection",
     "Problem",
     "ReprojectionError",
     "Result",
@@ -37,6 +40,7 @@ __all__ = [
     "check_jacobians",
     "compare",
     "get_include",
+    "inspect",
     "load",
     "project",
     "save",
@@ -59,4 +63,8 @@ def __getattr__(name: str) -> Any:
         from bundle import checking
 
         return getattr(checking, name)
+    if name in ("Inspection", "MethodInspection", "inspect"):
+        from bundle import inspection
+
+        return getattr(inspection, name)
     raise AttributeError(f"module 'bundle' has no attribute {name!r}")

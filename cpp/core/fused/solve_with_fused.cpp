@@ -7,6 +7,7 @@
 
 #include "core/fused/eliminate/schur_problem.h"
 #include "core/fused/minimize/trust_region.h"
+#include "core/fused/reduced/fill_ordering.h"
 #include "core/fused/reduced/reduced_cost.h"
 #include "core/fused/reduced/reduced_solver.h"
 #include "core/fused/reduced/reduced_system.h"
@@ -79,10 +80,10 @@ class FusedSolve {
       choice.reason = "The reduced camera system (" + std::to_string(shape.num_camera_columns) +
                       " columns) is small: its dense factorisation costs less than a millisecond.";
     } else {
-      structure_ = MakeSparseStructure();
+      FindSparseStructure();
       // A choice that is to be the same for any number of threads must not know it.
       const int num_threads = options_.deterministic ? 1 : options_.num_threads;
-      choice = ChooseReducedSolver(structure_, num_threads, AvailableMemoryBytes());
+      choice = ChooseReducedSolver(structure_, ordering_, num_threads, AvailableMemoryBytes());
     }
     options_.linear_solver_type = choice.type;
     linear_solver_choice_ = std::move(choice.reason);
@@ -94,32 +95,37 @@ class FusedSolve {
     return sizes;
   }
 
-  ReducedStructure MakeSparseStructure() const {
-    return SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_));
+  void FindSparseStructure() {
+    structure_ = SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_));
+    if (!IsIterative(options_.linear_solver_type)) ordering_ = FindFillOrdering(structure_);
   }
 
   void BuildProblem() {
-    ReducedStructure structure = std::move(structure_);
     if (options_.linear_solver_type == LinearSolverType::kDenseSchur) {
-      structure = DenseStructure(BlockSizes());
-    } else if (structure.offset.empty()) {
-      structure = MakeSparseStructure();
+      structure_ = DenseStructure(BlockSizes());
+    } else if (structure_.offset.empty()) {
+      FindSparseStructure();
     }
-    solver_ = MakeSolver(structure);
-    schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure),
+    if (options_.linear_solver_type == LinearSolverType::kSparseSchur) {
+      // Then the order of the elimination is that of the blocks for everyone.
+      layout_.Reorder(ordering_.order);
+      structure_ = Reorder(structure_, ordering_.order);
+    }
+    solver_ = MakeSolver();
+    schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure_),
                                             solver_.get());
   }
 
   /// Only the factorisations round by their number of threads, which are OpenBLAS'.
-  std::unique_ptr<ReducedSolver> MakeSolver(const ReducedStructure& structure) const {
+  std::unique_ptr<ReducedSolver> MakeSolver() {
     const int factorisation_threads = options_.deterministic ? 1 : options_.num_threads;
     switch (options_.linear_solver_type) {
       case LinearSolverType::kDenseSchur:
-        return MakeDenseSolver(structure, factorisation_threads);
+        return MakeDenseSolver(structure_, factorisation_threads);
       case LinearSolverType::kSparseSchur:
-        return MakeSparseSolver(structure, factorisation_threads);
+        return MakeSparseSolver(ordering_, factorisation_threads, &structure_);
       default:
-        return MakeIterativeSolver(structure, options_.preconditioner_type, options_.num_threads);
+        return MakeIterativeSolver(structure_, options_.preconditioner_type, options_.num_threads);
     }
   }
 
@@ -143,8 +149,9 @@ class FusedSolve {
   SolveOptions options_;  ///< with nothing left to choose
   std::vector<std::string> warnings_;
   std::string linear_solver_choice_;
-  const ParameterLayout layout_;
-  ReducedStructure structure_;  ///< the sparse one, where it was needed for the choice
+  ParameterLayout layout_;
+  ReducedStructure structure_;  ///< until the problem has it
+  FillOrdering ordering_;       ///< of the sparse structure
   std::unique_ptr<ReducedSolver> solver_;
   std::unique_ptr<SchurProblem> schur_;
   SolveTimes times_;

@@ -48,6 +48,22 @@ int ParameterLayout::AddBlock(uint8_t pose_bits, uint32_t camera_bits) {
   return static_cast<int>(blocks_.size()) - 1;
 }
 
+void ParameterLayout::Reorder(const std::vector<int>& order) {
+  std::vector<CameraSideBlock> blocks;
+  std::vector<int> position(order.size());
+  int offset = 0;
+  for (const int block : order) {
+    position[block] = static_cast<int>(blocks.size());
+    blocks.push_back(blocks_[block]);
+    blocks.back().offset = offset;
+    offset += blocks.back().size;
+  }
+  blocks_ = std::move(blocks);
+  for (std::vector<int>* index : {&image_block_, &camera_block_}) {
+    for (int& block : *index) block = block < 0 ? -1 : position[block];
+  }
+}
+
 std::vector<double> ParameterLayout::InitialState(const ProblemView& problem) const {
   std::vector<double> state(state_size_);
   const auto fill = [&](int index, const double* translation, const double* params) {

@@ -32,6 +32,9 @@ class ParameterLayout {
  public:
   ParameterLayout(const ProblemView& problem, FreeParameters free);
 
+  /// Puts the blocks into another order: order[k] becomes the k-th.
+  void Reorder(const std::vector<int>& order);
+
   const std::vector<CameraSideBlock>& blocks() const { return blocks_; }
   int state_size() const { return state_size_; }
   int num_free_points() const { return num_free_points_; }

@@ -1,5 +1,7 @@
 #include "core/symbolic/block_pattern.h"
 
+#include <algorithm>
+#include <numeric>
 #include <string>
 #include <utility>
 
@@ -54,7 +56,7 @@ void CheckBlockPattern(const BlockPatternView& pattern) {
                        std::to_string(pattern.size[j]));
     }
   }
-  if (pattern.num_blocks > 0 && pattern.column_begin[0] != 0) {
+  if (pattern.column_begin[0] != 0) {
     throw InputError("block columns: expected the first to begin at 0, found " +
                      std::to_string(pattern.column_begin[0]));
   }
@@ -66,6 +68,46 @@ void CheckBlockPattern(const BlockPatternView& pattern) {
     }
   }
   for (int j = 0; j < pattern.num_blocks; ++j) CheckColumn(pattern, j);
+}
+
+BlockRows PermuteRows(const BlockPatternView& pattern, const std::vector<int>& blocks) {
+  const int n = pattern.num_blocks;
+  std::vector<int> position(n);
+  for (int k = 0; k < n; ++k) position[blocks[k]] = k;
+  const auto for_each = [&](const auto& visit) {
+    for (int j = 0; j < n; ++j) {
+      for (int64_t e = pattern.column_begin[j]; e < pattern.column_begin[j + 1]; ++e) {
+        const auto [column, row] = std::minmax(position[pattern.row[e]], position[j]);
+        visit(row, column);
+      }
+    }
+  };
+  BlockRows rows;
+  rows.begin.assign(n + 1, 0);
+  for_each([&](int row, int) { ++rows.begin[row + 1]; });
+  std::partial_sum(rows.begin.begin(), rows.begin.end(), rows.begin.begin());
+  rows.column.resize(rows.begin.back());
+  std::vector<int64_t> next(rows.begin.begin(), rows.begin.end() - 1);
+  for_each([&](int row, int column) { rows.column[next[row]++] = column; });
+  return rows;
+}
+
+BlockPattern PatternOfRows(const BlockRows& rows, std::vector<int> size) {
+  BlockPattern pattern;
+  const int n = static_cast<int>(size.size());
+  pattern.size = std::move(size);
+  pattern.column_begin.assign(n + 1, 0);
+  for (const int column : rows.column) ++pattern.column_begin[column + 1];
+  std::partial_sum(pattern.column_begin.begin(), pattern.column_begin.end(),
+                   pattern.column_begin.begin());
+  pattern.row.resize(rows.column.size());
+  std::vector<int64_t> next(pattern.column_begin.begin(), pattern.column_begin.end() - 1);
+  for (int row = 0; row < n; ++row) {  // ascending, and so they come out in each column
+    for (int64_t e = rows.begin[row]; e < rows.begin[row + 1]; ++e) {
+      pattern.row[next[rows.column[e]]++] = row;
+    }
+  }
+  return pattern;
 }
 
 int64_t NumColumns(const BlockPatternView& pattern) {

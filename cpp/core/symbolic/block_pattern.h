@@ -36,6 +36,17 @@ BlockPattern MakeBlockPattern(std::vector<int> size, const std::vector<std::vect
 /// Throws InputError, naming the block, if the pattern is not of the form above.
 void CheckBlockPattern(const BlockPatternView& pattern);
 
+/// A lower triangle by block rows, the diagonal included; in no order within a row.
+struct BlockRows {
+  std::vector<int64_t> begin;
+  std::vector<int> column;
+};
+
+/// Of the same matrix with block `blocks[k]` as its k-th.
+BlockRows PermuteRows(const BlockPatternView& pattern, const std::vector<int>& blocks);
+
+BlockPattern PatternOfRows(const BlockRows& rows, std::vector<int> size);
+
 /// Rows and columns of the matrix.
 int64_t NumColumns(const BlockPatternView& pattern);
 

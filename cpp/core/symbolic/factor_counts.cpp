@@ -27,42 +27,14 @@
 namespace bundle {
 namespace {
 
-/// Off-diagonal blocks of the permuted matrix by the smaller of their two positions, or the larger.
-struct Adjacent {
-  std::vector<int64_t> begin;
-  std::vector<int> other;
-};
-
-enum class Side { kSmaller, kLarger };
-
-Adjacent Permute(const BlockPatternView& pattern, const std::vector<int>& position, Side side) {
-  const auto for_each = [&](const auto& visit) {
-    for (int j = 0; j < pattern.num_blocks; ++j) {
-      for (int64_t e = pattern.column_begin[j] + 1; e < pattern.column_begin[j + 1]; ++e) {
-        const auto [low, high] = std::minmax(position[pattern.row[e]], position[j]);
-        side == Side::kSmaller ? visit(low, high) : visit(high, low);
-      }
-    }
-  };
-  Adjacent adjacent;
-  adjacent.begin.assign(pattern.num_blocks + 1, 0);
-  for_each([&](int at, int) { ++adjacent.begin[at + 1]; });
-  std::partial_sum(adjacent.begin.begin(), adjacent.begin.end(), adjacent.begin.begin());
-  adjacent.other.resize(adjacent.begin.back());
-  std::vector<int64_t> next(adjacent.begin.begin(), adjacent.begin.end() - 1);
-  for_each([&](int at, int other) { adjacent.other[next[at]++] = other; });
-  return adjacent;
-}
-
-/// parent(j), or -1 for a root. Paths are shortened as they are walked. `rows`: what lies left of
-/// the diagonal.
-std::vector<int> EliminationTree(const Adjacent& rows) {
+/// parent(j), or -1 for a root. Paths are shortened as they are walked.
+std::vector<int> EliminationTree(const BlockRows& rows) {
   const int num_blocks = static_cast<int>(rows.begin.size()) - 1;
   std::vector<int> parent(num_blocks, -1);
   std::vector<int> ancestor(num_blocks, -1);
   for (int i = 0; i < num_blocks; ++i) {
     for (int64_t e = rows.begin[i]; e < rows.begin[i + 1]; ++e) {
-      for (int k = rows.other[e]; k != i;) {
+      for (int k = rows.column[e]; k != i;) {
         const int next = ancestor[k];
         ancestor[k] = i;
         if (next < 0) {
@@ -173,18 +145,18 @@ struct Weight {
   }
 };
 
-/// What lies in each block column of L, the diagonal included. `columns`: what lies below the
-/// diagonal of the matrix.
-std::vector<Weight> CountColumns(const Adjacent& columns, const std::vector<int>& parent,
-                                 const std::vector<int>& postorder, const std::vector<int>& size) {
+/// What lies in each block column of L, the diagonal included, for a matrix in the order that its
+/// elimination tree is of.
+std::vector<Weight> CountColumns(const BlockPatternView& matrix, const std::vector<int>& parent,
+                                 const std::vector<int>& postorder) {
   std::vector<Weight> count(parent.size());
-  const auto weight = [&](int i) { return Weight{1, size[i]}; };
+  const auto weight = [&](int i) { return Weight{1, matrix.size[i]}; };
   RowSubtrees subtrees(parent, postorder);
   for (const int leaf : subtrees.leaves()) count[leaf] += weight(leaf);
   for (const int j : postorder) {
     if (parent[j] >= 0) count[parent[j]] -= weight(j);
-    for (int64_t e = columns.begin[j]; e < columns.begin[j + 1]; ++e) {
-      const int i = columns.other[e];
+    for (int64_t e = matrix.column_begin[j] + 1; e < matrix.column_begin[j + 1]; ++e) {
+      const int i = matrix.row[e];
       int meeting = -1;
       if (!subtrees.IsLeaf(i, j, &meeting)) continue;
       count[j] += weight(i);
@@ -223,16 +195,17 @@ void AddColumns(double size, double below, FactorCounts* counts) {
 
 FactorCounts CountFactor(const BlockPatternView& pattern, const std::vector<int>& order) {
   const int n = pattern.num_blocks;
-  std::vector<int> position(n), size(n);
-  for (int k = 0; k < n; ++k) {
-    position[order[k]] = k;
-    size[k] = pattern.size[order[k]];
-  }
+  std::vector<int> size(n);
+  for (int k = 0; k < n; ++k) size[k] = pattern.size[order[k]];
   FactorCounts counts;
-  counts.parent = EliminationTree(Permute(pattern, position, Side::kLarger));
-  const std::vector<Weight> columns =
-      CountColumns(Permute(pattern, position, Side::kSmaller), counts.parent,
-                   Postorder(counts.parent, std::vector<int64_t>(n, 0)), size);
+  std::vector<Weight> columns;
+  {
+    const BlockRows rows = PermuteRows(pattern, order);
+    counts.parent = EliminationTree(rows);
+    const BlockPattern matrix = PatternOfRows(rows, size);
+    columns =
+        CountColumns(matrix, counts.parent, Postorder(counts.parent, std::vector<int64_t>(n, 0)));
+  }
   counts.rows_below.resize(n);
   counts.blocks_below.resize(n);
   for (int k = 0; k < n; ++k) {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -44,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_methods(parser.add_argument_group("what is compared: every combination of"))
     _add_limits(parser.add_argument_group("options of the comparison"))
-    add_options(parser, SolveOptions, "options of every solve", without=COMPARED)
+    others = [name for name in SolveOptions.__dataclass_fields__ if name not in COMPARED]
+    add_options(parser, SolveOptions, "options of every solve", others)
 
 
 def _add_methods(group: argparse._ArgumentGroup) -> None:
@@ -128,13 +128,21 @@ def run(arguments: argparse.Namespace) -> int:
             progress=lambda at: _show_progress(progress, at),
         )
         if arguments.html is not None:
-            importlib.import_module("bundle.html").write_comparison(comparison, arguments.html)
+            _write_page(comparison, arguments.html, progress)
     if arguments.json != "-":
         show(*compared(comparison))
     write_json(arguments.json, as_json(comparison))
     if comparison.recommendation is None or comparison.interrupted:
         return EXIT_NO_SOLUTION
     return EXIT_DONE
+
+
+def _write_page(compared: comparison.Comparison, path: str, progress: Progress) -> None:
+    from bundle.errors import shown
+    from bundle.html import write_comparison
+
+    progress.stage(f"writing {shown(path)}")
+    write_comparison(compared, path)
 
 
 def _show_progress(progress: Progress, at: comparison.Progress) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Container, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -22,17 +22,17 @@ def add_options(
     parser: argparse.ArgumentParser,
     kind: type[Any],
     title: str,
-    without: Container[str] = (),
+    names: Collection[str] | None = None,
 ) -> None:
-    """Add one flag for each field of an option class, but for those named in `without`."""
+    """Add one flag for each field of an option class, or for those of the given names."""
     group = parser.add_argument_group(title)
     for field in dataclasses.fields(kind):
-        if field.name not in without:
+        if names is None or field.name in names:
             _add_option(group, field)
 
 
 def options_given(arguments: argparse.Namespace, kind: type[Options]) -> Options:
-    """Return the options that were given; those without a flag have their defaults.
+    """Return the options that were given.
 
     Raises:
         InputError: a value is out of range; the message names the flag.

@@ -56,7 +56,9 @@ def make_scene(
         cam_from_world=poses,
         image_ids=np.arange(num_images),
         image_names=("",) * num_images,
-        image_camera=np.zeros(num_images, int) if shared_camera else np.arange(num_images),
+        image_camera=np.zeros(num_images, np.int32)
+        if shared_camera
+        else np.arange(num_images, dtype=np.int32),
         camera_ids=np.arange(num_cameras),
         camera_models=("RADIAL",) * num_cameras,
         camera_params=np.tile([_FOCAL, 0.0, 0.0, 0.0, 0.0], (num_cameras, 1)),

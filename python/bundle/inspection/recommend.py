@@ -60,5 +60,9 @@ def _against(rival: MethodInspection, chosen: MethodInspection) -> str:
     times = rival.time_per_step_in_seconds / chosen.time_per_step_in_seconds
     if chosen.flops and rival.flops > chosen.flops:
         pays = rival.flops / chosen.flops
-        return f"{name} pays {pays:.2g} times that and takes {times:.2g} times as long"
-    return f"{name} takes {times:.2g} times as long"
+        return f"{name} pays {_ratio(pays)} times that and takes {_ratio(times)} times as long"
+    return f"{name} takes {_ratio(times)} times as long"
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2g}" if value < 100 else f"{value:.0f}"

@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <numeric>
+#include <random>
 #include <set>
 #include <utility>
 #include <vector>
@@ -52,11 +55,23 @@ std::set<std::pair<int, int>> FreeScalars(const ProblemView& problem, const Free
   return scalars;
 }
 
-/// Checks all that the header promises, on one problem.
+void CheckLayout(const Scene& scene, const FreeParameters& free, const ParameterLayout& layout);
+
+/// Checks all that the header promises, on one problem, with its blocks in two orders.
 void CheckLayout(const Scene& scene, const SolveOptions& options) {
   const ProblemView problem = scene.View();
   const FreeParameters free = SelectFreeParameters(problem, options);
-  const ParameterLayout layout(problem, free);
+  ParameterLayout layout(problem, free);
+  CheckLayout(scene, free, layout);
+  std::vector<int> order(layout.blocks().size());
+  std::iota(order.begin(), order.end(), 0);
+  std::shuffle(order.begin(), order.end(), std::mt19937(1));
+  layout.Reorder(order);
+  CheckLayout(scene, free, layout);
+}
+
+void CheckLayout(const Scene& scene, const FreeParameters& free, const ParameterLayout& layout) {
+  const ProblemView problem = scene.View();
   const std::set<std::pair<int, int>> scalars = FreeScalars(problem, free);
   ASSERT_EQ(layout.state_size(), static_cast<int>(scalars.size()));
 

@@ -113,13 +113,16 @@ void Assembler::AddDiagonal(const Terms& terms, int image, const double* block,
                             double* values) const {
   const ImageSegments& segments = images_[image];
   for (int s = 0; s < segments.count; ++s) {
-    for (int t = s; t < segments.count; ++t) {
+    for (int t = 0; t < segments.count; ++t) {
       const Segment &a = segments.of[s], &b = segments.of[t];
+      if (a.block > b.block) continue;
       const int64_t entry = Entry(a.block, b.block);
       for (int i = 0; i < a.size; ++i) {
         double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
-        const double* const row = block + a.local[i] * terms.num_columns;
-        for (int j = s == t ? i : 0; j < b.size; ++j) column[j] += row[b.local[j]];
+        for (int j = s == t ? i : 0; j < b.size; ++j) {
+          const auto [first, second] = std::minmax(a.local[i], b.local[j]);
+          column[j] += block[first * terms.num_columns + second];
+        }
       }
     }
   }

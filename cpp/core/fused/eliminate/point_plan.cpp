@@ -1,6 +1,7 @@
 #include "core/fused/eliminate/point_plan.h"
 
 #include <algorithm>
+#include <limits>
 #include <numeric>
 #include <unordered_map>
 
@@ -26,6 +27,7 @@ class Planner {
     for (int i = 0; i < problem.num_images; ++i) {
       refined_[i] = layout.image_block(i) >= 0 || layout.camera_block(problem.image_camera[i]) >= 0;
     }
+    RankImages();
   }
 
   PointPlan Plan(int block_bytes) {
@@ -57,10 +59,23 @@ class Planner {
     }
   }
 
-  /// Refined images in their order, then the others.
-  int64_t ImageRank(int64_t observation) const {
-    const int image = problem_.observation_image[observation];
-    return refined_[image] != 0 ? image : static_cast<int64_t>(image) + problem_.num_images;
+  /// Refined images in the order of their blocks, which S likes best, then the others.
+  void RankImages() {
+    const auto block = [&](int image) {
+      if (refined_[image] == 0) return std::numeric_limits<int>::max();
+      const int own = layout_.image_block(image);
+      return own >= 0 ? own : layout_.camera_block(problem_.image_camera[image]);
+    };
+    std::vector<int> images(problem_.num_images);
+    std::iota(images.begin(), images.end(), 0);
+    std::stable_sort(images.begin(), images.end(),
+                     [&](int a, int b) { return block(a) < block(b); });
+    rank_.resize(images.size());
+    for (size_t k = 0; k < images.size(); ++k) rank_[images[k]] = static_cast<int>(k);
+  }
+
+  int ImageRank(int64_t observation) const {
+    return rank_[problem_.observation_image[observation]];
   }
 
   void SortPoints() {
@@ -96,7 +111,7 @@ class Planner {
   int CompareFurtherImages(int a, int b) const {
     int64_t i = begin_[a] + 3, j = begin_[b] + 3;
     for (; i < begin_[a + 1] && j < begin_[b + 1]; ++i, ++j) {
-      const int64_t rank_i = ImageRank(by_point_[i]), rank_j = ImageRank(by_point_[j]);
+      const int rank_i = ImageRank(by_point_[i]), rank_j = ImageRank(by_point_[j]);
       if (rank_i != rank_j) return rank_i < rank_j ? -1 : 1;
     }
     return (i < begin_[a + 1] ? 1 : 0) - (j < begin_[b + 1] ? 1 : 0);
@@ -221,10 +236,12 @@ class Planner {
   void Finish(int last_point, Chunk* chunk) {
     chunk->last_point = last_point;
     const std::vector<int> before = chunk->images;
-    std::sort(chunk->images.begin(), chunk->images.end());
+    const auto precedes = [&](int a, int b) { return rank_[a] < rank_[b]; };
+    std::sort(chunk->images.begin(), chunk->images.end(), precedes);
     std::vector<uint16_t> rank(before.size());
     for (size_t s = 0; s < before.size(); ++s) {
-      const auto at = std::lower_bound(chunk->images.begin(), chunk->images.end(), before[s]);
+      const auto at =
+          std::lower_bound(chunk->images.begin(), chunk->images.end(), before[s], precedes);
       rank[s] = static_cast<uint16_t>(at - chunk->images.begin());
       image_slot_[before[s]] = -1;
     }
@@ -273,6 +290,7 @@ class Planner {
   const ParameterLayout& layout_;
   const bool active_;
   std::vector<uint8_t> refined_;  ///< of each image
+  std::vector<int> rank_;         ///< of each image
   std::vector<int64_t> begin_;
   std::vector<int64_t> by_point_;
   std::vector<int> num_refined_;  ///< of each point's observations; 0 for fixed points

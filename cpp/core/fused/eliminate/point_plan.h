@@ -34,7 +34,8 @@ struct Chunk {
   int first_row = 0;
   int last_row = 0;
   int64_t first_pair = 0;  ///< in PointPlan::pair_block
-  /// The images that occur, ascending; block i of the chunk is the diagonal one of images[i].
+  /// The images that occur, in the order of their blocks in the layout; block i of the chunk is the
+  /// diagonal one of images[i].
   std::vector<int> images;
   /// Of each image, the last chunk before this one in which it occurs; -1: none.
   std::vector<int> previous_chunk;
@@ -51,7 +52,8 @@ struct PointPlan {
   std::vector<int> point;      ///< index in the problem; free points, then fixed ones
   int num_free_points = 0;     ///< of those in `point`
   std::vector<int64_t> first;  ///< first observation of each point, and the end
-  /// Of each observation; ascending within a point, but images with nothing to refine come last.
+  /// Of each observation; within a point in the order of the images' blocks in the layout, then
+  /// images with nothing to refine.
   std::vector<int32_t> image;
   std::vector<double> xy;                ///< two of each observation
   std::vector<uint16_t> image_in_chunk;  ///< of each observation: index into Chunk::images

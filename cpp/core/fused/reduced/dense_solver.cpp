@@ -52,7 +52,7 @@ class DenseSolver final : public ReducedSolver {
 
   FactorStatistics factor_statistics() const override {
     const double n = num_columns_;
-    return {"natural", n * (n + 1) / 2, n * n * n / 3, 0};
+    return {"natural", n * (n + 1) / 2, n * n * n / 3};
   }
 
  private:

@@ -22,7 +22,6 @@
 #include <cstdio>
 
 #include "core/blas_threads.h"
-#include "core/fused/reduced/fill_ordering.h"
 #include "core/parallel_for.h"
 #include "core/solve/memory.h"
 
@@ -55,12 +54,12 @@ std::string Describe(const ReducedCost& cost, double available_bytes) {
 
 }  // namespace
 
-ReducedCosts PredictReducedCosts(const ReducedStructure& structure, int num_threads) {
+ReducedCosts PredictReducedCosts(const ReducedStructure& structure, const FillOrdering& ordering,
+                                 int num_threads) {
   const double threads = EffectiveNumThreads(num_threads);
   const double bandwidth = kBytesPerSecond * std::min(threads, kCoresThatFillMemory);
   const double n = structure.num_columns();
   const auto values = static_cast<double>(structure.num_values);
-  const FillOrdering ordering = FindFillOrdering(structure);
   const auto rate = [&](double average_column) {
     return kFlopsPerSecond * (average_column >= kColumnsWorthBlasThreads ? threads : 1);
   };
@@ -70,7 +69,7 @@ ReducedCosts PredictReducedCosts(const ReducedStructure& structure, int num_thre
   costs.dense.seconds = costs.dense.flops / rate(n) + costs.dense.bytes / bandwidth;
 
   costs.sparse.flops = ordering.flops;
-  costs.sparse.bytes = 24 * values + 8 * kSupernodalPadding * ordering.entries;
+  costs.sparse.bytes = 8 * kSupernodalPadding * ordering.entries;
   const double average_column = ordering.flops / std::max(1.0, ordering.entries);
   costs.sparse.seconds = ordering.flops / rate(average_column) +
                          kSecondsPerFactorEntry * ordering.entries + kSecondsPerValue * values;
@@ -81,9 +80,9 @@ ReducedCosts PredictReducedCosts(const ReducedStructure& structure, int num_thre
   return costs;
 }
 
-ReducedChoice ChooseReducedSolver(const ReducedStructure& structure, int num_threads,
-                                  double available_bytes) {
-  const ReducedCosts costs = PredictReducedCosts(structure, num_threads);
+ReducedChoice ChooseReducedSolver(const ReducedStructure& structure, const FillOrdering& ordering,
+                                  int num_threads, double available_bytes) {
+  const ReducedCosts costs = PredictReducedCosts(structure, ordering, num_threads);
   ReducedChoice choice{LinearSolverType::kIterativeSchur, ""};
   double seconds = costs.iterative.seconds;
   const auto consider = [&](LinearSolverType type, const ReducedCost& cost) {

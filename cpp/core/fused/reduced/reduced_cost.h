@@ -2,6 +2,7 @@
 
 #include <string>
 
+#include "core/fused/reduced/fill_ordering.h"
 #include "core/fused/reduced/reduced_system.h"
 #include "core/solve/options.h"
 
@@ -20,8 +21,9 @@ struct ReducedCosts {
   ReducedCost iterative;
 };
 
-/// `structure` is a sparse one.
-ReducedCosts PredictReducedCosts(const ReducedStructure& structure, int num_threads);
+/// `structure` is a sparse one, `ordering` the one that it would be factorised in.
+ReducedCosts PredictReducedCosts(const ReducedStructure& structure, const FillOrdering& ordering,
+                                 int num_threads);
 
 struct ReducedChoice {
   LinearSolverType type = LinearSolverType::kDenseSchur;
@@ -29,7 +31,7 @@ struct ReducedChoice {
 };
 
 /// The fastest of dense, sparse and iterative that fits into the memory.
-ReducedChoice ChooseReducedSolver(const ReducedStructure& structure, int num_threads,
-                                  double available_bytes);
+ReducedChoice ChooseReducedSolver(const ReducedStructure& structure, const FillOrdering& ordering,
+                                  int num_threads, double available_bytes);
 
 }  // namespace bundle::fused

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "core/fused/reduced/fill_ordering.h"
 #include "core/fused/reduced/reduced_system.h"
 #include "core/solve/options.h"
 
@@ -25,7 +26,6 @@ struct FactorStatistics {
   std::string ordering;  ///< "natural", "amd" or "metis"; empty without a factorisation
   double entries = 0;    ///< of the factor, without the zeros that supernodes add
   double flops = 0;      ///< multiplications and additions; n^3 / 3 if dense
-  double symbolic_time_in_seconds = 0;  ///< once for all solves
 };
 
 /// Solves the reduced camera system of one structure again and again.
@@ -48,8 +48,11 @@ class ReducedSolver {
 /// LAPACK's Cholesky factorisation; takes a dense structure.
 std::unique_ptr<ReducedSolver> MakeDenseSolver(const ReducedStructure& structure, int num_threads);
 
-/// CHOLMOD's supernodal Cholesky factorisation, analysed once; takes a sparse structure.
-std::unique_ptr<ReducedSolver> MakeSparseSolver(const ReducedStructure& structure, int num_threads);
+/// A supernodal Cholesky factorisation, analysed once. `structure` is a sparse one whose blocks
+/// stand in the order of the elimination, which `ordering` counted; it then says where the solver
+/// wants their values, in place of its factor.
+std::unique_ptr<ReducedSolver> MakeSparseSolver(const FillOrdering& ordering, int num_threads,
+                                                ReducedStructure* structure);
 
 /// Preconditioned conjugate gradients, as Ceres' ITERATIVE_SCHUR runs them; takes a sparse
 /// structure. `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi and

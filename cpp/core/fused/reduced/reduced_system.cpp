@@ -1,5 +1,6 @@
 #include "core/fused/reduced/reduced_system.h"
 
+#include <algorithm>
 #include <cstddef>
 #include <numeric>
 
@@ -68,6 +69,24 @@ ReducedStructure SparseStructure(const std::vector<int>& block_sizes,
     structure.num_values += static_cast<int64_t>(height) * block_sizes[j];
   }
   return structure;
+}
+
+ReducedStructure Reorder(const ReducedStructure& structure, const std::vector<int>& order) {
+  const int num_blocks = structure.num_blocks();
+  std::vector<int> position(num_blocks), sizes(num_blocks);
+  for (int k = 0; k < num_blocks; ++k) {
+    position[order[k]] = k;
+    sizes[k] = structure.block_size(order[k]);
+  }
+  std::vector<std::vector<int>> columns(num_blocks);
+  for (int j = 0; j < num_blocks; ++j) {
+    for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
+      const int a = position[j], b = position[structure.row_block[e]];
+      columns[std::min(a, b)].push_back(std::max(a, b));
+    }
+  }
+  for (std::vector<int>& rows : columns) std::sort(rows.begin(), rows.end());
+  return SparseStructure(sizes, columns);
 }
 
 }  // namespace bundle::fused

@@ -7,7 +7,9 @@
 /// Its lower triangle is stored by block columns. Each is a panel of column-major values as tall as
 /// the blocks in it, so that a dense S is the matrix LAPACK takes and a sparse one has the value
 /// array of a compressed-column matrix, and neither is copied before it is factorised. Diagonal
-/// blocks are stored whole; only their lower triangle means anything.
+/// blocks are stored whole; only their lower triangle means anything. A panel may have more rows
+/// than the blocks in it, and stand among others, as the solver of a sparse S wants it
+/// (supernodes.h).
 
 #include <cstdint>
 #include <vector>
@@ -46,8 +48,11 @@ ReducedStructure DenseStructure(const std::vector<int>& block_sizes);
 ReducedStructure SparseStructure(const std::vector<int>& block_sizes,
                                  const std::vector<std::vector<int>>& columns);
 
+/// A sparse structure with the blocks in another order: order[k] becomes the k-th.
+ReducedStructure Reorder(const ReducedStructure& structure, const std::vector<int>& order);
+
 struct ReducedSystem {
-  std::vector<double> values;  ///< S, as the structure says
+  std::vector<double> values;  ///< S, as the structure says; zero where it has no block
   std::vector<double> rhs;     ///< b
   /// The camera side of the normal equations before anything is eliminated, J_c^T J_c plus damping:
   /// its block diagonal, each block square and column-major, one after the other. Empty unless a

@@ -4,10 +4,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
+#include <random>
 #include <vector>
 
 #include "core/fused/eliminate/schur_problem.h"
 #include "core/fused/reduced/reduced_system.h"
+#include "core/fused/reduced/supernodes.h"
 #include "core/solve/coupled_blocks.h"
 #include "core/solve/prepare.h"
 #include "fused/eliminate/capturing_solver.h"
@@ -23,11 +26,26 @@ using testing::Real;
 using testing::RealVector;
 using testing::Scene;
 
+/// A dense S, or a sparse one within its factor.
 inline ReducedStructure Structure(const ProblemView& problem, const ParameterLayout& layout,
                                   bool dense) {
   std::vector<int> sizes;
   for (const CameraSideBlock& block : layout.blocks()) sizes.push_back(block.size);
-  return dense ? DenseStructure(sizes) : SparseStructure(sizes, FindCoupledBlocks(problem, layout));
+  if (dense) return DenseStructure(sizes);
+  const ReducedStructure sparse = SparseStructure(sizes, FindCoupledBlocks(problem, layout));
+  return PlaceInFactor(sparse, FindSupernodes(sparse));
+}
+
+/// What a solve starts from; unless `natural`, with the blocks in another order.
+inline PreparedSolve Prepare(const ProblemView& problem, const SolveOptions& options,
+                             bool natural) {
+  PreparedSolve prepared = PrepareSolve(problem, options);
+  if (natural) return prepared;
+  std::vector<int> order(prepared.layout.blocks().size());
+  std::iota(order.begin(), order.end(), 0);
+  std::shuffle(order.begin(), order.end(), std::mt19937(4));
+  prepared.layout.Reorder(order);
+  return prepared;
 }
 
 inline void ExpectNear(double found, Real expected, Real tolerance, const char* what) {
@@ -40,7 +58,7 @@ class Comparison {
   Comparison(const Scene& scene, const SolveOptions& options, bool dense = true)
       : problem_(scene.View()),
         options_(options),
-        prepared_(PrepareSolve(problem_, options)),
+        prepared_(Prepare(problem_, options, dense)),
         solver_(Structure(problem_, layout(), dense)),
         schur_(problem_, layout(), options, Structure(problem_, layout(), dense), &solver_),
         first_(problem_, layout(), options, CameraStates(problem_, layout()), scene.points),

@@ -23,12 +23,19 @@ struct Solver {
   std::unique_ptr<ReducedSolver> solver;
 };
 
+/// The blocks are eliminated as they come.
 Solver MakeSolver(bool dense, const RandomSystem& system, int num_threads = 2) {
   Solver result;
-  result.structure =
-      dense ? DenseStructure(system.sizes) : SparseStructure(system.sizes, system.columns);
-  result.solver = dense ? MakeDenseSolver(result.structure, num_threads)
-                        : MakeSparseSolver(result.structure, num_threads);
+  if (dense) {
+    result.structure = DenseStructure(system.sizes);
+    result.solver = MakeDenseSolver(result.structure, num_threads);
+    return result;
+  }
+  result.structure = SparseStructure(system.sizes, system.columns);
+  std::vector<int> order(system.sizes.size());
+  std::iota(order.begin(), order.end(), 0);
+  const FillOrdering ordering = AnalyzeOrdering(result.structure, "natural", order);
+  result.solver = MakeSparseSolver(ordering, num_threads, &result.structure);
   return result;
 }
 
@@ -57,6 +64,12 @@ TEST_P(DirectSolvers, AgreeWithExtendedPrecision) {
     SCOPED_TRACE(seed);
     ExpectSolves(&solver, system);
   }
+}
+
+TEST_P(DirectSolvers, AgreeWhereTheFactorHasWidePanels) {
+  const RandomSystem system = MakeRandomSystem(RandomSizes(50, 5), 0.1, 5);
+  Solver solver = MakeSolver(GetParam(), system);
+  ExpectSolves(&solver, system);
 }
 
 TEST_P(DirectSolvers, SolveSystemsOfOneStructureAgainAndAgain) {

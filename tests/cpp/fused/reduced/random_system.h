@@ -76,17 +76,18 @@ inline std::vector<int> RandomSizes(int num_blocks, unsigned seed) {
   return sizes;
 }
 
-/// The system as a solver gets it. What must not be read is NaN.
+/// The system as a solver gets it: zero where S has no block. What must not be read is NaN.
 inline ReducedSystem Store(const RandomSystem& from, const ReducedStructure& structure) {
   ReducedSystem system;
-  system.values.assign(structure.num_values, std::numeric_limits<double>::quiet_NaN());
+  constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+  system.values.assign(structure.num_values, structure.dense ? kNaN : 0);
   for (int j = 0; j < structure.num_blocks(); ++j) {
     for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
       const int i = structure.row_block[e];
       for (int c = 0; c < structure.block_size(j); ++c) {
-        for (int r = i == j ? c : 0; r < structure.block_size(i); ++r) {
+        for (int r = 0; r < structure.block_size(i); ++r) {
           system.values[structure.ValueIndex(j, e, r, c)] =
-              from.s(structure.offset[i] + r, structure.offset[j] + c);
+              i == j && r < c ? kNaN : from.s(structure.offset[i] + r, structure.offset[j] + c);
         }
       }
     }

@@ -37,18 +37,22 @@ ReducedStructure Scattered(int num_blocks, int couplings) {
 }
 
 LinearSolverType Choose(const ReducedStructure& structure, double available_bytes = kPlenty) {
-  return ChooseReducedSolver(structure, 2, available_bytes).type;
+  return ChooseReducedSolver(structure, FindFillOrdering(structure), 2, available_bytes).type;
+}
+
+ReducedCosts Predict(const ReducedStructure& structure, int num_threads) {
+  return PredictReducedCosts(structure, FindFillOrdering(structure), num_threads);
 }
 
 TEST(ReducedCost, CountsAFullMatrixTheSameBothWays) {
-  const ReducedCosts costs = PredictReducedCosts(Band(30, 30), 2);
+  const ReducedCosts costs = Predict(Band(30, 30), 2);
   EXPECT_NEAR(costs.sparse.flops, costs.dense.flops, 0.01 * costs.dense.flops);
   EXPECT_LT(costs.dense.seconds, costs.sparse.seconds);
 }
 
 TEST(ReducedCost, OfABandGrowsWithItsLength) {
-  const ReducedCosts one = PredictReducedCosts(Band(200, 10), 1);
-  const ReducedCosts four = PredictReducedCosts(Band(800, 10), 1);
+  const ReducedCosts one = Predict(Band(200, 10), 1);
+  const ReducedCosts four = Predict(Band(800, 10), 1);
   EXPECT_NEAR(four.sparse.seconds, 4 * one.sparse.seconds, 0.2 * four.sparse.seconds);
   EXPECT_NEAR(four.dense.flops, 64 * one.dense.flops, 1);
   EXPECT_NEAR(four.iterative.bytes, 4 * one.iterative.bytes, 0.05 * four.iterative.bytes);
@@ -64,10 +68,11 @@ TEST(ReducedCost, ChoosesByShape) {
 
 TEST(ReducedCost, ChoosesWhatFitsIntoMemory) {
   const ReducedStructure full = Band(100, 100);
-  const ReducedCosts costs = PredictReducedCosts(full, 2);
+  const ReducedCosts costs = Predict(full, 2);
   EXPECT_LT(costs.iterative.bytes, costs.dense.bytes);
   EXPECT_EQ(Choose(full, costs.iterative.bytes), LinearSolverType::kIterativeSchur);
-  const std::string reason = ChooseReducedSolver(full, 2, costs.iterative.bytes).reason;
+  const std::string reason =
+      ChooseReducedSolver(full, FindFillOrdering(full), 2, costs.iterative.bytes).reason;
   EXPECT_NE(reason.find("dense needs"), std::string::npos) << reason;
 }
 

@@ -1,0 +1,32 @@
+"""How numbers look on a page."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["amount", "memory", "seconds"]
+
+
+def amount(value: float) -> str:
+    """Return a count in full up to seven digits, else with three of them; "-" for none."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.2e}"
+
+
+def memory(size: float) -> str:
+    """Return bytes as kB, MB or GB (10^9 bytes); "-" where unknown."""
+    if not math.isfinite(size) or size < 0:
+        return "-"
+    if size >= 1e9:
+        return f"{size / 1e9:.2f} GB"
+    return f"{size / 1e6:.0f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
+
+
+def seconds(time: float) -> str:
+    """Return a duration; "-" where there is none."""
+    if not math.isfinite(time) or time < 0:
+        return "-"
+    if time >= 3600:
+        return f"{time / 3600:.1f} h"
+    return f"{time:.1f} s" if time >= 10 else f"{time:.3f} s"
