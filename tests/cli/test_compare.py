@@ -9,6 +9,9 @@ import subprocess
 import pytest
 
 from tests.cli.conftest import command, environment
+from tests.comparison.conftest import unpredicted  # noqa: F401
+
+pytestmark = pytest.mark.usefixtures("unpredicted")
 
 QUICK = ("--repeat", 1, "--threads", 1)
 
@@ -83,9 +86,19 @@ def test_report_must_not_replace_an_input(run, model):
     assert "the report would replace" in err
 
 
-def test_ctrl_c_ends_with_what_is_there(model):
+def test_html_page(run, model, tmp_path):
+    page = tmp_path / "page.html"
+    arguments = ("--solvers", "dense-schur", "--backends", "fused", "--html", page)
+    assert run("compare", model, *QUICK, *arguments).code == 0
+    text = page.read_text()
+    assert "fused DENSE_SCHUR" in text
+    assert "bundle refine" in text
+
+
+def test_ctrl_c_ends_with_what_is_there(model, tmp_path):
+    env = {**environment(), "XDG_CACHE_HOME": str(tmp_path)}
     with subprocess.Popen(
-        command("compare", model, "--repeat", 1000), env=environment(), text=True,
+        command("compare", model, "--repeat", 1000), env=env, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         for line in process.stderr:

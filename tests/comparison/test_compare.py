@@ -17,6 +17,8 @@ from bundle.report.compare_json import as_json
 from bundle.tables import render
 from tests.scenes import make_problem, scene
 
+pytestmark = pytest.mark.usefixtures("unpredicted")
+
 PROBLEM = make_problem(num_images=8, num_points=200)
 QUICK = {"repeat": 1, "threads": [1]}
 
