@@ -92,8 +92,8 @@ def test_least_predicted_time_that_fits_is_foreseen():
 
 
 def test_without_predictions_auto_is_asked():
-    one = dataclasses.replace(DENSE, num_threads=1)
+    one, ceres = (dataclasses.replace(method, num_threads=1) for method in (DENSE, CERES))
     assert taken_by_auto(PROBLEM, OPTIONS, 1) == one
-    assert foresee(PROBLEM, OPTIONS, (CERES, one), {}) == one
-    assert foresee(PROBLEM, OPTIONS, (CERES,), {}) is None
+    assert foresee(PROBLEM, OPTIONS, (ceres, one), {}) == one
+    assert foresee(PROBLEM, OPTIONS, (ceres,), {}) is None
     assert taken_by_auto(PROBLEM, OPTIONS.replace(fixed_image_ids=(99,)), 1) is None
