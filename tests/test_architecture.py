@@ -48,7 +48,17 @@ PYTHON_MAY_IMPORT = {
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
     "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
-    "comparison": {"_core", "errors", "io", "options", "problem", "result", "solver", "summary"},
+    "comparison": {
+        "_core",
+        "errors",
+        "inspection",
+        "io",
+        "options",
+        "problem",
+        "result",
+        "solver",
+        "summary",
+    },
     "inspection": {"_core", "errors", "options", "problem", "solver"},
     "pictures": {"comparison", "errors", "problem", "statistics"},
     "html": {

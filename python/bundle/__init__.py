@@ -17,6 +17,7 @@ from bundle.summary import Summary
 
 if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
+    from bundle.comparison import Comparison, compare
     from bundle.inspection import (
         GraphInspection,
         Inspection,
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
+    "Comparison",
     "GradientReport",
     "GraphInspection",
     "InputError",
@@ -43,6 +45,7 @@ __all__ = [
     "camera_models",
     "check_gradients",
     "check_jacobians",
+    "compare",
     "get_include",
     "inspect",
     "inspect_graph",
@@ -60,6 +63,10 @@ def __getattr__(name: str) -> Any:
         from bundle import synthetic
 
         return getattr(synthetic, name)
+    if name in ("Comparison", "compare"):
+        from bundle import comparison
+
+        return getattr(comparison, name)
     if name in ("GradientReport", "check_gradients", "check_jacobians"):
         from bundle import checking
 

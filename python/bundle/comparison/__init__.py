@@ -1,6 +1,6 @@
 """The same start under several methods: measured, compared, recommended."""
 
-from bundle.comparison.compare import Progress, compare
+from bundle.comparison.comparing import REPEAT, TIMEOUT, compare
 from bundle.comparison.method import Method
 from bundle.comparison.result import (
     GAPS,
@@ -12,9 +12,12 @@ from bundle.comparison.result import (
     Recommendation,
     Run,
 )
+from bundle.comparison.work import Progress
 
 __all__ = [
     "GAPS",
+    "REPEAT",
+    "TIMEOUT",
     "ComparedProblem",
     "Comparison",
     "Measurement",

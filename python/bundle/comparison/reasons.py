@@ -26,7 +26,7 @@ def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> s
     structure = _structure(winner, runs)
     begin = f"{method.name}: {structure}; " if structure else f"{method.name}: "
     total = winner.total_time_in_seconds
-    words = [f"it takes {_seconds(total)} in all"]
+    words = [f"the solve takes {_seconds(total)}"]
     rivals = _rivals(winner, runs)
     slower = [rival for rival in rivals if rival.is_usable]
     if slower:
@@ -81,7 +81,9 @@ def _fullness(known: Prediction) -> str:
     cells = float(known.num_unknowns) ** 2
     if not 0 < known.nnz_reduced <= cells:
         return ""
-    return f"S ({known.num_unknowns} columns) is {100 * known.nnz_reduced / cells:.2g} % full"
+    share = 100 * known.nnz_reduced / cells
+    full = f"{share:.0f}" if share >= 9.5 else f"{share:.1g}"
+    return f"S ({known.num_unknowns} columns) is {full} % full"
 
 
 def _least_flops(runs: Sequence[Run]) -> float:
@@ -132,7 +134,8 @@ def _speed(run: Run) -> tuple[bool, float]:
 def _pays(comparison: Comparison, winner: Run, rival: Run, tolerance: float) -> str:
     """Return what a rival pays for not being the winner."""
     ratio = rival.total_time_in_seconds / winner.total_time_in_seconds
-    words = f"{_told_apart(winner.method, rival.method)} pays {_times(ratio)} that"
+    name = _told_apart(winner.method, rival.method)
+    words = f"{name} {'pay' if name.endswith('threads') else 'pays'} {_times(ratio)} that"
     gap = comparison.gap(rival)
     if gap > tolerance:
         words += f" and ends {gap:.1e} above the best cost"

@@ -85,9 +85,10 @@ def _verdict(ratios: Sequence[dict[Method, float]], foreseen: Sequence[Method | 
     if len(judged) > 1:
         return f"Foreseen before any solve, and {within}: {sum(right)} of {len(judged)} problems."
     method, row = judged[0]
-    name = f"{method.name} was foreseen before any solve"
+    name = f"{method.name} on {method.threads} was foreseen before any solve"
     if method not in row:
         return f"{name}, which was wrong: it did not reach the best cost."
     if row[method] == 1:
         return f"{name}, which was right."
-    return f"{name}, which was {'right' if right[0] else 'wrong'}: {row[method]:.2f} times as long."
+    verdict = "right" if right[0] else "wrong"
+    return f"{name}, which was {verdict}: it takes {row[method]:.2f} times as long as the fastest."

@@ -52,8 +52,9 @@ class Prediction:
 
     Attributes:
         ordering: what orders the factorisation, such as "amd"; "" where nothing is factorised.
-        num_unknowns: columns of the system that is factorised or iterated on.
-        nnz_reduced: nonzeros of the reduced camera system S.
+        num_unknowns: columns of S, or of the whole system where no S is made.
+        nnz_reduced: nonzeros of the reduced camera system S, whether the solver stores its zeros or
+            not.
         nnz_factor: nonzeros of L.
         flops: of the factorisation, a step.
         memory_in_bytes: peak beyond the loaded problem.
