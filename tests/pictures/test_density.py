@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 import bundle
-from bundle.pictures.matrix_pattern import MatrixPattern
 from bundle.pictures.density import FAINTEST, factor_density, matrix_density
 from bundle.pictures.factor_columns import factor_columns
+from bundle.pictures.matrix_pattern import MatrixPattern
 
 
 def random_pattern(seed: int, num_blocks: int, sizes: tuple[int, int] = (1, 1)) -> MatrixPattern:

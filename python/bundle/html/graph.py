@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +29,7 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
     size = f"{first.num_variables:,} variables, {len(first.edges):,} edges"
     flops = {f"order {graph.ordering}": float(graph.flops) for graph in graphs}
     profiles = {f"order {graph.ordering}": graph.column_counts for graph in graphs}
-    pattern = MatrixPattern(*first.pattern())
+    pattern = MatrixPattern.of(first.pattern())
     steppable = [
         graph
         for graph in graphs
@@ -53,7 +53,7 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
     write_page(Path(path), "Elimination of a graph", sections, data)
 
 
-def column_counts(profiles: dict[str, Sequence[int]]) -> str:
+def column_counts(profiles: Mapping[str, Sequence[int]]) -> str:
     """Return the nonzeros below the diagonal of L along its columns, a curve for each order."""
     lines = []
     for index, (name, profile) in enumerate(profiles.items()):

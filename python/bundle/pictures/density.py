@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.pictures.matrix_pattern import MatrixPattern
 from bundle.pictures.factor_columns import factor_columns
+from bundle.pictures.matrix_pattern import MatrixPattern
 
 __all__ = ["FILL_COLOUR", "Density", "factor_density", "matrix_density"]
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from bundle.pictures.matrix_pattern import MatrixPattern
 from bundle.pictures.density import Density, factor_density, matrix_density
 from bundle.pictures.figure import figure
+from bundle.pictures.matrix_pattern import MatrixPattern
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
