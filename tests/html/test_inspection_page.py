@@ -147,7 +147,7 @@ def test_images_are_stepped_through_under_their_names(written, browser):
     path, page = written(images(40, image_names=[f"{hostile}{i}" for i in range(40)]))
     data = json.loads(page.scripts[0])["elimination"]
     assert 3 <= len(data["names"]) <= 24
-    assert {run["ordering"] for run in data["runs"]} == {"natural", "minimum_degree"}
+    assert {run["ordering"] for run in data["runs"]} == {"natural", "minimum degree"}
     browser.open(path)
     browser.press("End")
     count = len(data["names"])

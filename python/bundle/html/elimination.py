@@ -15,7 +15,7 @@ from bundle.html.table import table
 if TYPE_CHECKING:
     from bundle.inspection import EliminationStep, GraphInspection
 
-__all__ = ["MOST_VARIABLES", "elimination_data", "elimination_section"]
+__all__ = ["MOST_VARIABLES", "elimination_data", "elimination_section", "order_name"]
 
 # More circles than this are a blot on the page.
 MOST_VARIABLES = 120
@@ -32,7 +32,8 @@ def elimination_section(graphs: Sequence[GraphInspection]) -> str:
             MOST_VARIABLES.
     """
     steps = [
-        tag("h3", f"Order {escape(graph.ordering)}, every step") + _steps(graph) for graph in graphs
+        tag("h3", f"Order {escape(order_name(graph))}, every step") + _steps(graph)
+        for graph in graphs
     ]
     return "".join(
         [
@@ -68,9 +69,14 @@ def elimination_data(graphs: Sequence[GraphInspection]) -> dict[str, Any]:
     }
 
 
+def order_name(graph: GraphInspection) -> str:
+    """Return the name of a graph's order in words."""
+    return graph.ordering.replace("_", " ")
+
+
 def _run(graph: GraphInspection) -> dict[str, Any]:
     return {
-        "ordering": graph.ordering,
+        "ordering": order_name(graph),
         "order": list(graph.order),
         "fill": graph.fill,
         "flops": graph.flops,
@@ -101,7 +107,7 @@ def _controls(graphs: Sequence[GraphInspection]) -> str:
     chooser = ""
     if len(graphs) > 1:
         options = [
-            tag("option", f"order {escape(graph.ordering)}: {graph.fill:,} fill, "
+            tag("option", f"order {escape(order_name(graph))}: {graph.fill:,} fill, "
                 f"{graph.flops:,} flops", value=index)
             for index, graph in enumerate(graphs)
         ]  # fmt: skip

@@ -8,7 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bundle.html.charts import Curve, bars, curves
-from bundle.html.elimination import MOST_VARIABLES, elimination_data, elimination_section
+from bundle.html.elimination import (
+    MOST_VARIABLES,
+    elimination_data,
+    elimination_section,
+    order_name,
+)
 from bundle.html.matrices import orderings
 from bundle.html.numbers import amount
 from bundle.html.page import tag, write_page
@@ -27,8 +32,8 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
     first = graphs[0]
     best = min(range(len(graphs)), key=lambda index: graphs[index].flops)
     size = f"{first.num_variables:,} variables, {len(first.edges):,} edges"
-    flops = {f"order {graph.ordering}": float(graph.flops) for graph in graphs}
-    profiles = {f"order {graph.ordering}": graph.column_counts for graph in graphs}
+    flops = {f"order {order_name(graph)}": float(graph.flops) for graph in graphs}
+    profiles = {f"order {order_name(graph)}": graph.column_counts for graph in graphs}
     pattern = MatrixPattern.of(first.pattern())
     steppable = [
         graph
@@ -47,7 +52,7 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
         tag("div", tag("figure", tag("h3", "Flops, on a log scale"), bars(flops)),
             column_counts(profiles), class_="grid"),
         tag("h2", "Matrix and factor"),
-        orderings(pattern, {graph.ordering: graph.order for graph in graphs}, "matrix"),
+        orderings(pattern, {order_name(graph): graph.order for graph in graphs}, "matrix"),
     ]  # fmt: skip
     data = {"elimination": elimination_data(steppable)} if steppable else None
     write_page(Path(path), "Elimination of a graph", sections, data)
@@ -80,7 +85,7 @@ def _orders(graphs: Sequence[GraphInspection], best: int) -> str:
     for graph in graphs:
         shown = [graph.names[variable] for variable in graph.order[:40]]
         rows.append([
-            graph.ordering,
+            order_name(graph),
             amount(graph.fill),
             amount(graph.nnz),
             amount(graph.nnz_factor),

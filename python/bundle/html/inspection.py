@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bundle import _core
 from bundle.html.charts import bars
-from bundle.html.elimination import elimination_data, elimination_section
+from bundle.html.elimination import MOST_VARIABLES, elimination_data, elimination_section
 from bundle.html.graph import column_counts, write_graph
 from bundle.html.matrices import covisibility, matrix, orderings
 from bundle.html.numbers import amount, memory, seconds
@@ -39,7 +39,9 @@ def write_inspection(
     """Write an inspection as one HTML file that needs nothing else.
 
     Args:
-        inspection: of a problem, or of a graph under one order or several.
+        inspection: of a problem, or of a graph. One graph that is small enough to be stepped
+            through is compared to itself in natural order and by minimum degree; several are the
+            same graph under the orders to compare.
         path: of the file, which appears whole or not at all.
         problem: the one inspected, whose matrices and co-visibility are drawn; a page without it
             has tables and bars alone. Nothing for a graph.
@@ -51,9 +53,28 @@ def write_inspection(
     """
     if isinstance(inspection, Inspection):
         _write_problem(inspection, Path(path), problem, options or SolveOptions())
+    elif isinstance(inspection, GraphInspection):
+        write_graph(_with_rivals(inspection), path)
     else:
-        graphs = [inspection] if isinstance(inspection, GraphInspection) else [*inspection]
-        write_graph(graphs, path)
+        write_graph(inspection, path)
+
+
+def _with_rivals(graph: GraphInspection) -> list[GraphInspection]:
+    """Return a graph under its own order first, then under others that say what it is worth."""
+    if graph.num_variables > MOST_VARIABLES:
+        return [graph]
+    rivals = [
+        inspect_graph(
+            graph.edges,
+            graph.num_variables,
+            ordering,
+            names=graph.names,
+            block_size=graph.block_sizes,
+        )
+        for ordering in STEPPED
+        if ordering != graph.ordering
+    ]
+    return [graph, *(rival for rival in rivals if rival.order != graph.order)]
 
 
 def _write_problem(
