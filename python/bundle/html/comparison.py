@@ -9,10 +9,10 @@ from pathlib import Path
 
 from bundle.comparison import GAPS, Comparison, Run
 from bundle.html.charts import Curve, curves, stacked_bars
-from bundle.html.numbers import amount, memory, seconds
+from bundle.html.numbers import amount_if_any, memory, seconds
 from bundle.html.page import tag, write_page
 from bundle.html.scale import Scale, linear, logarithmic
-from bundle.html.table import convention, table
+from bundle.html.table import Notes, convention, table
 from bundle.pictures.series import cost_curve, labels, profile_curve, styles
 
 __all__ = ["write_comparison"]
@@ -127,6 +127,7 @@ def _predictions(comparison: Comparison, problem: int) -> str:
         "predicted and measured", "ordering", "unknowns", "nonzeros of S", "nonzeros of L", "flops",
         "time per step, predicted", "measured", "memory, predicted", "measured", "note",
     ]  # fmt: skip
+    notes = Notes()
     rows = []
     for run in comparison.runs_of(problem):
         before, after = run.prediction, run.measurement
@@ -136,19 +137,19 @@ def _predictions(comparison: Comparison, problem: int) -> str:
         rows.append([
             names[run.method],
             before.ordering or "-",
-            f"{before.num_unknowns:,}",
-            amount(before.nnz_reduced),
-            amount(before.nnz_factor),
-            amount(before.flops),
+            amount_if_any(before.num_unknowns),
+            amount_if_any(before.nnz_reduced),
+            amount_if_any(before.nnz_factor),
+            amount_if_any(before.flops),
             seconds(before.time_per_step_in_seconds),
             seconds(after.time_per_step_in_seconds) if after else "-",
             memory(before.memory_in_bytes),
             memory(after.added_memory_in_bytes) if after else "-",
-            note,
+            notes.refer(note),
         ])  # fmt: skip
     if not rows:
         return ""
-    return table(head, rows, words={len(head) - 1}) + convention()
+    return table(head, rows) + convention() + notes.listed()
 
 
 def _cost(comparison: Comparison, problem: int) -> str:

@@ -12,10 +12,10 @@ from bundle.html.charts import bars
 from bundle.html.elimination import MOST_VARIABLES, elimination_data, elimination_section
 from bundle.html.graph import column_counts, write_graph
 from bundle.html.matrices import covisibility, matrix, orderings
-from bundle.html.numbers import amount, memory, seconds
+from bundle.html.numbers import amount, amount_if_any, memory, seconds
 from bundle.html.page import tag, write_page
 from bundle.html.subgraph import image_graph
-from bundle.html.table import convention, table
+from bundle.html.table import Notes, convention, table
 from bundle.inspection import GraphInspection, Inspection, MethodInspection, inspect_graph
 from bundle.options import SolveOptions
 from bundle.pictures.covisibility import covisibility_graph
@@ -85,8 +85,6 @@ def _write_problem(
         tag("div", tag("p", escape(inspection.recommendation)), class_="recommended"),
         tag("h2", "Methods"),
         _methods(inspection),
-        convention(),
-        _notes(inspection),
         tag("h2", "What a step costs"),
         _costs(inspection),
     ]
@@ -140,7 +138,7 @@ def _methods(inspection: Inspection) -> str:
         "flops", "CHOLMOD's flops", "height of the tree", "unknowns", "nonzeros of J",
         "nonzeros of the information matrix", "note",
     ]  # fmt: skip
-    notes = _distinct_notes(inspection)
+    notes = Notes()
     rows = []
     for method in inspection.methods:
         has_factor = method.nnz_factor > 0
@@ -156,29 +154,24 @@ def _methods(inspection: Inspection) -> str:
             seconds(method.time_per_step_in_seconds),
             memory(method.memory_in_bytes),
             "yes" if method.fits_in_memory else "NO",
-            amount(method.nnz_reduced) if method.nnz_reduced else "-",
+            amount_if_any(method.nnz_reduced),
             *(amount(count) if has_factor else "-" for count in counts),
             amount(method.num_unknowns),
             amount(method.nnz_jacobian),
             amount(method.nnz_information),
-            str(notes.index(method.note) + 1) if method.note else "",
+            notes.refer(method.note),
         ])  # fmt: skip
     best = inspection.recommended if inspection.recommended >= 0 else None
-    return table(head, rows, best=best)
-
-
-def _distinct_notes(inspection: Inspection) -> list[str]:
-    return list(dict.fromkeys(method.note for method in inspection.methods if method.note))
-
-
-def _notes(inspection: Inspection) -> str:
-    """Return the notes that the table refers to, and what does not fit in memory."""
-    lines = [tag("li", escape(note)) for note in _distinct_notes(inspection)]
-    notes = tag("ol", *lines, class_="quiet") if lines else ""
     unfit = [_label(method) for method in inspection.methods if not method.fits_in_memory]
-    if not unfit:
-        return notes
-    return notes + tag("p", escape(f"Does not fit in memory: {', '.join(unfit)}."), class_="warn")
+    warning = f"Does not fit in memory: {', '.join(unfit)}."
+    return "".join(
+        [
+            table(head, rows, best=best),
+            convention(),
+            notes.listed(),
+            tag("p", escape(warning), class_="warn") if unfit else "",
+        ]
+    )
 
 
 def _costs(inspection: Inspection) -> str:

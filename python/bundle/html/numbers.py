@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["amount", "memory", "seconds"]
+__all__ = ["amount", "amount_if_any", "memory", "seconds"]
 
 
 def amount(value: float) -> str:
@@ -12,6 +12,11 @@ def amount(value: float) -> str:
     if not math.isfinite(value):
         return "-"
     return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.2e}"
+
+
+def amount_if_any(value: float) -> str:
+    """Return a count; "-" where there is nothing to count."""
+    return amount(value) if value else "-"
 
 
 def memory(size: float) -> str:

@@ -7,7 +7,7 @@ from html import escape
 
 from bundle.html.page import tag
 
-__all__ = ["convention", "table"]
+__all__ = ["Notes", "convention", "table"]
 
 # Characters of a sentence that wraps.
 LONG = 20
@@ -55,6 +55,22 @@ def table(
     )
     inner = tag("table", tag("thead", heading), tag("tbody", *lines))
     return tag("div", inner, class_="scroll", tabindex=0)
+
+
+class Notes:
+    """Sentences that rows refer to by number, each once."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+
+    def refer(self, note: str) -> str:
+        """Return the number of a note, "" for none."""
+        return str(self._numbers.setdefault(note, len(self._numbers) + 1)) if note else ""
+
+    def listed(self) -> str:
+        """Return the notes that were referred to."""
+        lines = [tag("li", escape(note)) for note in self._numbers]
+        return tag("ol", *lines, class_="quiet") if lines else ""
 
 
 def convention() -> str:
