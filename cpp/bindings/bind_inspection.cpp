@@ -1,5 +1,7 @@
+#include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
+#include <cstdint>
 #include <utility>
 #include <vector>
 
@@ -8,8 +10,10 @@
 #include "bindings/to_numpy.h"
 #include "core/fused/eliminate/plan_size.h"
 #include "core/fused/eliminate/point_plan.h"
+#include "core/fused/reduced/panel_values.h"
 #include "core/solve/memory.h"
 #include "core/solve/prepare.h"
+#include "core/symbolic/block_pattern.h"
 
 namespace py = pybind11;
 
@@ -62,11 +66,26 @@ py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
   return d;
 }
 
+using Ints = py::array_t<int, py::array::c_style>;
+using Int64s = py::array_t<int64_t, py::array::c_style>;
+
+/// Takes what `_core.reduced_pattern` and `_core.order_blocks` return.
+double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
+                   const Ints& order) {
+  const bundle::BlockPatternView pattern{static_cast<int>(sizes.size()), sizes.data(),
+                                         column_begin.data(), rows.data()};
+  const std::vector<int> blocks(order.data(), order.data() + order.size());
+  const py::gil_scoped_release release;
+  return bundle::fused::CountPanelValues(pattern, blocks);
+}
+
 }  // namespace
 
 void BindInspection(py::module_& m) {
   m.attr("MAX_TRACK_LENGTH") = bundle::fused::kMaxTrackLength;
   m.def("available_memory", &bundle::AvailableMemoryBytes);
   m.def("parameter_blocks", &ParameterBlocks, py::arg("problem"), py::arg("options"));
+  m.def("panel_values", &PanelValues, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
+        py::arg("order"));
   m.def("elimination_plan", &EliminationPlan, py::arg("problem"), py::arg("options"));
 }

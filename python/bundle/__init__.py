@@ -18,12 +18,19 @@ from bundle.summary import Summary
 if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
-    from bundle.inspection import Inspection, MethodInspection, inspect
+    from bundle.inspection import (
+        GraphInspection,
+        Inspection,
+        MethodInspection,
+        inspect,
+        inspect_graph,
+    )
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
     "Comparison",
     "GradientReport",
+    "GraphInspection",
     "InputError",
     "Inspection",
     "MethodInspection",
@@ -41,6 +48,7 @@ __all__ = [
     "compare",
     "get_include",
     "inspect",
+    "inspect_graph",
     "load",
     "project",
     "save",
@@ -63,7 +71,8 @@ def __getattr__(name: str) -> Any:
         from bundle import checking
 
         return getattr(checking, name)
-    if name in ("Inspection", "MethodInspection", "inspect"):
+    inspections = ("GraphInspection", "Inspection", "MethodInspection", "inspect", "inspect_graph")
+    if name in inspections:
         from bundle import inspection
 
         return getattr(inspection, name)

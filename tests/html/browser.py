@@ -164,8 +164,9 @@ class Browser:
         return found
 
     def requested(self) -> list[str]:
-        """Return the addresses that the page asked for."""
+        """Return the addresses that the page asked for, but for what stands in it."""
         sent = [
             event for event in self.events if event.get("method") == "Network.requestWillBeSent"
         ]
-        return [event["params"]["request"]["url"] for event in sent]
+        urls = [event["params"]["request"]["url"] for event in sent]
+        return [url for url in urls if not url.startswith("data:")]

@@ -120,7 +120,7 @@ def test_column_counts_cover_the_width_whatever_their_bins():
 
 
 def test_figures_are_written_as_png_and_svg(tmp_path: Path):
-    star = pictures.BlockPattern.from_edges(7, [(0, leaf) for leaf in range(1, 7)], 6)
+    star = pictures.MatrixPattern.from_edges(7, [(0, leaf) for leaf in range(1, 7)], 6)
     made = pictures.draw_orderings(star, {"hub first": None, "hub last": [1, 2, 3, 4, 5, 6, 0]})
     assert len(made.axes) == 4
     words = [ax.get_xlabel() for ax in made.axes]

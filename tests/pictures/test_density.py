@@ -7,19 +7,19 @@ import pytest
 from numpy.typing import NDArray
 
 import bundle
-from bundle.pictures.block_pattern import BlockPattern
 from bundle.pictures.density import FAINTEST, factor_density, matrix_density
 from bundle.pictures.factor_columns import factor_columns
+from bundle.pictures.matrix_pattern import MatrixPattern
 
 
-def random_pattern(seed: int, num_blocks: int, sizes: tuple[int, int] = (1, 1)) -> BlockPattern:
+def random_pattern(seed: int, num_blocks: int, sizes: tuple[int, int] = (1, 1)) -> MatrixPattern:
     generator = np.random.default_rng(seed)
     edges = generator.integers(0, num_blocks, (2 * num_blocks, 2))
     drawn = generator.integers(sizes[0], sizes[1] + 1, num_blocks)
-    return BlockPattern.from_edges(num_blocks, edges, [int(size) for size in drawn])
+    return MatrixPattern.from_edges(num_blocks, edges, [int(size) for size in drawn])
 
 
-def dense(pattern: BlockPattern) -> NDArray[np.bool_]:
+def dense(pattern: MatrixPattern) -> NDArray[np.bool_]:
     """Return the scalar pattern, both triangles."""
     begin = np.concatenate([[0], np.cumsum(pattern.sizes)])
     matrix = np.zeros((begin[-1], begin[-1]), bool)
@@ -50,13 +50,13 @@ PATTERNS = [
     random_pattern(1, 30),
     random_pattern(2, 12, (6, 6)),
     random_pattern(3, 17, (1, 9)),
-    BlockPattern.from_edges(1, []),
+    MatrixPattern.from_edges(1, []),
 ]
 
 
 @pytest.mark.parametrize("pixels", [5, 13, 64, 400])
 @pytest.mark.parametrize("pattern", PATTERNS, ids=["scalars", "blocks", "mixed", "one"])
-def test_images_are_sums_over_pixels(pattern: BlockPattern, pixels: int) -> None:
+def test_images_are_sums_over_pixels(pattern: MatrixPattern, pixels: int) -> None:
     order = np.random.default_rng(4).permutation(pattern.num_blocks)
     matrix = dense(pattern.permuted(order))
     image = matrix_density(pattern, order, pixels)
@@ -88,19 +88,19 @@ def test_a_permuted_pattern_has_its_rows_and_columns_permuted() -> None:
 
 def test_one_nonzero_among_thousands_stays_visible_and_tenths_are_told_apart() -> None:
     size, pixels = 30_000, 400
-    diagonal_only = matrix_density(BlockPattern.from_edges(size, []), pixels=pixels)
+    diagonal_only = matrix_density(MatrixPattern.from_edges(size, []), pixels=pixels)
     assert diagonal_only.tone().diagonal().min() > FAINTEST
-    lone = matrix_density(BlockPattern.from_edges(size, [(29_990, 10)]), pixels=pixels)
+    lone = matrix_density(MatrixPattern.from_edges(size, [(29_990, 10)]), pixels=pixels)
     assert lone.tone()[-1, 0] >= FAINTEST - 1e-9
-    full = matrix_density(BlockPattern.from_edges(60, np.argwhere(np.ones((60, 60)))), pixels=20)
+    full = matrix_density(MatrixPattern.from_edges(60, np.argwhere(np.ones((60, 60)))), pixels=20)
     assert full.tone().min() == 1.0
     rest = np.argwhere(np.random.default_rng(7).random((60, 60)) < 0.1)
-    tenth = matrix_density(BlockPattern.from_edges(60, rest), pixels=4)
+    tenth = matrix_density(MatrixPattern.from_edges(60, rest), pixels=4)
     assert 0.5 < np.median(tenth.tone()) < 0.95
 
 
 def test_fill_is_orange_and_entries_are_black() -> None:
-    star = BlockPattern.from_edges(7, [(0, leaf) for leaf in range(1, 7)])
+    star = MatrixPattern.from_edges(7, [(0, leaf) for leaf in range(1, 7)])
     image = factor_density(star).rgba()
     assert tuple(image[6, 1]) == (217, 72, 15, 255)
     assert tuple(image[6, 0]) == (0, 0, 0, 255)
@@ -119,9 +119,9 @@ def test_fill_is_orange_and_entries_are_black() -> None:
 )
 def test_a_pattern_that_is_none_is_refused(arrays: tuple[list[int], ...], words: str) -> None:
     with pytest.raises(bundle.InputError, match=words):
-        BlockPattern(*(np.array(array) for array in arrays))
+        MatrixPattern(*(np.array(array) for array in arrays))
 
 
 def test_an_order_that_is_none_is_refused() -> None:
     with pytest.raises(bundle.InputError, match="order: expected each of 3 blocks once"):
-        matrix_density(BlockPattern.from_edges(3, []), [0, 1, 1])
+        matrix_density(MatrixPattern.from_edges(3, []), [0, 1, 1])

@@ -35,6 +35,7 @@ GRAPH_ORDERINGS = (
     "amd",
     "colamd",
     "metis",
+    "nesdis",
 )
 
 
@@ -74,7 +75,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--landmarks",
         metavar="NAMES",
         help="variables that landmarks-first eliminates first, such as l1,l2 "
-        "(default: those whose names begin with l)",
+        "(default: those whose names are an l and a number)",
+    )
+    group.add_argument(
+        "--block-size",
+        metavar="N",
+        type=int,
+        help="scalars of each variable, such as 6 for poses (default: 1)",
     )
 
 
@@ -91,9 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.html, source, *([arguments.json] if arguments.json else []))
     if arguments.graph is not None:
         return _inspect_graph(arguments)
-    for flag in ("ordering", "landmarks"):
+    for flag in ("ordering", "landmarks", "block_size"):
         if getattr(arguments, flag) is not None:
-            raise InputError(f"--{flag}: expected with --graph only")
+            raise InputError(f"--{flag.replace('_', '-')}: expected with --graph only")
     return _inspect_problem(arguments)
 
 
@@ -117,15 +124,17 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
             from bundle.html import write_inspection
 
             progress.stage(f"writing {shown(arguments.html)}")
-            write_inspection(inspection, arguments.html)
+            write_inspection(inspection, arguments.html, problem, options)
     if arguments.json != "-":
         show(*inspected(arguments.input, problem, inspection))
     wall = perf_counter() - started
-    write_json(arguments.json, as_json(arguments.input, problem, inspection, wall))
+    given = {name: getattr(options, name) for name in OPTIONS}
+    write_json(arguments.json, as_json(arguments.input, problem, inspection, given, wall))
     return EXIT_DONE
 
 
 def _inspect_graph(arguments: argparse.Namespace) -> int:
+    started = perf_counter()
     from bundle.cli.output import show, write_json
     from bundle.report.graph import as_json, inspected
 
@@ -136,30 +145,29 @@ def _inspect_graph(arguments: argparse.Namespace) -> int:
         write_inspection(graph, arguments.html)
     if arguments.json != "-":
         show(*inspected(arguments.graph, graph))
-    write_json(arguments.json, as_json(arguments.graph, graph))
+    write_json(arguments.json, as_json(arguments.graph, graph, perf_counter() - started))
     return EXIT_DONE
 
 
 def _eliminate(arguments: argparse.Namespace) -> GraphInspection:
-    from bundle.cli.edge_list import read_edge_list
     from bundle.errors import InputError, shown
-    from bundle.inspection import inspect_graph
+    from bundle.inspection import inspect_graph, load_graph
 
-    names, edges = read_edge_list(arguments.graph)
-    index = {name: position for position, name in enumerate(names)}
-    if arguments.landmarks is None:
-        landmarks = [name for name in names if name[0] in "lL"]
-    else:
-        landmarks = [name for name in arguments.landmarks.split(",") if name]
-    for name in landmarks:
-        if name not in index:
-            raise InputError(
-                f"--landmarks: expected variables of {shown(arguments.graph)}, found {name!r}"
-            )
+    graph = load_graph(arguments.graph)
+    landmarks = graph.landmarks
+    if arguments.landmarks is not None:
+        index = {name: variable for variable, name in enumerate(graph.names)}
+        named = [name for name in arguments.landmarks.split(",") if name]
+        for name in named:
+            if name not in index:
+                raise InputError(
+                    f"--landmarks: expected variables of {shown(arguments.graph)}, found {name!r}"
+                )
+        landmarks = tuple(index[name] for name in named)
     return inspect_graph(
-        edges,
-        num_variables=len(names),
-        ordering=(arguments.ordering or "natural").replace("-", "_"),
-        names=names,
-        landmarks=[index[name] for name in landmarks],
+        graph.edges,
+        names=graph.names,
+        ordering=arguments.ordering or "natural",
+        landmarks=landmarks,
+        block_size=arguments.block_size or 1,
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from bundle.html.numbers import amount
 from bundle.html.page import tag, write_page
 from bundle.html.scale import linear
 from bundle.html.table import convention, table
-from bundle.pictures.block_pattern import BlockPattern
+from bundle.pictures.matrix_pattern import MatrixPattern
 
 if TYPE_CHECKING:
     from bundle.inspection import GraphInspection
@@ -29,27 +29,31 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
     size = f"{first.num_variables:,} variables, {len(first.edges):,} edges"
     flops = {f"order {graph.ordering}": float(graph.flops) for graph in graphs}
     profiles = {f"order {graph.ordering}": graph.column_counts for graph in graphs}
-    pattern = BlockPattern.from_edges(first.num_variables, first.edges)
-    steppable = first.num_variables <= MOST_VARIABLES
+    pattern = MatrixPattern.of(first.pattern())
+    steppable = [
+        graph
+        for graph in graphs
+        if graph.num_variables <= MOST_VARIABLES and len(graph.steps) == graph.num_variables
+    ]
     sections = [
         tag("p", size, class_="quiet"),
         _orders(graphs, best),
         convention(),
         tag("h2", "Elimination step by step"),
-        elimination_section(graphs)
+        elimination_section(steppable)
         if steppable
-        else tag("p", f"More than {MOST_VARIABLES} variables are not drawn one by one."),
+        else tag("p", f"Graphs are drawn step by step up to {MOST_VARIABLES} variables."),
         tag("h2", "Orders compared"),
         tag("div", tag("figure", tag("h3", "Flops, on a log scale"), bars(flops)),
             column_counts(profiles), class_="grid"),
         tag("h2", "Matrix and factor"),
         orderings(pattern, {graph.ordering: graph.order for graph in graphs}, "matrix"),
     ]  # fmt: skip
-    data = {"elimination": elimination_data(graphs)} if steppable else None
+    data = {"elimination": elimination_data(steppable)} if steppable else None
     write_page(Path(path), "Elimination of a graph", sections, data)
 
 
-def column_counts(profiles: dict[str, Sequence[int]]) -> str:
+def column_counts(profiles: Mapping[str, Sequence[int]]) -> str:
     """Return the nonzeros below the diagonal of L along its columns, a curve for each order."""
     lines = []
     for index, (name, profile) in enumerate(profiles.items()):

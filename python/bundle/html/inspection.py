@@ -18,8 +18,8 @@ from bundle.html.subgraph import image_graph
 from bundle.html.table import convention, table
 from bundle.inspection import GraphInspection, Inspection, MethodInspection, inspect_graph
 from bundle.options import SolveOptions
-from bundle.pictures.block_pattern import BlockPattern
 from bundle.pictures.covisibility import covisibility_graph
+from bundle.pictures.matrix_pattern import MatrixPattern
 from bundle.problem import Problem
 from bundle.solver import resolve_defaults
 
@@ -186,8 +186,8 @@ def _matrices(problem: Problem, options: SolveOptions) -> list[str]:
     """Return the sections of S and L under each order, and of the arrowhead."""
     given = options.asdict()
     triple = _core.reduced_pattern(problem, given)
-    reduced = BlockPattern(*triple)
-    arrowhead = BlockPattern(*_core.full_pattern(problem, given))
+    reduced = MatrixPattern.of(triple)
+    arrowhead = MatrixPattern.of(_core.full_pattern(problem, given))
     words = (
         "The darker a pixel, the more of its cells are nonzero, on a log scale: a lone nonzero is "
         "still visible. Fill is orange."

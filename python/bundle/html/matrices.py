@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from bundle.html.image import data_uri
 from bundle.html.page import tag
-from bundle.pictures.block_pattern import BlockPattern
 from bundle.pictures.covisibility import CovisibilityGraph, within_view
 from bundle.pictures.density import Density, factor_density, matrix_density
+from bundle.pictures.matrix_pattern import MatrixPattern
 
 __all__ = ["covisibility", "matrix", "orderings"]
 
@@ -23,13 +23,13 @@ SIDE = 480
 NARROWEST = 120
 
 
-def matrix(pattern: BlockPattern, name: str) -> str:
+def matrix(pattern: MatrixPattern, name: str) -> str:
     """Return a symmetric matrix, both triangles."""
     return _figure(matrix_density(pattern, pixels=PIXELS), name, "both triangles and the diagonal")
 
 
 def orderings(
-    pattern: BlockPattern, orders: Mapping[str, ArrayLike | None], name: str = "S"
+    pattern: MatrixPattern, orders: Mapping[str, ArrayLike | None], name: str = "S"
 ) -> str:
     """Return a matrix and its factor under each order, fill in orange."""
     figures = []

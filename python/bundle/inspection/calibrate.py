@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable
+from time import perf_counter
 from typing import NamedTuple
 
 from bundle import _core
@@ -20,7 +21,8 @@ from bundle.problem import Problem
 
 __all__ = ["calibrate"]
 
-STEPS, REPEATS = 4, 3
+STEPS = 4
+LEAST_REPEATS, MOST_REPEATS, ENOUGH_SECONDS = 2, 12, 0.08
 LEAST = 1e-12  # of a rate that drowned in noise
 
 
@@ -66,15 +68,18 @@ class _Calibration:
         )
 
     def _time(self, problem: Problem, solver: str, backend: str = "fused") -> Timing:
-        """Return the least of a few solves' medians: others only ever take time away."""
+        """Return the least of many steps: whatever else runs only ever adds to them."""
         options = self._options(solver, backend)
-        timings = []
-        for _ in range(REPEATS):
+        timings: list[Timing] = []
+        begun = perf_counter()
+        while len(timings) < LEAST_REPEATS or (
+            len(timings) < MOST_REPEATS and perf_counter() - begun < ENOUGH_SECONDS
+        ):
             output = _core.solve(problem, options.asdict(), None)
             summary, iterations = output["summary"], output["iterations"]
             timings.append(
                 Timing(
-                    statistics.median(iterations["iteration_time_in_seconds"][1:].tolist()),
+                    min(iterations["iteration_time_in_seconds"][1:].tolist()),
                     summary["linear_solver_time_in_seconds"] / summary["num_linear_solves"],
                     statistics.fmean(iterations["linear_solver_iterations"][1:].tolist()),
                 )
@@ -199,5 +204,7 @@ class _Calibration:
         """Solve for both, with as many observations in short tracks (quick) as in long ones."""
         short, long = self._pattern(self.short), self._pattern(self.long)
         pair = max((slow - quick) / (pairs(long) - pairs(short)), 0.0)
+        # Noise must not leave nothing for the observations themselves.
+        pair = min(pair, 0.8 * max(quick, LEAST) / pairs(short))
         observation = (quick - pair * pairs(short)) / short.num_observations
         return max(observation, LEAST), pair

@@ -20,9 +20,8 @@ from bundle.problem import Problem
 
 __all__ = ["Counted", "Counter"]
 
-# Entries of the whole problem's pattern up to which AMD takes a fraction of a second on it; with
-# cameras that see thousands of points it is far from linear.
-MOST_ENTRIES_FOR_AMD = 400_000
+# Entries of the whole problem's pattern up to which AMD takes seconds on it.
+MOST_ENTRIES_FOR_AMD = 2_000_000
 
 # Pairs of points that images see together, up to which the points' own system is counted.
 MOST_POINT_PAIRS = 20_000_000
@@ -36,14 +35,16 @@ class Counted(NamedTuple):
         nnz_reduced: nonzeros of the reduced system, 0 without one.
         factor: the cost of the factor.
         note: how the numbers are to be read.
-        reduced_values: values of the reduced system's lower triangle.
+        values: that hold the reduced system: its lower triangle, or all of it where it is dense.
+        panel_values: that hold the factor in the fused backend's panels.
     """
 
     columns: int
     nnz_reduced: int
     factor: FactorCount
     note: str = ""
-    reduced_values: float = 0.0
+    values: float = 0.0
+    panel_values: float = 0.0
 
 
 class Counter:
@@ -53,7 +54,7 @@ class Counter:
         self._problem = problem
         self._options = options.asdict()
         self._pattern = pattern
-        self._reduced: dict[str, FactorCount] = {}
+        self._reduced: dict[str, Counted] = {}
 
     def dense(self) -> Counted:
         """Return S without regard to its zeros."""
@@ -69,9 +70,14 @@ class Counter:
         reduced = self._pattern.reduced
         if ordering not in self._reduced:
             order = _core.order_blocks(*reduced, ordering)
-            self._reduced[ordering] = count_factor(reduced, order)
-        values = self._pattern.num_reduced_values
-        return Counted(reduced.num_columns, reduced.nnz, self._reduced[ordering], "", values)
+            self._reduced[ordering] = Counted(
+                columns=reduced.num_columns,
+                nnz_reduced=reduced.nnz,
+                factor=count_factor(reduced, order),
+                values=self._pattern.num_reduced_values,
+                panel_values=_core.panel_values(*reduced, order),
+            )
+        return self._reduced[ordering]
 
     def whole(self) -> Counted:
         """Return the information matrix of all unknowns."""

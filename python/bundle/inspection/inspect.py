@@ -230,16 +230,12 @@ class _Inspector:
 
     def _predict(self, method: Method, counted: Counted | None) -> tuple[Terms, Terms]:
         pattern, kind = self._pattern, method.linear_solver_type
-        count = counted.factor if counted else None
-        nnz = float(count.nnz) if count else 0.0
-        if method.backend != "CERES":
-            return (
-                fused_memory(pattern, kind, nnz, self._num_threads),
-                fused_time(pattern, kind, method.preconditioner, count, self._rates),
-            )
-        memory = ceres_memory(pattern, kind, counted)
-        time = ceres_time(pattern, kind, method.preconditioner, counted, self._rates)
-        return memory, time
+        time = ceres_time if method.backend == "CERES" else fused_time
+        if method.backend == "CERES":
+            memory = ceres_memory(pattern, kind, counted)
+        else:
+            memory = fused_memory(pattern, kind, counted, self._num_threads)
+        return memory, time(pattern, kind, method.preconditioner, counted, self._rates)
 
     def _note(self, method: Method, counted: Counted | None) -> str:
         if counted is None:
@@ -260,4 +256,4 @@ class _Inspector:
     def _taken_by_fused(self) -> str:
         """Return the cheapest of the orders that fill_ordering.cpp tries, the first of equals."""
         tried = ("natural", "amd", "metis")
-        return min(tried, key=lambda name: self._counter.sparse(name).factor.flops)
+        return min(tried, key=lambda name: self._counter.sparse(name).factor.cholmod_flops)

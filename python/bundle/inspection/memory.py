@@ -23,7 +23,7 @@ _PROCESS = 1.4e6
 # OpenBLAS packs slices of 384 columns of a matrix, as wide as the matrix.
 _PACKED_COLUMNS = 384
 
-# Zeros that supernodes store besides the entries of L, merged where it pays.
+# Zeros that CHOLMOD's supernodes store besides the entries of L, merged where it pays.
 _SUPERNODE_PADDING = 1.15
 
 # Buffers of chunks that each thread of the fused backend may fill (ordered_sums.h).
@@ -49,9 +49,9 @@ def total(terms: Terms) -> float:
 
 
 def fused_memory(
-    pattern: ProblemPattern, linear_solver_type: str, nnz_factor: float, num_threads: int
+    pattern: ProblemPattern, linear_solver_type: str, counted: Counted | None, num_threads: int
 ) -> Terms:
-    """Return what a solve by the fused backend takes."""
+    """Return what a solve by the fused backend takes; ``counted`` is what it factorises."""
     plan = pattern.plan
     buffer = plan.largest_chunk_blocks * plan.block_doubles * DOUBLE
     terms = {
@@ -67,15 +67,15 @@ def fused_memory(
         "buffers of chunks": _CHUNK_BUFFERS * num_threads * float(buffer),
         "process": _PROCESS,
     }
-    columns = pattern.num_camera_columns
-    if linear_solver_type == "DENSE_SCHUR":
-        terms["reduced system"] = DOUBLE * float(columns) ** 2
-        terms["BLAS"] = DOUBLE * float(_PACKED_COLUMNS) * columns
-    elif linear_solver_type == "SPARSE_SCHUR":
-        terms["reduced system"] = DOUBLE * _SUPERNODE_PADDING * nnz_factor
-        terms["BLAS"] = DOUBLE * float(_PACKED_COLUMNS) * min(columns, _mean(nnz_factor, columns))
-    else:
+    if counted is None:
         terms["reduced system"] = DOUBLE * pattern.num_reduced_values
+    elif linear_solver_type == "DENSE_SCHUR":
+        terms["reduced system"] = DOUBLE * counted.values
+        terms["BLAS"] = DOUBLE * float(_PACKED_COLUMNS) * counted.columns
+    else:
+        # S becomes its factor where it is.
+        terms["reduced system"] = DOUBLE * counted.panel_values
+        terms["BLAS"] = DOUBLE * float(_PACKED_COLUMNS) * max(counted.factor.profile)
     return terms
 
 
@@ -98,13 +98,9 @@ def ceres_memory(
         terms["reduced system"] = DOUBLE * float(counted.columns) ** 2
         terms["BLAS"] = DOUBLE * float(_PACKED_COLUMNS) * counted.columns
     elif linear_solver_type == "SPARSE_SCHUR":
-        terms["reduced system"] = DOUBLE * _CERES_REDUCED_COPIES * counted.reduced_values
+        terms["reduced system"] = DOUBLE * _CERES_REDUCED_COPIES * counted.values
         terms["factor"] = DOUBLE * _SUPERNODE_PADDING * counted.factor.nnz
     else:
         terms["J^T J"] = DOUBLE * _CERES_NORMAL_COPIES * pattern.nnz_information / 2
         terms["factor"] = float(DOUBLE * counted.factor.nnz)
     return terms
-
-
-def _mean(nnz_factor: float, columns: int) -> float:
-    return nnz_factor / max(columns, 1)

@@ -41,15 +41,17 @@ def fused_time(
     pattern: ProblemPattern,
     linear_solver_type: str,
     preconditioner: str,
-    count: FactorCount | None,
+    counted: Counted | None,
     rates: Rates,
 ) -> Terms:
-    """Return what a step by the fused backend takes; ``count`` is None without a factor."""
+    """Return what a step by the fused backend takes; ``counted`` is what it factorises."""
     plan = pattern.plan
     block = plan.block_doubles / _BLOCK_DOUBLES
-    values = pattern.num_reduced_values
-    if linear_solver_type == "DENSE_SCHUR":
-        values = float(pattern.num_camera_columns) ** 2
+    is_dense = linear_solver_type == "DENSE_SCHUR"
+    if counted is None:
+        values = pattern.num_reduced_values
+    else:
+        values = counted.values if is_dense else counted.panel_values
     terms = {
         "observations": rates.fused_observation * math.sqrt(block) * plan.num_observations,
         "pairs of observations": rates.fused_pair * block * plan.num_pairs,
@@ -58,10 +60,9 @@ def fused_time(
     if 8 * values > _CACHED_BYTES:
         terms["adding to S"] = rates.fused_scattered_pair * block * plan.num_chunk_pairs
         terms["adding to S"] += 8 * values / rates.reduced_bytes_per_second  # zeros, to begin with
-    if count is not None:
-        is_dense = linear_solver_type == "DENSE_SCHUR"
-        rate = factor_rate(rates, is_dense, pattern.num_camera_columns, count)
-        terms["factorisation"] = rate.seconds(count.flops, count.nnz)
+    if counted is not None:
+        rate = factor_rate(rates, is_dense, counted.columns, counted.factor)
+        terms["factorisation"] = rate.seconds(counted.factor.flops, counted.factor.nnz)
     else:
         products = _products(preconditioner)
         terms["conjugate gradients"] = products * 8 * values / rates.reduced_bytes_per_second
@@ -97,7 +98,7 @@ def ceres_time(
         terms["conjugate gradients"] = rates.ceres_product * width * products
         return terms
     if linear_solver_type == "SPARSE_SCHUR":
-        terms["reduced system"] = rates.ceres_reduced_value * counted.reduced_values
+        terms["reduced system"] = rates.ceres_reduced_value * counted.values
     is_dense = linear_solver_type == "DENSE_SCHUR"
     rate = factor_rate(rates, is_dense, counted.columns, counted.factor)
     terms["factorisation"] = rate.seconds(counted.factor.flops, counted.factor.nnz)

@@ -9,7 +9,6 @@
 Matplotlib is an optional extra, ``pip install 'bundle[pictures]'``.
 """
 
-from bundle.pictures.block_pattern import BlockPattern
 from bundle.pictures.charts import (
     draw_breakdown,
     draw_column_counts,
@@ -19,10 +18,11 @@ from bundle.pictures.charts import (
 )
 from bundle.pictures.covisibility import draw_covisibility
 from bundle.pictures.figure import figure
+from bundle.pictures.matrix_pattern import MatrixPattern
 from bundle.pictures.spy import draw_orderings, spy, spy_factor
 
 __all__ = [
-    "BlockPattern",
+    "MatrixPattern",
     "draw_breakdown",
     "draw_column_counts",
     "draw_cost_against_time",

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.pictures.block_pattern import BlockPattern
 from bundle.pictures.factor_columns import factor_columns
+from bundle.pictures.matrix_pattern import MatrixPattern
 
 __all__ = ["FILL_COLOUR", "Density", "factor_density", "matrix_density"]
 
@@ -68,7 +68,7 @@ class Density:
 
 
 def matrix_density(
-    pattern: BlockPattern, order: ArrayLike | None = None, pixels: int = 400
+    pattern: MatrixPattern, order: ArrayLike | None = None, pixels: int = 400
 ) -> Density:
     """Return the density of a symmetric matrix, both triangles, its blocks in the order given."""
     grid = _Grid(pattern.permuted(order), pixels)
@@ -78,7 +78,7 @@ def matrix_density(
 
 
 def factor_density(
-    pattern: BlockPattern, order: ArrayLike | None = None, pixels: int = 400
+    pattern: MatrixPattern, order: ArrayLike | None = None, pixels: int = 400
 ) -> Density:
     """Return the density of the Cholesky factor of a matrix with its blocks in the order given.
 
@@ -98,7 +98,7 @@ def factor_density(
 class _Grid:
     """Pixels over a lower triangle of blocks: counts how many cells of a block each one has."""
 
-    def __init__(self, pattern: BlockPattern, pixels: int) -> None:
+    def __init__(self, pattern: MatrixPattern, pixels: int) -> None:
         self.pattern = pattern
         self.num_unknowns = pattern.num_unknowns
         self.pixels = min(pixels, self.num_unknowns)

@@ -13,12 +13,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.pictures.block_pattern import BlockPattern
+from bundle.pictures.matrix_pattern import MatrixPattern
 
 __all__ = ["factor_columns"]
 
 
-def factor_columns(pattern: BlockPattern) -> Iterator[NDArray[np.int32]]:
+def factor_columns(pattern: MatrixPattern) -> Iterator[NDArray[np.int32]]:
     """Yield the block rows of each column of L, ascending, the diagonal first."""
     begin, rows = pattern.column_begin, pattern.rows.astype(np.int32)
     waiting: dict[int, list[NDArray[np.int32]]] = {}

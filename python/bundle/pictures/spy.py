@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from bundle.pictures.block_pattern import BlockPattern
 from bundle.pictures.density import Density, factor_density, matrix_density
 from bundle.pictures.figure import figure
+from bundle.pictures.matrix_pattern import MatrixPattern
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ __all__ = ["draw_orderings", "spy", "spy_factor"]
 
 def spy(
     ax: Axes,
-    pattern: BlockPattern | tuple[ArrayLike, ArrayLike, ArrayLike],
+    pattern: MatrixPattern | tuple[ArrayLike, ArrayLike, ArrayLike],
     order: ArrayLike | None = None,
     *,
     title: str = "",
@@ -38,14 +38,14 @@ def spy(
     Raises:
         InputError: pattern or order are none.
     """
-    density = matrix_density(BlockPattern.of(pattern), order, pixels)
+    density = matrix_density(MatrixPattern.of(pattern), order, pixels)
     _draw(ax, density, title)
     ax.set_xlabel(f"{density.num_nonzeros:,} nonzeros, both triangles and diagonal", fontsize=8)
 
 
 def spy_factor(
     ax: Axes,
-    pattern: BlockPattern | tuple[ArrayLike, ArrayLike, ArrayLike],
+    pattern: MatrixPattern | tuple[ArrayLike, ArrayLike, ArrayLike],
     order: ArrayLike | None = None,
     *,
     title: str = "",
@@ -55,13 +55,13 @@ def spy_factor(
 
     Arguments and errors are those of ``spy``.
     """
-    density = factor_density(BlockPattern.of(pattern), order, pixels)
+    density = factor_density(MatrixPattern.of(pattern), order, pixels)
     _draw(ax, density, title)
     ax.set_xlabel(f"{density.num_nonzeros:,} nonzeros, lower triangle and diagonal", fontsize=8)
 
 
 def draw_orderings(
-    pattern: BlockPattern | tuple[ArrayLike, ArrayLike, ArrayLike],
+    pattern: MatrixPattern | tuple[ArrayLike, ArrayLike, ArrayLike],
     orders: Mapping[str, ArrayLike | None],
     *,
     name: str = "S",

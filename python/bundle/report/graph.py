@@ -32,7 +32,9 @@ def inspected(path: str, graph: GraphInspection) -> list[RenderableType]:
             ("eliminated", "neighbours", "fill", "flops", "fill so far", "so far"),
             _rows(graph),
             left=3,
-        ),
+        )
+        if graph.steps
+        else "Too many neighbours to record the steps of the elimination.",
         "",
         facts(
             [
@@ -47,8 +49,8 @@ def inspected(path: str, graph: GraphInspection) -> list[RenderableType]:
     ]
 
 
-def as_json(path: str, graph: GraphInspection) -> dict[str, Any]:
-    """Return the report of `bundle inspect --graph` for programs."""
+def as_json(path: str, graph: GraphInspection, wall_time: float) -> dict[str, Any]:
+    """Return the report of `bundle inspect --graph` for programs; wall_time in seconds."""
     return {
         "schema": json.SCHEMA,
         "command": "inspect",
@@ -56,6 +58,7 @@ def as_json(path: str, graph: GraphInspection) -> dict[str, Any]:
         "graph": path,
         **json.plain(dataclasses.asdict(graph)),
         "nonzeros": CONVENTION,
+        "wall_time": {"total": wall_time},
     }
 
 

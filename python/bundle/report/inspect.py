@@ -47,11 +47,16 @@ def inspected(path: str, problem: Problem, inspection: Inspection) -> list[Rende
 
 
 def as_json(
-    path: str, problem: Problem, inspection: Inspection, wall_time: float
+    path: str,
+    problem: Problem,
+    inspection: Inspection,
+    options: dict[str, Any],
+    wall_time: float,
 ) -> dict[str, Any]:
     """Return the report of `bundle inspect` for programs; wall_time in seconds."""
     return {
         **json.heading("inspect", path, problem),
+        "options": json.plain(options),
         **json.plain(dataclasses.asdict(inspection)),
         "nonzeros": CONVENTION,
         "wall_time": {"total": wall_time},

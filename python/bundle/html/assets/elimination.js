@@ -122,13 +122,13 @@
   function story(last) {
     const name = data.names[last.variable];
     if (last.neighbours.length === 0) {
-      return `${name} is eliminated; nothing is left that it meets. No fill, no flops.`;
+      return `Eliminating ${name} costs nothing: no other is left that it meets.`;
     }
     const made = last.fill.map((ends) => ends.map((end) => data.names[end]).join("-"));
     let news = `which makes ${plural(made.length, "fill edge")}: ${made.join(", ")}.`;
     if (last.neighbours.length === 1) news = "and nothing else: no fill.";
     else if (made.length === 0) news = "which all meet each other already: no fill.";
-    return `${name} is eliminated for ${plural(last.flops, "flop")}; ` +
+    return `Eliminating ${name} costs ${plural(last.flops, "flop")}: ` +
       `it meets ${list(last.neighbours)}, ${news}`;
   }
 

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle.errors import InputError
 
-__all__ = ["BlockPattern"]
+__all__ = ["MatrixPattern"]
 
 
 @dataclass(frozen=True, eq=False)
-class BlockPattern:
+class MatrixPattern:
     """The lower triangle of a symmetric pattern by block columns, as the core hands it out.
 
     Attributes:
@@ -77,7 +77,7 @@ class BlockPattern:
         each = self.sizes[self.rows] * self.sizes[self.columns]
         return int((each * np.where(self.rows == self.columns, 1, 2)).sum())
 
-    def permuted(self, order: ArrayLike | None) -> BlockPattern:
+    def permuted(self, order: ArrayLike | None) -> MatrixPattern:
         """Return the pattern with block ``order[k]`` in place k."""
         if order is None:
             return self
@@ -93,9 +93,9 @@ class BlockPattern:
         low, high = np.minimum(row, column), np.maximum(row, column)
         by_column = np.lexsort((high, low))
         begin = np.searchsorted(low[by_column], np.arange(self.num_blocks + 1))
-        return BlockPattern(self.sizes[wanted], begin, high[by_column])
+        return MatrixPattern(self.sizes[wanted], begin, high[by_column])
 
     @classmethod
-    def of(cls, triple: Any) -> BlockPattern:
+    def of(cls, triple: Any) -> MatrixPattern:
         """Return a pattern from (sizes, column_begin, rows), itself where it is one already."""
-        return triple if isinstance(triple, BlockPattern) else cls(*triple)
+        return triple if isinstance(triple, MatrixPattern) else cls(*triple)
