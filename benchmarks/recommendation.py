@@ -55,8 +55,8 @@ SHAPES: dict[str, dict[str, Any]] = {
     "orbit-300-individual": {
         "scene": "orbit", "num_images": 300, "num_points": 20_000, "cameras": "individual",
     },
-    "orbit-800": {
-        "scene": "orbit", "num_images": 800, "num_points": 40_000, "mean_track_length": 10.0,
+    "orbit-500": {
+        "scene": "orbit", "num_images": 500, "num_points": 20_000, "mean_track_length": 10.0,
     },
     "photo-collection-60": {"scene": "photo_collection", "num_images": 60, "num_points": 8000},
     "photo-collection-250-long": {

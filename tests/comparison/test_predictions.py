@@ -89,6 +89,8 @@ def test_least_predicted_time_that_fits_is_foreseen():
     }
     assert foresee(PROBLEM, OPTIONS, methods, predictions) == DENSE
     assert foresee(PROBLEM, OPTIONS, (SPARSE, CERES), predictions) == CERES
+    predictions[DENSE] = prediction(time_per_step_in_seconds=2.0, memory_in_bytes=9e6)
+    assert foresee(PROBLEM, OPTIONS, methods, predictions, 8_500_000) == CERES
 
 
 def test_without_predictions_auto_is_asked():

@@ -131,6 +131,7 @@ def test_time_to_a_gap_counts_accepted_states_and_what_is_built_before():
     assert compared.time_to_gap(run, 1e-5) == 2.25
     assert math.isnan(compared.time_to_gap(compared.runs[1], 1e-2))
     assert math.isnan(compared.gap(compared.runs[1]))
+    assert run.measurement.num_steps == 3
     breakdown = run.measurement.breakdown
     assert breakdown == {
         "residuals": 0.0625, "Jacobians": 0.125, "linear solver": 0.25, "rest": 2.25 - 0.4375,

@@ -20,16 +20,18 @@ def foresee(
     options: SolveOptions,
     methods: Sequence[Method],
     predictions: Mapping[Method, Prediction],
+    memory_cap: int = 0,
 ) -> Method | None:
     """Return which of the methods will be the fastest, by all that is known without solving.
 
-    Where times are predicted, the least of those that fit into memory; otherwise what ``auto``
-    takes, with the most threads; None if that is not among the methods.
+    Where times are predicted, the least of those that fit into memory and under the cap (bytes
+    beyond the problem, 0 for none); otherwise what ``auto`` takes, with the most threads; None if
+    that is not among the methods.
     """
     times = {
         method: predictions[method].time_per_step_in_seconds
         for method in methods
-        if method in predictions and predictions[method].fits_in_memory
+        if method in predictions and _fits(predictions[method], memory_cap)
     }
     times = {method: time for method, time in times.items() if math.isfinite(time)}
     if times:
@@ -37,6 +39,11 @@ def foresee(
     most = max(method.num_threads for method in methods)
     taken = taken_by_auto(problem, options, most)
     return taken if taken in methods else None
+
+
+def _fits(prediction: Prediction, memory_cap: int) -> bool:
+    within = not memory_cap or prediction.memory_in_bytes <= memory_cap
+    return prediction.fits_in_memory and within
 
 
 def taken_by_auto(problem: Problem, options: SolveOptions, num_threads: int) -> Method | None:
@@ -56,6 +63,8 @@ def taken_by_auto(problem: Problem, options: SolveOptions, num_threads: int) -> 
         summary = solve(problem, asked).summary
     except (InputError, MemoryError):
         return None
+    if summary.interrupted:  # a solve takes Ctrl-C for itself
+        raise KeyboardInterrupt
     return Method(
         backend=summary.backend_used.lower(),
         linear_solver_type=summary.linear_solver_type_used.lower(),

@@ -100,8 +100,8 @@ class Measurement:
 
     @property
     def num_steps(self) -> int:
-        """Return the number of steps tried, accepted or not."""
-        return self.summary.num_successful_steps + self.summary.num_unsuccessful_steps
+        """Return the number of steps tried, accepted or not; the start is none."""
+        return len(self.iterations["iteration"]) - 1
 
     @property
     def time_per_step_in_seconds(self) -> float:

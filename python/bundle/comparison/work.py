@@ -18,6 +18,7 @@ from bundle.comparison.method import Method
 from bundle.comparison.predictions import predict
 from bundle.comparison.process import WorkerEnd, run_worker
 from bundle.comparison.result import ComparedProblem, Measurement, Prediction, Run
+from bundle.comparison.sizes import format_size
 from bundle.errors import InputError, shown
 from bundle.io import load
 from bundle.options import SolveOptions
@@ -113,7 +114,9 @@ class Work:
     def _predict(self, index: int) -> None:
         problem = hand_over.restore(self.folder / str(index), mmap_mode="r")
         self.predictions.append(predict(problem, self.options, self.methods))
-        self.foreseen.append(foresee(problem, self.options, self.methods, self.predictions[index]))
+        self.foreseen.append(
+            foresee(problem, self.options, self.methods, self.predictions[index], self.memory_cap)
+        )
 
     def _is_settled(self, index: int, method: Method) -> bool:
         """Whether a run would say nothing new: it failed, or it takes long."""
@@ -149,6 +152,8 @@ def _run(
         outcome, message = "not_run", "the comparison was interrupted before"
     elif bad is not None:
         outcome, message, unfinished = bad.outcome, bad.message, _columns(bad.iterations)
+        if outcome == "out_of_memory" and prediction is not None:
+            message += f"; predicted: {format_size(prediction.memory_in_bytes)}"
     elif not all(one.summary.is_solution_usable for one in measurements):
         outcome, message = "failed", measurements[0].summary.message
     return Run(

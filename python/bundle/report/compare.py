@@ -44,8 +44,8 @@ def _conditions(comparison: Comparison) -> RenderableType:
     ]
     if cap:
         words.append(f"at most {format_size(cap)} beyond the loaded problem")
-    words.append(f"{seconds(comparison.wall_time_in_seconds)} s in all")
-    return facts([("each method", ", ".join(words))])
+    took = f"{seconds(comparison.wall_time_in_seconds)} s"
+    return facts([("each method", ", ".join(words)), ("all of it took", took)])
 
 
 def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> list[RenderableType]:
