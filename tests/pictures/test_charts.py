@@ -15,6 +15,7 @@ import bundle
 from bundle import pictures
 from bundle.pictures.series import cost_curve, labels, profile_curve, styles
 from tests.pictures.comparisons import METHODS, comparison
+from tests.scenes import make_problem
 
 
 def axis():
@@ -135,6 +136,20 @@ def test_figures_are_written_as_png_and_svg(tmp_path: Path):
     orange = np.abs(picture.astype(int) - (15, 72, 217)).max(2) < 20  # blue, green, red
     assert orange.any()
     assert ElementTree.parse(tmp_path / "orders.svg").getroot().tag.endswith("svg")
+
+
+def test_orders_are_found_by_their_names():
+    problem = make_problem(num_images=6, num_points=40, track=2, seed=3)
+    options = bundle.SolveOptions(gauge="none")
+    reduced = pictures.reduced_pattern(problem, options)
+    made = pictures.draw_orderings(reduced, ["natural", "amd"])
+    assert [ax.get_title() for ax in made.axes] == ["S, natural", "S, amd", "L, natural", "L, amd"]
+    whole = pictures.information_pattern(problem, options)
+    assert whole.sizes.tolist() == [3] * 40 + [8] * 6
+    # A point of two images: its own block, two with its images, both triangles.
+    assert whole.num_nonzeros == 40 * (9 + 2 * 2 * 24) + 6 * 64
+    with pytest.raises(bundle.InputError, match="ordering"):
+        pictures.order_blocks(reduced, "best")
 
 
 def test_empty_matrix_is_drawn_empty(tmp_path: Path):

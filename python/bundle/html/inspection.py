@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from bundle import _core
 from bundle.html.charts import bars
 from bundle.html.elimination import MOST_VARIABLES, elimination_data, elimination_section
 from bundle.html.graph import column_counts, write_graph
@@ -19,13 +18,16 @@ from bundle.html.table import Notes, convention, table
 from bundle.inspection import GraphInspection, Inspection, MethodInspection, inspect_graph
 from bundle.options import SolveOptions
 from bundle.pictures.covisibility import covisibility_graph
-from bundle.pictures.matrix_pattern import MatrixPattern
+from bundle.pictures.problem_patterns import (
+    ORDERINGS,
+    information_pattern,
+    order_blocks,
+    reduced_pattern,
+)
 from bundle.problem import Problem
-from bundle.solver import resolve_defaults
 
 __all__ = ["write_inspection"]
 
-ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
 STEPPED = ("natural", "minimum_degree")
 MOST_EDGES = 1500
 
@@ -96,7 +98,7 @@ def _write_problem(
             for ordering in STEPPED
             if edges
         ]
-        sections += _matrices(problem, resolve_defaults(problem, options))
+        sections += _matrices(problem, options)
         sections += [
             tag("h2", "Co-visibility"),
             tag("p", "Images where they stand; the darker an edge, the more points its images "
@@ -198,10 +200,8 @@ def _costs(inspection: Inspection) -> str:
 
 def _matrices(problem: Problem, options: SolveOptions) -> list[str]:
     """Return the sections of S and L under each order, and of the arrowhead."""
-    given = options.asdict()
-    triple = _core.reduced_pattern(problem, given)
-    reduced = MatrixPattern.of(triple)
-    arrowhead = MatrixPattern.of(_core.full_pattern(problem, given))
+    reduced = reduced_pattern(problem, options)
+    arrowhead = information_pattern(problem, options)
     words = (
         "The darker a pixel, the more of its cells are nonzero, on a log scale: a lone nonzero is "
         "still visible. Fill is orange."
@@ -209,7 +209,7 @@ def _matrices(problem: Problem, options: SolveOptions) -> list[str]:
     first = tag("div", matrix(arrowhead, "information matrix, points first"), class_="grid spies")
     if reduced.num_blocks == 0:
         return [tag("h2", "The information matrix"), first]
-    orders = {name: _core.order_blocks(*triple, name) for name in ORDERINGS}
+    orders = {name: order_blocks(reduced, name) for name in ORDERINGS}
     return [
         tag("h2", "S and its factor under each order"),
         tag("p", words, class_="quiet"),

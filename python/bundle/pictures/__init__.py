@@ -19,9 +19,16 @@ from bundle.pictures.charts import (
 from bundle.pictures.covisibility import draw_covisibility
 from bundle.pictures.figure import figure
 from bundle.pictures.matrix_pattern import MatrixPattern
+from bundle.pictures.problem_patterns import (
+    ORDERINGS,
+    information_pattern,
+    order_blocks,
+    reduced_pattern,
+)
 from bundle.pictures.spy import draw_orderings, spy, spy_factor
 
 __all__ = [
+    "ORDERINGS",
     "MatrixPattern",
     "draw_breakdown",
     "draw_column_counts",
@@ -31,6 +38,9 @@ __all__ = [
     "draw_orderings",
     "draw_performance_profile",
     "figure",
+    "information_pattern",
+    "order_blocks",
+    "reduced_pattern",
     "spy",
     "spy_factor",
 ]

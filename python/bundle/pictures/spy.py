@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from bundle.pictures.density import Density, factor_density, matrix_density
 from bundle.pictures.figure import figure
 from bundle.pictures.matrix_pattern import MatrixPattern
+from bundle.pictures.problem_patterns import ORDERINGS, order_blocks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,12 +63,25 @@ def spy_factor(
 
 def draw_orderings(
     pattern: MatrixPattern | tuple[ArrayLike, ArrayLike, ArrayLike],
-    orders: Mapping[str, ArrayLike | None],
+    orders: Mapping[str, ArrayLike | None] | Sequence[str] = ORDERINGS,
     *,
     name: str = "S",
     pixels: int = 400,
 ) -> Figure:
-    """Return a figure with a matrix above its factor, a column for each order."""
+    """Return a figure with a matrix above its factor, a column for each order.
+
+    Args:
+        pattern: of the matrix, or (sizes, column_begin, rows) of its lower block triangle.
+        orders: names of orderings, or the blocks of each in order under the name to show.
+        name: of the matrix.
+        pixels: of each picture's side.
+
+    Raises:
+        InputError: pattern or order are none, or Matplotlib is not installed.
+    """
+    pattern = MatrixPattern.of(pattern)
+    if not isinstance(orders, Mapping):
+        orders = {ordering: order_blocks(pattern, ordering) for ordering in orders}
     made, axes = figure(2, max(len(orders), 1), width=3.4, height=3.6)
     for column, (label, order) in enumerate(orders.items()):
         spy(axes[0, column], pattern, order, title=f"{name}, {label}", pixels=pixels)
