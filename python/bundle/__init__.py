@@ -17,11 +17,18 @@ from bundle.summary import Summary
 
 if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
-    from bundle.inspection import Inspection, MethodInspection, inspect
+    from bundle.inspection import (
+        GraphInspection,
+        Inspection,
+        MethodInspection,
+        inspect,
+        inspect_graph,
+    )
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
     "GradientReport",
+    "GraphInspection",
     "InputError",
     "Inspection",
     "MethodInspection",
@@ -38,6 +45,7 @@ __all__ = [
     "check_jacobians",
     "get_include",
     "inspect",
+    "inspect_graph",
     "load",
     "project",
     "save",
@@ -56,7 +64,13 @@ def __getattr__(name: str) -> Any:
         from bundle import checking
 
         return getattr(checking, name)
-    if name in ("Inspection", "MethodInspection", "inspect"):
+    if name in (
+        "GraphInspection",
+        "Inspection",
+        "MethodInspection",
+        "inspect",
+        "inspect_graph",
+    ):
         from bundle import inspection
 
         return getattr(inspection, name)

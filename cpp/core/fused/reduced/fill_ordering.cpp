@@ -10,18 +10,6 @@
 namespace bundle::fused {
 namespace {
 
-std::vector<int> BlockSizes(const ReducedStructure& structure) {
-  std::vector<int> sizes(structure.num_blocks());
-  for (int j = 0; j < structure.num_blocks(); ++j) sizes[j] = structure.block_size(j);
-  return sizes;
-}
-
-/// `sizes` must outlive the view.
-BlockPatternView PatternOf(const ReducedStructure& structure, const std::vector<int>& sizes) {
-  return {structure.num_blocks(), sizes.data(), structure.column_begin.data(),
-          structure.row_block.data()};
-}
-
 FillOrdering Analyze(const BlockPatternView& pattern, const std::string& name,
                      const std::vector<int>& order) {
   const FactorCounts counts = CountFactor(pattern, order);
@@ -36,15 +24,11 @@ FillOrdering Analyze(const BlockPatternView& pattern, const std::string& name,
 
 }  // namespace
 
-FillOrdering AnalyzeOrdering(const ReducedStructure& structure, const std::string& name,
-                             const std::vector<int>& order) {
-  const std::vector<int> sizes = BlockSizes(structure);
-  return Analyze(PatternOf(structure, sizes), name, order);
-}
-
 FillOrdering FindFillOrdering(const ReducedStructure& structure) {
-  const std::vector<int> sizes = BlockSizes(structure);
-  const BlockPatternView pattern = PatternOf(structure, sizes);
+  std::vector<int> sizes(structure.num_blocks());
+  for (int j = 0; j < structure.num_blocks(); ++j) sizes[j] = structure.block_size(j);
+  const BlockPatternView pattern{structure.num_blocks(), sizes.data(),
+                                 structure.column_begin.data(), structure.row_block.data()};
   FillOrdering best = Analyze(pattern, "natural", FindOrder(pattern, OrderingMethod::kNatural));
   if (structure.num_blocks() < 3) return best;
 

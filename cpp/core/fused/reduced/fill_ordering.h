@@ -15,10 +15,6 @@ struct FillOrdering {
   double flops = 0;        ///< multiplications and additions; n^3 / 3 where S fills up
 };
 
-/// The costs of the factor under one order, which is postordered.
-FillOrdering AnalyzeOrdering(const ReducedStructure& structure, const std::string& name,
-                             const std::vector<int>& order);
-
 /// The cheapest of the natural order, AMD's and METIS'.
 FillOrdering FindFillOrdering(const ReducedStructure& structure);
 
