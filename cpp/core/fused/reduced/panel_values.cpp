@@ -2,9 +2,9 @@
 
 #include <cstdint>
 
-#include "core/fused/reduced/fill_ordering.h"
 #include "core/fused/reduced/reduced_system.h"
 #include "core/fused/reduced/supernodes.h"
+#include "core/symbolic/factor_counts.h"
 
 namespace bundle::fused {
 
@@ -16,8 +16,11 @@ double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>&
   }
   const std::vector<int> sizes(pattern.size, pattern.size + pattern.num_blocks);
   const ReducedStructure structure = SparseStructure(sizes, columns);
-  const FillOrdering postordered = AnalyzeOrdering(structure, "", order);
-  const Supernodes supernodes = FindSupernodes(Reorder(structure, postordered.order));
+  std::vector<int> postordered;
+  for (const int position : CountFactor(pattern, order).postorder) {
+    postordered.push_back(order[position]);
+  }
+  const Supernodes supernodes = FindSupernodes(Reorder(structure, postordered));
   return static_cast<double>(supernodes.values_begin.back());
 }
 
