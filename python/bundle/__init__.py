@@ -71,8 +71,13 @@ def __getattr__(name: str) -> Any:
         from bundle import checking
 
         return getattr(checking, name)
-    inspections = ("GraphInspection", "Inspection", "MethodInspection", "inspect", "inspect_graph")
-    if name in inspections:
+    if name in (
+        "GraphInspection",
+        "Inspection",
+        "MethodInspection",
+        "inspect",
+        "inspect_graph",
+    ):
         from bundle import inspection
 
         return getattr(inspection, name)

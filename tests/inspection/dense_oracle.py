@@ -49,7 +49,7 @@ def scalar_order(order, sizes):
 
 def visible(problem: bundle.Problem, seen) -> bundle.Problem:
     """The problem with the observations (image, point) of a list only."""
-    wanted = {pair: None for pair in seen}
+    wanted = set(seen)
     pairs = zip(problem.observation_image, problem.observation_point, strict=True)
     keep = np.array([(int(i), int(p)) in wanted for i, p in pairs])
     return problem.replace(

@@ -51,9 +51,7 @@ def test_dense_counts_the_pairs_that_do_not_meet(small):
 def test_whole_problem(small):
     counted = counter_of(small).whole()
     matrix = information(small)
-    full = _core.full_pattern(
-        small, resolve_defaults(small, SolveOptions(gauge="none")).asdict()
-    )
+    full = _core.full_pattern(small, resolve_defaults(small, SolveOptions(gauge="none")).asdict())
     order = _core.order_blocks(*full, "amd")
     factor = factor_pattern(matrix, scalar_order(order, full[0]))
     assert (counted.columns, counted.nnz_reduced, counted.note) == (114, 0, "")

@@ -44,6 +44,7 @@ class FusedSolve {
     times_.minimizer = minimizer.seconds();
 
     const Stopwatch postprocessor;
+    schur_->FreeSystem();
     SolveOutput output;
     CollectState(&output);
     times_.postprocessor = postprocessor.seconds();

@@ -153,6 +153,8 @@ def _eliminate(arguments: argparse.Namespace) -> GraphInspection:
     from bundle.errors import InputError, shown
     from bundle.inspection import inspect_graph, load_graph
 
+    if arguments.block_size is not None and arguments.block_size < 1:
+        raise InputError(f"--block-size: expected at least 1, found {arguments.block_size}")
     graph = load_graph(arguments.graph)
     landmarks = graph.landmarks
     if arguments.landmarks is not None:
@@ -169,5 +171,5 @@ def _eliminate(arguments: argparse.Namespace) -> GraphInspection:
         names=graph.names,
         ordering=arguments.ordering or "natural",
         landmarks=landmarks,
-        block_size=arguments.block_size or 1,
+        block_size=1 if arguments.block_size is None else arguments.block_size,
     )

@@ -17,8 +17,8 @@ Terms = dict[str, float]
 
 DOUBLE = 8
 
-# Pages of libraries that run for the first time, and the heap's own.
-_PROCESS = 1.4e6
+# Pages of libraries that run for the first time, and the heap's own; BLAS and LAPACK among them.
+_PROCESS, _BLAS_PAGES = 0.9e6, 0.5e6
 
 # OpenBLAS packs slices of 384 columns of a matrix, as wide as the matrix.
 _PACKED_COLUMNS = 384
@@ -71,11 +71,12 @@ def fused_memory(
         terms["reduced system"] = DOUBLE * pattern.num_reduced_values
     elif linear_solver_type == "DENSE_SCHUR":
         terms["reduced system"] = DOUBLE * counted.values
-        terms["BLAS"] = DOUBLE * float(_PACKED_COLUMNS) * counted.columns
+        terms["BLAS"] = _BLAS_PAGES + DOUBLE * float(_PACKED_COLUMNS) * counted.columns
     else:
         # S becomes its factor where it is.
         terms["reduced system"] = DOUBLE * counted.panel_values
-        terms["BLAS"] = DOUBLE * float(_PACKED_COLUMNS) * max(counted.factor.profile)
+        widest = max(counted.factor.profile, default=0)
+        terms["BLAS"] = _BLAS_PAGES + DOUBLE * float(_PACKED_COLUMNS) * widest
     return terms
 
 
@@ -87,7 +88,7 @@ def ceres_memory(
         "observations": _CERES_OBSERVATION * pattern.num_observations,
         "points": _CERES_POINT * pattern.num_free_points,
         "Jacobian": float(DOUBLE * pattern.nnz_jacobian),
-        "process": _PROCESS,
+        "process": _PROCESS + _BLAS_PAGES,
     }
     if counted is None:
         terms["implicit products"] = (

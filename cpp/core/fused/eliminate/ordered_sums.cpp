@@ -41,13 +41,16 @@ OrderedSums::OrderedSums(const Terms& terms, const ReducedStructure& structure,
 
 void OrderedSums::Clear(ThreadPool* pool) {
   std::vector<double>& values = sums_.system.values;
-  ReserveHugePages(structure_.num_values, &values);
-  values.resize(structure_.num_values);
-  pool->Run([&](int thread) {
-    const int64_t size = structure_.num_values, threads = pool->num_threads();
-    std::fill(values.data() + size * thread / threads,
-              values.data() + size * (thread + 1) / threads, 0.0);
-  });
+  if (values.empty()) {
+    ReserveHugePages(structure_.num_values, &values);
+    values.resize(structure_.num_values);
+  } else {
+    pool->Run([&](int thread) {
+      const int64_t size = structure_.num_values, threads = pool->num_threads();
+      std::fill(values.data() + size * thread / threads,
+                values.data() + size * (thread + 1) / threads, 0.0);
+    });
+  }
   const auto n = static_cast<size_t>(structure_.num_columns());
   sums_.system.rhs.assign(n, 0.0);
   sums_.gradient.assign(n, 0.0);
@@ -58,6 +61,8 @@ void OrderedSums::Clear(ThreadPool* pool) {
   for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
   num_added_.store(0, std::memory_order_relaxed);
 }
+
+void OrderedSums::FreeSystem() { std::vector<double>().swap(sums_.system.values); }
 
 ChunkSum& OrderedSums::Begin(int chunk, int thread) {
   Waiting& waiting = waiting_[thread];

@@ -32,6 +32,9 @@ class OrderedSums {
 
   CameraSums& sums() { return sums_; }
 
+  /// Frees S, until Clear.
+  void FreeSystem();
+
  private:
   struct Buffer {
     std::vector<double> blocks, vectors, camera_diagonal;

@@ -177,6 +177,8 @@ class SchurProblem::Impl {
     std::swap(state_norm_, candidate_norm_);
   }
 
+  void FreeSystem() { sums_.FreeSystem(); }
+
   double state_norm() const { return state_norm_; }
   int64_t num_observations() const { return plan_.num_observations(); }
   double fixed_cost() const { return fixed_cost_; }
@@ -349,6 +351,7 @@ Candidate SchurProblem::TryNewton() { return impl_->TryNewton(); }
 DirectionProducts SchurProblem::Products() { return impl_->Products(); }
 Candidate SchurProblem::TryCombination(double a, double b) { return impl_->TryCombination(a, b); }
 void SchurProblem::Accept() { impl_->Accept(); }
+void SchurProblem::FreeSystem() { impl_->FreeSystem(); }
 double SchurProblem::StateNorm() const { return impl_->state_norm(); }
 int64_t SchurProblem::num_active_observations() const { return impl_->num_observations(); }
 double SchurProblem::fixed_cost() const { return impl_->fixed_cost(); }

@@ -37,6 +37,9 @@ class SchurProblem final : public LeastSquares {
   /// "avx512".
   const char* instruction_set() const;
 
+  /// Frees S, which can be most of its memory, after the last linearisation.
+  void FreeSystem();
+
   /// Camera side and points (as in ProblemView) at the state.
   const CameraStates& cameras() const;
   std::vector<double> Points() const;

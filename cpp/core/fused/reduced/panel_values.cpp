@@ -17,8 +17,9 @@ double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>&
   const std::vector<int> sizes(pattern.size, pattern.size + pattern.num_blocks);
   const ReducedStructure structure = SparseStructure(sizes, columns);
   std::vector<int> postordered;
-  postordered.reserve(order.size());
-  for (const int k : CountFactor(pattern, order).postorder) postordered.push_back(order[k]);
+  for (const int position : CountFactor(pattern, order).postorder) {
+    postordered.push_back(order[position]);
+  }
   const Supernodes supernodes = FindSupernodes(Reorder(structure, postordered));
   return static_cast<double>(supernodes.values_begin.back());
 }

@@ -3,15 +3,13 @@
 ///
 ///   dense      n^3 / 3 at the rate of dpotrf, and 8 n^2 bytes for the substitutions
 ///   sparse     f at the same rate, and a time for each entry of the factor, which is put together
-///              column by column beside the flops, and for each value of S, which is reordered each
-///              time and analysed once
+///              run by run beside the flops and substituted with
 ///   iterative  8 s bytes from memory for each product with S
 ///
 /// Measured on a server core (AVX-512, OpenBLAS 0.3.21) in processor time: dpotrf of 2000 columns
-/// 37 GFLOP/s; CHOLMOD on streets, photographs of a plane and random couplings of 500 to 3000
-/// cameras, f from 3e8 to 2e11: between 13 and 48 GFLOP/s, within 30 % of f / 40 GFLOP/s + 9 ns l;
-/// its analysis 40 ns a value, spread over ten steps; products with S 8 GB/s. OpenBLAS' threads are
-/// counted where they are used, and bandwidth as that of at most four cores.
+/// 37 GFLOP/s; supernodal_cholesky on bands, grids and random couplings of 33 to 3000 blocks of 9, f
+/// from 2e6 to 3e10: within 30 % of f / 40 GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS'
+/// threads are counted where they are used, and bandwidth as that of at most four cores.
 ///
 /// Conjugate gradients took from 2 to 500 products a step (Ceres' forcing sequence, Schur-Jacobi,
 /// 200 cameras), more towards the end, and their steps gain less than exact ones: 200 are counted.
@@ -31,9 +29,8 @@ namespace {
 constexpr double kFlopsPerSecond = 40e9;  // of a core
 constexpr double kBytesPerSecond = 8e9;   // of a core
 constexpr double kCoresThatFillMemory = 4;
-constexpr double kSecondsPerFactorEntry = 9e-9;
-constexpr double kSecondsPerValue = 6e-9;   // 4 of the analysis, 2 of reordering
-constexpr double kSupernodalPadding = 1.2;  // zeros that supernodes store
+constexpr double kSecondsPerFactorEntry = 7e-9;
+constexpr double kSupernodalPadding = 1.2;  // zeros that panels store, and upper triangles
 constexpr double kProductsPerStep = 200;
 constexpr double kShareOfMemory = 0.7;
 
@@ -71,8 +68,8 @@ ReducedCosts PredictReducedCosts(const ReducedStructure& structure, const FillOr
   costs.sparse.flops = ordering.flops;
   costs.sparse.bytes = 8 * kSupernodalPadding * ordering.entries;
   const double average_column = ordering.flops / std::max(1.0, ordering.entries);
-  costs.sparse.seconds = ordering.flops / rate(average_column) +
-                         kSecondsPerFactorEntry * ordering.entries + kSecondsPerValue * values;
+  costs.sparse.seconds =
+      ordering.flops / rate(average_column) + kSecondsPerFactorEntry * ordering.entries;
 
   costs.iterative.flops = 4 * values * kProductsPerStep;
   costs.iterative.bytes = 8 * values;

@@ -7,7 +7,10 @@
 /// Wide panels are what BLAS 3 is fast with, so some zeros pay. How many, is CHOLMOD's rule
 /// (Chen, Davis, Hager, Rajamanickam: Algorithm 887, 2008) with less patience for them, as memory
 /// is what large systems run out of: a panel takes in the column before it if the zeros in it then
-/// are fewer than 20 % up to 48 columns, 5 % up to 192 and 1 % beyond.
+/// are fewer than 20 % up to 48 columns, 5 % up to 192 and 1 % beyond. Unlike CHOLMOD's, a panel
+/// has a largest width: it stores the upper triangle of its diagonal blocks for nothing, which at
+/// the root of a tree, where thousands of columns have the same rows, would be half of what it
+/// stores.
 
 #include "core/fused/reduced/supernodes.h"
 
@@ -16,6 +19,8 @@
 
 namespace bundle::fused {
 namespace {
+
+constexpr double kWidestPanel = 256;
 
 /// Rows of each block column of L below its diagonal block, ascending.
 std::vector<std::vector<int>> RowsOfFactor(const ReducedStructure& structure) {
@@ -54,6 +59,7 @@ Panel Merged(const Panel& left, const Panel& right) {
 }
 
 bool IsWorthIt(const Panel& panel) {
+  if (panel.columns > kWidestPanel) return false;
   const double entries = panel.columns * (panel.columns + 1) / 2 + panel.columns * panel.below;
   const double share = panel.columns <= 48 ? 0.2 : panel.columns <= 192 ? 0.05 : 0.01;
   return panel.zeros <= share * entries;
