@@ -37,7 +37,12 @@ METHODS = tuple(
     ]
 )
 SPEEDS = (0.11, 0.31, 0.19, 0.4, 0.9, 0.7, 2.5)
-COLUMNS = {"step_is_successful": bool, "cumulative_time_in_seconds": float, "cost": float}
+COLUMNS = {
+    "iteration": int,
+    "step_is_successful": bool,
+    "cumulative_time_in_seconds": float,
+    "cost": float,
+}
 
 
 def iterations(seconds_per_step: float, num_steps: int, best: float) -> dict[str, np.ndarray]:
@@ -45,7 +50,7 @@ def iterations(seconds_per_step: float, num_steps: int, best: float) -> dict[str
     costs = best * (1 + 30 * np.exp(-0.9 * steps))
     costs[3] *= 2  # a rejected step
     accepted = steps != 3
-    rows = (accepted, seconds_per_step * (steps + 0.3), costs)
+    rows = (steps, accepted, seconds_per_step * (steps + 0.3), costs)
     return {
         name: np.array(row, kind) for (name, kind), row in zip(COLUMNS.items(), rows, strict=True)
     }
