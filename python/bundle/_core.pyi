@@ -140,8 +140,9 @@ def check_reprojections(
 ]: ...
 
 # bind_symbolic.cpp
-# A graph of blocks: sizes (num_blocks,), column_begin (num_blocks + 1,), rows: the lower triangle
-# by block columns, ascending, the diagonal first. Orders and counts are by position in the order.
+# A graph of blocks: sizes (num_blocks,), column_begin (num_blocks + 1,) and rows are the lower
+# triangle by block columns, ascending, the diagonal first. An order holds blocks; counts go by
+# position in the order. Options are those of solve.
 def order_blocks(
     sizes: NDArray[np.int32], column_begin: NDArray[np.int64], rows: NDArray[np.int32], method: str
 ) -> NDArray[np.int32]: ...

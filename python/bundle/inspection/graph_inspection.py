@@ -27,8 +27,8 @@ GRAPH_ORDERINGS = (
     "nesdis",
 )
 
-# Steps are recorded by themselves where they look at no more pairs of neighbours than this: a second
-# or two, and a graph of some hundred variables.
+# Steps are recorded unasked where they look at no more pairs of neighbours than this: in about a
+# second, for some hundred variables or thousands with little fill.
 MOST_PAIRS_TO_RECORD = 2_000_000
 
 

@@ -19,8 +19,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
 from bundle.inspection.graph_arguments import as_tracks
 
 __all__ = ["SchurCounts", "count_schur_by_hand"]
