@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import bundle
+from bundle.inspection.calibration_scene import make_scene
 
 
 def jacobian_pattern(problem, sizes, image_block, camera_block, is_free):
@@ -45,6 +46,13 @@ def scalar_order(order, sizes):
     """Columns in the order of their blocks."""
     begin = np.concatenate([[0], np.cumsum(sizes)])
     return np.concatenate([np.arange(begin[block], begin[block + 1]) for block in order])
+
+
+def drive(num_images, num_points, track_length) -> bundle.Problem:
+    """Points that as many images in a row see, the first ones evenly spread."""
+    starts = np.arange(num_points) * (num_images - track_length + 1) // num_points
+    seen = [(int(s) + k, p) for p, s in enumerate(starts) for k in range(track_length)]
+    return visible(make_scene(num_images, num_points, num_images), seen)
 
 
 def visible(problem: bundle.Problem, seen) -> bundle.Problem:

@@ -7,12 +7,16 @@ import pytest
 
 from bundle import _core
 from bundle.inspection import counts
-from bundle.inspection.calibration_scene import make_scene
 from bundle.inspection.counts import Counter
 from bundle.inspection.problem_pattern import find_pattern
 from bundle.options import SolveOptions
 from bundle.solver import resolve_defaults
-from tests.inspection.dense_oracle import factor_pattern, jacobian_pattern, scalar_order
+from tests.inspection.dense_oracle import (
+    drive,
+    factor_pattern,
+    jacobian_pattern,
+    scalar_order,
+)
 
 
 def counter_of(problem, **options):
@@ -22,7 +26,7 @@ def counter_of(problem, **options):
 
 @pytest.fixture
 def small():
-    return make_scene(6, 20, 3)
+    return drive(6, 20, 3)
 
 
 def information(problem):

@@ -14,6 +14,7 @@ import bundle
 from bundle import _core
 from bundle.inspection.calibration_scene import make_scene
 from bundle.inspection.memory import total
+from tests.inspection.dense_oracle import drive
 
 ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
 
@@ -27,7 +28,7 @@ def inspect(rates):
 
 @pytest.fixture
 def street():
-    return make_scene(40, 400, 5)
+    return drive(40, 400, 5)
 
 
 def by_key(inspection):

@@ -113,6 +113,8 @@ class FusedSolve {
       structure_ = Reorder(structure_, ordering_.order);
     }
     solver_ = MakeSolver();
+    RefuseTooMuchMemory(options_.linear_solver_type,
+                        sizeof(double) * static_cast<double>(structure_.num_values));
     schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure_),
                                             solver_.get());
   }

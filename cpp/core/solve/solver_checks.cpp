@@ -5,6 +5,17 @@
 #include "core/solve/option_names.h"
 
 namespace bundle {
+namespace {
+
+void Refuse(LinearSolverType type, double bytes, const char* what, const char* instead) {
+  const double available = AvailableMemoryBytes();
+  if (bytes <= 0.9 * available) return;
+  throw InputError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) + " needs " +
+                   FormatBytes(bytes) + " for its " + what + ", of which this machine has " +
+                   FormatBytes(available) + " free; use " + instead);
+}
+
+}  // namespace
 
 bool IsIterative(LinearSolverType type) {
   return type == LinearSolverType::kIterativeSchur || type == LinearSolverType::kCgnr;
@@ -30,12 +41,12 @@ std::string FindIdlePreconditioner(const SolveOptions& options) {
 
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
                          bool cameras_eliminated) {
-  const double bytes = PredictDenseMatrixBytes(type, shape, cameras_eliminated);
-  const double available = AvailableMemoryBytes();
-  if (bytes <= 0.9 * available) return;
-  throw InputError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) + " needs " +
-                   FormatBytes(bytes) + " for its dense matrices, of which this machine has " +
-                   FormatBytes(available) + " free; use sparse_schur or iterative_schur");
+  Refuse(type, PredictDenseMatrixBytes(type, shape, cameras_eliminated), "dense matrices",
+         "sparse_schur or iterative_schur");
+}
+
+void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes) {
+  Refuse(type, factor_bytes, "factor", "iterative_schur");
 }
 
 }  // namespace bundle

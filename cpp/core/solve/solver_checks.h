@@ -22,4 +22,7 @@ std::string FindIdlePreconditioner(const SolveOptions& options);
 /// Throws InputError if the dense matrices of a solver do not fit into the free memory.
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape, bool cameras_eliminated);
 
+/// The same for a sparse solver whose factor takes so many bytes.
+void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes);
+
 }  // namespace bundle

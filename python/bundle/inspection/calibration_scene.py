@@ -25,7 +25,7 @@ def make_scene(
     Args:
         num_images: images in all.
         num_points: points in all.
-        track_length: images that see a point: neighbours, or ``scattered`` over all.
+        track_length: images that see a point: near each other, or ``scattered`` over all.
         scattered: every image sees something in common with most others, in no order.
         shared_camera: one camera for all images, in place of one each.
         seed: of the noise and of who sees what.
@@ -36,8 +36,10 @@ def make_scene(
         steps = rng.integers(1, max(num_images // track_length, 2), (num_points, track_length))
         images = (rng.integers(num_images, size=(num_points, 1)) + steps.cumsum(1)) % num_images
     else:
-        first = np.arange(num_points) * (num_images - track_length + 1) // num_points
-        images = first[:, None] + np.arange(track_length)
+        # Out of one and a half times as many neighbours, and the points in no order.
+        reach = min(track_length + track_length // 2, num_images)
+        chosen = rng.random((num_points, reach)).argsort(axis=1)[:, :track_length]
+        images = rng.integers(num_images - reach + 1, size=(num_points, 1)) + chosen
     images = np.sort(images, axis=1)
     position = np.zeros((num_images, 3))
     position[:, 0] = np.linspace(0.0, 2.0, num_images) if scattered else np.arange(num_images)
