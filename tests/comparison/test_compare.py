@@ -105,6 +105,13 @@ def test_ctrl_c_keeps_what_is_there():
     assert "the comparison was interrupted before" in text
 
 
+def test_what_auto_took_is_told():
+    comparison = compare(PROBLEM, solvers=["auto", "cgnr"], backends=["auto"], **QUICK)
+    text = render(*compared(comparison))
+    assert "- auto AUTO: took fused DENSE_SCHUR." in text
+    assert "- auto CGNR: took ceres CGNR." in text
+
+
 def test_several_problems_give_profiles(tmp_path):
     path = tmp_path / "scene.txt"
     bundle.save(scene(), path)

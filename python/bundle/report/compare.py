@@ -150,10 +150,10 @@ def _predicted(measured: Sequence[tuple[Run, Measurement]], names: _Names) -> li
 
 
 def _warnings(measured: Sequence[tuple[Run, Measurement]], names: _Names) -> list[RenderableType]:
-    """Return what the solvers warn of, each sentence once."""
+    """Return what the solvers took instead and what they warn of, each sentence once."""
     said: dict[str, list[str]] = {}
     for run, measurement in measured:
-        for sentence in measurement.summary.warnings:
+        for sentence in (*_taken(run, measurement), *measurement.summary.warnings):
             said.setdefault(sentence, []).append(names.words(run.method))
     if not said:
         return []
@@ -162,6 +162,15 @@ def _warnings(measured: Sequence[tuple[Run, Measurement]], names: _Names) -> lis
         for sentence, sayers in said.items()
     )
     return ["", *notes(lines, style="yellow")]
+
+
+def _taken(run: Run, measurement: Measurement) -> list[str]:
+    """Return what was taken in place of what the method names, "auto" or not."""
+    summary = measurement.summary
+    taken = (summary.backend_used.lower(), summary.linear_solver_type_used)
+    if taken == (run.method.backend, run.method.linear_solver_type.upper()):
+        return []
+    return [f"took {' '.join(taken)}."]
 
 
 def _profiles(comparison: Comparison) -> list[RenderableType]:
