@@ -20,7 +20,7 @@ from bundle.comparison import (
 from bundle.options import SolveOptions
 from tests.report.fakes import summary
 
-HOSTILE = "a</script><script>document.title='owned'</script>&<b>.txt"
+HOSTILE = "a</script><script>document.title='owned'</script>&<b>$\\frac$.txt"
 
 METHODS = tuple(
     Method(

@@ -50,6 +50,13 @@ def test_axis_of_costs_has_a_line_for_every_run_that_left_a_trace():
     np.testing.assert_allclose(ax.lines[0].get_xdata(), cost_curve(made, first)[0])
 
 
+def test_names_are_no_formulas(tmp_path):
+    made, axes = pictures.figure(1, 2)
+    pictures.draw_cost_against_time(axes[0, 0], comparison(), 1)
+    pictures.draw_breakdown(axes[0, 1], comparison(), 1)
+    made.savefig(tmp_path / "name.png")
+
+
 def test_bars_of_a_breakdown_add_up_to_the_total():
     made = comparison()
     _, ax = axis()

@@ -71,7 +71,7 @@ def draw_column_counts(ax: Axes, counts: Mapping[str, ArrayLike]) -> None:
         colour = COLOURS[index % len(COLOURS)]
         ax.stairs(values, place, label=name, color=colour, linewidth=1.4)
     ax.set(
-        xlabel="column of L, from the first eliminated to the last",
+        xlabel="columns of L, as eliminated",
         ylabel="nonzeros below the diagonal",
         title="column counts of L",
         xlim=(0, 1),
@@ -100,8 +100,8 @@ def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -
         yscale="log",
         xlabel="seconds from the loaded problem on",
         ylabel="cost / best cost - 1",
-        title=comparison.problems[problem].name,
     )
+    ax.set_title(comparison.problems[problem].name, parse_math=False)
     ax.grid(which="major", color="0.9")
     if ax.lines:
         ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -120,7 +120,8 @@ def draw_breakdown(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
         ax.barh(np.arange(len(runs)), seconds, left=left, label=phase, color=colour)
         left += seconds
     ax.set_yticks(np.arange(len(runs)), [names[run.method] for run in runs], fontsize=8)
-    ax.set(ylim=(len(runs) - 0.4, -0.6), xlabel="seconds", title=comparison.problems[problem].name)
+    ax.set(ylim=(len(runs) - 0.4, -0.6), xlabel="seconds")
+    ax.set_title(comparison.problems[problem].name, parse_math=False)
     if runs:
         ax.legend(fontsize=8)
 
@@ -144,7 +145,7 @@ def draw_performance_profile(ax: Axes, comparison: Comparison, gap: float = 1e-3
     ax.set(
         xscale="log",
         ylim=(-0.02, 1.02),
-        xlabel=f"time to {gap:g} of the best cost / that of the fastest",
+        xlabel=f"time to {gap:g} / the fastest's",
         ylabel="share of problems",
         title="performance profile",
     )
