@@ -48,11 +48,26 @@ PYTHON_MAY_IMPORT = {
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
     "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
-    "inspection": {"_core", "errors"},
+    "comparison": {
+        "_core",
+        "errors",
+        "inspection",
+        "io",
+        "options",
+        "problem",
+        "result",
+        "solver",
+        "summary",
+    },
+    "inspection": {"_core", "errors", "options", "problem", "solver"},
+    "pictures": {"_core", "comparison", "errors", "options", "problem", "solver", "statistics"},
+    "html": {"comparison", "inspection", "io", "options", "pictures", "problem", "statistics"},
     "report": {
         "_core",
         "checking",
+        "comparison",
         "errors",
+        "inspection",
         "options",
         "problem",
         "result",
@@ -76,6 +91,7 @@ OUTSIDERS = {
     "argparse": {"cli"},
     "rich": {"checking", "cli", "report", "summary", "tables"},
     "pycolmap": {"io", "problem"},
+    "matplotlib": {"pictures"},
 }
 
 CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})

@@ -47,21 +47,38 @@ install_packages() {
       "zlib and GoogleTest are installed" >&2
     return
   fi
-  local missing=() package as_root=()
+  local missing=() package
   for package in $(wanted_packages); do
     is_installed "$package" || missing+=("$package")
   done
   [[ ${#missing[@]} -gt 0 ]] || return 0
-  if [[ $(id -u) -ne 0 ]]; then
-    command -v sudo >/dev/null ||
-      die "missing Debian packages and neither root nor sudo to install them: ${missing[*]}"
-    as_root=(sudo)
-  fi
-  as_root+=(env DEBIAN_FRONTEND=noninteractive)
-  echo "installing ${missing[*]}"
+  can_install ||
+    die "missing Debian packages and neither root nor sudo to install them: ${missing[*]}"
+  apt_install "${missing[@]}"
+}
+
+can_install() {
+  [[ $(id -u) -eq 0 ]] || command -v sudo >/dev/null
+}
+
+apt_install() {
+  local as_root=(env DEBIAN_FRONTEND=noninteractive)
+  [[ $(id -u) -eq 0 ]] || as_root=(sudo "${as_root[@]}")
+  echo "installing $*"
   # One broken third-party source fails the update as a whole; Debian's own lists may be fine.
   "${as_root[@]}" apt-get update -qq || echo "apt-get update failed; trying the lists at hand" >&2
-  "${as_root[@]}" apt-get install -y -qq --no-install-recommends "${missing[@]}"
+  "${as_root[@]}" apt-get install -y -qq --no-install-recommends "$@"
+}
+
+# Tests open the pages that bundle writes in a browser, 64 MB to fetch, and are skipped without one:
+# all else works, so that no browser is no error.
+install_browser() {
+  local name
+  for name in chromium-headless-shell chromium chromium-browser google-chrome; do
+    ! command -v "$name" >/dev/null || return 0
+  done
+  { command -v apt-get >/dev/null && can_install && apt_install chromium-headless-shell; } ||
+    echo "no Chromium to test pages in: these tests will be skipped" >&2
 }
 
 # A half-made environment, or one of another Python, is made anew.
@@ -85,6 +102,7 @@ print(*project["build-system"]["requires"], sep="\n")')
 
 require_python
 install_packages
+install_browser
 make_venv
 install_bundle
 "$venv/bin/python" -c 'import bundle; print(f"bundle {bundle.__version__} is ready in '"$venv"'")'

@@ -12,6 +12,7 @@ void BindColmap(py::module_& m);
 void BindLosses(py::module_& m);
 void BindSolve(py::module_& m);
 void BindCheck(py::module_& m);
+void BindInspection(py::module_& m);
 void BindSymbolic(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
@@ -25,5 +26,6 @@ PYBIND11_MODULE(_core, m) {
   BindLosses(m);
   BindSolve(m);
   BindCheck(m);
+  BindInspection(m);
   BindSymbolic(m);
 }

@@ -17,13 +17,23 @@ from bundle.summary import Summary
 
 if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
-    from bundle.inspection import GraphInspection, inspect_graph
+    from bundle.comparison import Comparison, compare
+    from bundle.inspection import (
+        GraphInspection,
+        Inspection,
+        MethodInspection,
+        inspect,
+        inspect_graph,
+    )
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
+    "Comparison",
     "GradientReport",
     "GraphInspection",
     "InputError",
+    "Inspection",
+    "MethodInspection",
     "Problem",
     "ReprojectionError",
     "Result",
@@ -35,7 +45,9 @@ __all__ = [
     "camera_models",
     "check_gradients",
     "check_jacobians",
+    "compare",
     "get_include",
+    "inspect",
     "inspect_graph",
     "load",
     "project",
@@ -51,11 +63,21 @@ def __getattr__(name: str) -> Any:
         from bundle import synthetic
 
         return getattr(synthetic, name)
+    if name in ("Comparison", "compare"):
+        from bundle import comparison
+
+        return getattr(comparison, name)
     if name in ("GradientReport", "check_gradients", "check_jacobians"):
         from bundle import checking
 
         return getattr(checking, name)
-    if name in ("GraphInspection", "inspect_graph"):
+    if name in (
+        "GraphInspection",
+        "Inspection",
+        "MethodInspection",
+        "inspect",
+        "inspect_graph",
+    ):
         from bundle import inspection
 
         return getattr(inspection, name)

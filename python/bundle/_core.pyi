@@ -158,3 +158,18 @@ def reduced_pattern(
 def full_pattern(
     problem: Problem, options: dict[str, Any]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...
+
+# bind_inspection.cpp
+MAX_TRACK_LENGTH: int
+
+def available_memory() -> float: ...
+def parameter_blocks(
+    problem: Problem, options: dict[str, Any]
+) -> dict[str, Any]: ...  # size, image_block, camera_block: NDArray[np.int32]; point_is_free: bool
+def elimination_plan(problem: Problem, options: dict[str, Any]) -> dict[str, int]: ...
+def panel_values(
+    sizes: NDArray[np.int32],
+    column_begin: NDArray[np.int64],
+    rows: NDArray[np.int32],
+    order: NDArray[np.int32],
+) -> float: ...

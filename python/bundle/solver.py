@@ -12,7 +12,7 @@ from bundle.reprojection import reprojection_error, resolve_cheirality
 from bundle.result import Result
 from bundle.summary import Summary
 
-__all__ = ["Progress", "solve"]
+__all__ = ["Progress", "resolve_defaults", "solve"]
 
 Progress = Callable[[dict[str, Any]], None]
 
@@ -43,7 +43,7 @@ def solve(
             this machine.
     """
     options = (options or SolveOptions()).replace(**changes)
-    options = _resolve_defaults(problem, options)
+    options = resolve_defaults(problem, options)
     before = reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
     output = _core.solve(problem, options.asdict(), progress)
     refined = problem.replace(
@@ -65,7 +65,7 @@ def solve(
     )
 
 
-def _resolve_defaults(problem: Problem, options: SolveOptions) -> SolveOptions:
+def resolve_defaults(problem: Problem, options: SolveOptions) -> SolveOptions:
     """Fill in what depends on where the problem comes from."""
     cores = _core.hardware_threads()
     gauge = options.gauge

@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 __all__ = [
+    "WIDEST",
     "columns",
     "console",
     "facts",

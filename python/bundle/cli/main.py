@@ -15,7 +15,7 @@ from bundle.cli.errors import EXIT_BAD_INPUT, describe_error
 
 __all__ = ["main"]
 
-COMMANDS = ("info", "refine", "check", "convert", "synth")
+COMMANDS = ("info", "inspect", "refine", "compare", "check", "convert", "synth")
 """Subcommands, in the order of the help; each a module with NAME, HELP, add_arguments and run."""
 
 

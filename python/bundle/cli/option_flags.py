@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -18,11 +18,17 @@ MOST_IDS = 10_000_000
 """Ids that a list may hold: a slip in a range must not fill the memory."""
 
 
-def add_options(parser: argparse.ArgumentParser, kind: type[Any], title: str) -> None:
-    """Add one flag for each field of an option class."""
+def add_options(
+    parser: argparse.ArgumentParser,
+    kind: type[Any],
+    title: str,
+    names: Collection[str] | None = None,
+) -> None:
+    """Add one flag for each field of an option class, or for those of the given names."""
     group = parser.add_argument_group(title)
     for field in dataclasses.fields(kind):
-        _add_option(group, field)
+        if names is None or field.name in names:
+            _add_option(group, field)
 
 
 def options_given(arguments: argparse.Namespace, kind: type[Options]) -> Options:
@@ -32,7 +38,7 @@ def options_given(arguments: argparse.Namespace, kind: type[Options]) -> Options
         InputError: a value is out of range; the message names the flag.
     """
     names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
-    values = {name: getattr(arguments, name) for name in names}
+    values = {name: getattr(arguments, name, None) for name in names}
     with naming_flags(kind):
         return kind(**{name: value for name, value in values.items() if value is not None})
 

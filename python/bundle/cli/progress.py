@@ -58,6 +58,11 @@ class Progress:
         if self._live is not None:
             self._live.stop()
 
+    @property
+    def is_live(self) -> bool:
+        """Whether there is a line that updates, so that little things are worth a word."""
+        return self._live is not None
+
     def stage(self, name: str) -> None:
         """Begin a stage, such as "reading sparse/0"."""
         self._stage, self._latest = name, None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bundle.inspection.elimination import EliminationStep
 from bundle.inspection.graph_file import GraphFile, load_graph
 from bundle.inspection.graph_inspection import GRAPH_ORDERINGS, GraphInspection, inspect_graph
+from bundle.inspection.inspect import Inspection, MethodInspection, inspect
 from bundle.inspection.schur_counts import SchurCounts, count_schur_by_hand
 
 __all__ = [
@@ -12,8 +13,11 @@ __all__ = [
     "EliminationStep",
     "GraphFile",
     "GraphInspection",
+    "Inspection",
+    "MethodInspection",
     "SchurCounts",
     "count_schur_by_hand",
+    "inspect",
     "inspect_graph",
     "load_graph",
 ]

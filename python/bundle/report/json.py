@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bundle._core import __version__
 from bundle.options import SolveOptions
@@ -23,8 +25,10 @@ __all__ = [
     "heading",
     "information",
     "plain",
+    "records",
     "refinement",
     "result",
+    "solve_options",
 ]
 
 SCHEMA = 1
@@ -52,15 +56,11 @@ def result(solved: Result) -> dict[str, Any]:
 
     Enumerations are upper-case, iterations one dictionary each, and what is not finite is None.
     """
-    names = list(solved.iterations)
-    columns = (solved.iterations[name].tolist() for name in names)
     report: dict[str, Any] = plain(
         {
-            "options": _options(solved.options),
+            "options": solve_options(solved.options),
             "summary": dataclasses.asdict(solved.summary),
-            "iterations": [
-                dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)
-            ],
+            "iterations": records(solved.iterations),
             "reprojection_error": {
                 "before": dataclasses.asdict(solved.reprojection_error_before),
                 "after": dataclasses.asdict(solved.reprojection_error_after),
@@ -112,7 +112,14 @@ def plain(value: Any) -> Any:
     return value
 
 
-def _options(options: SolveOptions) -> dict[str, Any]:
+def records(columns: Mapping[str, NDArray[Any]]) -> list[dict[str, Any]]:
+    """Return arrays of equal length by name as one dictionary an entry."""
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
+
+
+def solve_options(options: SolveOptions) -> dict[str, Any]:
+    """Return every option by name, enumerations in upper case."""
     values = options.asdict()
     for field in dataclasses.fields(options):
         if field.metadata["choices"] is not None:

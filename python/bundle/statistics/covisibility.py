@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bundle.problem import Problem
 
-__all__ = ["Covisibility", "components", "covisibility"]
+__all__ = ["Covisibility", "components", "covisibility", "shared_points"]
 
 # Cells of the adjacency matrix held at once: 128 MB of booleans.
 _CELLS = 2**27
@@ -54,6 +54,25 @@ def covisibility(problem: Problem) -> Covisibility:
         component=component,
         component_sizes=sizes,
     )
+
+
+def shared_points(
+    problem: Problem,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return (low, high, number of common points) of each pair of images that has any, ascending.
+
+    Time is linear in the pairs of images that points connect, memory in the distinct ones.
+    """
+    images, points = _by_point(problem)
+    size = max(problem.num_images, 1)
+    codes, counts = np.empty(0, np.int64), np.empty(0, np.int64)
+    for low, high in _pairs(np.arange(len(images)), images, points):
+        found, count = np.unique(low * size + high, return_counts=True)
+        codes, place = np.unique(np.concatenate([codes, found]), return_inverse=True)
+        both = np.concatenate([counts, count])
+        counts = np.bincount(place, both, len(codes)).astype(np.int64)
+    low, high = np.divmod(codes, size)
+    return low, high, counts
 
 
 def components(

@@ -1,0 +1,91 @@
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "bindings/options_from_python.h"
+#include "bindings/problem_from_python.h"
+#include "bindings/to_numpy.h"
+#include "core/fused/eliminate/plan_size.h"
+#include "core/fused/eliminate/point_plan.h"
+#include "core/fused/reduced/panel_values.h"
+#include "core/solve/memory.h"
+#include "core/solve/prepare.h"
+#include "core/symbolic/block_pattern.h"
+
+namespace py = pybind11;
+
+namespace {
+
+/// The blocks that the options leave free: what a solver's unknowns are made of.
+py::dict ParameterBlocks(const py::object& problem, const py::dict& options) {
+  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::PreparedSolve prepared = bundle::PrepareSolve(view, OptionsFromPython(options));
+  const bundle::ParameterLayout& layout = prepared.layout;
+  std::vector<int> sizes, image_block, camera_block;
+  for (const bundle::CameraSideBlock& block : layout.blocks()) sizes.push_back(block.size);
+  for (int i = 0; i < view.num_images; ++i) image_block.push_back(layout.image_block(i));
+  for (int c = 0; c < view.num_cameras; ++c) camera_block.push_back(layout.camera_block(c));
+  py::array_t<bool> free_points(view.num_points);
+  for (int p = 0; p < view.num_points; ++p) {
+    free_points.mutable_data()[p] = layout.point_is_free(p);
+  }
+  const auto count = [](const auto& v) { return static_cast<py::ssize_t>(v.size()); };
+  py::dict d;
+  d["size"] = ToNumpy(std::move(sizes), {count(layout.blocks())});
+  d["image_block"] = ToNumpy(std::move(image_block), {view.num_images});
+  d["camera_block"] = ToNumpy(std::move(camera_block), {view.num_cameras});
+  d["point_is_free"] = free_points;
+  return d;
+}
+
+/// The fused backend's passes over the points: bundle::fused::PlanSize.
+py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
+  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  bundle::fused::PlanSize size;
+  {
+    const py::gil_scoped_release release;
+    const bundle::PreparedSolve prepared = bundle::PrepareSolve(view, solve_options);
+    size = bundle::fused::MeasurePlan(view, prepared.layout);
+  }
+  py::dict d;
+#define BUNDLE_FIELD(name) d[#name] = size.name
+  BUNDLE_FIELD(num_points);
+  BUNDLE_FIELD(num_free_points);
+  BUNDLE_FIELD(num_observations);
+  BUNDLE_FIELD(num_pairs);
+  BUNDLE_FIELD(num_chunks);
+  BUNDLE_FIELD(num_chunk_pairs);
+  BUNDLE_FIELD(num_chunk_images);
+  BUNDLE_FIELD(largest_chunk_blocks);
+  BUNDLE_FIELD(block_doubles);
+#undef BUNDLE_FIELD
+  return d;
+}
+
+using Ints = py::array_t<int, py::array::c_style>;
+using Int64s = py::array_t<int64_t, py::array::c_style>;
+
+/// Takes what `_core.reduced_pattern` and `_core.order_blocks` return.
+double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
+                   const Ints& order) {
+  const bundle::BlockPatternView pattern{static_cast<int>(sizes.size()), sizes.data(),
+                                         column_begin.data(), rows.data()};
+  const std::vector<int> blocks(order.data(), order.data() + order.size());
+  const py::gil_scoped_release release;
+  return bundle::fused::CountPanelValues(pattern, blocks);
+}
+
+}  // namespace
+
+void BindInspection(py::module_& m) {
+  m.attr("MAX_TRACK_LENGTH") = bundle::fused::kMaxTrackLength;
+  m.def("available_memory", &bundle::AvailableMemoryBytes);
+  m.def("parameter_blocks", &ParameterBlocks, py::arg("problem"), py::arg("options"));
+  m.def("panel_values", &PanelValues, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
+        py::arg("order"));
+  m.def("elimination_plan", &EliminationPlan, py::arg("problem"), py::arg("options"));
+}

@@ -1,0 +1,185 @@
+"""`bundle compare`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.option_flags import add_options, options_given
+from bundle.errors import InputError
+from bundle.options import SolveOptions
+
+if TYPE_CHECKING:
+    from bundle import comparison
+    from bundle.cli.progress import Progress
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "compare"
+HELP = "the same start under several solvers: measured, and one of them recommended"
+
+COMPARED = {
+    "backend": "--backends",
+    "linear_solver_type": "--solvers",
+    "linear_solver_ordering": "--orderings",
+    "preconditioner_type": "--preconditioners",
+    "num_threads": "--threads",
+}
+"""Options that are compared, with the flags that take a list of their values."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    parser.usage = "bundle compare INPUT... [options]"
+    parser.add_argument(
+        "inputs",
+        metavar="INPUT",
+        nargs="+",
+        help="BAL files (plain, .gz or .bz2) and folders of COLMAP models; several give "
+        "performance profiles as well",
+    )
+    _add_methods(parser.add_argument_group("what is compared: every combination of"))
+    _add_limits(parser.add_argument_group("options of the comparison"))
+    others = [name for name in SolveOptions.__dataclass_fields__ if name not in COMPARED]
+    add_options(parser, SolveOptions, "options of every solve", others)
+
+
+def _add_methods(group: argparse._ArgumentGroup) -> None:
+    fields = SolveOptions.__dataclass_fields__
+    for name, default, words in (
+        ("linear_solver_type", "dense-schur,sparse-schur,iterative-schur", ""),
+        ("backend", "fused,ceres", ""),
+        ("preconditioner_type", "auto", "for solvers that iterate, "),
+        ("linear_solver_ordering", "points-first", "what is eliminated first, "),
+    ):
+        choices = ", ".join(fields[name].metadata["choices"]).replace("_", "-")
+        group.add_argument(
+            COMPARED[name],
+            metavar="LIST",
+            type=_names,
+            default=_names(default),
+            help=f"{words}out of {choices} (default: {default})",
+        )
+    group.add_argument(
+        "--threads",
+        metavar="LIST",
+        type=_counts,
+        default=(0,),
+        help="numbers of threads, such as 1,2; 0: all cores (default: 0)",
+    )
+
+
+def _add_limits(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--repeat",
+        metavar="N",
+        type=int,
+        default=3,
+        help="runs of each method, of which the median counts; what takes over 10 s is not "
+        "repeated (default: 3)",
+    )
+    group.add_argument(
+        "--timeout",
+        metavar="SECONDS",
+        type=float,
+        default=60.0,
+        help="stop a solve that takes longer (default: 60)",
+    )
+    group.add_argument(
+        "--memory-cap",
+        metavar="SIZE",
+        help="stop a solve that takes more memory beyond the loaded problem, such as 500MB "
+        "(default: 90 %% of what is free at the start)",
+    )
+    group.add_argument("--html", metavar="FILE", help="also write a page with plots")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compare methods on INPUT: 0 if one can be recommended."""
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.comparison import compare
+    from bundle.report.compare import compared
+    from bundle.report.compare_json import as_json
+
+    options = options_given(arguments, SolveOptions)
+    cap = _memory_cap(arguments.memory_cap)
+    if arguments.repeat < 1:
+        raise InputError(f"--repeat: expected at least 1, found {arguments.repeat}")
+    if not arguments.timeout > 0:
+        raise InputError(f"--timeout: expected more than 0 seconds, found {arguments.timeout:g}")
+    check_json(arguments.json, *arguments.inputs)
+    check_json(arguments.html, *arguments.inputs, *filter(None, [arguments.json]))
+    with Progress(quiet=arguments.quiet) as progress, _naming_flags():
+        comparison = compare(
+            arguments.inputs,
+            options,
+            solvers=arguments.solvers,
+            preconditioners=arguments.preconditioners,
+            orderings=arguments.orderings,
+            backends=arguments.backends,
+            threads=arguments.threads,
+            repeat=arguments.repeat,
+            timeout=arguments.timeout,
+            memory_cap=cap,
+            progress=lambda at: _show_progress(progress, at),
+        )
+        if arguments.html is not None:
+            _write_page(comparison, arguments.html, progress)
+    if arguments.json != "-":
+        show(*compared(comparison))
+    write_json(arguments.json, as_json(comparison))
+    if comparison.recommendation is None or comparison.interrupted:
+        return EXIT_NO_SOLUTION
+    return EXIT_DONE
+
+
+def _write_page(compared: comparison.Comparison, path: str, progress: Progress) -> None:
+    from bundle.errors import shown
+    from bundle.html import write_comparison
+
+    progress.stage(f"writing {shown(path)}")
+    write_comparison(compared, path)
+
+
+def _show_progress(progress: Progress, at: comparison.Progress) -> None:
+    if at.iteration is None:
+        progress.stage(at.stage)
+    elif progress.is_live:
+        values = at.iteration
+        progress.stage(f"{at.stage}: iter {values['iteration']}  cost {values['cost']:.4e}")
+
+
+@contextmanager
+def _naming_flags() -> Iterator[None]:
+    """Let an InputError about an option that is compared name its flag here."""
+    try:
+        yield
+    except InputError as error:
+        name, _, rest = str(error).partition(":")
+        if name in COMPARED:
+            raise InputError(f"{COMPARED[name]}:{rest}") from None
+        raise
+
+
+def _memory_cap(text: str | None) -> int:
+    from bundle.comparison.sizes import parse_size
+
+    try:
+        return 0 if text is None else parse_size(text)
+    except InputError as error:
+        raise InputError(f"--memory-cap: {error}") from None
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _counts(text: str) -> tuple[int, ...]:
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isascii() and part.isdigit() and len(part) < 9 for part in parts):
+        raise argparse.ArgumentTypeError(f"expected numbers such as 1,2, found {text!r}")
+    return tuple(map(int, parts))

@@ -1,0 +1,175 @@
+"""`bundle inspect`."""
+
+from __future__ import annotations
+
+import argparse
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from bundle.cli.errors import EXIT_DONE
+from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.options import SolveOptions
+
+if TYPE_CHECKING:
+    from bundle.inspection import GraphInspection
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "inspect"
+HELP = "what each way to solve a problem will cost: nonzeros, fill, flops, memory, time a step"
+
+# What decides the pattern, and how many threads the times are for.
+OPTIONS = (
+    "num_threads",
+    "refine",
+    "fixed_camera_ids",
+    "fixed_image_ids",
+    "fixed_point_ids",
+    "gauge",
+)
+GRAPH_ORDERINGS = (
+    "natural",
+    "reverse",
+    "landmarks-first",
+    "minimum-degree",
+    "amd",
+    "colamd",
+    "metis",
+    "nesdis",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    parser.usage = "bundle inspect INPUT [options]\n       bundle inspect --graph FILE [options]"
+    parser.add_argument(
+        "input",
+        metavar="INPUT",
+        nargs="?",
+        help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text); "
+        "told by its content",
+    )
+    parser.add_argument(
+        "--html", metavar="FILE", help="also write a page with pictures, which needs no network"
+    )
+    parser.add_argument(
+        "--recalibrate",
+        action="store_true",
+        help="measure this machine's rates again, which takes seconds (default: once, then kept)",
+    )
+    add_options(parser, SolveOptions, "what is refined", OPTIONS)
+    group = parser.add_argument_group("a graph in place of a problem")
+    group.add_argument(
+        "--graph",
+        metavar="FILE",
+        help="eliminate a small graph step by step: an edge a line, two names; # begins a comment",
+    )
+    group.add_argument(
+        "--ordering",
+        metavar="ORDERING",
+        type=lambda text: text.lower().replace("_", "-"),
+        choices=GRAPH_ORDERINGS,
+        help=f"of the graph: one of {', '.join(GRAPH_ORDERINGS)} (default: natural)",
+    )
+    group.add_argument(
+        "--landmarks",
+        metavar="NAMES",
+        help="variables that landmarks-first eliminates first, such as l1,l2 "
+        "(default: those whose names are an l and a number)",
+    )
+    group.add_argument(
+        "--block-size",
+        metavar="N",
+        type=int,
+        help="scalars of each variable, such as 6 for poses (default: 1)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Inspect INPUT or a graph."""
+    from bundle.cli.output import check_json
+    from bundle.errors import InputError
+
+    if (arguments.input is None) == (arguments.graph is None):
+        found = "neither" if arguments.input is None else "both"
+        raise InputError(f"expected INPUT or --graph FILE, found {found}")
+    source = arguments.input or arguments.graph
+    check_json(arguments.json, source)
+    check_json(arguments.html, source, *([arguments.json] if arguments.json else []))
+    if arguments.graph is not None:
+        return _inspect_graph(arguments)
+    for flag in ("ordering", "landmarks", "block_size"):
+        if getattr(arguments, flag) is not None:
+            raise InputError(f"--{flag.replace('_', '-')}: expected with --graph only")
+    return _inspect_problem(arguments)
+
+
+def _inspect_problem(arguments: argparse.Namespace) -> int:
+    started = perf_counter()
+    from bundle.cli.output import show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.errors import shown
+    from bundle.inspection import inspect
+    from bundle.io import load
+    from bundle.report.inspect import as_json, inspected
+
+    options = options_given(arguments, SolveOptions)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(arguments.input)}")
+        problem = load(arguments.input)
+        progress.stage("inspecting")
+        with naming_flags(SolveOptions):
+            inspection = inspect(problem, options, recalibrate=arguments.recalibrate)
+        if arguments.html is not None:
+            from bundle.html import write_inspection
+
+            progress.stage(f"writing {shown(arguments.html)}")
+            write_inspection(inspection, arguments.html, problem, options)
+    if arguments.json != "-":
+        show(*inspected(arguments.input, problem, inspection))
+    wall = perf_counter() - started
+    given = {name: getattr(options, name) for name in OPTIONS}
+    write_json(arguments.json, as_json(arguments.input, problem, inspection, given, wall))
+    return EXIT_DONE
+
+
+def _inspect_graph(arguments: argparse.Namespace) -> int:
+    started = perf_counter()
+    from bundle.cli.output import show, write_json
+    from bundle.report.graph import as_json, inspected
+
+    graph = _eliminate(arguments)
+    if arguments.html is not None:
+        from bundle.html import write_inspection
+
+        write_inspection(graph, arguments.html)
+    if arguments.json != "-":
+        show(*inspected(arguments.graph, graph))
+    write_json(arguments.json, as_json(arguments.graph, graph, perf_counter() - started))
+    return EXIT_DONE
+
+
+def _eliminate(arguments: argparse.Namespace) -> GraphInspection:
+    from bundle.errors import InputError, shown
+    from bundle.inspection import inspect_graph, load_graph
+
+    if arguments.block_size is not None and arguments.block_size < 1:
+        raise InputError(f"--block-size: expected at least 1, found {arguments.block_size}")
+    graph = load_graph(arguments.graph)
+    landmarks = graph.landmarks
+    if arguments.landmarks is not None:
+        index = {name: variable for variable, name in enumerate(graph.names)}
+        named = [name for name in arguments.landmarks.split(",") if name]
+        for name in named:
+            if name not in index:
+                raise InputError(
+                    f"--landmarks: expected variables of {shown(arguments.graph)}, found {name!r}"
+                )
+        landmarks = tuple(index[name] for name in named)
+    return inspect_graph(
+        graph.edges,
+        names=graph.names,
+        ordering=arguments.ordering or "natural",
+        landmarks=landmarks,
+        block_size=1 if arguments.block_size is None else arguments.block_size,
+    )

@@ -1,0 +1,31 @@
+"""The same start under several methods: measured, compared, recommended."""
+
+from bundle.comparison.comparing import REPEAT, TIMEOUT, compare
+from bundle.comparison.method import Method
+from bundle.comparison.result import (
+    GAPS,
+    ComparedProblem,
+    Comparison,
+    Measurement,
+    PerformanceProfile,
+    Prediction,
+    Recommendation,
+    Run,
+)
+from bundle.comparison.work import Progress
+
+__all__ = [
+    "GAPS",
+    "REPEAT",
+    "TIMEOUT",
+    "ComparedProblem",
+    "Comparison",
+    "Measurement",
+    "Method",
+    "PerformanceProfile",
+    "Prediction",
+    "Progress",
+    "Recommendation",
+    "Run",
+    "compare",
+]

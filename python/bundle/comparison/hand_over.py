@@ -1,0 +1,45 @@
+"""A problem on disk for other processes: one file an array, read as fast as the disk cache allows.
+
+What only writing back needs (names, the reconstruction that was read) stays behind.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from bundle.problem import Problem
+
+__all__ = ["restore", "store"]
+
+_REST = "problem.json"
+
+
+def store(problem: Problem, folder: Path) -> None:
+    """Write a problem into a folder, which is made."""
+    folder.mkdir()
+    for name, value in _fields(problem).items():
+        if isinstance(value, np.ndarray):
+            np.save(folder / f"{name}.npy", value)
+    rest = {
+        "camera_models": problem.camera_models,
+        "image_names": problem.image_names,
+        "format": problem.format,
+    }
+    (folder / _REST).write_text(json.dumps(rest))
+
+
+def restore(folder: Path, mmap_mode: Literal["r"] | None = None) -> Problem:
+    """Read it back; with mmap_mode "r" only what is touched takes memory."""
+    arrays = {
+        path.stem: np.load(path, mmap_mode=mmap_mode) for path in sorted(folder.glob("*.npy"))
+    }
+    return Problem(**arrays, **json.loads((folder / _REST).read_text()))
+
+
+def _fields(problem: Problem) -> dict[str, object]:
+    return {field.name: getattr(problem, field.name) for field in dataclasses.fields(problem)}

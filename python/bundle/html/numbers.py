@@ -1,0 +1,41 @@
+"""How numbers look on a page."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["amount", "amount_if_any", "memory", "seconds"]
+
+
+def amount(value: float) -> str:
+    """Return a count in full up to seven digits, else with three of them; "-" for none."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.2e}"
+
+
+def amount_if_any(value: float) -> str:
+    """Return a count; "-" where there is nothing to count."""
+    return amount(value) if value else "-"
+
+
+def memory(size: float) -> str:
+    """Return bytes as kB, MB, GB (10^9 bytes) or TB; "-" where unknown."""
+    if not math.isfinite(size) or size < 0:
+        return "-"
+    if size >= 1e12:
+        return f"{size / 1e12:,.1f} TB"
+    if size >= 1e9:
+        return f"{size / 1e9:.2f} GB"
+    return f"{size / 1e6:.0f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
+
+
+def seconds(time: float) -> str:
+    """Return a duration; "-" where there is none."""
+    if not math.isfinite(time) or time < 0:
+        return "-"
+    if time >= 2 * 86400:
+        return f"{time / 86400:,.0f} days"
+    if time >= 3600:
+        return f"{time / 3600:.1f} h"
+    return f"{time:.1f} s" if time >= 10 else f"{time:.3f} s"

@@ -1,0 +1,94 @@
+"""One HTML file that needs nothing else: no network, no second file, no script from elsewhere."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from bundle.io import atomic
+
+__all__ = ["as_json", "tag", "write_page"]
+
+# What the page may load: what stands in it. A browser holds it to that, whatever is in the data.
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
+VOID = {"img", "input", "meta"}
+
+
+def tag(name: str, /, *children: str, **attributes: Any) -> str:
+    """Return an element. Children are markup as it is, values of attributes are escaped.
+
+    An attribute of None or False is left out, one of True has no value; ``class_`` is ``class``,
+    other underscores are hyphens.
+    """
+    words = [name]
+    for key, value in attributes.items():
+        if value is None or value is False:
+            continue
+        shown = key.rstrip("_").replace("_", "-")
+        words.append(shown if value is True else f'{shown}="{escape(str(value))}"')
+    opening = f"<{' '.join(words)}>"
+    return opening if name in VOID else f"{opening}{''.join(children)}</{name}>"
+
+
+def as_json(data: Any) -> str:
+    """Return data as JSON that may stand in a script element, whatever names it holds.
+
+    The parser of HTML ends a script at ``</script``, so that no ``<`` may stand in it; ``&`` and
+    ``>`` go with it. Numbers that are not finite are null.
+    """
+    text = json.dumps(_finite(data), allow_nan=False, separators=(",", ":"))
+    for character in "<>&":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+def write_page(
+    path: Path, title: str, sections: list[str], data: Mapping[str, Any] | None = None
+) -> None:
+    """Write a page that appears whole or not at all.
+
+    Args:
+        path: of the HTML file.
+        title: of the page, as text.
+        sections: markup.
+        data: what its script needs; a page without is one without script.
+
+    Raises:
+        InputError: the path is a folder, or its parent is none.
+        OSError: the file cannot be written.
+    """
+    script = ""
+    if data is not None:
+        script = tag("script", as_json(data), type="application/json", id="data")
+        script += tag("script", _asset("elimination.js"))
+    head = [
+        tag("meta", charset="utf-8"),
+        tag("meta", http_equiv="Content-Security-Policy", content=POLICY),
+        tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        tag("title", escape(title)),
+        tag("style", _asset("page.css")),
+    ]
+    body = tag("body", tag("h1", escape(title)), *sections, script)
+    page = tag("html", tag("head", *head), body, lang="en")
+    with atomic.replace_file(path) as temporary:
+        temporary.write_text(f"<!doctype html>\n{page}\n", encoding="utf-8", errors="replace")
+
+
+def _asset(name: str) -> str:
+    return resources.files("bundle.html").joinpath("assets", name).read_text("utf-8")
+
+
+def _finite(data: Any) -> Any:
+    """Return data with null for what JSON has no number for."""
+    if isinstance(data, float):
+        return data if math.isfinite(data) else None
+    if isinstance(data, Mapping):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    return data

@@ -1,0 +1,78 @@
+"""Tables, and the sentence that says what their numbers count."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from html import escape
+
+from bundle.html.page import tag
+
+__all__ = ["Notes", "convention", "table"]
+
+# Characters of a sentence that wraps.
+LONG = 20
+
+CONVENTION = (
+    "Nonzeros: matrices count both triangles and the diagonal, L its lower triangle with the "
+    "diagonal. Flops of a factorisation: the sum over the columns of L of c² + 3c, c being the "
+    "nonzeros below the diagonal."
+)
+
+
+def table(
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    words: Collection[int] = (),
+    best: int | None = None,
+) -> str:
+    """Return a table of text that scrolls by itself where the page is narrow.
+
+    Args:
+        head: names of the columns.
+        rows: cells; the first of a row names it.
+        words: columns that hold sentences, which wrap.
+        best: the row to stand out.
+    """
+    kinds: list[str | None] = [None] * len(head)
+    for column in words:
+        longest = max((len(row[column]) for row in rows), default=0)
+        kinds[column] = "words long" if longest > LONG else "words"
+    lines = []
+    for index, row in enumerate(rows):
+        name = tag("th", escape(row[0]), scope="row")
+        cells = [
+            tag("td", escape(cell), class_=kind)
+            for cell, kind in zip(row[1:], kinds[1:], strict=True)
+        ]
+        lines.append(tag("tr", name, *cells, class_="best" if index == best else None))
+    heading = tag(
+        "tr",
+        *(
+            tag("th", escape(name), scope="col", class_=kind)
+            for name, kind in zip(head, kinds, strict=True)
+        ),
+    )
+    inner = tag("table", tag("thead", heading), tag("tbody", *lines))
+    return tag("div", inner, class_="scroll", tabindex=0)
+
+
+class Notes:
+    """Sentences that rows refer to by number, each once."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+
+    def refer(self, note: str) -> str:
+        """Return the number of a note, "" for none."""
+        return str(self._numbers.setdefault(note, len(self._numbers) + 1)) if note else ""
+
+    def listed(self) -> str:
+        """Return the notes that were referred to."""
+        lines = [tag("li", escape(note)) for note in self._numbers]
+        return tag("ol", *lines, class_="quiet") if lines else ""
+
+
+def convention() -> str:
+    """Return the sentence that says what is counted."""
+    return tag("p", CONVENTION, class_="convention")

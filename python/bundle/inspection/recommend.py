@@ -1,0 +1,68 @@
+"""Which method to take, and why, by what is predicted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bundle.inspection.inspect import MethodInspection
+
+__all__ = ["explain", "recommend"]
+
+
+def recommend(methods: Sequence[MethodInspection]) -> int:
+    """Return the index of the fastest method that can be asked for and fits; -1 if none does."""
+    usable = [i for i, method in enumerate(methods) if method.is_taken and method.fits_in_memory]
+    return min(usable, key=lambda i: methods[i].time_per_step_in_seconds, default=-1)
+
+
+def explain(methods: Sequence[MethodInspection], best: int, density: float) -> str:
+    """Return the recommendation as a sentence with its reason; ``density`` is S's."""
+    if best < 0:
+        least = min(methods, key=lambda method: method.memory_in_bytes)
+        return (
+            f"No method fits into the memory that is free; {least.name} needs least, "
+            f"{least.memory_in_bytes / 2**30:.1f} GiB."
+        )
+    chosen = methods[best]
+    reasons = [f"S is {100 * density:.2g} % full"]
+    if chosen.ordering:
+        order = "" if chosen.linear_solver_type == "DENSE_SCHUR" else f"{chosen.ordering} makes "
+        reasons.append(f"{order}{chosen.flops:.2g} flops a step")
+    else:
+        reasons.append("no factor is made")
+    rival = _rival(methods, chosen)
+    if rival is not None:
+        reasons.append(_against(rival, chosen))
+    return f"{chosen.linear_solver_type}: {', '.join(reasons)}."
+
+
+def _rival(
+    methods: Sequence[MethodInspection], chosen: MethodInspection
+) -> MethodInspection | None:
+    """Return the best of another linear solver, of the same backend if there is one."""
+    others = [
+        method
+        for method in methods
+        if method.is_taken
+        and method.linear_solver_type != chosen.linear_solver_type
+        and method.backend == chosen.backend
+    ]
+    direct = [method for method in others if method.nnz_factor > 0]
+    return min(direct or others, key=lambda m: m.time_per_step_in_seconds, default=None)
+
+
+def _against(rival: MethodInspection, chosen: MethodInspection) -> str:
+    name = rival.linear_solver_type
+    if not rival.fits_in_memory:
+        return f"{name} needs {rival.memory_in_bytes / 2**30:.1f} GiB, more than is free"
+    times = rival.time_per_step_in_seconds / chosen.time_per_step_in_seconds
+    if chosen.flops and rival.flops > chosen.flops:
+        pays = rival.flops / chosen.flops
+        return f"{name} pays {_ratio(pays)} times that and takes {_ratio(times)} times as long"
+    return f"{name} takes {_ratio(times)} times as long"
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.2g}" if value < 100 else f"{value:.0f}"

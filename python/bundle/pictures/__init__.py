@@ -1,0 +1,46 @@
+"""Pictures of problems, orderings and comparisons: functions of a Matplotlib axis.
+
+``figure()`` makes one, and what it returns saves PNG and SVG::
+
+    made, axes = bundle.pictures.figure()
+    bundle.pictures.draw_covisibility(axes[0, 0], problem)
+    made.savefig("covisibility.svg")
+
+Matplotlib is an optional extra, ``pip install 'bundle[pictures]'``.
+"""
+
+from bundle.pictures.charts import (
+    draw_breakdown,
+    draw_column_counts,
+    draw_cost_against_time,
+    draw_flops,
+    draw_performance_profile,
+)
+from bundle.pictures.covisibility import draw_covisibility
+from bundle.pictures.figure import figure
+from bundle.pictures.matrix_pattern import MatrixPattern
+from bundle.pictures.problem_patterns import (
+    ORDERINGS,
+    information_pattern,
+    order_blocks,
+    reduced_pattern,
+)
+from bundle.pictures.spy import draw_orderings, spy, spy_factor
+
+__all__ = [
+    "ORDERINGS",
+    "MatrixPattern",
+    "draw_breakdown",
+    "draw_column_counts",
+    "draw_cost_against_time",
+    "draw_covisibility",
+    "draw_flops",
+    "draw_orderings",
+    "draw_performance_profile",
+    "figure",
+    "information_pattern",
+    "order_blocks",
+    "reduced_pattern",
+    "spy",
+    "spy_factor",
+]

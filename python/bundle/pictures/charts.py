@@ -1,0 +1,153 @@
+"""What a solve is predicted to cost, and what it did: functions of a Matplotlib axis."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bundle.comparison import Comparison
+from bundle.pictures.series import cost_curve, labels, profile_curve, styles
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = [
+    "draw_breakdown",
+    "draw_column_counts",
+    "draw_cost_against_time",
+    "draw_flops",
+    "draw_performance_profile",
+]
+
+# Okabe and Ito's colours, which the colour-blind tell apart too, then three greys of other hues.
+COLOURS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5b5b5b", "#8c6bb1",
+    "#9a6324", "#469990",
+)  # fmt: skip
+LINES = ("-", "--", ":", "-.")
+
+
+def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[str] = ()) -> None:
+    """Draw the predicted flops of a step as bars on a log scale.
+
+    Args:
+        ax: where.
+        flops: of each method, by its name; what is NaN or 0 has no bar.
+        impossible: names of methods that do not fit in memory: they are hatched.
+    """
+    values = np.array([*flops.values()], float)
+    values[~(values > 0)] = np.nan
+    lowest, highest = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
+    lowest, highest = (lowest / 10, highest) if np.isfinite(highest) else (1.0, 10.0)
+    ax.set_xscale("log")
+    lengths = np.fmax(values, lowest) - lowest
+    bars = ax.barh(np.arange(len(values)), lengths, left=lowest, color=COLOURS[0])
+    for bar, name, value in zip(bars, flops, values, strict=True):
+        if name in impossible:
+            bar.set(facecolor="none", edgecolor=COLOURS[1], hatch="////")
+        text = "none" if np.isnan(value) else f"{value:.2g}"
+        text += ", does not fit in memory" if name in impossible else ""
+        middle = bar.get_y() + bar.get_height() / 2
+        ax.annotate(
+            text, (lowest if np.isnan(value) else value, middle), (3, 0),
+            textcoords="offset points", va="center", fontsize=8,
+        )  # fmt: skip
+    ax.set_xlim(lowest, highest * (highest / lowest) ** 0.6)
+    ax.set_yticks(np.arange(len(values)), [*flops], fontsize=8)
+    ax.set(ylim=(len(values) - 0.4, -0.6), xlabel="flops of one step", title="predicted flops")
+
+
+def draw_column_counts(ax: Axes, counts: Mapping[str, ArrayLike]) -> None:
+    """Draw nonzeros below the diagonal of L, by column, for each method.
+
+    Profiles may have any number of bins; each is drawn over the whole width of L.
+    """
+    for index, (name, profile) in enumerate(counts.items()):
+        values = np.asarray(profile, float)
+        place = np.linspace(0.0, 1.0, len(values) + 1)
+        colour = COLOURS[index % len(COLOURS)]
+        ax.stairs(values, place, label=name, color=colour, linewidth=1.4)
+    ax.set(
+        xlabel="columns of L, as eliminated",
+        ylabel="nonzeros below the diagonal",
+        title="column counts of L",
+        xlim=(0, 1),
+        ylim=(0, None),
+        xticks=[0, 0.5, 1],
+        xticklabels=["first", "middle", "last"],
+    )
+    if counts:
+        ax.legend(fontsize=8)
+
+
+def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
+    """Draw the distance of each run's cost to the best against time, both logarithmic."""
+    names, looks = labels(comparison.methods), styles(comparison.methods)
+    for index, run in enumerate(comparison.runs):
+        times, gaps = cost_curve(comparison, index)
+        if run.problem == problem and len(times):
+            look = looks[run.method]
+            ax.step(
+                np.maximum(times, 1e-6), gaps, where="post", label=names[run.method],
+                color=COLOURS[look.colour % len(COLOURS)],
+                linestyle=LINES[look.line % len(LINES)], linewidth=1.5,
+            )  # fmt: skip
+    ax.set(
+        xscale="log",
+        yscale="log",
+        xlabel="seconds from the loaded problem on",
+        ylabel="cost / best cost - 1",
+    )
+    ax.set_title(comparison.problems[problem].name, parse_math=False)
+    ax.grid(which="major", color="0.9")
+    if ax.lines:
+        ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def draw_breakdown(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
+    """Draw where the time of each run went, as stacked bars, the fastest on top."""
+    names = labels(comparison.methods)
+    runs = [run for run in comparison.runs_of(problem) if run.is_usable]
+    runs.sort(key=lambda run: run.total_time_in_seconds)
+    left = np.zeros(len(runs))
+    parts = [run.measurement.breakdown for run in runs if run.measurement is not None]
+    for index, phase in enumerate(parts[0] if parts else ()):
+        seconds = np.array([part[phase] for part in parts])
+        colour = COLOURS[index] if phase != "rest" else "0.75"
+        ax.barh(np.arange(len(runs)), seconds, left=left, label=phase, color=colour)
+        left += seconds
+    ax.set_yticks(np.arange(len(runs)), [names[run.method] for run in runs], fontsize=8)
+    ax.set(ylim=(len(runs) - 0.4, -0.6), xlabel="seconds")
+    ax.set_title(comparison.problems[problem].name, parse_math=False)
+    if runs:
+        ax.legend(fontsize=8)
+
+
+def draw_performance_profile(ax: Axes, comparison: Comparison, gap: float = 1e-3) -> None:
+    """Draw the share of problems that each method solves within a factor of the fastest.
+
+    A problem is solved when the cost is within ``gap`` of the best. Nothing is drawn where the
+    comparison has no profiles for the gap, which takes several problems.
+    """
+    names, looks = labels(comparison.methods), styles(comparison.methods)
+    profiles = [profile for profile in comparison.profiles if profile.gap == gap]
+    largest = max((ratio for one in profiles for ratio in one.ratios), default=1.0)
+    for profile in profiles:
+        look = looks[profile.method]
+        factors, shares = profile_curve(profile, max(1.1 * largest, 2.0))
+        ax.step(
+            factors, shares, where="post", label=names[profile.method],
+            color=COLOURS[look.colour % len(COLOURS)], linestyle=LINES[look.line % len(LINES)],
+        )  # fmt: skip
+    ax.set(
+        xscale="log",
+        ylim=(-0.02, 1.02),
+        xlabel=f"time to {gap:g} / the fastest's",
+        ylabel="share of problems",
+        title="performance profile",
+    )
+    if profiles:
+        ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))

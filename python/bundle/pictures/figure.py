@@ -1,0 +1,34 @@
+"""Matplotlib, which is optional: where it is asked for, and what is said where it is missing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from bundle.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["figure"]
+
+
+def figure(
+    num_rows: int = 1, num_columns: int = 1, *, width: float = 4.0, height: float = 4.0
+) -> tuple[Figure, Any]:
+    """Return a figure and its (num_rows, num_columns) axes, each ``width`` by ``height`` inches.
+
+    The figure belongs to no window and no global state; ``figure.savefig("a.svg")`` writes it, as
+    PNG or SVG by the name.
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError(
+            "pictures: expected Matplotlib, found none; install it with pip install "
+            "'bundle[pictures]'"
+        ) from None
+    made = Figure(figsize=(num_columns * width, num_rows * height), layout="constrained")
+    return made, made.subplots(num_rows, num_columns, squeeze=False)

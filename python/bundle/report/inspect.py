@@ -1,0 +1,186 @@
+"""What `bundle inspect` says of a problem."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import RenderableType
+from rich.table import Table
+
+from bundle.errors import shown
+from bundle.inspection import Inspection, MethodInspection
+from bundle.problem import Problem
+from bundle.report import json
+from bundle.report.refine import contents
+from bundle.tables import columns, facts, format_name, notes, number
+
+__all__ = ["CONVENTION", "as_json", "inspected"]
+
+CONVENTION = (
+    "Nonzeros count both triangles and the diagonal; those of the factor L, its lower triangle "
+    "with the diagonal."
+)
+
+
+def inspected(path: str, problem: Problem, inspection: Inspection) -> list[RenderableType]:
+    """Return the predictions for a problem as tables and sentences."""
+    return [
+        facts(
+            [
+                ("input", f"{shown(path)} ({format_name(problem.format)})"),
+                ("", contents(problem)),
+                ("unknowns", _unknowns(inspection)),
+                ("nonzeros", _nonzeros(inspection)),
+                ("", CONVENTION),
+            ]
+        ),
+        "",
+        _factors(inspection.methods),
+        "",
+        _costs(inspection),
+        "",
+        facts([("recommended", inspection.recommendation), *_command(path, inspection)]),
+        *notes(_remarks(inspection)),
+    ]
+
+
+def as_json(
+    path: str,
+    problem: Problem,
+    inspection: Inspection,
+    options: dict[str, Any],
+    wall_time: float,
+) -> dict[str, Any]:
+    """Return the report of `bundle inspect` for programs; wall_time in seconds."""
+    return {
+        **json.heading("inspect", path, problem),
+        "options": json.plain(options),
+        **json.plain(dataclasses.asdict(inspection)),
+        "nonzeros": CONVENTION,
+        "wall_time": {"total": wall_time},
+    }
+
+
+def _unknowns(inspection: Inspection) -> str:
+    method = inspection.methods[0]
+    return (
+        f"{method.num_unknowns}: {inspection.num_free_points} points, and "
+        f"{inspection.num_camera_columns} in {inspection.num_camera_blocks} blocks of cameras"
+    )
+
+
+def _nonzeros(inspection: Inspection) -> str:
+    method = inspection.methods[0]
+    full = f"{100.0 * inspection.reduced_density:.3g} % full"
+    reduced = f", S {number(method.nnz_reduced)} ({full})" if method.nnz_reduced else ""
+    return (
+        f"J {number(method.nnz_jacobian)}, information matrix {number(method.nnz_information)}"
+        f"{reduced}"
+    )
+
+
+def _factors(methods: Sequence[MethodInspection]) -> Table:
+    """Return a row for each way to factorise, whoever does it."""
+    rows = {}
+    for method in methods:
+        if method.nnz_factor:
+            rows[method.name] = (
+                method.name,
+                number(method.nnz_factor),
+                number(method.fill),
+                number(method.flops),
+                number(method.cholmod_flops),
+                str(method.tree_height),
+                str(max(method.column_count_profile)),
+            )
+    head = ("factor L", "nonzeros", "fill", "flops", "CHOLMOD's", "height", "fullest")
+    return columns(head, rows.values())
+
+
+def _costs(inspection: Inspection) -> Table:
+    names = dict.fromkeys(method.name for method in inspection.methods)
+    by_key = {(method.name, method.backend): method for method in inspection.methods}
+    rows = []
+    for name in names:
+        ours = by_key.get((name, "FUSED")) or by_key.get((name, ""))
+        theirs = by_key.get((name, "CERES"))
+        chosen = inspection.recommended >= 0 and name == _best(inspection).name
+        rows.append(
+            (
+                name,
+                *_cost(ours),
+                *_cost(theirs),
+                "<" if chosen else "",
+            )
+        )
+    head = ("method", "fused: memory", "a step", "Ceres: memory", "a step", "")
+    return columns(head, rows)
+
+
+def _cost(method: MethodInspection | None) -> tuple[str, str]:
+    if method is None:
+        return "-", "-"
+    memory = _bytes(method.memory_in_bytes)
+    if not method.fits_in_memory:
+        return f"{memory} !", "-"
+    time = _time(method.time_per_step_in_seconds)
+    return memory, time if method.is_taken else f"({time})"
+
+
+def _command(path: str, inspection: Inspection) -> list[tuple[str, str]]:
+    if inspection.recommended < 0:
+        return []
+    best = _best(inspection)
+    solver = best.linear_solver_type.lower().replace("_", "-")
+    words = f"bundle refine {shown(path)} -o OUTPUT --solver {solver}"
+    if best.preconditioner:
+        words += f" --preconditioner {best.preconditioner.lower().replace('_', '-')}"
+    if best.backend == "CERES":
+        words += " --backend ceres"
+    return [("", words)]
+
+
+def _best(inspection: Inspection) -> MethodInspection:
+    return inspection.methods[inspection.recommended]
+
+
+def _remarks(inspection: Inspection) -> list[str]:
+    remarks = [
+        "flops are the sum of c^2 + 3 c over the columns of L, c their entries below the diagonal, "
+        'and those under "CHOLMOD\'s" its own sum of (c + 1)^2; fill is in pairs of blocks; the '
+        "height is that of the elimination tree, in blocks; the fullest column of L has as many "
+        "entries below the diagonal.",
+        f"Times are for {inspection.num_threads} threads, by this machine's measured rates; memory "
+        f"is the peak beyond the problem, of {_bytes(inspection.available_memory_in_bytes)} free.",
+    ]
+    if any(not method.fits_in_memory for method in inspection.methods):
+        remarks.append("! does not fit into the memory that is free.")
+    if any(not method.is_taken for method in inspection.methods):
+        remarks.append(
+            "(in brackets) for comparison: the fused backend takes the order of natural, AMD and "
+            "METIS that makes the fewest flops, Ceres takes AMD's."
+        )
+    by_note: dict[str, list[str]] = {}
+    for method in inspection.methods:
+        if method.note and method.is_taken:
+            names = by_note.setdefault(method.note, [])
+            what = method.linear_solver_type if method.preconditioner else method.name
+            if what not in names:
+                names.append(what)
+    return remarks + [f"{', '.join(names)}: {note}." for note, names in by_note.items()]
+
+
+def _bytes(value: float) -> str:
+    for unit in ("B", "KB", "MB", "GB", "TB"):
+        if value < 999.5:
+            return f"{value:.3g} {unit}"
+        value /= 1000.0
+    return f"{value:.3g} PB"
+
+
+def _time(seconds: float) -> str:
+    if seconds < 0.9995:
+        return f"{1e3 * seconds:.3g} ms"
+    return f"{seconds:.3g} s" if seconds < 1e4 else f"{seconds:.1e} s"

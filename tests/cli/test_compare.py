@@ -1,0 +1,113 @@
+"""`bundle compare` from the outside."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+
+import pytest
+
+from tests.cli.conftest import command, environment
+from tests.comparison.conftest import unpredicted  # noqa: F401
+
+pytestmark = pytest.mark.usefixtures("unpredicted")
+
+QUICK = ("--repeat", 1, "--threads", 1)
+
+
+def test_table_recommendation_and_command_line(run, model):
+    code, out, err = run("compare", model, *QUICK)
+    assert code == 0
+    for name in ("fused", "ceres"):
+        for solver in ("DENSE", "SPARSE", "ITERATIVE"):
+            assert f"{name} {solver}_SCHUR" in out
+    assert "recommended" in out
+    assert f"bundle refine {model} -o OUTPUT" in out.replace(" \\\n    ", " ")
+    assert "6 of 6: ceres ITERATIVE_SCHUR, 1 thread ..." in err
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_recommended_command_runs(run, model, tmp_path):
+    out = run("compare", model, *QUICK, "--solvers", "dense-schur", "--backends", "fused").out
+    line = out[out.index("bundle refine") :].replace("\\\n", " ")
+    words = line.replace("OUTPUT", str(tmp_path / "refined.txt")).split()
+    assert run(*words[1:]).code == 0
+
+
+def test_json_alone_on_standard_output(run, model):
+    code, out, err = run("compare", model, *QUICK, "--solvers", "dense-schur", "--json", "-")
+    report = json.loads(out)
+    assert code == 0
+    assert report["command"] == "compare"
+    assert [one["outcome"] for one in report["runs"]] == ["DONE", "DONE"]
+    assert report["inputs"][0]["path"] == str(model)
+    assert "1 of 2" in err
+
+
+def test_quiet(run, model):
+    arguments = ("--solvers", "dense-schur", "--backends", "fused", "--quiet")
+    assert run("compare", model, *QUICK, *arguments).err == ""
+
+
+def test_nothing_usable_is_1(run, model):
+    code, out, _ = run("compare", model, *QUICK, "--solvers", "cgnr", "--backends", "fused")
+    assert code == 1
+    assert "nothing: no method has a usable solution" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--solvers", "lu"), "--solvers: expected one of auto, dense_schur"),
+        (("--solvers", ","), "--solvers: expected at least one to compare, found none"),
+        (("--threads", "two"), "expected numbers such as 1,2, found 'two'"),
+        (("--memory-cap", "much"), "--memory-cap: expected a size such as 500MB"),
+        (("--timeout", "0"), "--timeout: expected more than 0 seconds, found 0"),
+        (("--timeout", "nan"), "--timeout: expected more than 0 seconds, found nan"),
+        (("--repeat", "0"), "--repeat: expected at least 1, found 0"),
+        (("--solver", "auto"), "unrecognized arguments: --solver"),
+        (("--loss-scale", "0"), "--loss-scale: expected more than 0"),
+        (("nothing.txt",), "nothing.txt: No such file"),
+    ],
+)
+def test_bad_usage_is_one_line_and_2(run, model, arguments, words):
+    code, out, err = run("compare", model, *arguments, "--quiet")
+    assert code == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_report_must_not_replace_an_input(run, model):
+    code, _, err = run("compare", model, "--json", model)
+    assert code == 2
+    assert "the report would replace" in err
+
+
+def test_html_page(run, model, tmp_path):
+    page = tmp_path / "page.html"
+    arguments = ("--solvers", "dense-schur", "--backends", "fused", "--html", page)
+    assert run("compare", model, *QUICK, *arguments).code == 0
+    text = page.read_text()
+    assert "fused DENSE_SCHUR" in text
+    assert "bundle refine" in text
+
+
+def test_ctrl_c_ends_with_what_is_there(model, tmp_path):
+    env = {**environment(), "XDG_CACHE_HOME": str(tmp_path)}
+    with subprocess.Popen(
+        command("compare", model, "--repeat", 1000), env=env, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:  # fmt: skip
+        for line in process.stderr:
+            if line.startswith("4 of "):
+                process.send_signal(signal.SIGINT)
+                break
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "Traceback" not in err
+    assert "fused DENSE_SCHUR" in out
+    assert "recommended" in out
+    assert "interrupted" in out

@@ -1,0 +1,196 @@
+"""`bundle inspect` from the outside."""
+
+from __future__ import annotations
+
+import json
+import sys
+import types
+
+import pytest
+
+from bundle import _core
+from bundle.cli import inspect as command
+from bundle.inspection import GRAPH_ORDERINGS
+from tests.inspection.conftest import RATES
+
+CONVENTION = "Nonzeros count both triangles and the diagonal"
+
+
+@pytest.fixture(autouse=True)
+def rates(monkeypatch):
+    """No calibration: predictions are those for a made-up machine."""
+    asked = []
+
+    def made_up(*_threads, recalibrate):
+        asked.append(recalibrate)
+        return RATES
+
+    monkeypatch.setattr(sys.modules["bundle.inspection.inspect"], "machine_rates", made_up)
+    return asked
+
+
+@pytest.fixture
+def cycle(tmp_path):
+    """A cycle of six variables."""
+    path = tmp_path / "cycle.txt"
+    path.write_text("# six\n" + "".join(f"{i} {(i + 1) % 6}\n" for i in range(6)))
+    return path
+
+
+def test_report(run, model):
+    code, out, err = run("inspect", model)
+    assert code == 0
+    for words in (
+        CONVENTION,
+        "SPARSE_SCHUR colamd",
+        "SPARSE_NORMAL_CHOLESKY amd",
+        "ITERATIVE_SCHUR schur_jacobi",
+        "recommended       DENSE_SCHUR: S is",
+        "--solver dense-schur",
+        "by this machine's measured rates",
+    ):
+        assert words in " ".join(out.split()).replace("recommended ", "recommended       ")
+    assert "inspecting ..." in err
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_json(run, model, tmp_path):
+    target = tmp_path / "report.json"
+    code, out, err = run(
+        "inspect", model, "--quiet", "--json", target, "--threads", 1, "--refine", "poses,points"
+    )
+    assert (code, err) == (0, "")
+    assert out
+    report = json.loads(target.read_text())
+    assert list(report)[:5] == ["schema", "command", "version", "input", "options"]
+    assert (report["schema"], report["command"], report["num_threads"]) == (1, "inspect", 1)
+    assert report["options"]["refine"] == ["poses", "points"]
+    assert CONVENTION in report["nonzeros"]
+    names = {method["name"] for method in report["methods"]}
+    assert "SPARSE_SCHUR metis" in names
+    for method in report["methods"]:
+        assert method["num_unknowns"] == report["methods"][0]["num_unknowns"]
+        assert method["memory_in_bytes"] > 0
+        assert method["time_per_step_in_seconds"] > 0
+        assert len(method["column_count_profile"]) <= 200
+    best = report["methods"][report["recommended"]]
+    assert report["recommendation"].startswith(best["linear_solver_type"])
+    assert report["wall_time"]["total"] > 0
+
+
+def test_json_on_standard_output_alone(run, model):
+    code, out, _ = run("inspect", model, "--json", "-")
+    assert code == 0
+    assert json.loads(out)["command"] == "inspect"
+
+
+def test_what_does_not_fit_is_marked(run, model, monkeypatch):
+    monkeypatch.setattr(_core, "available_memory", lambda: 1e5)
+    code, out, _ = run("inspect", model)
+    assert code == 0
+    assert "MB !" in out
+    assert "! does not fit into the memory that is free" in out
+    assert "No method fits into the memory" in " ".join(out.split())
+    assert "bundle refine" not in out
+
+
+def test_recalibrate(run, model, rates):
+    run("inspect", model)
+    run("inspect", model, "--recalibrate")
+    assert rates == [False, True]
+
+
+def test_html(run, model, cycle, tmp_path, monkeypatch):
+    written = []
+    page = types.ModuleType("bundle.html")
+    page.write_inspection = lambda inspection, path: written.append((inspection, path))
+    monkeypatch.setitem(sys.modules, "bundle.html", page)
+    target = str(tmp_path / "page.html")
+    assert run("inspect", model, "--html", target).code == 0
+    assert run("inspect", "--graph", cycle, "--html", target).code == 0
+    (problem, path), (graph, _) = written
+    assert path == target
+    assert problem.methods
+    assert graph.fill == 3
+
+
+def test_graph(run, cycle):
+    code, out, _ = run("inspect", "--graph", cycle)
+    assert code == 0
+    assert "column counts     2 2 2 2 1 0" in out
+    assert "flops             44 (" in out
+    assert "1-5" in out  # the first edge of fill
+    assert CONVENTION in out
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_graph_in_another_order(run, tmp_path):
+    star = tmp_path / "star.txt"
+    star.write_text("".join(f"hub leaf{i}\n" for i in range(6)))
+    assert "154 (" in run("inspect", "--graph", star).out
+    assert "24 (" in run("inspect", "--graph", star, "--ordering", "minimum-degree").out
+    leaves = ",".join(f"leaf{i}" for i in range(6))
+    code, out, _ = run(
+        "inspect", "--graph", star, "--ordering", "landmarks-first", "--landmarks", leaves
+    )
+    assert code == 0
+    assert "24 (" in out
+
+
+def test_graph_of_poses(run, tmp_path):
+    chain = tmp_path / "chain.txt"
+    chain.write_text("0 1\n1 2\n")
+    assert "252 of the matrix" in run("inspect", "--graph", chain, "--block-size", 6).out
+
+
+def test_graph_json(run, cycle, tmp_path):
+    target = tmp_path / "graph.json"
+    assert run("inspect", "--graph", cycle, "--ordering", "reverse", "--json", target).code == 0
+    report = json.loads(target.read_text())
+    assert (report["command"], report["graph"]) == ("inspect", str(cycle))
+    assert (report["ordering"], report["order"]) == ("reverse", [5, 4, 3, 2, 1, 0])
+    assert report["column_counts"] == [2, 2, 2, 2, 1, 0]
+    assert (report["fill"], report["flops"]) == (3, 44)
+    assert [step["variable"] for step in report["steps"]] == report["order"]
+    assert CONVENTION in report["nonzeros"]
+
+
+def test_the_orderings_of_graphs_are_the_library_s():
+    assert tuple(name.replace("-", "_") for name in command.GRAPH_ORDERINGS) == GRAPH_ORDERINGS
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "expected INPUT or --graph FILE, found neither"),
+        (["MODEL", "--graph", "CYCLE"], "expected INPUT or --graph FILE, found both"),
+        (["MODEL", "--ordering", "amd"], "--ordering: expected with --graph only"),
+        (["MODEL", "--block-size", "6"], "--block-size: expected with --graph only"),
+        (["--graph", "CYCLE", "--ordering", "best"], "argument --ordering: invalid choice"),
+        (["--graph", "CYCLE", "--landmarks", "l1"], "--landmarks: expected variables of"),
+        (["--graph", "CYCLE", "--block-size", "0"], "--block-size: expected at least 1, found 0"),
+        (["--graph", "MISSING"], "No such file"),
+        (["MISSING"], "No such file"),
+        (["MODEL", "--threads", "-1"], "--threads: expected at least 0, found -1"),
+        (["MODEL", "--refine", "nothing"], "--refine: expected one of"),
+        (["MODEL", "--fix-images", "77"], "--fix-images: expected ids in the problem, found 77"),
+        (["MODEL", "--html", "MODEL"], "the report would replace what the command works on"),
+        (["MODEL", "--json", "x/y/z.json"], "x/y"),
+    ],
+)
+def test_bad_input_is_one_line(run, model, cycle, tmp_path, arguments, message):
+    names = {"MODEL": model, "CYCLE": cycle, "MISSING": tmp_path / "missing"}
+    code, out, err = run("inspect", *(names.get(word, word) for word in arguments), "--quiet")
+    assert code == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert message in err
+
+
+def test_a_line_that_is_no_edge(run, tmp_path):
+    path = tmp_path / "bad.txt"
+    path.write_text("a b\na b c\n")
+    code, _, err = run("inspect", "--graph", path)
+    assert code == 2
+    assert f"{path}:2: expected two variables" in err

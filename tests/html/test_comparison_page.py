@@ -1,0 +1,79 @@
+"""The page of a comparison says what the comparison holds, whatever its inputs are called."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from bundle.html import write_comparison
+from tests.html.reader import Page, check_self_contained
+from tests.pictures.comparisons import HOSTILE, METHODS, comparison
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(made):
+        path = tmp_path / "comparison.html"
+        write_comparison(made, path)
+        page = Page(path)
+        check_self_contained(page)
+        return page
+
+    return write
+
+
+def test_every_run_is_a_row_with_its_outcome(written):
+    made = comparison()
+    page = written(made)
+    rows = [row for row in page.rows if row[0] in {method.name for method in METHODS}]
+    runs, predictions = len(made.runs), len(made.runs)
+    assert len(rows) == runs + predictions
+    outcomes = [row[-1] for row in rows]
+    assert "timed out: stopped after 20 seconds." in outcomes
+    assert any(outcome.startswith("out of memory: it took more") for outcome in outcomes)
+    first = made.runs[0]
+    assert rows[0][1] == f"{first.final_cost:#.7g}" and rows[0][2] == "best"
+    assert rows[0][5] == f"{first.total_time_in_seconds:.3f} s"
+
+
+def test_names_that_are_markup_stay_text(written):
+    page = written(comparison())
+    assert HOSTILE in page.text
+    assert page.scripts == []
+
+
+def test_recommendation_leads(written):
+    made = comparison()
+    page = written(made)
+    assert made.recommendation.reason in page.text
+    assert made.recommendation.command in page.text
+    lost = written(dataclasses.replace(made, recommendation=None, interrupted=True))
+    assert "nothing to recommend" in lost.text and "Interrupted" in lost.text
+
+
+def test_profiles_need_several_problems(written):
+    assert "Performance profiles" in written(comparison(2)).text
+    assert "Performance profiles" not in written(comparison(1)).text
+
+
+def test_a_comparison_of_failures_is_a_page_too(written):
+    made = comparison(1)
+    runs = tuple(
+        dataclasses.replace(run, outcome="died", message="killed.", measurements=())
+        for run in made.runs
+    )
+    page = written(dataclasses.replace(made, runs=runs, recommendation=None))
+    assert page.text.count("died: killed.") == len(runs)
+    assert "Where the time went" not in page.text
+
+
+def test_browser_shows_it_without_asking_for_anything(browser, tmp_path):
+    path = tmp_path / "comparison.html"
+    write_comparison(comparison(), path)
+    browser.open(path)
+    assert browser.complaints() == []
+    assert browser.requested() == [path.as_uri()]
+    assert browser.evaluate("document.title") == "Solvers compared: 2 problems"
+    # One curve a run with a trace and problem, and one a method in each of the three profiles.
+    assert browser.count("svg[role=img] .curve") == 13 + 3 * len(METHODS)
