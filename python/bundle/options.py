@@ -35,6 +35,7 @@ PRECONDITIONER_TYPES = (
     "cluster_jacobi",
     "cluster_tridiagonal",
     "schur_power_series_expansion",
+    "two_level",
 )
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
@@ -73,7 +74,8 @@ class SolveOptions:
     preconditioner_type: str = option(
         "auto",
         "--preconditioner",
-        "of iterative-schur and cgnr; auto: schur-jacobi for the first, jacobi for the second",
+        "of iterative-schur and cgnr; auto: two-level for the first with our own solver, schur-jacobi "
+        "with Ceres, jacobi for the second",
         choices=("auto", *PRECONDITIONER_TYPES),
     )
     trust_region_strategy_type: str = option(

@@ -48,7 +48,7 @@ std::optional<Unsupported> FindUnsupported(const ProblemView& problem, const Sol
   }
   if (MayIterate(options.linear_solver_type) && !IsSupported(options.preconditioner_type)) {
     return Unsupported{"preconditioner_type",
-                       "identity, jacobi, schur_jacobi or schur_power_series_expansion",
+                       "identity, jacobi, schur_jacobi, schur_power_series_expansion or two_level",
                        NameOf(options.preconditioner_type, kPreconditionerTypes)};
   }
   if (layout.num_free_points() == 0) {

@@ -34,6 +34,9 @@ ceres::PreconditionerType ToCeres(PreconditionerType type, LinearSolverType solv
           "preconditioner_type: schur_power_series_expansion needs Ceres 2.2, this is "
           "Ceres " CERES_VERSION_STRING);
     }
+    case PreconditionerType::kTwoLevel:
+      throw InputError(
+          "preconditioner_type: expected one of Ceres' with the ceres backend, found two_level");
   }
   throw InputError("preconditioner_type: expected a preconditioner");
 }

@@ -68,7 +68,7 @@ class FusedSolve {
     if (!idle.empty()) warnings_.push_back(std::move(idle));
     RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
     if (options_.preconditioner_type == PreconditionerType::kAuto) {
-      options_.preconditioner_type = PreconditionerType::kSchurJacobi;
+      options_.preconditioner_type = PreconditionerType::kTwoLevel;
     }
     options_.num_threads = EffectiveNumThreads(options_.num_threads);
   }
@@ -98,7 +98,7 @@ class FusedSolve {
 
   void FindSparseStructure() {
     structure_ = SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_));
-    if (!IsIterative(options_.linear_solver_type)) ordering_ = FindFillOrdering(structure_);
+    ordering_ = FindFillOrdering(structure_);
   }
 
   void BuildProblem() {
@@ -107,8 +107,9 @@ class FusedSolve {
     } else if (structure_.offset.empty()) {
       FindSparseStructure();
     }
-    if (options_.linear_solver_type == LinearSolverType::kSparseSchur) {
-      // Then the order of the elimination is that of the blocks for everyone.
+    if (options_.linear_solver_type != LinearSolverType::kDenseSchur) {
+      // The order of the elimination becomes that of the blocks for everyone. Images that share
+      // points are near each other in it, which the passes over points like as well.
       layout_.Reorder(ordering_.order);
       structure_ = Reorder(structure_, ordering_.order);
     }

@@ -34,6 +34,7 @@ enum class PreconditionerType {
   kClusterJacobi,
   kClusterTridiagonal,
   kSchurPowerSeriesExpansion,
+  kTwoLevel,
 };
 enum class TrustRegionStrategy { kLevenbergMarquardt, kDogleg, kSubspaceDogleg };
 enum class LossType { kTrivial, kHuber, kSoftL1, kCauchy, kArctan, kTukey };
@@ -64,7 +65,8 @@ inline constexpr NamedValue<PreconditionerType> kPreconditionerTypes[] = {
     {"schur_jacobi", PreconditionerType::kSchurJacobi},
     {"cluster_jacobi", PreconditionerType::kClusterJacobi},
     {"cluster_tridiagonal", PreconditionerType::kClusterTridiagonal},
-    {"schur_power_series_expansion", PreconditionerType::kSchurPowerSeriesExpansion}};
+    {"schur_power_series_expansion", PreconditionerType::kSchurPowerSeriesExpansion},
+    {"two_level", PreconditionerType::kTwoLevel}};
 inline constexpr NamedValue<TrustRegionStrategy> kTrustRegionStrategies[] = {
     {"levenberg_marquardt", TrustRegionStrategy::kLevenbergMarquardt},
     {"dogleg", TrustRegionStrategy::kDogleg},

@@ -10,6 +10,7 @@
 #include "core/fused/eliminate/model_groups.h"
 #include "core/fused/eliminate/ordered_sums.h"
 #include "core/fused/eliminate/point_plan.h"
+#include "core/fused/eliminate/similarities.h"
 #include "core/fused/eliminate/state_records.h"
 #include "core/fused/thread_pool.h"
 #include "core/parallel_for.h"
@@ -99,6 +100,9 @@ class SchurProblem::Impl {
   }
 
   NewtonResult SolveNewton(double eta) {
+    if (solver_->NeedsSimilarities()) {
+      sums_.sums().system.similarities = Similarities(problem_, layout_, x_->cameras());
+    }
     const ReducedSolution solution =
         solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
     NewtonResult result;

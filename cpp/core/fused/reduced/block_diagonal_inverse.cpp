@@ -22,6 +22,13 @@ bool BlockDiagonalInverse::Invert(int block, const double* values, int stride) {
   return inverse.allFinite();
 }
 
+bool BlockDiagonalInverse::InvertDiagonal(const std::vector<double>& values) {
+  for (int j = 0; j < structure_.num_blocks(); ++j) {
+    if (!Invert(j, &values[structure_.panel_begin[j]], structure_.panel_stride[j])) return false;
+  }
+  return true;
+}
+
 void BlockDiagonalInverse::Multiply(const double* x, double* y) const {
   for (int j = 0; j < structure_.num_blocks(); ++j) {
     const int size = structure_.block_size(j);

@@ -17,6 +17,9 @@ class BlockDiagonalInverse {
   /// False if it is not positive definite.
   bool Invert(int block, const double* values, int stride);
 
+  /// Inverts the diagonal blocks of S. False if one of them is not positive definite.
+  bool InvertDiagonal(const std::vector<double>& values);
+
   /// y = inverse x
   void Multiply(const double* x, double* y) const;
 

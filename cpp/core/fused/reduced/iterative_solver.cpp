@@ -56,7 +56,7 @@ class IterativeSolver final : public ReducedSolver {
                   int num_threads)
       : structure_(structure),
         product_(structure_, num_threads),
-        preconditioner_(MakePreconditioner(preconditioner, structure_, &product_)),
+        preconditioner_(MakePreconditioner(preconditioner, structure_, &product_, num_threads)),
         max_iterations_(std::min(kMaxIterations, structure_.num_columns())),
         x_(structure_.num_columns()),
         r_(structure_.num_columns()),
@@ -65,6 +65,7 @@ class IterativeSolver final : public ReducedSolver {
         q_(structure_.num_columns()) {}
 
   bool NeedsCameraDiagonal() const override { return preconditioner_->NeedsCameraDiagonal(); }
+  bool NeedsSimilarities() const override { return preconditioner_->NeedsSimilarities(); }
 
   ReducedSolution Solve(ReducedSystem* system, const std::vector<double>& scale, double eta,
                         double* x) override {
@@ -72,7 +73,7 @@ class IterativeSolver final : public ReducedSolver {
       return {Status::kFailure, 0, "The preconditioner is not positive definite."};
     }
     std::fill(x_.begin(), x_.end(), 0.0);
-    const ReducedSolution solution = Iterate(*system, eta);
+    const ReducedSolution solution = Iterate(*system, eta * preconditioner_->ForcingFactor());
     std::copy(x_.begin(), x_.end(), x);
     return solution;
   }

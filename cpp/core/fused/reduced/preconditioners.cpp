@@ -7,9 +7,10 @@
 ///   schur_jacobi                  M = the block diagonal of S
 ///   schur_power_series_expansion  M^-1 = sum_{i=0..5} (U^-1 (U - S))^i U^-1
 ///
-/// The last is the Neumann series of S^-1 = (I - U^-1 (U - S))^-1 U^-1. Its terms follow from each
-/// other, t_{i+1} = U^-1 (U - S) t_i = t_i - U^-1 S t_i, at one product with S each. Ceres stops it
-/// by number alone inside conjugate gradients, so that M stays the same from one to the next.
+/// and one that Ceres does not have, two_level (two_level.cpp). The series is the Neumann series of
+/// S^-1 = (I - U^-1 (U - S))^-1 U^-1. Its terms follow from each other, t_{i+1} = U^-1 (U - S) t_i
+/// = t_i - U^-1 S t_i, at one product with S each. Ceres stops it by number alone inside conjugate
+/// gradients, so that M stays the same from one to the next.
 
 #include "core/fused/reduced/preconditioners.h"
 
@@ -18,6 +19,7 @@
 #include <vector>
 
 #include "core/fused/reduced/block_diagonal_inverse.h"
+#include "core/fused/reduced/two_level.h"
 
 namespace bundle::fused {
 namespace {
@@ -67,21 +69,15 @@ class Jacobi final : public Preconditioner {
 
 class SchurJacobi final : public Preconditioner {
  public:
-  explicit SchurJacobi(const ReducedStructure& structure)
-      : structure_(structure), inverse_(structure) {}
+  explicit SchurJacobi(const ReducedStructure& structure) : inverse_(structure) {}
 
   bool Update(const ReducedSystem& system, const std::vector<double>& /*scale*/) override {
-    for (int j = 0; j < structure_.num_blocks(); ++j) {
-      const double* block = &system.values[structure_.panel_begin[j]];
-      if (!inverse_.Invert(j, block, structure_.panel_stride[j])) return false;
-    }
-    return true;
+    return inverse_.InvertDiagonal(system.values);
   }
 
   void Multiply(const double* r, double* z) override { inverse_.Multiply(r, z); }
 
  private:
-  const ReducedStructure& structure_;
   BlockDiagonalInverse inverse_;
 };
 
@@ -129,7 +125,7 @@ class PowerSeries final : public Preconditioner {
 
 std::unique_ptr<Preconditioner> MakePreconditioner(PreconditionerType preconditioner,
                                                    const ReducedStructure& structure,
-                                                   SymmetricProduct* product) {
+                                                   SymmetricProduct* product, int num_threads) {
   switch (preconditioner) {
     case PreconditionerType::kIdentity:
       return std::make_unique<Identity>();
@@ -137,6 +133,8 @@ std::unique_ptr<Preconditioner> MakePreconditioner(PreconditionerType preconditi
       return std::make_unique<Jacobi>(structure);
     case PreconditionerType::kSchurPowerSeriesExpansion:
       return std::make_unique<PowerSeries>(structure, product);
+    case PreconditionerType::kTwoLevel:
+      return MakeTwoLevelPreconditioner(structure, num_threads);
     default:
       return std::make_unique<SchurJacobi>(structure);
   }

@@ -19,12 +19,16 @@ class Preconditioner {
   virtual void Multiply(const double* r, double* z) = 0;
 
   virtual bool NeedsCameraDiagonal() const { return false; }
+  virtual bool NeedsSimilarities() const { return false; }
+  /// Of the forcing term that conjugate gradients stop by.
+  virtual double ForcingFactor() const { return 1; }
 };
 
-/// `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi and kSchurPowerSeriesExpansion.
+/// `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi, kSchurPowerSeriesExpansion and
+/// kTwoLevel.
 /// Keeps references to the structure and the product.
 std::unique_ptr<Preconditioner> MakePreconditioner(PreconditionerType preconditioner,
                                                    const ReducedStructure& structure,
-                                                   SymmetricProduct* product);
+                                                   SymmetricProduct* product, int num_threads);
 
 }  // namespace bundle::fused

@@ -4,15 +4,19 @@
 ///   dense      n^3 / 3 at the rate of dpotrf, and 8 n^2 bytes for the substitutions
 ///   sparse     f at the same rate, and a time for each entry of the factor, which is put together
 ///              run by run beside the flops and substituted with
-///   iterative  8 s bytes from memory for each product with S
+///   iterative  8 s bytes from memory for each product with S; with two levels (two_level.cpp) a
+///              time for each value of S, which goes into the coarse system once, and two passes
+///              over the coarse factor beside each product: about l / 20 entries, as a fifth of the
+///              columns is left
 ///
 /// Measured on a server core (AVX-512, OpenBLAS 0.3.21) in processor time: dpotrf of 2000 columns
 /// 37 GFLOP/s; supernodal_cholesky on bands, grids and random couplings of 33 to 3000 blocks of 9, f
 /// from 2e6 to 3e10: within 30 % of f / 40 GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS'
 /// threads are counted where they are used, and bandwidth as that of at most four cores.
 ///
-/// Conjugate gradients took from 2 to 500 products a step (Ceres' forcing sequence, Schur-Jacobi,
-/// 200 cameras), more towards the end, and their steps gain less than exact ones: 200 are counted.
+/// Conjugate gradients with two levels took 2 to 100 products a step (streets of 50 to 1000 images
+/// and 1000 of a photo collection), more towards the end, and their steps gain a little less than
+/// exact ones: 80 are counted. The coarse system took 10 ns a value.
 
 #include "core/fused/reduced/reduced_cost.h"
 
@@ -31,7 +35,9 @@ constexpr double kBytesPerSecond = 8e9;   // of a core
 constexpr double kCoresThatFillMemory = 4;
 constexpr double kSecondsPerFactorEntry = 7e-9;
 constexpr double kSupernodalPadding = 1.2;  // zeros that panels store, and upper triangles
-constexpr double kProductsPerStep = 200;
+constexpr double kProductsPerStep = 80;
+constexpr double kSecondsPerCoarseValue = 10e-9;
+constexpr double kCoarseFactorShare = 0.05;  // of the entries of the whole factor
 constexpr double kShareOfMemory = 0.7;
 
 std::string FormatSeconds(double seconds) {
@@ -71,9 +77,11 @@ ReducedCosts PredictReducedCosts(const ReducedStructure& structure, const FillOr
   costs.sparse.seconds =
       ordering.flops / rate(average_column) + kSecondsPerFactorEntry * ordering.entries;
 
-  costs.iterative.flops = 4 * values * kProductsPerStep;
-  costs.iterative.bytes = 8 * values;
-  costs.iterative.seconds = costs.iterative.bytes / bandwidth * kProductsPerStep;
+  const double coarse_entries = kCoarseFactorShare * ordering.entries;
+  costs.iterative.flops = 4 * (values + coarse_entries) * kProductsPerStep;
+  costs.iterative.bytes = 8 * (values + kSupernodalPadding * coarse_entries);
+  costs.iterative.seconds = 8 * (values + 2 * coarse_entries) / bandwidth * kProductsPerStep +
+                            kSecondsPerCoarseValue * values / threads;
   return costs;
 }
 

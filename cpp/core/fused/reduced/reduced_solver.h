@@ -41,6 +41,8 @@ class ReducedSolver {
 
   /// True if it reads ReducedSystem::camera_diagonal.
   virtual bool NeedsCameraDiagonal() const { return false; }
+  /// True if it reads ReducedSystem::similarities.
+  virtual bool NeedsSimilarities() const { return false; }
 
   virtual FactorStatistics factor_statistics() const { return {}; }
 };
@@ -55,8 +57,8 @@ std::unique_ptr<ReducedSolver> MakeSparseSolver(const FillOrdering& ordering, in
                                                 ReducedStructure* structure);
 
 /// Preconditioned conjugate gradients, as Ceres' ITERATIVE_SCHUR runs them; takes a sparse
-/// structure. `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi and
-/// kSchurPowerSeriesExpansion.
+/// structure. `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi,
+/// kSchurPowerSeriesExpansion and kTwoLevel.
 std::unique_ptr<ReducedSolver> MakeIterativeSolver(const ReducedStructure& structure,
                                                    PreconditionerType preconditioner,
                                                    int num_threads);

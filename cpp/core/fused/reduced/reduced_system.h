@@ -14,6 +14,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/cameras/camera_model.h"
+
 namespace bundle::fused {
 
 /// Which blocks of S may be nonzero and where they lie.
@@ -58,6 +60,12 @@ struct ReducedSystem {
   /// its block diagonal, each block square and column-major, one after the other. Empty unless a
   /// preconditioner asks for it.
   std::vector<double> camera_diagonal;
+  /// For each column of S, what the seven similarities of the world do to its unknown
+  /// (eliminate/similarities.h). Empty unless a preconditioner asks for it.
+  std::vector<double> similarities;
+
+  static constexpr int kNumSimilarities = 7;
+  static constexpr int kMaxBlockSize = 6 + kMaxCameraParams;
 };
 
 }  // namespace bundle::fused
