@@ -10,7 +10,7 @@ import pytest
 
 from bundle import _core
 from bundle.cli import inspect as command
-from bundle.inspection import GRAPH_ORDERINGS
+from bundle.inspection import GRAPH_ORDERINGS, problem_inspection
 from tests.inspection.conftest import RATES
 
 CONVENTION = "Nonzeros count both triangles and the diagonal"
@@ -25,7 +25,7 @@ def rates(monkeypatch):
         asked.append(recalibrate)
         return RATES
 
-    monkeypatch.setattr(sys.modules["bundle.inspection.inspect"], "machine_rates", made_up)
+    monkeypatch.setattr(problem_inspection, "machine_rates", made_up)
     return asked
 
 

@@ -77,7 +77,7 @@ def fused_memory(
     if counted is None:
         terms["reduced system"] = DOUBLE * pattern.num_reduced_values
         if coarse_entries:
-            terms["coarse system"] = DOUBLE * coarse_entries
+            terms["coarse system"] = _BLAS_PAGES + DOUBLE * coarse_entries
     elif linear_solver_type == "DENSE_SCHUR":
         terms["reduced system"] = DOUBLE * counted.values
         terms["BLAS"] = _BLAS_PAGES + DOUBLE * float(_PACKED_COLUMNS) * counted.columns
