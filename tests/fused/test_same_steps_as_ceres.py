@@ -43,7 +43,7 @@ KEPT = {
 SOLVERS = {
     "dense": ("dense_schur", "auto"),
     "sparse": ("sparse_schur", "auto"),
-    "iterative": ("iterative_schur", "auto"),
+    "iterative": ("iterative_schur", "schur_jacobi"),
     "iterative, jacobi": ("iterative_schur", "jacobi"),
     "iterative, identity": ("iterative_schur", "identity"),
 }

@@ -132,3 +132,9 @@ def test_auto_looks_at_how_full_the_reduced_system_is(solve, backend, track, loc
     assert summary.linear_solver_type_used == used
     expected = reason if backend == "ceres" else "is expected to take a step: dense about"
     assert expected in summary.linear_solver_choice
+
+
+def test_two_levels_are_not_of_ceres():
+    options = {"linear_solver_type": "iterative_schur", "preconditioner_type": "two_level"}
+    with pytest.raises(bundle.InputError, match=r"^preconditioner_type: .* found two_level$"):
+        bundle.solve(scenes.make_problem(), backend="ceres", **options)

@@ -196,7 +196,8 @@ def test_conjugate_gradients_survive_a_reduced_system_of_one_column(solve):
 
 
 @pytest.mark.parametrize(
-    "preconditioner", ["identity", "jacobi", "schur_jacobi", "schur_power_series_expansion"]
+    "preconditioner",
+    ["identity", "jacobi", "schur_jacobi", "schur_power_series_expansion", "two_level"],
 )
 def test_every_preconditioner_of_the_fused_backend_reaches_the_same_minimum(preconditioner):
     problem = scenes.make_problem(seed=13, shared=True)

@@ -33,6 +33,9 @@ SolveOptions Options(LinearSolverType type = LinearSolverType::kDenseSchur) {
   SolveOptions options;
   options.backend = Backend::kFused;
   options.linear_solver_type = type;
+  if (type == LinearSolverType::kIterativeSchur) {
+    options.preconditioner_type = PreconditionerType::kSchurJacobi;  // Ceres' automatic one
+  }
   options.gauge = Gauge::kTwoCameras;
   options.loss_scale = 5;
   options.max_num_iterations = 12;
@@ -155,6 +158,9 @@ TEST(SolveWithFused, UglyProblemsEndOrderly) {
           const SolveOutput found = CheckedSolve(scene, options);
           const SolveOutput expected = ByCeres(scene, options);
           EXPECT_EQ(found.summary.is_solution_usable, expected.summary.is_solution_usable);
+          if (type != LinearSolverType::kIterativeSchur) continue;
+          options.preconditioner_type = PreconditionerType::kTwoLevel;
+          CheckedSolve(scene, options);
         }
       }
     }

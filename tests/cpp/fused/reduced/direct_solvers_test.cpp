@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/fused/reduced/reduced_solver.h"
+#include "core/symbolic/factor_counts.h"
 #include "fused/reduced/random_system.h"
 
 namespace bundle::fused {
@@ -27,9 +28,16 @@ Solver MakeSolver(bool dense, const RandomSystem& system, int num_threads = 2) {
     return result;
   }
   result.structure = SparseStructure(system.sizes, system.columns);
-  std::vector<int> order(system.sizes.size());
-  std::iota(order.begin(), order.end(), 0);
-  const FillOrdering ordering = AnalyzeOrdering(result.structure, "natural", order);
+  FillOrdering ordering;
+  ordering.name = "natural";
+  ordering.order.resize(system.sizes.size());
+  std::iota(ordering.order.begin(), ordering.order.end(), 0);
+  const FactorCounts counts =
+      CountFactor({result.structure.num_blocks(), system.sizes.data(),
+                   result.structure.column_begin.data(), result.structure.row_block.data()},
+                  ordering.order);
+  ordering.entries = counts.entries;
+  ordering.flops = counts.cholmod_flops;
   result.solver = MakeSparseSolver(ordering, num_threads, &result.structure);
   return result;
 }
