@@ -124,7 +124,7 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
             from bundle.html import write_inspection
 
             progress.stage(f"writing {shown(arguments.html)}")
-            write_inspection(inspection, arguments.html)
+            write_inspection(inspection, arguments.html, problem, options)
     if arguments.json != "-":
         show(*inspected(arguments.input, problem, inspection))
     wall = perf_counter() - started
