@@ -136,31 +136,35 @@ def _row(problem: str, method: str, predicted: dict[str, Any], measured: dict[st
     return Row(problem=problem, method=method, failure=measured.get("failure", ""), **pairs)
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Return the rows in Markdown, and how many predictions of direct solvers are off."""
-    head = (
-        "| problem | method | nonzeros of L | reported | memory | measured | ratio "
-        "| a step | measured | ratio | off |"
-    )
-    lines = [head, "| --- | --- |" + " ---: |" * 8 + " --- |"]
-    for row in rows:
-        cells = [
-            row.problem,
-            row.method,
-            *(_number(value, "{:.0f}") for value in row.nnz_factor),
-            *(_number(value, "{:.1f} MB", 1e-6) for value in row.memory),
-            _number(ratio(row.memory), "{:.2f}"),
-            *(_number(value, "{:.2f} ms", 1e3) for value in row.seconds),
-            _number(ratio(row.seconds), "{:.2f}"),
-            row.failure or ", ".join(row.misses),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
+HEAD = """\
+| problem | method | nonzeros of L | reported | memory | measured | ratio \
+| a step | measured | ratio | off |
+| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |"""
+
+
+def line(row: Row) -> str:
+    """Return a row in Markdown."""
+    cells = [
+        row.problem,
+        row.method,
+        *(_number(value, "{:.0f}") for value in row.nnz_factor),
+        *(_number(value, "{:.1f} MB", 1e-6) for value in row.memory),
+        _number(ratio(row.memory), "{:.2f}"),
+        *(_number(value, "{:.2f} ms", 1e3) for value in row.seconds),
+        _number(ratio(row.seconds), "{:.2f}"),
+        row.failure or ", ".join(row.misses),
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """Return how many predictions of direct solvers are off."""
     direct = [row for row in rows if row.is_direct and not row.failure]
     counts = ", ".join(
         f"{sum(name in row.misses for row in direct)} in {name}"
         for name in ("nonzeros", "memory", "time")
     )
-    return "\n".join([*lines, "", f"Direct solves: {len(direct)}; predictions off: {counts}."])
+    return f"Direct solves: {len(direct)}; predictions off: {counts}."
 
 
 def _number(value: float | None, form: str, scale: float = 1.0) -> str:
@@ -188,12 +192,16 @@ def main() -> int:
     if calibration.get("failure"):
         print(f"calibration: {calibration['failure']}", file=sys.stderr)
         return 2
+    print(HEAD)
     for problem in known:
-        if problem.name in wanted:
-            if problem.is_synthetic:
-                synthetic.ensure(problem)
-            rows += rows_of(problem, options.threads, options.repeat)
-    print(table(rows))
+        if problem.name not in wanted:
+            continue
+        if problem.is_synthetic:
+            synthetic.ensure(problem)
+        found = rows_of(problem, options.threads, options.repeat)
+        print(*map(line, found), sep="\n", flush=True)
+        rows += found
+    print(f"\n{verdict(rows)}")
     if options.json is not None:
         options.json.write_text(json.dumps([vars(row) for row in rows], indent=1))
     return int(any(row.misses for row in rows))

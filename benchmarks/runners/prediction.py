@@ -29,11 +29,12 @@ def calibrate(threads: int) -> dict[str, Any]:
 
 
 def inspect(path: str, threads: int) -> dict[str, Any]:
-    """Return the predictions by "backend solver", with the options' default preconditioner."""
+    """Return the predictions by "backend solver", with the preconditioners that auto takes."""
     found: dict[str, Any] = {}
     for method in bundle.inspect(bundle.load(path), num_threads=threads).methods:
-        usual = method.preconditioner in ("", "SCHUR_JACOBI")
-        if not (method.is_taken and usual) or method.ordering == "cameras_first":
+        usual = "TWO_LEVEL" if method.backend == "FUSED" else "SCHUR_JACOBI"
+        is_usual = method.preconditioner in ("", usual)
+        if not (method.is_taken and is_usual) or method.ordering == "cameras_first":
             continue
         found[f"{method.backend} {method.linear_solver_type}".lower()] = {
             "nnz_factor": method.nnz_factor,

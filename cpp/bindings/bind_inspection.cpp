@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 
 #include <cstdint>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -10,8 +11,9 @@
 #include "bindings/to_numpy.h"
 #include "core/fused/eliminate/plan_size.h"
 #include "core/fused/eliminate/point_plan.h"
-#include "core/fused/reduced/panel_values.h"
+#include "core/fused/reduced/pattern_costs.h"
 #include "core/solve/memory.h"
+#include "core/solve/option_names.h"
 #include "core/solve/prepare.h"
 #include "core/symbolic/block_pattern.h"
 
@@ -69,14 +71,26 @@ py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
 using Ints = py::array_t<int, py::array::c_style>;
 using Int64s = py::array_t<int64_t, py::array::c_style>;
 
-/// Takes what `_core.reduced_pattern` and `_core.order_blocks` return.
+/// Takes what `_core.reduced_pattern` returns.
+bundle::BlockPatternView View(const Ints& sizes, const Int64s& column_begin, const Ints& rows) {
+  return {static_cast<int>(sizes.size()), sizes.data(), column_begin.data(), rows.data()};
+}
+
 double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
                    const Ints& order) {
-  const bundle::BlockPatternView pattern{static_cast<int>(sizes.size()), sizes.data(),
-                                         column_begin.data(), rows.data()};
+  const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const std::vector<int> blocks(order.data(), order.data() + order.size());
   const py::gil_scoped_release release;
   return bundle::fused::CountPanelValues(pattern, blocks);
+}
+
+/// The linear solver that the fused backend's `auto` takes, in upper case.
+std::string AutoChoice(const Ints& sizes, const Int64s& column_begin, const Ints& rows,
+                       int num_threads) {
+  const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
+  const py::gil_scoped_release release;
+  return bundle::UpperName(bundle::fused::ChooseByPattern(pattern, num_threads).type,
+                           bundle::kLinearSolverTypes);
 }
 
 }  // namespace
@@ -87,5 +101,7 @@ void BindInspection(py::module_& m) {
   m.def("parameter_blocks", &ParameterBlocks, py::arg("problem"), py::arg("options"));
   m.def("panel_values", &PanelValues, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("order"));
+  m.def("auto_choice", &AutoChoice, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
+        py::arg("num_threads"));
   m.def("elimination_plan", &EliminationPlan, py::arg("problem"), py::arg("options"));
 }

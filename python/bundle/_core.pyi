@@ -167,6 +167,12 @@ def parameter_blocks(
     problem: Problem, options: dict[str, Any]
 ) -> dict[str, Any]: ...  # size, image_block, camera_block: NDArray[np.int32]; point_is_free: bool
 def elimination_plan(problem: Problem, options: dict[str, Any]) -> dict[str, int]: ...
+def auto_choice(
+    sizes: NDArray[np.int32],
+    column_begin: NDArray[np.int64],
+    rows: NDArray[np.int32],
+    num_threads: int,
+) -> str: ...
 def panel_values(
     sizes: NDArray[np.int32],
     column_begin: NDArray[np.int64],

@@ -10,7 +10,7 @@ import pytest
 
 from bundle import _core
 from bundle.cli import inspect as command
-from bundle.inspection import GRAPH_ORDERINGS
+from bundle.inspection import GRAPH_ORDERINGS, problem_inspection
 from tests.inspection.conftest import RATES
 
 CONVENTION = "Nonzeros count both triangles and the diagonal"
@@ -25,7 +25,7 @@ def rates(monkeypatch):
         asked.append(recalibrate)
         return RATES
 
-    monkeypatch.setattr(sys.modules["bundle.inspection.inspect"], "machine_rates", made_up)
+    monkeypatch.setattr(problem_inspection, "machine_rates", made_up)
     return asked
 
 
@@ -103,14 +103,16 @@ def test_recalibrate(run, model, rates):
 def test_html(run, model, cycle, tmp_path, monkeypatch):
     written = []
     page = types.ModuleType("bundle.html")
-    page.write_inspection = lambda inspection, path: written.append((inspection, path))
+    page.write_inspection = lambda *arguments: written.append(arguments)
     monkeypatch.setitem(sys.modules, "bundle.html", page)
     target = str(tmp_path / "page.html")
     assert run("inspect", model, "--html", target).code == 0
     assert run("inspect", "--graph", cycle, "--html", target).code == 0
-    (problem, path), (graph, _) = written
+    (inspection, path, problem, options), (graph, _) = written
     assert path == target
-    assert problem.methods
+    assert inspection.methods
+    assert problem.num_images == inspection.num_camera_blocks
+    assert options.num_threads == 0
     assert graph.fill == 3
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-
 import pytest
 
+from bundle.inspection import problem_inspection
 from bundle.inspection.rates import FactorRate, Rates
 
 CORE = FactorRate(flops_per_second=1e10, seconds_per_entry=1e-9)
@@ -35,7 +33,5 @@ RATES = Rates(
 @pytest.fixture
 def rates(monkeypatch: pytest.MonkeyPatch) -> Rates:
     """Let predictions be those for a made-up machine."""
-    importlib.import_module("bundle.inspection")
-    module = sys.modules["bundle.inspection.inspect"]
-    monkeypatch.setattr(module, "machine_rates", lambda *_, **__: RATES)
+    monkeypatch.setattr(problem_inspection, "machine_rates", lambda *_, **__: RATES)
     return RATES

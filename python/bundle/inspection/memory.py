@@ -49,9 +49,16 @@ def total(terms: Terms) -> float:
 
 
 def fused_memory(
-    pattern: ProblemPattern, linear_solver_type: str, counted: Counted | None, num_threads: int
+    pattern: ProblemPattern,
+    linear_solver_type: str,
+    counted: Counted | None,
+    num_threads: int,
+    coarse_entries: float = 0.0,
 ) -> Terms:
-    """Return what a solve by the fused backend takes; ``counted`` is what it factorises."""
+    """Return what a solve by the fused backend takes; ``counted`` is what it factorises.
+
+    ``coarse_entries``: of the factor of a second level.
+    """
     plan = pattern.plan
     buffer = plan.largest_chunk_blocks * plan.block_doubles * DOUBLE
     terms = {
@@ -69,6 +76,8 @@ def fused_memory(
     }
     if counted is None:
         terms["reduced system"] = DOUBLE * pattern.num_reduced_values
+        if coarse_entries:
+            terms["coarse system"] = _BLAS_PAGES + DOUBLE * coarse_entries
     elif linear_solver_type == "DENSE_SCHUR":
         terms["reduced system"] = DOUBLE * counted.values
         terms["BLAS"] = _BLAS_PAGES + DOUBLE * float(_PACKED_COLUMNS) * counted.columns

@@ -5,21 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bundle import _core
+from bundle.options import PRECONDITIONER_TYPES
 
 __all__ = ["ORDERINGS", "Method", "all_methods"]
 
 ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
 """Of the blocks of S, in the order of a report."""
 
-PRECONDITIONERS = (
-    "IDENTITY",
-    "JACOBI",
-    "SCHUR_JACOBI",
-    "CLUSTER_JACOBI",
-    "CLUSTER_TRIDIAGONAL",
-    "SCHUR_POWER_SERIES_EXPANSION",
-)
-_FUSED_PRECONDITIONERS = ("IDENTITY", "JACOBI", "SCHUR_JACOBI", "SCHUR_POWER_SERIES_EXPANSION")
+_CERES_ALONE = ("cluster_jacobi", "cluster_tridiagonal")
+_FUSED_ALONE = ("two_level",)
 _FIRST_CERES_WITH_POWER_SERIES = (2, 2)
 
 
@@ -61,13 +55,13 @@ def all_methods() -> tuple[Method, ...]:
     methods.append(
         Method(linear_solver_type="SPARSE_NORMAL_CHOLESKY", backend="CERES", ordering="amd")
     )
-    for preconditioner in PRECONDITIONERS:
+    for preconditioner in PRECONDITIONER_TYPES:
         for backend in _who_has(preconditioner):
             methods.append(
                 Method(
                     linear_solver_type="ITERATIVE_SCHUR",
                     backend=backend,
-                    preconditioner=preconditioner,
+                    preconditioner=preconditioner.upper(),
                 )
             )
     return tuple(methods)
@@ -81,11 +75,12 @@ def _who_takes(ordering: str) -> tuple[str, ...]:
 
 
 def _who_has(preconditioner: str) -> tuple[str, ...]:
-    backends = ["FUSED"] if preconditioner in _FUSED_PRECONDITIONERS else []
     version = tuple(int(part) for part in _core.CERES_VERSION.split(".")[:2])
-    if (
-        preconditioner != "SCHUR_POWER_SERIES_EXPANSION"
-        or version >= _FIRST_CERES_WITH_POWER_SERIES
-    ):
-        backends.append("CERES")
-    return tuple(backends)
+    if preconditioner in _CERES_ALONE:
+        return ("CERES",)
+    if preconditioner in _FUSED_ALONE:
+        return ("FUSED",)
+    is_new = preconditioner == "schur_power_series_expansion"
+    if is_new and version < _FIRST_CERES_WITH_POWER_SERIES:
+        return ("FUSED",)
+    return ("FUSED", "CERES")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from bundle.inspection.inspect import MethodInspection
+    from bundle.inspection.problem_inspection import MethodInspection
 
 __all__ = ["explain", "recommend"]
 

@@ -9,11 +9,15 @@ from bundle.inspection.memory import Terms
 from bundle.inspection.problem_pattern import FactorCount, ProblemPattern
 from bundle.inspection.rates import FactorRate, Rates
 
-__all__ = ["PRODUCTS_PER_STEP", "ceres_time", "factor_rate", "fused_time"]
+__all__ = ["COARSE_FACTOR_SHARE", "ceres_time", "factor_rate", "fused_time", "products_per_step"]
 
-PRODUCTS_PER_STEP = 200
-"""Products with S that a step by conjugate gradients is taken to need, as ``auto`` takes it
-(cpp/core/fused/reduced/reduced_cost.cpp): from 2 to 500 were seen, more towards the end."""
+PRODUCTS_PER_STEP, PRODUCTS_WITH_TWO_LEVELS = 200, 80
+"""Products with S that a step by conjugate gradients is taken to need: from 2 to 500 were seen,
+more towards the end; from 2 to 100 with two levels (cpp/core/fused/reduced/reduced_cost.cpp)."""
+
+# Of the coarse system of two levels: putting it together, for each value of S and thread, and its
+# factor's entries against those of the whole factor. As `auto` takes them, in the same place.
+_SECONDS_PER_COARSE_VALUE, COARSE_FACTOR_SHARE = 10e-9, 0.05
 
 POWER_SERIES_PRODUCTS = 6
 """Products of one iteration with the power series as preconditioner."""
@@ -43,8 +47,12 @@ def fused_time(
     preconditioner: str,
     counted: Counted | None,
     rates: Rates,
+    coarse_entries: float = 0.0,
 ) -> Terms:
-    """Return what a step by the fused backend takes; ``counted`` is what it factorises."""
+    """Return what a step by the fused backend takes; ``counted`` is what it factorises.
+
+    ``coarse_entries``: of the factor of a second level.
+    """
     plan = pattern.plan
     block = plan.block_doubles / _BLOCK_DOUBLES
     is_dense = linear_solver_type == "DENSE_SCHUR"
@@ -64,8 +72,13 @@ def fused_time(
         rate = factor_rate(rates, is_dense, counted.columns, counted.factor)
         terms["factorisation"] = rate.seconds(counted.factor.flops, counted.factor.nnz)
     else:
-        products = _products(preconditioner)
-        terms["conjugate gradients"] = products * 8 * values / rates.reduced_bytes_per_second
+        read = 8 * (values + 2 * coarse_entries)
+        terms["conjugate gradients"] = (
+            products_per_step(preconditioner) * read / rates.reduced_bytes_per_second
+        )
+        if coarse_entries:
+            seconds = _SECONDS_PER_COARSE_VALUE * values / rates.num_threads
+            terms["coarse system"] = seconds
     return terms
 
 
@@ -94,7 +107,7 @@ def ceres_time(
         rates.ceres_elimination * width * observations + pair * pattern.block_pairs
     )
     if counted is None:
-        products = _products(preconditioner) * observations
+        products = products_per_step(preconditioner) * observations
         terms["conjugate gradients"] = rates.ceres_product * width * products
         return terms
     if linear_solver_type == "SPARSE_SCHUR":
@@ -105,7 +118,9 @@ def ceres_time(
     return terms
 
 
-def _products(preconditioner: str) -> int:
+def products_per_step(preconditioner: str) -> int:
     """Return the products with S that are counted for a step."""
+    if preconditioner == "TWO_LEVEL":
+        return PRODUCTS_WITH_TWO_LEVELS
     is_series = preconditioner == "SCHUR_POWER_SERIES_EXPANSION"
     return PRODUCTS_PER_STEP * (POWER_SERIES_PRODUCTS if is_series else 1)

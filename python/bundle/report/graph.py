@@ -64,7 +64,7 @@ def as_json(path: str, graph: GraphInspection, wall_time: float) -> dict[str, An
 
 def _rows(graph: GraphInspection) -> list[tuple[str, ...]]:
     names = graph.names
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             names[step.variable],
             _members([names[neighbour] for neighbour in step.neighbours]),

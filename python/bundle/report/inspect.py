@@ -23,6 +23,8 @@ CONVENTION = (
     "with the diagonal."
 )
 
+_CLEARLY_SLOWER = 1.25
+
 
 def inspected(path: str, problem: Problem, inspection: Inspection) -> list[RenderableType]:
     """Return the predictions for a problem as tables and sentences."""
@@ -162,14 +164,39 @@ def _remarks(inspection: Inspection) -> list[str]:
             "(in brackets) for comparison: the fused backend takes the order of natural, AMD and "
             "METIS that makes the fewest flops, Ceres takes AMD's."
         )
-    by_note: dict[str, list[str]] = {}
+    remarks += _disagreement(inspection)
+    by_note: dict[str, dict[str, str]] = {}
     for method in inspection.methods:
         if method.note and method.is_taken:
-            names = by_note.setdefault(method.note, [])
-            what = method.linear_solver_type if method.preconditioner else method.name
-            if what not in names:
-                names.append(what)
-    return remarks + [f"{', '.join(names)}: {note}." for note, names in by_note.items()]
+            by_note.setdefault(method.note, {})[method.name] = method.linear_solver_type
+    return remarks + [f"{_whose(names)}: {note}." for note, names in by_note.items()]
+
+
+def _whose(names: dict[str, str]) -> str:
+    """Return the methods, or their linear solver where they are many and have one."""
+    solvers = dict.fromkeys(names.values())
+    return ", ".join(solvers if len(names) > 2 and len(solvers) == 1 else names)
+
+
+def _disagreement(inspection: Inspection) -> list[str]:
+    """Return a remark where `--solver auto` takes what is predicted to be clearly slower."""
+    auto = [
+        method
+        for method in inspection.methods
+        if method.is_taken
+        and method.backend == "FUSED"
+        and method.linear_solver_type == inspection.auto_choice
+    ]
+    if not auto or inspection.recommended < 0:
+        return []
+    best = _best(inspection).time_per_step_in_seconds
+    taken = min(method.time_per_step_in_seconds for method in auto)
+    if taken <= _CLEARLY_SLOWER * best:
+        return []
+    return [
+        f"`--solver auto` would take {inspection.auto_choice}: it goes by the rates of a fixed "
+        "machine. `bundle compare` measures who is right."
+    ]
 
 
 def _bytes(value: float) -> str:

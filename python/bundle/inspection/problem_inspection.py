@@ -13,7 +13,12 @@ from bundle.inspection.methods import Method, all_methods
 from bundle.inspection.problem_pattern import ProblemPattern, find_pattern
 from bundle.inspection.rates import Rates, machine_rates
 from bundle.inspection.recommend import explain, recommend
-from bundle.inspection.step_time import PRODUCTS_PER_STEP, ceres_time, fused_time
+from bundle.inspection.step_time import (
+    COARSE_FACTOR_SHARE,
+    ceres_time,
+    fused_time,
+    products_per_step,
+)
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.solver import resolve_defaults
@@ -94,6 +99,8 @@ class Inspection:
         methods: what each costs.
         recommended: index into methods of the fastest that fits; -1 if none does.
         recommendation: the same in a sentence, with its reason.
+        auto_choice: linear solver that the fused backend's ``auto`` takes, which goes by rates of
+            its own (cpp/core/fused/reduced/reduced_cost.cpp); "" where it does not come into it.
     """
 
     num_observations: int
@@ -106,6 +113,7 @@ class Inspection:
     methods: tuple[MethodInspection, ...]
     recommended: int
     recommendation: str
+    auto_choice: str
 
 
 def inspect(
@@ -149,6 +157,7 @@ def inspect(
         methods=methods,
         recommended=best,
         recommendation=explain(methods, best, density),
+        auto_choice=inspector.auto_choice(),
     )
 
 
@@ -179,6 +188,12 @@ class _Inspector:
         if pattern.longest_track > _core.MAX_TRACK_LENGTH:
             return tuple(method for method in every if method.backend == "CERES")
         return every
+
+    def auto_choice(self) -> str:
+        """Return the linear solver that the fused backend would choose, "" if it cannot."""
+        if all(method.backend == "CERES" for method in self.methods()):
+            return ""
+        return _core.auto_choice(*self._pattern.reduced, self._num_threads)
 
     def inspect(self, method: Method) -> MethodInspection:
         """Return the counts and predictions of one method."""
@@ -230,18 +245,20 @@ class _Inspector:
 
     def _predict(self, method: Method, counted: Counted | None) -> tuple[Terms, Terms]:
         pattern, kind = self._pattern, method.linear_solver_type
-        time = ceres_time if method.backend == "CERES" else fused_time
+        name, rates = method.preconditioner, self._rates
         if method.backend == "CERES":
             memory = ceres_memory(pattern, kind, counted)
-        else:
-            memory = fused_memory(pattern, kind, counted, self._num_threads)
-        return memory, time(pattern, kind, method.preconditioner, counted, self._rates)
+            return memory, ceres_time(pattern, kind, name, counted, rates)
+        coarse = 0.0
+        if name == "TWO_LEVEL":
+            coarse = COARSE_FACTOR_SHARE * self._counter.sparse(self._taken_by_fused()).factor.nnz
+        memory = fused_memory(pattern, kind, counted, self._num_threads, coarse)
+        return memory, fused_time(pattern, kind, name, counted, rates, coarse)
 
     def _note(self, method: Method, counted: Counted | None) -> str:
         if counted is None:
-            return (
-                f"takes {PRODUCTS_PER_STEP} products with S a step for granted: 2 to 500 are usual"
-            )
+            products = products_per_step(method.preconditioner)
+            return f"takes {products} products with S a step for granted, where 2 to 500 are usual"
         if not method.backend:
             return "for comparison: neither backend takes this order"
         if not self._is_taken(method):
