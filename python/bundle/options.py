@@ -74,8 +74,8 @@ class SolveOptions:
     preconditioner_type: str = option(
         "auto",
         "--preconditioner",
-        "of iterative-schur and cgnr; auto: two-level for the first with our own solver, schur-jacobi "
-        "with Ceres, jacobi for the second",
+        "of iterative-schur and cgnr; auto: two-level for the first by our own solver, "
+        "schur-jacobi by Ceres; jacobi for the second",
         choices=("auto", *PRECONDITIONER_TYPES),
     )
     trust_region_strategy_type: str = option(

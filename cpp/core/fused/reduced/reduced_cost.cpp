@@ -10,8 +10,8 @@
 ///              columns is left
 ///
 /// Measured on a server core (AVX-512, OpenBLAS 0.3.21) in processor time: dpotrf of 2000 columns
-/// 37 GFLOP/s; supernodal_cholesky on bands, grids and random couplings of 33 to 3000 blocks of 9, f
-/// from 2e6 to 3e10: within 30 % of f / 40 GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS'
+/// 37 GFLOP/s; supernodal_cholesky on bands, grids and random couplings of 33 to 3000 blocks of 9,
+/// f from 2e6 to 3e10: within 30 % of f / 40 GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS'
 /// threads are counted where they are used, and bandwidth as that of at most four cores.
 ///
 /// Conjugate gradients with two levels took 2 to 100 products a step (streets of 50 to 1000 images

@@ -21,8 +21,8 @@ struct Supernodes {
   int num_panels() const { return static_cast<int>(height.size()); }
 };
 
-/// `structure` is a sparse one in the order of the elimination. Columns can share a panel only where
-/// they follow each other: the order should be an elimination tree's postorder.
+/// `structure` is a sparse one in the order of the elimination. Columns can share a panel only
+/// where they follow each other: the order should be an elimination tree's postorder.
 Supernodes FindSupernodes(const ReducedStructure& structure);
 
 /// The blocks of S, each where its values are within the panels of the factor.
