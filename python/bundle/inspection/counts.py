@@ -143,6 +143,8 @@ def _cliques(groups: list[NDArray[np.int64]], num_points: int) -> BlockPattern:
 
 
 def _distinct(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return what np.unique does, which in NumPy 2.3 and later hashes: a tenth of the speed here."""
+    """Return what np.unique returns; since NumPy 2.3 it hashes, at a tenth of the speed here."""
     ordered = np.sort(numbers)
-    return ordered[np.diff(ordered, prepend=-1) != 0]
+    is_new = np.ones(len(ordered), bool)
+    is_new[1:] = ordered[1:] != ordered[:-1]
+    return ordered[is_new]
