@@ -45,7 +45,7 @@ def test_each_method_has_its_own_prediction():
         "ceres DENSE_SCHUR": ("ceres", "DENSE_SCHUR natural"),
         "ceres SPARSE_SCHUR": ("ceres", "SPARSE_SCHUR amd"),
         "ceres SPARSE_SCHUR cameras first": ("ceres", "SPARSE_SCHUR cameras_first"),
-        "fused ITERATIVE_SCHUR": ("fused", "ITERATIVE_SCHUR schur_jacobi"),
+        "fused ITERATIVE_SCHUR": ("fused", "ITERATIVE_SCHUR two_level"),
         "ceres ITERATIVE_SCHUR JACOBI": ("ceres", "ITERATIVE_SCHUR jacobi"),
     }.items():
         assert found[name].time_per_step_in_seconds == inspected[key].time_per_step_in_seconds

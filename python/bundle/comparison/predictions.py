@@ -13,7 +13,12 @@ from bundle.problem import Problem
 
 __all__ = ["predict"]
 
-_AUTO_PRECONDITIONER = {"iterative_schur": "schur_jacobi", "cgnr": "jacobi"}
+# What auto means, by backend and linear solver.
+_AUTO_PRECONDITIONER = {
+    ("fused", "iterative_schur"): "two_level",
+    ("ceres", "iterative_schur"): "schur_jacobi",
+    ("ceres", "cgnr"): "jacobi",
+}
 
 
 def predict(
@@ -57,7 +62,7 @@ def _fits(method: Method, inspected: MethodInspection) -> bool:
     if method.is_iterative:
         wanted = method.preconditioner_type
         if wanted == "auto":
-            wanted = _AUTO_PRECONDITIONER[method.linear_solver_type]
+            wanted = _AUTO_PRECONDITIONER[method.backend, method.linear_solver_type]
         return inspected.preconditioner.lower() == wanted
     return True
 
