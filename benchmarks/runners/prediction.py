@@ -22,7 +22,7 @@ STEPS = 5
 
 def calibrate(threads: int) -> dict[str, Any]:
     """Measure this machine's rates anew."""
-    from bundle.inspection.rates import machine_rates
+    from bundle.inspection.machine_rates import machine_rates
 
     machine_rates(threads, recalibrate=True)
     return {}

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from bundle.inspection.problem_inspection import MethodInspection
+from bundle.inspection.result import MethodInspection
 
 __all__ = ["explain", "recommend"]
 

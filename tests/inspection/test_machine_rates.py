@@ -8,9 +8,9 @@ import math
 
 import pytest
 
-from bundle.inspection import calibrate as calibration
+from bundle.inspection import machine_rates as kept
 from bundle.inspection.calibrate import calibrate
-from bundle.inspection.rates import cache_path, machine_rates
+from bundle.inspection.machine_rates import cache_path, machine_rates
 from tests.inspection.conftest import RATES
 
 
@@ -29,7 +29,7 @@ def calibrations(monkeypatch):
         asked.append(num_threads)
         return dataclasses.replace(RATES, num_threads=num_threads)
 
-    monkeypatch.setattr(calibration, "calibrate", fake)
+    monkeypatch.setattr(kept, "calibrate", fake)
     return asked
 
 
