@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "core/blas_threads.h"
+#include "core/ceres/count_factor.h"
 #include "core/ceres/losses.h"
 #include "core/ceres/ordering.h"
 #include "core/ceres/process_settings.h"
@@ -183,6 +184,15 @@ class CeresSolve {
       warnings_.push_back("Ceres replaced " + output->summary.linear_solver_type_given + " by " +
                           output->summary.linear_solver_type_used + ".");
     }
+    const bool is_iterative = summary.linear_solver_type_used == ceres::ITERATIVE_SCHUR ||
+                              summary.linear_solver_type_used == ceres::CGNR;
+    if (is_iterative && summary.preconditioner_type_used != summary.preconditioner_type_given) {
+      warnings_.push_back("Ceres replaced the preconditioner " +
+                          output->summary.preconditioner_type_given + " by " +
+                          output->summary.preconditioner_type_used + ".");
+    }
+    output->summary.factor = CountCeresFactor(problem_, layout_, options_.linear_solver_ordering,
+                                              summary.linear_solver_type_used);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
       output->iterations.push_back(ToRecord(iteration, fixed_cost_));
     }
