@@ -153,3 +153,15 @@ def test_cameras_first_leaves_the_points_and_what_images_share(problem, left, so
 def test_what_ceres_chose_to_eliminate_is_not_guessed(solver):
     assert_no_factor(summary_of(OWN, "ceres", solver, linear_solver_ordering="automatic"))
     assert_no_factor(summary_of(OWN, "ceres", solver, refine=("poses", "focal")))
+
+
+@pytest.mark.usefixtures("rates")
+@pytest.mark.parametrize("name", ["bal/problem-49-7776-pre.txt.bz2", "colmap/batmo_rigs"])
+@pytest.mark.parametrize("solver", DIRECT)
+def test_real_data(bundle_data, name, solver):
+    problem = bundle.load(bundle_data / name)
+    summary = summary_of(problem, "fused", solver)
+    row = predicted(problem, summary)
+    assert summary.num_information_nonzeros == row.nnz_information
+    assert summary.num_factor_nonzeros == row.nnz_factor
+    assert summary.factor_ordering == row.ordering

@@ -180,17 +180,7 @@ class CeresSolve {
 
   void Collect(const ceres::Solver::Summary& summary, SolveOutput* output) {
     output->summary.linear_solver_choice = std::move(linear_solver_choice_);
-    if (summary.linear_solver_type_used != summary.linear_solver_type_given) {
-      warnings_.push_back("Ceres replaced " + output->summary.linear_solver_type_given + " by " +
-                          output->summary.linear_solver_type_used + ".");
-    }
-    const bool is_iterative = summary.linear_solver_type_used == ceres::ITERATIVE_SCHUR ||
-                              summary.linear_solver_type_used == ceres::CGNR;
-    if (is_iterative && summary.preconditioner_type_used != summary.preconditioner_type_given) {
-      warnings_.push_back("Ceres replaced the preconditioner " +
-                          output->summary.preconditioner_type_given + " by " +
-                          output->summary.preconditioner_type_used + ".");
-    }
+    for (std::string& fallback : FindFallbacks(summary)) warnings_.push_back(std::move(fallback));
     output->summary.factor = CountCeresFactor(problem_, layout_, options_.linear_solver_ordering,
                                               summary.linear_solver_type_used);
     for (const ceres::IterationSummary& iteration : summary.iterations) {

@@ -117,8 +117,8 @@ def _ordering(summary: Summary) -> str:
 def _factor(summary: Summary) -> str:
     nonzeros, flops = summary.num_factor_nonzeros or 0, summary.factor_flops or 0.0
     return (
-        f"{plural(summary.num_factor_columns or 0, 'column')} in {summary.factor_ordering} order, "
-        f"{number(nonzeros)} nonzeros, {number(flops)} flops a step, analysed in "
+        f"{plural(summary.num_factor_columns or 0, 'column')}, {summary.factor_ordering} order, "
+        f"{number(nonzeros)} nonzeros, {number(flops)} flops, analysed in "
         f"{seconds(summary.symbolic_time_in_seconds or 0.0)} s"
     )
 
