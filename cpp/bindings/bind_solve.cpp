@@ -67,10 +67,17 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   BUNDLE_FIELD(backend_choice);
   BUNDLE_FIELD(instruction_set);
   BUNDLE_FIELD(linear_solver_choice);
+  BUNDLE_FIELD(num_information_nonzeros);
   BUNDLE_FIELD(interrupted);
 #undef BUNDLE_FIELD
   d["linear_solver_ordering_given"] = py::tuple(py::cast(s.linear_solver_ordering_given));
   d["linear_solver_ordering_used"] = py::tuple(py::cast(s.linear_solver_ordering_used));
+  d["num_factor_columns"] = s.factor.num_columns;
+  d["num_reduced_nonzeros"] = s.factor.num_reduced_nonzeros;
+  d["num_factor_nonzeros"] = s.factor.num_nonzeros;
+  d["factor_flops"] = s.factor.flops;
+  d["factor_ordering"] = s.factor.ordering;
+  d["symbolic_time_in_seconds"] = s.factor.symbolic_time_in_seconds;
   d["warnings"] = py::tuple(py::cast(s.warnings));
   return d;
 }

@@ -117,6 +117,20 @@ py::tuple PatternOf(const py::object& problem, const py::dict& options) {
   return ToTuple(std::move(pattern));
 }
 
+py::tuple OrderedFullPattern(const py::object& problem, const py::dict& options,
+                             int64_t most_entries) {
+  const bundle::ProblemView view = ViewProblem(problem);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  bundle::OrderedPattern ordered;
+  {
+    const py::gil_scoped_release release;
+    ordered = bundle::OrderFullPattern(view, bundle::PrepareSolve(view, solve_options).layout,
+                                       most_entries);
+  }
+  return py::make_tuple(ToTuple(std::move(ordered.pattern)), ToVector(std::move(ordered.order)),
+                        ordered.points_first);
+}
+
 }  // namespace
 
 void BindSymbolic(py::module_& m) {
@@ -126,5 +140,8 @@ void BindSymbolic(py::module_& m) {
         py::arg("order"));
   m.def("reduced_pattern", &PatternOf<&bundle::ReducedPattern>, py::arg("problem"),
         py::arg("options"));
+  m.attr("MOST_ENTRIES_FOR_AMD") = bundle::kMostEntriesForAmd;
+  m.def("ordered_full_pattern", &OrderedFullPattern, py::arg("problem"), py::arg("options"),
+        py::arg("most_entries"));
   m.def("full_pattern", &PatternOf<&bundle::FullPattern>, py::arg("problem"), py::arg("options"));
 }

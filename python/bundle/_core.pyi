@@ -155,6 +155,14 @@ def count_factor(
 def reduced_pattern(
     problem: Problem, options: dict[str, Any]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...
+
+MOST_ENTRIES_FOR_AMD: int
+
+def ordered_full_pattern(
+    problem: Problem, options: dict[str, Any], most_entries: int
+) -> tuple[
+    tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]], NDArray[np.int32], bool
+]: ...  # full_pattern, an order of its blocks, whether that has the points first
 def full_pattern(
     problem: Problem, options: dict[str, Any]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...

@@ -60,6 +60,13 @@ CONVERGED = Summary(
     linear_solver_choice="16 images make a small reduced camera matrix.",
     interrupted=False,
     warnings=(),
+    num_information_nonzeros=4721598,
+    num_factor_columns=144,
+    num_reduced_nonzeros=20736,
+    num_factor_nonzeros=10440,
+    factor_flops=1.015872e6,
+    factor_ordering="natural",
+    symbolic_time_in_seconds=0.0,
 )
 
 OPTIONS = SolveOptions(linear_solver_type="dense_schur", num_threads=2, gauge="none")

@@ -19,6 +19,15 @@ from tests.report import fakes
 
 WALL = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, total=2.0)
 
+NO_FACTOR = {
+    "num_factor_columns": None,
+    "num_reduced_nonzeros": None,
+    "num_factor_nonzeros": None,
+    "factor_flops": None,
+    "factor_ordering": "",
+    "symbolic_time_in_seconds": None,
+}
+
 
 @pytest.fixture
 def problem() -> Problem:
@@ -84,6 +93,32 @@ def test_full_report_has_ceres_sections_in_ceres_order():
     assert "4.167625615e+06" in report  # the change of cost
     assert "CONVERGENCE: Function tolerance reached." in report
     assert "preconditioner" not in report
+
+
+def test_full_report_tells_of_the_factor():
+    report = rows(fakes.CONVERGED.full_report())
+    assert report["elimination order"] == ["natural"]
+    assert report["columns"] == ["144"]
+    assert report["nonzeros of the information matrix"] == ["4721598"]
+    assert report["nonzeros of the reduced system"] == ["20736"]
+    assert report["nonzeros of the factor"] == ["10440"]
+    assert report["flops"] == ["1.0159e+06"]
+    assert report["symbolic time [s]"] == ["0.000000"]
+    none = rows(fakes.summary(**NO_FACTOR).full_report())
+    for name in ("elimination order", "columns", "nonzeros of the factor", "flops"):
+        assert none[name] == ["-"], name
+    assert none["nonzeros of the information matrix"] == ["4721598"]
+
+
+def test_report_of_a_refinement_tells_of_the_factor_where_there_is_one(problem):
+    report = rows(render(*refinement("in", problem, fakes.result(problem), WALL, None, ())))
+    assert report["factor"] == [
+        "144 columns, natural order, 10440 nonzeros, 1.016e+06 flops, analysed in 0.000 s"
+    ]
+    iterative = fakes.result(problem, summary=fakes.summary(**NO_FACTOR))
+    assert "factor" not in rows(render(*refinement("in", problem, iterative, WALL, None, ())))
+    said = json_report.refinement("in", problem, iterative, WALL, None)["summary"]
+    assert {name: said[name] for name in NO_FACTOR} == NO_FACTOR
 
 
 def test_full_report_names_the_preconditioner_of_an_iterative_solver():

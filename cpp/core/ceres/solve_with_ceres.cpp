@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "core/blas_threads.h"
+#include "core/ceres/count_factor.h"
 #include "core/ceres/losses.h"
 #include "core/ceres/ordering.h"
 #include "core/ceres/process_settings.h"
@@ -179,10 +180,9 @@ class CeresSolve {
 
   void Collect(const ceres::Solver::Summary& summary, SolveOutput* output) {
     output->summary.linear_solver_choice = std::move(linear_solver_choice_);
-    if (summary.linear_solver_type_used != summary.linear_solver_type_given) {
-      warnings_.push_back("Ceres replaced " + output->summary.linear_solver_type_given + " by " +
-                          output->summary.linear_solver_type_used + ".");
-    }
+    for (std::string& fallback : FindFallbacks(summary)) warnings_.push_back(std::move(fallback));
+    output->summary.factor = CountCeresFactor(problem_, layout_, options_.linear_solver_ordering,
+                                              summary.linear_solver_type_used);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
       output->iterations.push_back(ToRecord(iteration, fixed_cost_));
     }

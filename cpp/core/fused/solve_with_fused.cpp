@@ -53,6 +53,7 @@ class FusedSolve {
 
     output.summary = Summarize(options_, layout_, *schur_, minimum, times_);
     output.summary.linear_solver_choice = std::move(linear_solver_choice_);
+    output.summary.factor = std::move(factor_);
     output.iterations = std::move(minimum.iterations);
     for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
     FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings_), &output);
@@ -97,8 +98,10 @@ class FusedSolve {
   }
 
   void FindSparseStructure() {
+    const Stopwatch symbolic;
     structure_ = SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_));
     ordering_ = FindFillOrdering(structure_);
+    symbolic_time_ += symbolic.seconds();
   }
 
   void BuildProblem() {
@@ -113,11 +116,21 @@ class FusedSolve {
       layout_.Reorder(ordering_.order);
       structure_ = Reorder(structure_, ordering_.order);
     }
+    const Stopwatch symbolic;
     solver_ = MakeSolver();
+    symbolic_time_ += symbolic.seconds();
+    SummarizeFactor();
     RefuseTooMuchMemory(options_.linear_solver_type,
                         sizeof(double) * static_cast<double>(structure_.num_values));
     schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure_),
                                             solver_.get());
+  }
+
+  void SummarizeFactor() {
+    const FactorStatistics statistics = solver_->factor_statistics();
+    factor_ = fused::SummarizeFactor(structure_, statistics, symbolic_time_);
+    std::string swollen = FindSwollenFactor(statistics);
+    if (!swollen.empty()) warnings_.push_back(std::move(swollen));
   }
 
   /// Only the factorisations round by their number of threads, which are OpenBLAS'.
@@ -158,6 +171,8 @@ class FusedSolve {
   FillOrdering ordering_;       ///< of the sparse structure
   std::unique_ptr<ReducedSolver> solver_;
   std::unique_ptr<SchurProblem> schur_;
+  FactorSummary factor_;
+  double symbolic_time_ = 0;  ///< of finding the structure, its ordering and the solver's panels
   SolveTimes times_;
 };
 

@@ -1,6 +1,9 @@
 #include "core/fused/summarize.h"
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
 #include <string>
 
 #include "core/solve/option_names.h"
@@ -94,6 +97,38 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
   result.num_unsuccessful_steps = minimum.num_unsuccessful_steps;
   result.instruction_set = schur.instruction_set();
   return result;
+}
+
+FactorSummary SummarizeFactor(const ReducedStructure& structure, const FactorStatistics& statistics,
+                              double symbolic_time_in_seconds) {
+  FactorSummary result;
+  int64_t num_nonzeros = 0;
+  for (int j = 0; j < structure.num_blocks(); ++j) {
+    for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
+      const int i = structure.row_block[e];
+      num_nonzeros += int64_t{i == j ? 1 : 2} * structure.block_size(i) * structure.block_size(j);
+    }
+  }
+  result.num_reduced_nonzeros = num_nonzeros;
+  result.symbolic_time_in_seconds = symbolic_time_in_seconds;
+  if (statistics.ordering.empty()) return result;
+  result.num_columns = structure.num_columns();
+  result.num_nonzeros = std::llround(statistics.entries);
+  result.flops = statistics.flops;
+  result.ordering = statistics.ordering;
+  return result;
+}
+
+std::string FindSwollenFactor(const FactorStatistics& statistics) {
+  // Panels take in at most a fifth of zeros (supernodes.cpp): beyond this, a count is wrong.
+  constexpr double kFar = 1.5;
+  if (!(statistics.stored > kFar * statistics.predicted)) return "";
+  char text[160];
+  std::snprintf(text, sizeof(text),
+                "The factor has %.4g entries, %.1f times the %.4g that were predicted for its "
+                "ordering, ",
+                statistics.stored, statistics.stored / statistics.predicted, statistics.predicted);
+  return text + statistics.ordering + ".";
 }
 
 }  // namespace bundle::fused

@@ -1,7 +1,11 @@
 #pragma once
 
+#include <string>
+
 #include "core/fused/eliminate/schur_problem.h"
 #include "core/fused/minimize/trust_region.h"
+#include "core/fused/reduced/reduced_solver.h"
+#include "core/fused/reduced/reduced_system.h"
 #include "core/solve/options.h"
 #include "core/solve/parameter_layout.h"
 #include "core/solve/summary.h"
@@ -23,5 +27,12 @@ struct SolveTimes {
 /// of the reduced camera system alone, and the residual evaluation includes the back-substitution.
 SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layout,
                        const SchurProblem& schur, const Minimum& minimum, const SolveTimes& times);
+
+/// `structure` as its solver wants it, with that solver's statistics.
+FactorSummary SummarizeFactor(const ReducedStructure& structure, const FactorStatistics& statistics,
+                              double symbolic_time_in_seconds);
+
+/// One sentence if the factor takes far more than its ordering predicted; else "".
+std::string FindSwollenFactor(const FactorStatistics& statistics);
 
 }  // namespace bundle::fused

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <utility>
 
+#include "core/solve/block_patterns.h"
 #include "core/solve/check_solution.h"
 #include "core/solve/convergence_watch.h"
 #include "core/solve/plausibility.h"
@@ -14,6 +15,7 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
                  std::vector<std::string> warnings, SolveOutput* output) {
   SolveSummary& summary = output->summary;
   summary.warnings = std::move(warnings);
+  summary.num_information_nonzeros = NumInformationNonzeros(problem, layout);
   const auto warn = [&summary](std::string sentence) {
     if (!sentence.empty()) summary.warnings.push_back(std::move(sentence));
   };

@@ -2,6 +2,8 @@
 
 /// What a solve reports, whichever backend ran it, in Ceres' vocabulary.
 
+#include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -20,6 +22,18 @@ struct IterationRecord {
   bool step_is_successful = false;
   double iteration_time_in_seconds = 0;
   double cumulative_time_in_seconds = 0;
+};
+
+/// The matrix that each step factorises, and its Cholesky factor L. Matrices count both triangles
+/// and the diagonal, L its lower triangle with the diagonal; blocks count as full. Empty is what
+/// there is not (no factor, for conjugate gradients), or what nobody can tell.
+struct FactorSummary {
+  std::optional<int64_t> num_columns;           ///< n
+  std::optional<int64_t> num_reduced_nonzeros;  ///< of S as its solver holds it: n^2 if dense
+  std::optional<int64_t> num_nonzeros;          ///< of L
+  std::optional<double> flops;                  ///< FactorCounts::flops
+  std::string ordering;                         ///< by which the columns are eliminated
+  std::optional<double> symbolic_time_in_seconds;
 };
 
 /// ceres::Solver::Summary; enumerations by Ceres' names, times in seconds, -1 where not measured.
@@ -68,9 +82,11 @@ struct SolveSummary {
   // Beyond Ceres.
   std::string backend_given;
   std::string backend_used;
-  std::string backend_choice;        ///< why this backend, where we chose it
-  std::string instruction_set;       ///< of the fused backend's kernels
-  std::string linear_solver_choice;  ///< why this solver, where we chose it
+  std::string backend_choice;             ///< why this backend, where we chose it
+  std::string instruction_set;            ///< of the fused backend's kernels
+  std::string linear_solver_choice;       ///< why this solver, where we chose it
+  int64_t num_information_nonzeros = -1;  ///< of J^T J, all that is free
+  FactorSummary factor;
   bool interrupted = false;
   std::vector<std::string> warnings;  ///< sentences
 };

@@ -220,4 +220,8 @@ FactorCounts CountFactor(const BlockPatternView& pattern, const std::vector<int>
   return counts;
 }
 
+double DenseFactorEntries(double n) { return n * (n + 1) / 2; }
+
+double DenseFactorFlops(double n) { return n * (n - 1) * (2 * n - 1) / 6 + 3 * n * (n - 1) / 2; }
+
 }  // namespace bundle

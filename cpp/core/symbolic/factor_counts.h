@@ -31,4 +31,8 @@ struct FactorCounts {
 /// `order` is a permutation of the blocks (CheckOrder), `pattern` of the right form.
 FactorCounts CountFactor(const BlockPatternView& pattern, const std::vector<int>& order);
 
+/// `entries` and `flops` of a matrix of n columns that has no zeros.
+double DenseFactorEntries(double n);
+double DenseFactorFlops(double n);
+
 }  // namespace bundle

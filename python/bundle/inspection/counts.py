@@ -21,7 +21,7 @@ from bundle.problem import Problem
 __all__ = ["Counted", "Counter"]
 
 # Entries of the whole problem's pattern up to which AMD takes seconds on it.
-MOST_ENTRIES_FOR_AMD = 2_000_000
+MOST_ENTRIES_FOR_AMD = _core.MOST_ENTRIES_FOR_AMD
 
 # Pairs of points to collect before duplicates are taken out.
 CODES_AT_A_TIME = 1 << 22
@@ -83,13 +83,12 @@ class Counter:
 
     def whole(self) -> Counted:
         """Return the information matrix of all unknowns."""
-        full = BlockPattern(*_core.full_pattern(self._problem, self._options))
-        if len(full.rows) <= MOST_ENTRIES_FOR_AMD:
-            order = _core.order_blocks(*full, "amd")
+        pattern, order, points_first = _core.ordered_full_pattern(
+            self._problem, self._options, MOST_ENTRIES_FOR_AMD
+        )
+        full = BlockPattern(*pattern)
+        if not points_first:
             return Counted(full.num_columns, 0, count_factor(full, order))
-        points = self._pattern.num_free_points
-        cameras = points + _core.order_blocks(*self._pattern.reduced, "amd")
-        order = np.concatenate([np.arange(points), cameras]).astype(np.int32)
         note = (
             f"counted for the points first and AMD's order of the cameras: AMD of all "
             f"{len(full.sizes)} blocks takes long and comes within a per cent or two"

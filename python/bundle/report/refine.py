@@ -13,7 +13,7 @@ from bundle.report.termination import sentence
 from bundle.report.timing import WallTime, wall_table
 from bundle.result import Result
 from bundle.summary import Summary, sizes
-from bundle.tables import columns, facts, format_name, notes, pixels, plural
+from bundle.tables import columns, facts, format_name, notes, number, pixels, plural, seconds
 
 __all__ = ["contents", "outcome", "refinement"]
 
@@ -37,6 +37,7 @@ def refinement(
         ("solver", _solver(summary)),
         *((("", summary.linear_solver_choice),) if summary.linear_solver_choice else ()),
         ("ordering", _ordering(summary)),
+        *((("factor", _factor(summary)),) if summary.num_factor_nonzeros is not None else ()),
     ]
     written = (
         f"{shown(output['path'])} ({format_name(output['format'])})"
@@ -111,6 +112,15 @@ def _ordering(summary: Summary) -> str:
     if summary.schur_structure_used:
         words += f"; Schur structure {summary.schur_structure_used}"
     return words
+
+
+def _factor(summary: Summary) -> str:
+    nonzeros, flops = summary.num_factor_nonzeros or 0, summary.factor_flops or 0.0
+    return (
+        f"{plural(summary.num_factor_columns or 0, 'column')}, {summary.factor_ordering} order, "
+        f"{number(nonzeros)} nonzeros, {number(flops)} flops, analysed in "
+        f"{seconds(summary.symbolic_time_in_seconds or 0.0)} s"
+    )
 
 
 def _before_and_after(solved: Result) -> Table:

@@ -9,6 +9,7 @@
 #include "core/fused/reduced/lapack.h"
 #include "core/fused/reduced/reduced_solver.h"
 #include "core/parallel_for.h"
+#include "core/symbolic/factor_counts.h"
 
 namespace bundle::fused {
 namespace {
@@ -52,7 +53,8 @@ class DenseSolver final : public ReducedSolver {
 
   FactorStatistics factor_statistics() const override {
     const double n = num_columns_;
-    return {"natural", n * (n + 1) / 2, n * n * n / 3};
+    const double entries = DenseFactorEntries(n);
+    return {"natural", entries, DenseFactorFlops(n), entries, entries};
   }
 
  private:

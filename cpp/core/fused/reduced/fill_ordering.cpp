@@ -17,6 +17,7 @@ FillOrdering Analyze(const BlockPatternView& pattern, const std::string& name,
   result.name = name;
   result.entries = counts.entries;
   result.flops = counts.cholmod_flops;
+  result.elimination_flops = counts.flops;
   result.order.reserve(order.size());
   for (const int k : counts.postorder) result.order.push_back(order[k]);
   return result;

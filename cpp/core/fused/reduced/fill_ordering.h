@@ -13,6 +13,7 @@ struct FillOrdering {
   std::vector<int> order;  ///< order[k]: the block eliminated as the k-th; an etree's postorder
   double entries = 0;      ///< of the factor
   double flops = 0;        ///< multiplications and additions; n^3 / 3 where S fills up
+  double elimination_flops = 0;  ///< FactorCounts::flops, which reports speak of
 };
 
 /// The cheapest of the natural order, AMD's and METIS'.

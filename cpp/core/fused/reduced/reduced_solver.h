@@ -25,7 +25,9 @@ struct ReducedSolution {
 struct FactorStatistics {
   std::string ordering;  ///< "natural", "amd" or "metis"; empty without a factorisation
   double entries = 0;    ///< of the factor, without the zeros that supernodes add
-  double flops = 0;      ///< multiplications and additions; n^3 / 3 if dense
+  double flops = 0;      ///< FactorCounts::flops
+  double predicted = 0;  ///< entries, by the ordering
+  double stored = 0;     ///< entries with the zeros, diagonal blocks by their lower triangle
 };
 
 /// Solves the reduced camera system of one structure again and again.

@@ -31,7 +31,8 @@ class SparseSolver final : public ReducedSolver {
  public:
   SparseSolver(const FillOrdering& ordering, std::vector<int> offset, Supernodes supernodes,
                int num_threads)
-      : statistics_{ordering.name, ordering.entries, ordering.flops},
+      : statistics_{ordering.name, supernodes.entries, ordering.elimination_flops, ordering.entries,
+                    supernodes.entries + supernodes.zeros},
         num_columns_(offset.back()),
         blas_threads_(BlasThreadsFor(ordering, num_threads)),
         cholesky_(std::move(offset), std::move(supernodes)) {}

@@ -58,11 +58,15 @@ Panel Merged(const Panel& left, const Panel& right) {
   return both;
 }
 
+/// Of the lower triangle and what is below it, the zeros included.
+double Entries(const Panel& panel) {
+  return panel.columns * (panel.columns + 1) / 2 + panel.columns * panel.below;
+}
+
 bool IsWorthIt(const Panel& panel) {
   if (panel.columns > kWidestPanel) return false;
-  const double entries = panel.columns * (panel.columns + 1) / 2 + panel.columns * panel.below;
   const double share = panel.columns <= 48 ? 0.2 : panel.columns <= 192 ? 0.05 : 0.01;
-  return panel.zeros <= share * entries;
+  return panel.zeros <= share * Entries(panel);
 }
 
 /// From the last column to the first, each joined to the panel that follows it where that is worth
@@ -102,6 +106,8 @@ Supernodes FindSupernodes(const ReducedStructure& structure) {
       height += structure.block_size(row);
     }
     result.first_block.push_back(panel.last_block);
+    result.entries += Entries(panel) - panel.zeros;
+    result.zeros += panel.zeros;
     result.rows_begin.push_back(static_cast<int64_t>(result.row_block.size()));
     result.height.push_back(height);
     result.values_begin.push_back(result.values_begin.back() +

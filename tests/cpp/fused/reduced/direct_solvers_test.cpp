@@ -38,6 +38,7 @@ Solver MakeSolver(bool dense, const RandomSystem& system, int num_threads = 2) {
                   ordering.order);
   ordering.entries = counts.entries;
   ordering.flops = counts.cholmod_flops;
+  ordering.elimination_flops = counts.flops;
   result.solver = MakeSparseSolver(ordering, num_threads, &result.structure);
   return result;
 }
@@ -112,7 +113,20 @@ TEST_P(DirectSolvers, CountAFullFactor) {
   const RandomSystem system = MakeRandomSystem({3, 1, 5, 2}, 1, 11);
   const FactorStatistics statistics = MakeSolver(GetParam(), system).solver->factor_statistics();
   EXPECT_EQ(statistics.entries, 11 * 12 / 2);
-  EXPECT_NEAR(statistics.flops, GetParam() ? 11. * 11 * 11 / 3 : 11 * 12 * 23 / 6, 1e-9);
+  EXPECT_EQ(statistics.predicted, statistics.entries);
+  EXPECT_EQ(statistics.stored, statistics.entries);
+  EXPECT_EQ(statistics.flops, 10 * 11 * 21 / 6 + 3 * 10 * 11 / 2);
+}
+
+TEST_P(DirectSolvers, StoreTheFactorThatWasPredicted) {
+  for (unsigned seed = 0; seed < 20; ++seed) {
+    const int num_blocks = 5 + 4 * static_cast<int>(seed);
+    const RandomSystem system = MakeRandomSystem(RandomSizes(num_blocks, seed), 0.05, seed);
+    const FactorStatistics statistics = MakeSolver(GetParam(), system).solver->factor_statistics();
+    EXPECT_EQ(statistics.entries, statistics.predicted) << seed;
+    EXPECT_GE(statistics.stored, statistics.entries) << seed;
+    EXPECT_LE(statistics.stored, 1.25 * statistics.entries) << seed;  // zeros: a fifth of the panel
+  }
 }
 
 }  // namespace
