@@ -2,18 +2,13 @@
 /// and are moved, turned or scaled against each other, or share a change of intrinsics that poses
 /// and points make up for. So each cluster has as its directions
 ///
-///   - the seven similarities of the world, cut to the cluster's images (SimilarityDirections),
+///   - the seven similarities of the world, cut to the cluster's images (eliminate/similarities.h),
 ///   - for k = 0, 1, ... the k-th intrinsics column of all of its blocks at once.
 ///
 /// Those of all clusters, the columns of Q, span every similarity of the whole, S's near null
 /// space, which is what lets conjugate gradients take the same number of iterations however many
 /// images there are (Nicolaides, Deflation of conjugate gradients, 1987; Konolige and Brown,
 /// Multigrid for bundle adjustment, 2020, smooth the same space).
-///
-/// The columns of a cluster are made orthonormal in the metric diag(S), which makes radians,
-/// lengths and pixels comparable and A = Q^T S Q well scaled. What depends on the columns before it
-/// (three intrinsics and seven similarities of a single image are more than its nine unknowns) is
-/// set to zero, and A gets a 1 on its diagonal there.
 ///
 /// Each block of A is summed by one thread, in the order of S's blocks: the same bits for any
 /// number of threads. The cost is 4 m^2 d flops for each block of S, m its size and d directions,
@@ -27,6 +22,7 @@
 #include <cstddef>
 #include <utility>
 
+#include "core/fused/reduced/cluster_directions.h"
 #include "core/fused/reduced/clusters.h"
 #include "core/fused/reduced/fill_ordering.h"
 #include "core/fused/reduced/supernodes.h"
@@ -38,8 +34,6 @@ namespace {
 /// With as many images a cluster, A has about a fifth of the columns of S, and its factorisation
 /// about a hundredth of the flops.
 constexpr int kMaxClusterSize = 6;
-/// The norm a direction must keep once the components along those before it are taken away.
-constexpr double kIndependent = 1e-7;
 
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
@@ -196,46 +190,17 @@ bool CoarseSpace::Factorize(const ReducedSystem& system) {
 void CoarseSpace::Solve(double* x) { cholesky_->Solve(values_.data(), x); }
 
 void CoarseSpace::MakeDirections(const ReducedSystem& system, int cluster) {
-  int num_rows = 0;
-  for (const int j : members_[cluster]) num_rows += fine_.block_size(j);
   const int num_columns = coarse_.block_size(cluster);
-  Eigen::MatrixXd q = Eigen::MatrixXd::Zero(num_rows, num_columns);
-  Eigen::VectorXd weight(num_rows);
+  const ClusterDirections directions =
+      FindClusterDirections(fine_, system, moves_, members_[cluster], num_columns);
+  std::copy(directions.is_idle.begin(), directions.is_idle.end(),
+            is_idle_.begin() + coarse_.offset[cluster]);
   int row = 0;
   for (const int j : members_[cluster]) {
-    int intrinsic = Moves(j) ? kNumSimilarities : 0;
-    for (int k = 0; k < fine_.block_size(j); ++k, ++row) {
-      const int column = fine_.offset[j] + k;
-      weight[row] = std::sqrt(system.values[fine_.ValueIndex(j, fine_.column_begin[j], k, k)]);
-      if (moves_[column] != 0) {
-        const double* const s =
-            &system.similarities[static_cast<size_t>(column) * kNumSimilarities];
-        for (int m = 0; m < kNumSimilarities; ++m) q(row, m) = s[m] * weight[row];
-      } else {
-        q(row, intrinsic++) = weight[row];
-      }
-    }
-  }
-  for (int m = 0; m < num_columns; ++m) {
-    const double norm = q.col(m).norm();
-    for (int pass = 0; pass < 2; ++pass) {  // twice is enough (Kahan and Parlett)
-      for (int before = 0; before < m; ++before) {
-        q.col(m) -= q.col(before).dot(q.col(m)) * q.col(before);
-      }
-    }
-    const double left = q.col(m).norm();
-    const bool idle = !(left > kIndependent * norm);
-    is_idle_[coarse_.offset[cluster] + m] = idle;
-    if (idle) {
-      q.col(m).setZero();
-    } else {
-      q.col(m) /= left;
-    }
-  }
-  row = 0;
-  for (const int j : members_[cluster]) {
-    Eigen::Map<RowMajor> to(&directions_[direction_begin_[j]], fine_.block_size(j), num_columns);
-    for (int k = 0; k < fine_.block_size(j); ++k, ++row) to.row(k) = q.row(row) / weight[row];
+    const int size = fine_.block_size(j);
+    Eigen::Map<RowMajor>(&directions_[direction_begin_[j]], size, num_columns) =
+        directions.q.middleRows(row, size);
+    row += size;
   }
 }
 
