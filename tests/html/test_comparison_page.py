@@ -34,7 +34,7 @@ def test_every_run_is_a_row_with_its_outcome(written):
     assert any(outcome.startswith("out of memory: it took more") for outcome in outcomes)
     first = made.runs[0]
     assert rows[0][1] == f"{first.final_cost:#.7g}" and rows[0][2] == "best"
-    assert rows[0][5] == f"{first.total_time_in_seconds:.3f} s"
+    assert rows[0][5] == f"{first.total_time_in_seconds:.2f} s"
 
 
 def test_names_that_are_markup_stay_text(written):

@@ -68,6 +68,7 @@ INSPECTION = Inspection(
     methods=METHODS,
     recommended=1,
     recommendation="SPARSE_SCHUR: S is 75 % full <b>.",
+    auto_choice="SPARSE_SCHUR",
 )
 
 
@@ -95,7 +96,7 @@ def test_every_method_is_a_row(written):
         "SPARSE_SCHUR nesdis", "fused ITERATIVE_SCHUR jacobi",
     }  # fmt: skip
     assert rows["fused SPARSE_SCHUR amd"][1:8] == [
-        "0.125 s", "250 MB", "yes", "987", "4,321", "0", "1.20e+08",
+        "125 ms", "250 MB", "yes", "987", "4,321", "0", "1.20e+08",
     ]  # fmt: skip
     assert rows["ceres DENSE_SCHUR natural"][2:6] == ["600.00 GB", "NO", "-", "1.23e+08"]
     assert rows["fused ITERATIVE_SCHUR jacobi"][5:10] == ["-"] * 5

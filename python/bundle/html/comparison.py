@@ -9,7 +9,7 @@ from pathlib import Path
 
 from bundle.comparison import GAPS, Comparison, Run
 from bundle.html.charts import Curve, curves, stacked_bars
-from bundle.html.numbers import amount_if_any, memory, seconds
+from bundle.html.numbers import amount_if_any, counted, memory, seconds
 from bundle.html.page import tag, write_page
 from bundle.html.scale import Scale, linear, logarithmic
 from bundle.html.table import Notes, convention, table
@@ -62,9 +62,13 @@ def _recommendation(comparison: Comparison) -> str:
 
 def _problem(comparison: Comparison, problem: int) -> str:
     given = comparison.problems[problem]
-    size = (
-        f"{given.num_images:,} images, {given.num_cameras:,} cameras, {given.num_points:,} points, "
-        f"{given.num_observations:,} observations"
+    size = ", ".join(
+        [
+            counted(given.num_images, "image"),
+            counted(given.num_cameras, "camera"),
+            counted(given.num_points, "point"),
+            counted(given.num_observations, "observation"),
+        ]
     )
     return "".join(
         [

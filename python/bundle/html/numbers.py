@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["amount", "amount_if_any", "memory", "seconds"]
+__all__ = ["amount", "amount_if_any", "counted", "memory", "seconds"]
 
 
 def amount(value: float) -> str:
@@ -17,6 +17,11 @@ def amount(value: float) -> str:
 def amount_if_any(value: float) -> str:
     """Return a count; "-" where there is nothing to count."""
     return amount(value) if value else "-"
+
+
+def counted(number: int, what: str) -> str:
+    """Return "1 camera", "1,200 cameras"."""
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
 def memory(size: float) -> str:
@@ -38,4 +43,6 @@ def seconds(time: float) -> str:
         return f"{time / 86400:,.0f} days"
     if time >= 3600:
         return f"{time / 3600:.1f} h"
-    return f"{time:.1f} s" if time >= 10 else f"{time:.3f} s"
+    if time >= 1:
+        return f"{time:.1f} s" if time >= 10 else f"{time:.2f} s"
+    return f"{1e3 * time:.3g} ms"
