@@ -97,7 +97,8 @@ class FusedSolve {
   }
 
   void FindSparseStructure() {
-    structure_ = SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_));
+    structure_ =
+        SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_, options_.num_threads));
     ordering_ = FindFillOrdering(structure_);
   }
 
