@@ -1,10 +1,9 @@
 #include "core/fused/eliminate/point_plan.h"
 
 #include <algorithm>
-#include <numeric>
-#include <unordered_map>
 #include <utility>
 
+#include "core/fused/eliminate/pair_numbers.h"
 #include "core/fused/eliminate/sort_points.h"
 #include "core/parallel_for.h"
 #include "core/problem/tracks.h"
@@ -35,6 +34,8 @@ class Planner {
   PointPlan Plan(int block_bytes) {
     CountRefinedObservations();
     CutIntoChunks(block_bytes);
+    SortChunks();
+    LinkChunks();
     return std::move(plan_);
   }
 
@@ -54,12 +55,18 @@ class Planner {
     const int64_t wanted = ChunkSize();
     const int64_t most_blocks = kBufferBytes / block_bytes;
     plan_.image_in_chunk.resize(plan_.num_observations());
+    plan_.pair_block.reserve(CountPairs());
     image_slot_.assign(images_.rank.size(), -1);
-    last_chunk_.assign(images_.rank.size(), -1);
     for (int begin = 0; begin < plan_.num_points();) {
       begin = HasTooManyBlocks(begin) ? AddRows(begin, most_blocks)
                                       : AddChunk(begin, wanted, most_blocks);
     }
+  }
+
+  int64_t CountPairs() const {
+    int64_t pairs = 0;
+    for (const int64_t refined : num_refined_) pairs += refined * (refined - 1) / 2;
+    return pairs;
   }
 
   int64_t ChunkSize() const {
@@ -83,7 +90,7 @@ class Planner {
   }
 
   Chunk StartChunk(int point) {
-    pair_of_.clear();
+    pair_numbers_.Clear();
     Chunk chunk;
     chunk.first_point = point;
     chunk.first_pair = static_cast<int64_t>(plan_.pair_block.size());
@@ -103,7 +110,7 @@ class Planner {
       }
       AddPoint(p, 0, num_refined_[p], &chunk);
     }
-    Finish(p, &chunk);
+    EndChunk(p, &chunk);
     return p;
   }
 
@@ -116,12 +123,14 @@ class Planner {
       chunk.first_row = row;
       chunk.last_row = std::min(row + rows, refined);
       AddPoint(point, chunk.first_row, chunk.last_row, &chunk);
-      Finish(point + 1, &chunk);
+      EndChunk(point + 1, &chunk);
+      SortChunk(&plan_.chunks.back());  // the next one writes the numbers of the same observations
     }
     return point + 1;
   }
 
-  /// Images by the slot of their first appearance for now, pairs by a number that Finish replaces.
+  /// Images by the slot of their first appearance for now, pairs by a number that SortChunk
+  /// replaces.
   void AddPoint(int point, int first_row, int last_row, Chunk* chunk) {
     const int64_t first = plan_.first[point];
     for (int64_t k = first; k < plan_.first[point + 1]; ++k) {
@@ -141,50 +150,64 @@ class Planner {
           plan_.pair_block.push_back(kDiagonal);
           continue;
         }
-        const auto [at, is_new] =
-            pair_of_.try_emplace(static_cast<uint32_t>(a) << 16 | b, chunk->pairs.size());
-        if (is_new) chunk->pairs.push_back({a, b});
-        plan_.pair_block.push_back(static_cast<uint16_t>(at->second));
+        const uint16_t number = pair_numbers_.Find(a, b, chunk->pairs.size());
+        if (number == chunk->pairs.size()) chunk->pairs.push_back({a, b});
+        plan_.pair_block.push_back(number);
       }
     }
   }
 
-  /// Sorts images and pairs, so that a chunk is added to S forwards.
-  void Finish(int last_point, Chunk* chunk) {
+  void EndChunk(int last_point, Chunk* chunk) {
     chunk->last_point = last_point;
+    for (const int image : chunk->images) image_slot_[image] = -1;
+    plan_.chunks.push_back(std::move(*chunk));
+  }
+
+  void SortChunks() {
+    ParallelFor(
+        static_cast<int64_t>(plan_.chunks.size()), num_threads_,
+        [this](int64_t begin, int64_t end) {
+          for (int64_t c = begin; c < end; ++c) {
+            if (plan_.chunks[c].last_row == 0) SortChunk(&plan_.chunks[c]);
+          }
+        },
+        /*min_slice=*/8);
+  }
+
+  /// Sorts images and pairs, so that a chunk is added to S forwards.
+  void SortChunk(Chunk* chunk) {
+    const std::vector<uint16_t> rank = SortImages(chunk);
+    for (int64_t k = plan_.first[chunk->first_point]; k < plan_.first[chunk->last_point]; ++k) {
+      plan_.image_in_chunk[k] = rank[plan_.image_in_chunk[k]];
+    }
+    std::vector<uint64_t> order;  // image, image, number before
+    order.reserve(chunk->pairs.size());
+    for (const Chunk::Pair& pair : chunk->pairs) {
+      const uint64_t first = rank[pair.first], second = rank[pair.second];
+      order.push_back(first << 32 | second << 16 | order.size());
+    }
+    std::sort(order.begin(), order.end());
+    std::vector<uint16_t> block(order.size());
+    for (size_t s = 0; s < order.size(); ++s) {
+      chunk->pairs[s] = {static_cast<uint16_t>(order[s] >> 32),
+                         static_cast<uint16_t>(order[s] >> 16)};
+      block[order[s] & 0xffff] = static_cast<uint16_t>(chunk->images.size() + s);
+    }
+    NumberPairs(*chunk, block);
+  }
+
+  /// Returns where each went.
+  std::vector<uint16_t> SortImages(Chunk* chunk) const {
     const std::vector<int> before = chunk->images;
     const auto precedes = [&](int a, int b) { return images_.rank[a] < images_.rank[b]; };
     std::sort(chunk->images.begin(), chunk->images.end(), precedes);
-    std::vector<uint16_t> rank(before.size());
-    for (size_t s = 0; s < before.size(); ++s) {
-      const auto at =
-          std::lower_bound(chunk->images.begin(), chunk->images.end(), before[s], precedes);
-      rank[s] = static_cast<uint16_t>(at - chunk->images.begin());
-      image_slot_[before[s]] = -1;
+    std::vector<uint16_t> rank;
+    rank.reserve(before.size());
+    for (const int image : before) {
+      const auto at = std::lower_bound(chunk->images.begin(), chunk->images.end(), image, precedes);
+      rank.push_back(static_cast<uint16_t>(at - chunk->images.begin()));
     }
-    for (int64_t k = plan_.first[chunk->first_point]; k < plan_.first[last_point]; ++k) {
-      plan_.image_in_chunk[k] = rank[plan_.image_in_chunk[k]];
-    }
-    std::vector<uint16_t> order(chunk->pairs.size());
-    std::iota(order.begin(), order.end(), uint16_t{0});
-    for (Chunk::Pair& pair : chunk->pairs) pair = {rank[pair.first], rank[pair.second]};
-    std::sort(order.begin(), order.end(), [&](uint16_t x, uint16_t y) {
-      const Chunk::Pair &a = chunk->pairs[x], &b = chunk->pairs[y];
-      return a.first != b.first ? a.first < b.first : a.second < b.second;
-    });
-    std::vector<Chunk::Pair> pairs(order.size());
-    std::vector<uint16_t> block(order.size());
-    for (size_t s = 0; s < order.size(); ++s) {
-      pairs[s] = chunk->pairs[order[s]];
-      block[order[s]] = static_cast<uint16_t>(chunk->images.size() + s);
-    }
-    chunk->pairs = std::move(pairs);
-    NumberPairs(*chunk, block);
-    for (const int image : chunk->images) {
-      chunk->previous_chunk.push_back(last_chunk_[image]);
-      last_chunk_[image] = static_cast<int>(plan_.chunks.size());
-    }
-    plan_.chunks.push_back(std::move(*chunk));
+    return rank;
   }
 
   void NumberPairs(const Chunk& chunk, const std::vector<uint16_t>& block) {
@@ -201,6 +224,16 @@ class Planner {
     }
   }
 
+  void LinkChunks() {
+    std::vector<int> last_chunk(images_.rank.size(), -1);
+    for (size_t c = 0; c < plan_.chunks.size(); ++c) {
+      for (const int image : plan_.chunks[c].images) {
+        plan_.chunks[c].previous_chunk.push_back(last_chunk[image]);
+        last_chunk[image] = static_cast<int>(c);
+      }
+    }
+  }
+
   static constexpr uint16_t kDiagonal = 0xffff;  ///< an image that sees a point twice
 
   const ImageOrder images_;
@@ -208,8 +241,7 @@ class Planner {
   const int num_threads_;
   std::vector<int> num_refined_;  ///< of each point's observations; 0 for fixed points
   std::vector<int> image_slot_;   ///< in the chunk in the making; -1: not in it
-  std::vector<int> last_chunk_;   ///< in which an image occurred; -1: none
-  std::unordered_map<uint32_t, size_t> pair_of_;
+  PairNumbers pair_numbers_;      ///< of the chunk in the making
 };
 
 PointPlan Plan(const ProblemView& problem, const ParameterLayout& layout, bool active,
