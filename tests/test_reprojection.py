@@ -71,6 +71,16 @@ def test_statistics():
     assert error.num_behind_camera == 0
 
 
+def test_errors_whose_squares_no_double_holds():
+    problem = scenes.make_problem()
+    xy = problem.observation_xy.copy()
+    xy[:2] = [[3e200, -4e200], [-3e200, 4e200]]
+    errors, _ = reprojection_errors(problem.replace(observation_xy=xy))
+    expected = np.linalg.norm(linearize(problem).residual, axis=1)
+    expected[:2] = 5e200
+    np.testing.assert_allclose(errors, expected, rtol=1e-14)
+
+
 def test_an_unnormalised_quaternion_is_a_rotation_all_the_same():
     problem = scenes.make_problem(seed=9)
     poses = problem.cam_from_world.copy()

@@ -74,7 +74,8 @@ def reprojection_error(
     counted = ~np.isnan(errors)
     if resolve_cheirality(problem, cheirality) == "zero":
         counted &= ~behind
-    errors = errors[counted]
+    if not counted.all():
+        errors = errors[counted]
     if len(errors) == 0:
         nan = float("nan")
         statistics = {"rmse": nan, "mean": nan, "median": nan, "p95": nan, "max": nan}
@@ -84,22 +85,28 @@ def reprojection_error(
         statistics = {
             "rmse": float(np.sqrt(mean_square)),
             "mean": float(errors.mean()),
-            "median": _quantile(errors, 0.5),
-            "p95": _quantile(errors, 0.95),
             "max": float(errors.max()),
         }
+        # Last, as they are found by reordering the errors.
+        statistics["median"], statistics["p95"] = _quantiles(errors, [0.5, 0.95])
     return ReprojectionError(
         **statistics, num_observations=len(errors), num_behind_camera=int(behind.sum())
     )
 
 
-def _quantile(values: NDArray[np.float64], share: float) -> float:
-    """Return np.quantile(values, share), without the 25 ms that its first call takes to import."""
-    position = share * (len(values) - 1)
-    below = int(position)
-    above = min(below + 1, len(values) - 1)
-    ordered = np.partition(values, (below, above))
-    return float(ordered[below] + (position - below) * (ordered[above] - ordered[below]))
+def _quantiles(values: NDArray[np.float64], shares: list[float]) -> list[float]:
+    """Return np.quantile(values, shares), without the 25 ms that its first call takes to import.
+
+    The values are left in another order.
+    """
+    last = len(values) - 1
+    positions = [share * last for share in shares]
+    bounds = [(int(position), min(int(position) + 1, last)) for position in positions]
+    values.partition([index for pair in bounds for index in pair])
+    return [
+        float(values[below] + (position - below) * (values[above] - values[below]))
+        for position, (below, above) in zip(positions, bounds, strict=True)
+    ]
 
 
 def linearize(

@@ -96,6 +96,35 @@ def test_whom_a_point_meets():
     assert edges_of(full) == expected
 
 
+def test_more_images_than_one_table_of_pairs_has_room_for():
+    # 16 MiB of bits hold all pairs of 11585 blocks.
+    num_images, num_points = 13_000, 20_000
+    rng = np.random.default_rng(0)
+    image = rng.integers(num_images, size=(num_points, 3))
+    problem = SHARED.replace(
+        cam_from_world=np.tile(SHARED.cam_from_world[:1], (num_images, 1)),
+        image_ids=np.arange(num_images),
+        image_names=[""] * num_images,
+        image_camera=np.zeros(num_images, int),
+        points=rng.standard_normal((num_points, 3)),
+        point_ids=np.arange(num_points),
+        observation_image=image.ravel(),
+        observation_point=np.repeat(np.arange(num_points), 3),
+        observation_xy=np.zeros((image.size, 2)),
+        observation_keypoint=np.full(image.size, -1),
+    )
+    options = SolveOptions(gauge="none", cheirality="zero", refine=("poses", "points"))
+    observed, image = np.unique(image, return_inverse=True)
+    image = np.sort(image.reshape(num_points, 3), axis=1)
+    expected = {(int(a), int(b)) for a, b in np.vstack([image[:, [0, 1]], image[:, 1:]])}
+    expected |= {(int(a), int(b)) for a, b in image[:, [0, 2]]}
+    reduced = _core.reduced_pattern(problem, options.asdict())
+    assert len(reduced[0]) == len(observed)
+    assert edges_of(reduced) == {(a, b) for a, b in expected if a != b}
+    rows = np.split(reduced[2], reduced[1][1:-1])
+    assert all(rows[j][0] == j and (np.diff(rows[j]) > 0).all() for j in range(len(rows)))
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_patterns_are_of_the_form_that_the_counts_ask_for(name):
     for pattern in patterns(name)[2:]:

@@ -8,17 +8,17 @@
 
 namespace bundle::fused {
 
-void ReserveHugePages(size_t size, std::vector<double>* values) {
-  if (size <= values->capacity()) return;
-  values->reserve(size);
 #if defined(__linux__)
+void AdviseHugePages(void* begin, size_t num_bytes) {
   constexpr uintptr_t kHugePage = uintptr_t{1} << 21;
-  const auto begin = reinterpret_cast<uintptr_t>(values->data());
-  const uintptr_t first = (begin + kHugePage - 1) / kHugePage * kHugePage;
-  const uintptr_t last = (begin + size * sizeof(double)) / kHugePage * kHugePage;
+  const auto address = reinterpret_cast<uintptr_t>(begin);
+  const uintptr_t first = (address + kHugePage - 1) / kHugePage * kHugePage;
+  const uintptr_t last = (address + num_bytes) / kHugePage * kHugePage;
   // Refusal changes nothing but the time.
   if (last > first) madvise(reinterpret_cast<void*>(first), last - first, MADV_HUGEPAGE);
-#endif
 }
+#else
+void AdviseHugePages(void*, size_t) {}
+#endif
 
 }  // namespace bundle::fused

@@ -99,7 +99,8 @@ class FusedSolve {
 
   void FindSparseStructure() {
     const Stopwatch symbolic;
-    structure_ = SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_));
+    structure_ =
+        SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_, options_.num_threads));
     ordering_ = FindFillOrdering(structure_);
     symbolic_time_ += symbolic.seconds();
   }

@@ -1,11 +1,82 @@
+/// The points are taken in their order and mark the pairs of their blocks in a table of bits, which
+/// stays in the cache where lists of the points of each block would not: those lead from one end
+/// of the observations to the other. A table of all pairs may be larger than the observations, so
+/// there is one for as many columns at a time as have room.
+
 #include "core/solve/coupled_blocks.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cstdint>
 
+#include "core/parallel_for.h"
 #include "core/problem/tracks.h"
 
 namespace bundle {
+namespace {
+
+/// Which rows some columns have, a bit each. Threads may mark at the same time.
+class ColumnBits {
+ public:
+  ColumnBits(int num_columns, int num_rows)
+      : words_per_column_((num_rows + 63) / 64), words_(num_columns * words_per_column_) {}
+
+  static int64_t BytesPerColumn(int num_rows) { return (int64_t{num_rows} + 63) / 64 * 8; }
+
+  void Clear() {
+    for (std::atomic<uint64_t>& word : words_) word.store(0, std::memory_order_relaxed);
+  }
+
+  void Mark(int column, int row) {
+    std::atomic<uint64_t>& word = words_[column * words_per_column_ + row / 64];
+    const uint64_t bit = uint64_t{1} << (row % 64);
+    // Most pairs have met before.
+    if ((word.load(std::memory_order_relaxed) & bit) == 0) {
+      word.fetch_or(bit, std::memory_order_relaxed);
+    }
+  }
+
+  /// Appends the rows of a column, ascending.
+  void Read(int column, std::vector<int>* rows) const {
+    for (int64_t w = 0; w < words_per_column_; ++w) {
+      const uint64_t word = words_[column * words_per_column_ + w].load(std::memory_order_relaxed);
+      for (uint64_t rest = word; rest != 0; rest &= rest - 1) {
+        rows->push_back(static_cast<int>(64 * w) + __builtin_ctzll(rest));
+      }
+    }
+  }
+
+ private:
+  const int64_t words_per_column_;
+  std::vector<std::atomic<uint64_t>> words_;
+};
+
+/// Of the images that see a point; a camera that several of them share comes more than once only
+/// where others come in between.
+void CollectBlocks(const ProblemView& problem, const ParameterLayout& layout, const int32_t* begin,
+                   const int32_t* end, std::vector<int>* blocks) {
+  blocks->clear();
+  int last_camera = -1;
+  for (const int32_t* image = begin; image != end; ++image) {
+    const int pose = layout.image_block(*image);
+    const int camera = layout.camera_block(problem.image_camera[*image]);
+    if (pose >= 0) blocks->push_back(pose);
+    if (camera >= 0 && camera != last_camera) blocks->push_back(camera);
+    last_camera = camera;
+  }
+}
+
+/// The pairs whose smaller block is one of the columns [first, last).
+void MarkPairs(const std::vector<int>& blocks, int first, int last, ColumnBits* bits) {
+  for (size_t k = 1; k < blocks.size(); ++k) {
+    for (size_t l = 0; l < k; ++l) {
+      const auto [column, row] = std::minmax(blocks[k], blocks[l]);
+      if (column >= first && column < last) bits->Mark(column - first, row);
+    }
+  }
+}
+
+}  // namespace
 
 std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& problem,
                                                         const ParameterLayout& layout) {
@@ -20,39 +91,33 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& probl
 }
 
 std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
-                                                const ParameterLayout& layout) {
-  const auto num_blocks = static_cast<int>(layout.blocks().size());
+                                                const ParameterLayout& layout, int num_threads) {
+  std::vector<std::vector<int>> columns = FindDirectlyCoupledBlocks(problem, layout);
+  const auto num_blocks = static_cast<int>(columns.size());
+  if (num_blocks == 0) return columns;
   const Tracks tracks = GroupByPoint(problem);
-  std::vector<std::vector<int>> points_of(num_blocks);
-  const auto visit_blocks = [&](int image, const auto& visit) {
-    const int pose = layout.image_block(image);
-    const int camera = layout.camera_block(problem.image_camera[image]);
-    if (pose >= 0) visit(pose);
-    if (camera >= 0) visit(camera);
-  };
-  for (int64_t i = 0; i < problem.num_observations; ++i) {
-    const int image = problem.observation_image[i], point = problem.observation_point[i];
-    if (!layout.point_is_free(point)) continue;
-    visit_blocks(image, [&](int block) {
-      if (points_of[block].empty() || points_of[block].back() != point) {
-        points_of[block].push_back(point);
+  constexpr int64_t kSmallTable = int64_t{1} << 24;
+  const int64_t room = std::max(kSmallTable, 4 * problem.num_observations);
+  const auto width = static_cast<int>(
+      std::clamp<int64_t>(room / ColumnBits::BytesPerColumn(num_blocks), 1, num_blocks));
+  ColumnBits bits(width, num_blocks);
+  for (int first = 0; first < num_blocks; first += width) {
+    const int last = std::min(first + width, num_blocks);
+    bits.Clear();
+    for (int j = first; j < last; ++j) {
+      for (const int i : columns[j]) bits.Mark(j - first, i);
+      columns[j].clear();
+    }
+    ParallelFor(problem.num_points, num_threads, [&](int64_t begin, int64_t end) {
+      std::vector<int> blocks;
+      for (int64_t p = begin; p < end; ++p) {
+        if (!layout.point_is_free(static_cast<int>(p))) continue;
+        CollectBlocks(problem, layout, tracks.images.data() + tracks.starts[p],
+                      tracks.images.data() + tracks.starts[p + 1], &blocks);
+        MarkPairs(blocks, first, last, &bits);
       }
     });
-  }
-  std::vector<std::vector<int>> columns = FindDirectlyCoupledBlocks(problem, layout);
-  std::vector<int> seen(num_blocks, -1);
-  for (int j = 0; j < num_blocks; ++j) {
-    for (const int block : columns[j]) seen[block] = j;
-    for (const int point : points_of[j]) {
-      for (int64_t k = tracks.starts[point]; k < tracks.starts[point + 1]; ++k) {
-        visit_blocks(tracks.images[k], [&](int block) {
-          if (block < j || seen[block] == j) return;
-          seen[block] = j;
-          columns[j].push_back(block);
-        });
-      }
-    }
-    std::sort(columns[j].begin(), columns[j].end());
+    for (int j = first; j < last; ++j) bits.Read(j - first, &columns[j]);
   }
   return columns;
 }

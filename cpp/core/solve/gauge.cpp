@@ -135,6 +135,7 @@ std::vector<std::string> FixThreePoints(const ProblemView& problem, const std::v
 }  // namespace
 
 std::vector<std::string> FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
+  if (gauge == Gauge::kNone) return {};
   const std::vector<int> images =
       Observed(problem.observation_image, problem.num_observations, problem.num_images);
   const std::vector<int> points =
@@ -143,7 +144,7 @@ std::vector<std::string> FixGauge(const ProblemView& problem, Gauge gauge, FreeP
   const std::vector<int> fixed_points = Fixed(points, free->point);
   const bool held = fixed_images.size() >= 2 || fixed_images.size() == images.size() ||
                     fixed_points.size() >= 3 || fixed_points.size() == points.size();
-  if (gauge == Gauge::kNone || held) return {};
+  if (held) return {};
   return gauge == Gauge::kTwoCameras ? FixTwoCameras(problem, images, fixed_images, free)
                                      : FixThreePoints(problem, points, free);
 }

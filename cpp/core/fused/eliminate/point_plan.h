@@ -73,9 +73,11 @@ inline constexpr int64_t kMaxTrackLength = 30000;
 int64_t LongestTrack(const ProblemView& problem);
 
 /// The observations with something to refine. `block_bytes`: of one block's buffer.
-PointPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout, int block_bytes);
+PointPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout, int block_bytes,
+                     int num_threads = 1);
 
 /// The other observations, whose cost does not change.
-PointPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout);
+PointPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout,
+                          int num_threads = 1);
 
 }  // namespace bundle::fused

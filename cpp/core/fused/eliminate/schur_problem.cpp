@@ -47,7 +47,8 @@ class SchurProblem::Impl {
         solver_(solver),
         kernels_(SelectKernels()),
         groups_(GroupImages(problem, layout)),
-        plan_(PlanPoints(problem, layout, groups_.block_size() * static_cast<int>(sizeof(double)))),
+        plan_(PlanPoints(problem, layout, groups_.block_size() * static_cast<int>(sizeof(double)),
+                         options.num_threads)),
         terms_(MakeTerms(options, plan_)),
         assembler_(problem, layout, groups_.groups, groups_.image_group, structure_),
         pool_(EffectiveNumThreads(options.num_threads)),
@@ -221,7 +222,7 @@ class SchurProblem::Impl {
   /// Observations with nothing to refine, by the same kernels.
   double FixedCost(const SolveOptions& options) const {
     if (plan_.num_observations() == problem_.num_observations) return 0;
-    const PointPlan plan = PlanFixedPoints(problem_, layout_);
+    const PointPlan plan = PlanFixedPoints(problem_, layout_, options.num_threads);
     const Terms terms = MakeTerms(options, plan);
     const State state(problem_, layout_, plan);
     double cost = 0;
