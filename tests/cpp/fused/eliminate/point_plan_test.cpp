@@ -1,0 +1,149 @@
+/// With so many points that the threads share them.
+
+#include "core/fused/eliminate/point_plan.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <map>
+#include <memory>
+#include <vector>
+
+#include "core/solve/prepare.h"
+#include "support/scene.h"
+
+namespace bundle::fused {
+namespace {
+
+constexpr int kBlockBytes = 512;
+
+/// Observations in no order, some of them twice, and every fifth point fixed.
+class PointPlanTest : public ::testing::Test {
+ protected:
+  PointPlanTest() {
+    testing::SceneOptions options;
+    options.num_images = 40;
+    options.num_points = 45000;
+    options.track_length = 6;
+    scene_ = testing::MakeScene(options);
+    testing::RepeatObservations(97, &scene_);
+    testing::ShuffleObservations(2, &scene_);
+    problem_ = scene_.View();
+    SolveOptions solve_options;
+    for (size_t p = 0; p < scene_.point_ids.size(); p += 5) {
+      solve_options.fixed_point_ids.push_back(scene_.point_ids[p]);
+    }
+    solve_options.fixed_image_ids = {scene_.image_ids[3]};
+    solve_options.fixed_camera_ids = {scene_.camera_ids[3]};
+    layout_ = std::make_unique<ParameterLayout>(PrepareSolve(problem_, solve_options).layout);
+  }
+
+  testing::Scene scene_;
+  ProblemView problem_;
+  std::unique_ptr<ParameterLayout> layout_;
+};
+
+void ExpectSame(const Chunk& a, const Chunk& b) {
+  EXPECT_EQ(a.first_point, b.first_point);
+  EXPECT_EQ(a.last_point, b.last_point);
+  EXPECT_EQ(a.first_pair, b.first_pair);
+  EXPECT_EQ(a.images, b.images);
+  EXPECT_EQ(a.previous_chunk, b.previous_chunk);
+  ASSERT_EQ(a.pairs.size(), b.pairs.size());
+  for (size_t k = 0; k < a.pairs.size(); ++k) {
+    EXPECT_EQ(a.pairs[k].first, b.pairs[k].first);
+    EXPECT_EQ(a.pairs[k].second, b.pairs[k].second);
+  }
+}
+
+TEST_F(PointPlanTest, IsTheSameForAnyNumberOfThreads) {
+  const PointPlan one = PlanPoints(problem_, *layout_, kBlockBytes, 1);
+  const PointPlan four = PlanPoints(problem_, *layout_, kBlockBytes, 4);
+  EXPECT_EQ(one.point, four.point);
+  EXPECT_EQ(one.num_free_points, four.num_free_points);
+  EXPECT_EQ(one.first, four.first);
+  EXPECT_EQ(one.image, four.image);
+  EXPECT_EQ(one.xy, four.xy);
+  EXPECT_EQ(one.image_in_chunk, four.image_in_chunk);
+  EXPECT_EQ(one.pair_block, four.pair_block);
+  ASSERT_EQ(one.chunks.size(), four.chunks.size());
+  ASSERT_GT(one.chunks.size(), 32u);
+  for (size_t c = 0; c < one.chunks.size(); ++c) ExpectSame(one.chunks[c], four.chunks[c]);
+}
+
+TEST_F(PointPlanTest, HasEveryObservationThatSomethingRefines) {
+  using Observation = std::array<double, 3>;
+  std::map<int, std::vector<Observation>> expected;
+  for (int64_t i = 0; i < problem_.num_observations; ++i) {
+    const int image = problem_.observation_image[i], point = problem_.observation_point[i];
+    if (layout_->point_is_free(point) || layout_->image_block(image) >= 0) {
+      const double* xy = problem_.observation_xy + 2 * i;
+      expected[point].push_back({static_cast<double>(image), xy[0], xy[1]});
+    }
+  }
+  const PointPlan plan = PlanPoints(problem_, *layout_, kBlockBytes, 4);
+  ASSERT_EQ(plan.point.size(), expected.size());
+  for (int p = 0; p < plan.num_points(); ++p) {
+    EXPECT_EQ(layout_->point_is_free(plan.point[p]), p < plan.num_free_points);
+    std::vector<Observation> found;
+    for (int64_t k = plan.first[p]; k < plan.first[p + 1]; ++k) {
+      found.push_back({static_cast<double>(plan.image[k]), plan.xy[2 * k], plan.xy[2 * k + 1]});
+    }
+    std::vector<Observation>& of_point = expected[plan.point[p]];
+    std::sort(found.begin(), found.end());
+    std::sort(of_point.begin(), of_point.end());
+    EXPECT_EQ(found, of_point);
+  }
+}
+
+TEST_F(PointPlanTest, IsSortedByTheImagesOfEachPoint) {
+  const auto rank = [&](int image) {
+    const int block = layout_->image_block(image);
+    return block >= 0 ? block : problem_.num_images;
+  };
+  const PointPlan plan = PlanPoints(problem_, *layout_, kBlockBytes, 4);
+  std::vector<int> before;
+  for (int p = 0; p < plan.num_points(); ++p) {
+    std::vector<int> ranks;
+    for (int64_t k = plan.first[p]; k < plan.first[p + 1]; ++k)
+      ranks.push_back(rank(plan.image[k]));
+    EXPECT_TRUE(std::is_sorted(ranks.begin(), ranks.end()));
+    if (p != 0 && p != plan.num_free_points) {
+      EXPECT_LE(before, ranks);
+      if (before == ranks) EXPECT_LT(plan.point[p - 1], plan.point[p]);
+    }
+    before = ranks;
+  }
+}
+
+TEST_F(PointPlanTest, NumbersTheBlocksOfItsChunks) {
+  const PointPlan plan = PlanPoints(problem_, *layout_, kBlockBytes, 4);
+  int next_point = 0;
+  int64_t next_pair = 0;
+  for (const Chunk& chunk : plan.chunks) {
+    EXPECT_EQ(chunk.first_point, next_point);
+    EXPECT_EQ(chunk.first_pair, next_pair);
+    next_point = chunk.last_point;
+    const auto image_of = [&](int64_t k) { return chunk.images[plan.image_in_chunk[k]]; };
+    for (int p = chunk.first_point; p < chunk.last_point; ++p) {
+      for (int64_t i = plan.first[p]; i < plan.first[p + 1]; ++i) {
+        ASSERT_EQ(image_of(i), plan.image[i]);
+        for (int64_t j = i + 1; j < plan.first[p + 1] && p < plan.num_free_points; ++j) {
+          if (layout_->image_block(plan.image[j]) < 0) continue;
+          const int block = plan.pair_block[next_pair++];
+          const int pair = block - static_cast<int>(chunk.images.size());
+          const bool twice = plan.image[i] == plan.image[j];
+          ASSERT_EQ(pair < 0, twice);
+          EXPECT_EQ(twice ? block : chunk.pairs[pair].first, plan.image_in_chunk[i]);
+          EXPECT_EQ(twice ? block : chunk.pairs[pair].second, plan.image_in_chunk[j]);
+        }
+      }
+    }
+  }
+  EXPECT_EQ(next_point, plan.num_points());
+  EXPECT_EQ(next_pair, static_cast<int64_t>(plan.pair_block.size()));
+}
+
+}  // namespace
+}  // namespace bundle::fused
