@@ -111,7 +111,9 @@ TEST_F(PointPlanTest, IsSortedByTheImagesOfEachPoint) {
     EXPECT_TRUE(std::is_sorted(ranks.begin(), ranks.end()));
     if (p != 0 && p != plan.num_free_points) {
       EXPECT_LE(before, ranks);
-      if (before == ranks) EXPECT_LT(plan.point[p - 1], plan.point[p]);
+      if (before == ranks) {
+        EXPECT_LT(plan.point[p - 1], plan.point[p]);
+      }
     }
     before = ranks;
   }
