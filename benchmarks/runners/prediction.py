@@ -64,7 +64,7 @@ def solve(path: str, backend: str, solver: str, threads: int) -> dict[str, Any]:
     summary = result.summary
     steps = result.iterations["iteration_time_in_seconds"][1:].tolist()
     return {
-        "nnz_factor": getattr(summary, "nnz_factor", None),
+        "nnz_factor": summary.num_factor_nonzeros,
         "memory": peak - loaded if loaded >= 0 else None,
         "seconds": statistics.median(steps),
         "minimizer": summary.minimizer_time_in_seconds / max(summary.num_linear_solves, 1),
