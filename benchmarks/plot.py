@@ -102,10 +102,11 @@ def draw_scaling(results: Results, solvers: Sequence[str], paths: Sequence[Path]
     figure, axis = _pyplot().subplots(figsize=(8.4, 5.0), layout="constrained")
     for solver, found in curves.items():
         sizes = [size for size, _ in found]
-        middle = [spread.median for _, spread in found]
+        totals = [row.total for _, row in found if row.total]
+        middle = [total.median for total in totals]
         spread = [
-            [spread.median - spread.low for _, spread in found],
-            [spread.high - spread.median for _, spread in found],
+            [total.median - total.low for total in totals],
+            [total.high - total.median for total in totals],
         ]
         power = scaling.exponent(results, solver)
         marker = MARKERS.get(solver.rpartition(" ")[2], "o")

@@ -2,35 +2,55 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 from benchmarks import table
-from benchmarks.measure import Spread, slope
+from benchmarks.measure import slope
 from benchmarks.results import Results
+from benchmarks.rows import Row
 from benchmarks.solvers import SCALED, SOLVERS
 
 # The family of scenes that differ in length alone.
 FAMILY = "street-"
 
 
-def points(results: Results, solver: str, quantity: str = "total") -> list[tuple[int, Spread]]:
-    """Return (observations, seconds) of the drives that a solver finished, by observations.
-
-    ``quantity`` is "total" or "step".
-    """
+def points(results: Results, solver: str) -> list[tuple[int, Row]]:
+    """Return (observations, row) of the drives that a solver finished, by observations."""
     found = []
     for name in results.problems("synthetic"):
         row, size = results.row(name, solver), results.size(name)
-        seconds = getattr(row, quantity) if row else None
-        if name.startswith(FAMILY) and seconds and size:
-            found.append((size["observations"], seconds))
+        if name.startswith(FAMILY) and row and row.total and row.num_steps and size:
+            found.append((size["observations"], row))
     return sorted(found, key=lambda pair: pair[0])
 
 
-def exponent(results: Results, solver: str, quantity: str = "total") -> float | None:
-    """Return the fitted power of growth, None with fewer than two drives."""
-    found = points(results, solver, quantity)
+def total(row: Row) -> float:
+    """Return the median total, in seconds."""
+    return row.total.median if row.total else math.nan
+
+
+def num_steps(row: Row) -> float:
+    """Return the LM steps tried."""
+    return float(row.num_steps)
+
+
+def total_a_step(row: Row) -> float:
+    """Return the total, whatever it went into, by the number of steps."""
+    return total(row) / row.num_steps
+
+
+def exponent(
+    results: Results, solver: str, quantity: Callable[[Row], float] = total
+) -> float | None:
+    """Return the fitted power of growth, None with fewer than two drives.
+
+    Powers of products add: that of the total is that of the steps and that of the total a step.
+    """
+    found = points(results, solver)
     if len(found) < 2:
         return None
-    return slope([size for size, _ in found], [seconds.median for _, seconds in found])
+    return slope([size for size, _ in found], [quantity(row) for _, row in found])
 
 
 def growth_table(results: Results) -> str:
@@ -38,7 +58,7 @@ def growth_table(results: Results) -> str:
     names = [name for name in results.problems("synthetic") if name.startswith(FAMILY)]
     lines = []
     for solver in (solver.name for solver in SOLVERS):
-        powers = [exponent(results, solver, quantity) for quantity in ("total", "step")]
+        powers = [exponent(results, solver, of) for of in (total, num_steps, total_a_step)]
         if powers[0] is None:
             continue
         totals = [row.total if (row := results.row(name, solver)) else None for name in names]
@@ -49,7 +69,8 @@ def growth_table(results: Results) -> str:
     header = [
         f"{name}, {results.size(name).get('observations', 0):,} observations" for name in names
     ]
-    return table.grid(["total", *header, "power", "power, time per step"], lines)
+    powers_of = ["power of the total", "of the steps", "of the total a step"]
+    return table.grid(["total", *header, *powers_of], lines)
 
 
 def threads_table(results: Results) -> str:

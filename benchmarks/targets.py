@@ -145,11 +145,14 @@ def _growth(results: Results) -> list[Target]:
     added = row.added_memory if row else None
     observations = results.size(large[0])["observations"]
     return [
-        Target(
-            f"total of {FUSED_ITERATIVE} grows as observations to the power of",
-            scaling.exponent(results, FUSED_ITERATIVE),
-            1.1,
-            is_least=False,
+        *(
+            Target(
+                f"{what} of {FUSED_ITERATIVE} grows as observations to the power of",
+                scaling.exponent(results, FUSED_ITERATIVE, quantity),
+                1.1,
+                is_least=False,
+            )
+            for what, quantity in (("total", scaling.total), ("total a step", scaling.total_a_step))
         ),
         Target(
             f"{large[0]}, {FUSED_SPARSE}, bytes an observation beyond the loaded problem",

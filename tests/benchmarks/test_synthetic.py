@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+import bundle
 from benchmarks import bal, synthetic
 
 
@@ -36,3 +37,9 @@ def test_a_generator_that_fails_is_told(tmp_path):
     )
     with pytest.raises(RuntimeError, match="no-such-scene: exit 1"):
         synthetic.ensure(problem)
+
+
+def test_drives_start_at_a_tenth_of_the_generators_perturbation():
+    defaults = {field.name: field.default for field in dataclasses.fields(bundle.SceneOptions)}
+    for name, noise in synthetic.NEAR_START.items():
+        assert noise == pytest.approx(0.1 * defaults[name])
