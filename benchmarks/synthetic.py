@@ -25,10 +25,11 @@ _TRACK_LENGTH = 5
 _TIMEOUT = 600.0
 
 
-# The start of a drive: a tenth of the generator's perturbation, so that its length alone decides how
-# hard it is. From the generator's own start some of a million points lie so close before a camera that
-# Levenberg-Marquardt, whoever runs it, rejects step after step: 50 images converge in 6 steps, 5000
-# have not in 47. More points have more of such luck; what a step costs has nothing to do with it.
+# The start of a drive: a tenth of the generator's perturbation, so that its length alone decides
+# how hard it is. From the generator's own start some of a million points lie so close before a
+# camera that Levenberg-Marquardt, whoever runs it, rejects step after step: 50 images converge in
+# 6 steps, 5000 have not in 47. More points have more of such luck; what a step costs has nothing to
+# do with it.
 NEAR_START = {
     "rotation_noise": 0.05,
     "translation_noise": 0.0005,
