@@ -4,8 +4,8 @@
 
 namespace bundle {
 
-/// CHOLMOD's workspace and settings, silent: what went wrong is in `common.status`. Its 64-bit
-/// functions throughout, as a matrix may have more than 2^31 values.
+/// CHOLMOD's workspace and settings for its orderings, silent: what went wrong is in
+/// `common.status`. Its 64-bit functions throughout, as a matrix may have more than 2^31 values.
 class CholmodSession {
  public:
   CholmodSession() {
@@ -13,14 +13,9 @@ class CholmodSession {
     common.print = 0;
     common.try_catch = 1;
     common.error_handler = nullptr;
-    common.nmethods = 1;
-    common.method[0].ordering = CHOLMOD_NATURAL;
     // The default moves rows of more than 10 sqrt(n) entries to the end, unordered. In the graph of
     // a photo collection these are most of its rows.
     common.method[0].prune_dense = -1;
-    common.postorder = 0;
-    common.supernodal = CHOLMOD_SUPERNODAL;
-    common.quick_return_if_not_posdef = 1;
   }
   ~CholmodSession() { cholmod_l_finish(&common); }
   CholmodSession(const CholmodSession&) = delete;

@@ -41,6 +41,12 @@ void Orthonormalize(ClusterDirections* directions) {
 
 }  // namespace
 
+bool MovesBlock(const ReducedStructure& structure, const std::vector<char>& moves, int block) {
+  const auto first = moves.begin() + structure.offset[block];
+  return std::any_of(first, first + structure.block_size(block),
+                     [](char does_move) { return does_move != 0; });
+}
+
 ClusterDirections FindClusterDirections(const ReducedStructure& structure,
                                         const ReducedSystem& system, const std::vector<char>& moves,
                                         const std::vector<int>& blocks, int num_columns) {
@@ -51,10 +57,7 @@ ClusterDirections FindClusterDirections(const ReducedStructure& structure,
   Eigen::VectorXd weight(num_rows);
   int row = 0;
   for (const int j : blocks) {
-    const auto first = moves.begin() + structure.offset[j];
-    const bool has_pose = std::any_of(first, first + structure.block_size(j),
-                                      [](char does_move) { return does_move != 0; });
-    int intrinsic = has_pose ? kNumSimilarities : 0;
+    int intrinsic = MovesBlock(structure, moves, j) ? kNumSimilarities : 0;
     for (int k = 0; k < structure.block_size(j); ++k, ++row) {
       const int column = structure.offset[j] + k;
       const int64_t diagonal = structure.ValueIndex(j, structure.column_begin[j], k, k);

@@ -13,9 +13,12 @@ struct ClusterDirections {
   std::vector<char> is_idle;  ///< of each column: it depends on those before it, and is zero
 };
 
+/// Whether a similarity changes any unknown of a block. `moves`: of each column of S, that one
+/// does.
+bool MovesBlock(const ReducedStructure& structure, const std::vector<char>& moves, int block);
+
 /// The similarities, if the cluster has blocks that they move, and the k-th intrinsics of all of
-/// its blocks, for each k: `num_columns` in all. `moves`: of each column of S, that a similarity
-/// changes it. `blocks`: those of the cluster.
+/// its blocks, for each k: `num_columns` in all. `blocks`: those of the cluster.
 ClusterDirections FindClusterDirections(const ReducedStructure& structure,
                                         const ReducedSystem& system, const std::vector<char>& moves,
                                         const std::vector<int>& blocks, int num_columns);

@@ -71,7 +71,7 @@ CoarseSpace::CoarseSpace(const ReducedStructure& structure, const ReducedSystem&
     moves_[k] = std::any_of(row, row + kNumSimilarities, [](double v) { return v != 0; });
   }
   std::vector<char> alone(fine_.num_blocks(), 0);
-  for (int j = 0; j < fine_.num_blocks(); ++j) alone[j] = !Moves(j);
+  for (int j = 0; j < fine_.num_blocks(); ++j) alone[j] = !MovesBlock(fine_, moves_, j);
   NumberClusters(ClusterBlocks(fine_, system.values, alone, kMaxClusterSize));
   CollectTerms();
   direction_begin_.push_back(0);
@@ -82,11 +82,6 @@ CoarseSpace::CoarseSpace(const ReducedStructure& structure, const ReducedSystem&
   directions_.resize(direction_begin_.back());
   is_idle_.resize(coarse_.num_columns());
   values_.resize(coarse_.num_values);
-}
-
-bool CoarseSpace::Moves(int block) const {
-  const auto first = moves_.begin() + fine_.offset[block];
-  return std::any_of(first, first + fine_.block_size(block), [](char moves) { return moves != 0; });
 }
 
 /// Gives the clusters the numbers of their elimination and lays out A.

@@ -40,7 +40,6 @@ class CoarseSpace {
     bool diagonal;    ///< only its lower triangle means anything
   };
 
-  bool Moves(int block) const;
   void NumberClusters(const std::vector<int>& cluster);
   void CollectTerms();
   void MakeDirections(const ReducedSystem& system, int cluster);
