@@ -22,6 +22,8 @@ import resource
 import sys
 from pathlib import Path
 
+from bundle import _core
+
 __all__ = [
     "available_memory",
     "go_first_when_memory_ends",
@@ -39,7 +41,8 @@ _SOME_STACK = 8 * _MIB
 
 def available_memory() -> int:
     """Return the bytes that processes may still take on this machine; 0 where it does not tell."""
-    return _kibibytes(Path("/proc/meminfo"), "MemAvailable")
+    size = _core.available_memory()
+    return int(size) if size < 2**63 else 0
 
 
 def resident_memory(pid: int | str = "self") -> int:
