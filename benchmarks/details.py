@@ -24,6 +24,7 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
     )
     for title, text in (
         ("Growth with the observations", _with_plot(scaling.growth_table(results), plots)),
+        ("Growth of drives in laps", scaling.growth_table(results, scaling.LAPS)),
         ("Threads: time per step, 1 thread over all", scaling.threads_table(results)),
         ("Share of the limit of arithmetic", _share(results)),
         ("Time to 1e-8 of the best known cost, tight stopping rule", _tight(results)),

@@ -11,16 +11,17 @@ from benchmarks.results import Results
 from benchmarks.rows import Row
 from benchmarks.solvers import SCALED, SOLVERS
 
-# The family of scenes that differ in length alone.
-FAMILY = "street-"
+# Families of scenes, by how their names begin: those of the first differ in length alone, those of
+# the second come back to known places ever more often (synthetic.py).
+ONE_WAY, LAPS = "street-", "laps-"
 
 
-def points(results: Results, solver: str) -> list[tuple[int, Row]]:
+def points(results: Results, solver: str, family: str = ONE_WAY) -> list[tuple[int, Row]]:
     """Return (observations, row) of the drives that a solver finished, by observations."""
     found = []
     for name in results.problems("synthetic"):
         row, size = results.row(name, solver), results.size(name)
-        if name.startswith(FAMILY) and row and row.total and row.num_steps and size:
+        if name.startswith(family) and row and row.total and row.num_steps and size:
             found.append((size["observations"], row))
     return sorted(found, key=lambda pair: pair[0])
 
@@ -41,24 +42,27 @@ def total_a_step(row: Row) -> float:
 
 
 def exponent(
-    results: Results, solver: str, quantity: Callable[[Row], float] = total
+    results: Results,
+    solver: str,
+    quantity: Callable[[Row], float] = total,
+    family: str = ONE_WAY,
 ) -> float | None:
     """Return the fitted power of growth, None with fewer than two drives.
 
     Powers of products add: that of the total is that of the steps and that of the total a step.
     """
-    found = points(results, solver)
+    found = points(results, solver, family)
     if len(found) < 2:
         return None
     return slope([size for size, _ in found], [quantity(row) for _, row in found])
 
 
-def growth_table(results: Results) -> str:
+def growth_table(results: Results, family: str = ONE_WAY) -> str:
     """Return one line a solver: totals by drive, and the exponents; "" without two drives."""
-    names = [name for name in results.problems("synthetic") if name.startswith(FAMILY)]
+    names = [name for name in results.problems("synthetic") if name.startswith(family)]
     lines = []
     for solver in (solver.name for solver in SOLVERS):
-        powers = [exponent(results, solver, of) for of in (total, num_steps, total_a_step)]
+        powers = [exponent(results, solver, of, family) for of in (total, num_steps, total_a_step)]
         if powers[0] is None:
             continue
         totals = [row.total if (row := results.row(name, solver)) else None for name in names]

@@ -1,8 +1,10 @@
 """Synthetic scenes, made once by `bundle.synthesize` and kept as BAL files.
 
-All but one are drives through a street, a thousand observations an image: what grows is the length
-of the drive, and co-visibility stays banded, so that work should grow with the observations. The
-photo collection has the same size as the drive of 1000 images, but a denser reduced camera system.
+Most are drives one way through streets, a thousand observations an image: what grows is the length
+of the drive alone, and co-visibility stays banded, so that work should grow with the observations.
+Drives in laps come back to the same streets, the more often the longer they are: from 200 to 5000
+images, the blocks of the reduced camera system that belong to one image become 2.4 times as many.
+The photo collection has the same size as the drives of 1000 images, and the densest system.
 
 `python -m benchmarks.synthetic NAME PATH` makes one: in a process of its own, since what starts the
 measured processes must stay small.
@@ -27,9 +29,9 @@ _TIMEOUT = 600.0
 
 # The start of a drive: a tenth of the generator's perturbation, so that its length alone decides
 # how hard it is. From the generator's own start some of a million points lie so close before a
-# camera that Levenberg-Marquardt, whoever runs it, rejects step after step: 50 images converge in
-# 6 steps, 5000 have not in 47. More points have more of such luck; what a step costs has nothing to
-# do with it.
+# camera that Levenberg-Marquardt, whoever runs it, rejects step after step: in laps, 50 images
+# converge in 6 steps, 5000 have not in 47. More points have more of such luck; what a step costs
+# has nothing to do with it.
 NEAR_START = {
     "rotation_noise": 0.05,
     "translation_noise": 0.0005,
@@ -46,11 +48,13 @@ class Scene:
     kind: str
     num_images: int
     num_observations: int
+    has_laps: bool = False
 
     @property
     def name(self) -> str:
         """Return the name of the problem, such as street-1000."""
-        return f"{self.kind.replace('_', '-')}-{self.num_images}"
+        kind = "laps" if self.has_laps else self.kind.replace("_", "-")
+        return f"{kind}-{self.num_images}"
 
     def options(self) -> dict[str, Any]:
         """Return the fields of bundle.SceneOptions."""
@@ -62,7 +66,7 @@ class Scene:
             "camera_model": "RADIAL",
             "cameras": "individual",
             "seed": 4,
-            **(NEAR_START if self.kind == "street" else {}),
+            **({**NEAR_START, "loop_closure": self.has_laps} if self.kind == "street" else {}),
         }
 
     def path(self, folder: Path) -> Path:
@@ -78,8 +82,10 @@ SCENES = (
     Scene("street", 50, 50_000),
     Scene("street", 200, 200_000),
     Scene("street", 1000, 1_000_000),
+    Scene("street", 1000, 1_000_000, has_laps=True),
     Scene("photo_collection", 1000, 1_000_000),
     Scene("street", 5000, 5_000_000),
+    Scene("street", 5000, 5_000_000, has_laps=True),
 )
 
 

@@ -136,14 +136,18 @@ def _large_synthetic(results: Results) -> list[Target]:
 
 
 def _growth(results: Results) -> list[Target]:
-    """Return the targets of the largest scene; none without it."""
+    """Return the targets of the largest scenes; none without them."""
     names = results.problems("synthetic")
     large = [n for n in names if results.size(n).get("observations", 0) >= FIVE_MILLION]
     if not large:
         return []
-    row = results.row(large[0], FUSED_SPARSE)
-    added = row.added_memory if row else None
-    observations = results.size(large[0])["observations"]
+    memory = []
+    for name in large:
+        row = results.row(name, FUSED_SPARSE)
+        added = row.added_memory.median if row and row.added_memory else None
+        share = added / results.size(name)["observations"] if added else None
+        memory.append((name, share))
+    what = f"{FUSED_SPARSE}, bytes an observation beyond the loaded problem, most of"
     return [
         *(
             Target(
@@ -154,12 +158,7 @@ def _growth(results: Results) -> list[Target]:
             )
             for what, quantity in (("total", scaling.total), ("total a step", scaling.total_a_step))
         ),
-        Target(
-            f"{large[0]}, {FUSED_SPARSE}, bytes an observation beyond the loaded problem",
-            added.median / observations if added else None,
-            BYTES_AN_OBSERVATION,
-            is_least=False,
-        ),
+        _extreme(what, memory, BYTES_AN_OBSERVATION, is_least=False),
     ]
 
 

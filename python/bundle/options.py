@@ -161,7 +161,7 @@ class SolveOptions:
 
     def asdict(self) -> dict[str, Any]:
         """Return every option by name."""
-        return dataclasses.asdict(self)
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
 
 def _checked(field: dataclasses.Field[Any], value: Any) -> Any:

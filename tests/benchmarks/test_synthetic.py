@@ -39,6 +39,15 @@ def test_a_generator_that_fails_is_told(tmp_path):
         synthetic.ensure(problem)
 
 
+def test_drives_one_way_differ_in_length_alone_and_laps_say_so():
+    drives = [scene for scene in synthetic.SCENES if scene.kind == "street"]
+    for scene in drives:
+        assert scene.options()["loop_closure"] == scene.has_laps == scene.name.startswith("laps-")
+    one_way = [scene for scene in drives if not scene.has_laps]
+    assert len(one_way) > 3
+    assert len({scene.num_observations // scene.num_images for scene in one_way}) == 1
+
+
 def test_drives_start_at_a_tenth_of_the_generators_perturbation():
     defaults = {field.name: field.default for field in dataclasses.fields(bundle.SceneOptions)}
     for name, noise in synthetic.NEAR_START.items():

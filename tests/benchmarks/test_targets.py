@@ -13,6 +13,7 @@ SIZES = {
     "street-50": (50, 50_000),
     "street-1000": (1000, 1_000_000),
     "street-5000": (5000, 5_000_000),
+    "laps-5000": (5000, 5_000_000),
 }
 KINDS = {"16-22106": "bal", "21-11315": "bal", "model": "colmap", "toy": "colmap"}
 
@@ -137,6 +138,21 @@ def test_growth_and_memory_are_those_of_the_largest_scene():
     assert (memory.value, memory.met) == (pytest.approx(130.0), False)
     assert scaling.exponent(measured, solver, scaling.num_steps) == pytest.approx(0.0, abs=1e-12)
     assert scaling.exponent(measured, "bundle auto") is None
+    runs.append(run("laps-5000", "bundle fused sparse-schur", 1.0, added=5_000_000 * 140))
+    assert found(results(runs), ["bytes an observation", "(laps-5000)"]).value == pytest.approx(140)
+
+
+def test_drives_in_laps_have_powers_of_their_own():
+    solver = "bundle fused sparse-schur"
+    runs = [
+        run("street-1000", solver, 1.0, total=2.0),
+        run("laps-5000", solver, 1.0, total=9.0),
+        run("street-5000", solver, 1.0, total=10.0),
+    ]
+    measured = results(runs)
+    assert [size for size, _ in scaling.points(measured, solver, scaling.LAPS)] == [5_000_000]
+    assert scaling.exponent(measured, solver) == pytest.approx(1.0)
+    assert scaling.growth_table(measured) and not scaling.growth_table(measured, scaling.LAPS)
 
 
 def test_auto_is_held_to_the_better_backend():

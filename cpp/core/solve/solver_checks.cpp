@@ -8,6 +8,9 @@ namespace bundle {
 namespace {
 
 void Refuse(LinearSolverType type, double bytes, const char* what, const char* instead) {
+  // Asking the system takes as long as a step of a small problem.
+  constexpr double kFitsAnywhere = 1 << 20;
+  if (bytes < kFitsAnywhere) return;
   const double available = AvailableMemoryBytes();
   if (bytes <= 0.9 * available) return;
   throw InputError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) + " needs " +
