@@ -16,6 +16,7 @@ from typing import Any
 
 import bundle
 from benchmarks.runners import protocol
+from bundle.options import AUTO_PRECONDITIONER
 
 STEPS = 5
 
@@ -32,11 +33,11 @@ def inspect(path: str, threads: int) -> dict[str, Any]:
     """Return the predictions by "backend solver", with the preconditioners that auto takes."""
     found: dict[str, Any] = {}
     for method in bundle.inspect(bundle.load(path), num_threads=threads).methods:
-        usual = "TWO_LEVEL" if method.backend == "FUSED" else "SCHUR_JACOBI"
-        is_usual = method.preconditioner in ("", usual)
+        key = (method.backend.lower(), method.linear_solver_type.lower())
+        is_usual = method.preconditioner.lower() == AUTO_PRECONDITIONER.get(key, "")
         if not (method.is_taken and is_usual) or method.ordering == "cameras_first":
             continue
-        found[f"{method.backend} {method.linear_solver_type}".lower()] = {
+        found[" ".join(key)] = {
             "nnz_factor": method.nnz_factor,
             "memory": method.memory_in_bytes,
             "seconds": method.time_per_step_in_seconds,

@@ -37,6 +37,12 @@ PRECONDITIONER_TYPES = (
     "schur_power_series_expansion",
     "two_level",
 )
+# What auto means, by backend and linear solver; the core decides, this is for who asks beforehand.
+AUTO_PRECONDITIONER = {
+    ("fused", "iterative_schur"): "two_level",
+    ("ceres", "iterative_schur"): "schur_jacobi",
+    ("ceres", "cgnr"): "jacobi",
+}
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
 REFINABLE = ("poses", "points", "focal", "principal_point", "extra")

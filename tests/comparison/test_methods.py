@@ -1,4 +1,4 @@
-"""Which methods are compared, and sizes and command lines as people write them."""
+"""Which methods are compared, and command lines as people write them."""
 
 import argparse
 
@@ -8,7 +8,6 @@ from bundle import _core
 from bundle.cli.option_flags import add_options, options_given
 from bundle.comparison.command_line import command_line
 from bundle.comparison.methods import expand
-from bundle.comparison.sizes import format_size, parse_size
 from bundle.errors import InputError
 from bundle.options import SolveOptions
 
@@ -52,26 +51,6 @@ def test_every_combination_once():
 def test_what_does_not_exist_is_refused(asked, words):
     with pytest.raises(InputError, match=words):
         expand(**asked)
-
-
-@pytest.mark.parametrize(
-    ("text", "size"),
-    [("500MB", 500_000_000), ("2 GiB", 2**31), ("1.5kb", 1500), ("7", 7), (" 3 b ", 3)],
-)
-def test_sizes(text, size):
-    assert parse_size(text) == size
-
-
-@pytest.mark.parametrize("text", ["", "MB", "-1", "0", "5 parsecs", "1e9", "99999999999TB", "٣MB"])
-def test_what_is_no_size(text):
-    with pytest.raises(InputError, match="expected a size such as 500MB"):
-        parse_size(text)
-
-
-def test_sizes_are_told_in_three_digits():
-    sizes = (0, 999, 1000, 999_600, 500e6, 19_234e6, 5e15)
-    told = ["-", "999 B", "1 kB", "1 MB", "500 MB", "19.2 GB", "5000 TB"]
-    assert [format_size(size) for size in sizes] == told
 
 
 def test_command_line_brings_the_options_back():

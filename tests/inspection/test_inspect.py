@@ -107,7 +107,7 @@ def test_what_does_not_fit_is_marked_and_not_recommended(inspect, monkeypatch):
     assert not found["DENSE_SCHUR natural", "CERES"].fits_in_memory
     assert found["SPARSE_SCHUR amd", "FUSED"].fits_in_memory
     assert inspection.methods[inspection.recommended].fits_in_memory
-    assert "DENSE_SCHUR needs 2.5 GiB, more than is free" in inspection.recommendation
+    assert "DENSE_SCHUR needs 2.65 GB, more than is free" in inspection.recommendation
 
 
 def test_where_nothing_fits(inspect, street, monkeypatch):

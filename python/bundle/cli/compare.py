@@ -166,7 +166,7 @@ def _naming_flags() -> Iterator[None]:
 
 
 def _memory_cap(text: str | None) -> int:
-    from bundle.comparison.sizes import parse_size
+    from bundle.memory_sizes import parse_size
 
     try:
         return 0 if text is None else parse_size(text)

@@ -124,7 +124,8 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
             from bundle.html import write_inspection
 
             progress.stage(f"writing {shown(arguments.html)}")
-            write_inspection(inspection, arguments.html, problem, options)
+            page, name = arguments.html, str(arguments.input)
+            write_inspection(inspection, page, problem, options, name=name)
     if arguments.json != "-":
         show(*inspected(arguments.input, problem, inspection))
     wall = perf_counter() - started

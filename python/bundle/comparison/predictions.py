@@ -8,17 +8,10 @@ from bundle.comparison.method import Method
 from bundle.comparison.result import Prediction
 from bundle.errors import InputError
 from bundle.inspection import Inspection, MethodInspection, inspect
-from bundle.options import SolveOptions
+from bundle.options import AUTO_PRECONDITIONER, SolveOptions
 from bundle.problem import Problem
 
 __all__ = ["predict"]
-
-# What auto means, by backend and linear solver.
-_AUTO_PRECONDITIONER = {
-    ("fused", "iterative_schur"): "two_level",
-    ("ceres", "iterative_schur"): "schur_jacobi",
-    ("ceres", "cgnr"): "jacobi",
-}
 
 
 def predict(
@@ -62,7 +55,7 @@ def _fits(method: Method, inspected: MethodInspection) -> bool:
     if method.is_iterative:
         wanted = method.preconditioner_type
         if wanted == "auto":
-            wanted = _AUTO_PRECONDITIONER[method.backend, method.linear_solver_type]
+            wanted = AUTO_PRECONDITIONER[method.backend, method.linear_solver_type]
         return inspected.preconditioner.lower() == wanted
     return True
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from bundle.comparison import memory
-from bundle.comparison.sizes import format_size
+from bundle.memory_sizes import format_size
 
 __all__ = ["WorkerEnd", "run_worker", "worker_command"]
 

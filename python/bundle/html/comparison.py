@@ -9,10 +9,11 @@ from pathlib import Path
 
 from bundle.comparison import GAPS, Comparison, Run
 from bundle.html.charts import Curve, curves, stacked_bars
-from bundle.html.numbers import amount_if_any, counted, memory, seconds
+from bundle.html.numbers import amount_if_any, counted, seconds
 from bundle.html.page import tag, write_page
 from bundle.html.scale import Scale, linear, logarithmic
 from bundle.html.table import Notes, convention, table
+from bundle.memory_sizes import format_size
 from bundle.pictures.series import cost_curve, labels, profile_curve, styles
 
 __all__ = ["write_comparison"]
@@ -37,7 +38,7 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
 def _scope(comparison: Comparison) -> str:
     words = (
         f"{len(comparison.methods)} methods, each in its own process, stopped after "
-        f"{comparison.timeout:g} seconds or at {memory(comparison.memory_cap_in_bytes)} beyond "
+        f"{comparison.timeout:g} seconds or at {format_size(comparison.memory_cap_in_bytes)} beyond "
         f"the loaded problem; {seconds(comparison.wall_time_in_seconds)} in all."
     )
     if comparison.repeat > 1:
@@ -108,7 +109,7 @@ def _measured(comparison: Comparison, run: Run) -> list[str]:
         seconds(measurement.time_per_step_in_seconds),
         seconds(measurement.total_time_in_seconds),
         *gaps,
-        memory(run.peak_memory_in_bytes),
+        format_size(run.peak_memory_in_bytes),
         _outcome(run),
     ]
 
@@ -147,8 +148,8 @@ def _predictions(comparison: Comparison, problem: int) -> str:
             amount_if_any(before.flops),
             seconds(before.time_per_step_in_seconds),
             seconds(after.time_per_step_in_seconds) if after else "-",
-            memory(before.memory_in_bytes),
-            memory(after.added_memory_in_bytes) if after else "-",
+            format_size(before.memory_in_bytes),
+            format_size(after.added_memory_in_bytes) if after else "-",
             notes.refer(note),
         ])  # fmt: skip
     if not rows:

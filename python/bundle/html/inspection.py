@@ -11,11 +11,12 @@ from bundle.html.charts import bars
 from bundle.html.elimination import MOST_VARIABLES, elimination_data, elimination_section
 from bundle.html.graph import column_counts, write_graph
 from bundle.html.matrices import covisibility, matrix, orderings
-from bundle.html.numbers import amount, amount_if_any, memory, seconds
+from bundle.html.numbers import amount, amount_if_any, seconds
 from bundle.html.page import tag, write_page
 from bundle.html.subgraph import image_graph
 from bundle.html.table import Notes, convention, table
 from bundle.inspection import GraphInspection, Inspection, MethodInspection, inspect_graph
+from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.pictures.covisibility import covisibility_graph
 from bundle.pictures.problem_patterns import (
@@ -37,6 +38,8 @@ def write_inspection(
     path: str | os.PathLike[str],
     problem: Problem | None = None,
     options: SolveOptions | None = None,
+    *,
+    name: str = "",
 ) -> None:
     """Write an inspection as one HTML file that needs nothing else.
 
@@ -48,13 +51,15 @@ def write_inspection(
         problem: the one inspected, whose matrices and co-visibility are drawn; a page without it
             has tables and bars alone. Nothing for a graph.
         options: with which it was inspected: they decide what is refined.
+        name: of the problem, for the title of its page.
 
     Raises:
         InputError: the path is a folder, or its parent is none.
         OSError: the file cannot be written.
     """
     if isinstance(inspection, Inspection):
-        _write_problem(inspection, Path(path), problem, options or SolveOptions())
+        title = f"What solving {name} costs" if name else "What solving costs"
+        _write_problem(inspection, Path(path), title, problem, options or SolveOptions())
     elif isinstance(inspection, GraphInspection):
         write_graph(_with_rivals(inspection), path)
     else:
@@ -80,7 +85,11 @@ def _with_rivals(graph: GraphInspection) -> list[GraphInspection]:
 
 
 def _write_problem(
-    inspection: Inspection, path: Path, problem: Problem | None, options: SolveOptions
+    inspection: Inspection,
+    path: Path,
+    title: str,
+    problem: Problem | None,
+    options: SolveOptions,
 ) -> None:
     sections = [
         _scope(inspection),
@@ -116,7 +125,7 @@ def _write_problem(
             elimination_section(graphs),
         ]
     data = {"elimination": elimination_data(graphs)} if graphs else None
-    write_page(path, "What solving costs", sections, data)
+    write_page(path, title, sections, data)
 
 
 def _scope(inspection: Inspection) -> str:
@@ -125,7 +134,7 @@ def _scope(inspection: Inspection) -> str:
         f"{inspection.num_camera_blocks:,} blocks of {inspection.num_camera_columns:,} unknowns on "
         f"the camera side; S is {inspection.reduced_density:.2%} full. Times are for "
         f"{inspection.num_threads} threads of this machine, which has "
-        f"{memory(inspection.available_memory_in_bytes)} free."
+        f"{format_size(inspection.available_memory_in_bytes)} free."
     )
     return tag("p", words, class_="quiet")
 
@@ -154,7 +163,7 @@ def _methods(inspection: Inspection) -> str:
         rows.append([
             _label(method),
             seconds(method.time_per_step_in_seconds),
-            memory(method.memory_in_bytes),
+            format_size(method.memory_in_bytes),
             "yes" if method.fits_in_memory else "NO",
             amount_if_any(method.nnz_reduced),
             *(amount(count) if has_factor else "-" for count in counts),

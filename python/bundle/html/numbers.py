@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["amount", "amount_if_any", "counted", "memory", "seconds"]
+__all__ = ["amount", "amount_if_any", "counted", "seconds"]
 
 
 def amount(value: float) -> str:
@@ -22,17 +22,6 @@ def amount_if_any(value: float) -> str:
 def counted(number: int, what: str) -> str:
     """Return "1 camera", "1,200 cameras"."""
     return f"{number:,} {what}{'' if number == 1 else 's'}"
-
-
-def memory(size: float) -> str:
-    """Return bytes as kB, MB, GB (10^9 bytes) or TB; "-" where unknown."""
-    if not math.isfinite(size) or size < 0:
-        return "-"
-    if size >= 1e12:
-        return f"{size / 1e12:,.1f} TB"
-    if size >= 1e9:
-        return f"{size / 1e9:.2f} GB"
-    return f"{size / 1e6:.0f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
 
 
 def seconds(time: float) -> str:

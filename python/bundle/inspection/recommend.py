@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from bundle.inspection.result import MethodInspection
+from bundle.memory_sizes import format_size
 
 __all__ = ["explain", "recommend"]
 
@@ -21,7 +22,7 @@ def explain(methods: Sequence[MethodInspection], best: int, density: float) -> s
         least = min(methods, key=lambda method: method.memory_in_bytes)
         return (
             f"No method fits into the memory that is free; {least.name} needs least, "
-            f"{least.memory_in_bytes / 2**30:.1f} GiB."
+            f"{format_size(least.memory_in_bytes)}."
         )
     chosen = methods[best]
     reasons = [f"S is {100 * density:.2g} % full"]
@@ -54,7 +55,7 @@ def _rival(
 def _against(rival: MethodInspection, chosen: MethodInspection) -> str:
     name = rival.linear_solver_type
     if not rival.fits_in_memory:
-        return f"{name} needs {rival.memory_in_bytes / 2**30:.1f} GiB, more than is free"
+        return f"{name} needs {format_size(rival.memory_in_bytes)}, more than is free"
     times = rival.time_per_step_in_seconds / chosen.time_per_step_in_seconds
     if chosen.flops and rival.flops > chosen.flops:
         pays = rival.flops / chosen.flops

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from bundle.errors import shown
 from bundle.inspection import Inspection, MethodInspection
+from bundle.memory_sizes import format_size
 from bundle.problem import Problem
 from bundle.report import json
 from bundle.report.refine import contents
@@ -124,7 +125,7 @@ def _costs(inspection: Inspection) -> Table:
 def _cost(method: MethodInspection | None) -> tuple[str, str]:
     if method is None:
         return "-", "-"
-    memory = _bytes(method.memory_in_bytes)
+    memory = format_size(method.memory_in_bytes)
     if not method.fits_in_memory:
         return f"{memory} !", "-"
     time = _time(method.time_per_step_in_seconds)
@@ -155,7 +156,7 @@ def _remarks(inspection: Inspection) -> list[str]:
         "height is that of the elimination tree, in blocks; the fullest column of L has as many "
         "entries below the diagonal.",
         f"Times are for {inspection.num_threads} threads, by this machine's measured rates; memory "
-        f"is the peak beyond the problem, of {_bytes(inspection.available_memory_in_bytes)} free.",
+        f"is the peak beyond the problem, of {format_size(inspection.available_memory_in_bytes)} free.",
     ]
     if any(not method.fits_in_memory for method in inspection.methods):
         remarks.append("! does not fit into the memory that is free.")
@@ -197,14 +198,6 @@ def _disagreement(inspection: Inspection) -> list[str]:
         f"`--solver auto` would take {inspection.auto_choice}: it goes by the rates of a fixed "
         "machine. `bundle compare` measures who is right."
     ]
-
-
-def _bytes(value: float) -> str:
-    for unit in ("B", "KB", "MB", "GB", "TB"):
-        if value < 999.5:
-            return f"{value:.3g} {unit}"
-        value /= 1000.0
-    return f"{value:.3g} PB"
 
 
 def _time(seconds: float) -> str:
