@@ -1,7 +1,8 @@
 """bundle itself, through its Python interface.
 
-``build`` is everything that bundle.solve does outside the backend, before and after, statistics of
-the reprojection error included. The trace is shifted by all of it: unfair to us by the part after.
+``build`` is everything that bundle.solve does outside the backend, before and after. The trace is
+shifted by all of it: unfair to us by the part after. Statistics of the reprojection error, which
+nobody here computes, are made when a result is asked for them: not before `bundle refine` reports.
 """
 
 from __future__ import annotations

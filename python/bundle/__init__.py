@@ -11,7 +11,8 @@ from bundle.headers import get_include
 from bundle.io import load, save
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.result import ReprojectionError, Result
+from bundle.reprojection import ReprojectionError
+from bundle.result import Result
 from bundle.solver import solve
 from bundle.summary import Summary
 

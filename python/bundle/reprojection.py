@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,15 +11,33 @@ from numpy.typing import ArrayLike, NDArray
 from bundle import _core
 from bundle.errors import InputError
 from bundle.problem import Problem
-from bundle.result import ReprojectionError
 
 __all__ = [
     "Linearization",
+    "ReprojectionError",
     "linearize",
     "reprojection_error",
     "reprojection_errors",
     "resolve_cheirality",
 ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReprojectionError:
+    """Reprojection errors ||r|| over the observations that have one, in pixels.
+
+    ``rmse`` is sqrt(mean ||r||^2). Observations behind their camera, and those whose projection
+    does not exist, are counted and, unless ``cheirality`` is "algebraic", left out of the
+    statistics. Every number is NaN where there is no observation.
+    """
+
+    rmse: float
+    mean: float
+    median: float
+    p95: float
+    max: float
+    num_observations: int
+    num_behind_camera: int
 
 
 class Linearization(NamedTuple):

@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.options import SolveOptions
 from bundle.problem import Problem
+from bundle.reprojection import ReprojectionError, reprojection_error
 from bundle.summary import Summary
 
-__all__ = ["ReprojectionError", "Result"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReprojectionError:
-    """Reprojection errors ||r|| over the observations that have one, in pixels.
-
-    ``rmse`` is sqrt(mean ||r||^2). Observations behind their camera, and those whose projection
-    does not exist, are counted and, unless ``cheirality`` is "algebraic", left out of the
-    statistics. Every number is NaN where there is no observation.
-    """
-
-    rmse: float
-    mean: float
-    median: float
-    p95: float
-    max: float
-    num_observations: int
-    num_behind_camera: int
+__all__ = ["Result"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,21 +21,37 @@ class Result:
     """A refined problem and how it came about.
 
     Attributes:
-        problem: the refined problem; the input is untouched.
+        problem: the refined problem.
+        initial_problem: the input, untouched.
         options: every option as used.
         summary: what the solver says.
         iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
-        reprojection_error_before: pixels, at the input.
-        reprojection_error_after: pixels, at the output.
         build_time_in_seconds: from the arrays to a solver's problem and back, outside the solver.
         solve_time_in_seconds: inside the solver.
     """
 
     problem: Problem
+    initial_problem: Problem
     options: SolveOptions
     summary: Summary
     iterations: dict[str, NDArray[np.generic]]
-    reprojection_error_before: ReprojectionError
-    reprojection_error_after: ReprojectionError
     build_time_in_seconds: float
     solve_time_in_seconds: float
+
+    @cached_property
+    def reprojection_error_before(self) -> ReprojectionError:
+        """Statistics in pixels at the input, measured when first asked for."""
+        return self._measure(self.initial_problem)
+
+    @cached_property
+    def reprojection_error_after(self) -> ReprojectionError:
+        """Statistics in pixels at the output, measured when first asked for."""
+        return self._measure(self.problem)
+
+    def measure(self) -> None:
+        """Measure both reprojection errors now, so that asking for them takes no time."""
+        _ = self.reprojection_error_before, self.reprojection_error_after
+
+    def _measure(self, problem: Problem) -> ReprojectionError:
+        options = self.options
+        return reprojection_error(problem, options.cheirality, num_threads=options.num_threads)

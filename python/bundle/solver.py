@@ -8,7 +8,7 @@ from typing import Any
 from bundle import _core
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.reprojection import reprojection_error, resolve_cheirality
+from bundle.reprojection import resolve_cheirality
 from bundle.result import Result
 from bundle.summary import Summary
 
@@ -44,7 +44,6 @@ def solve(
     """
     options = (options or SolveOptions()).replace(**changes)
     options = resolve_defaults(problem, options)
-    before = reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
     output = _core.solve(problem, options.asdict(), progress)
     refined = problem.replace(
         cam_from_world=output["cam_from_world"],
@@ -53,13 +52,10 @@ def solve(
     )
     return Result(
         problem=refined,
+        initial_problem=problem,
         options=options,
         summary=Summary(**output["summary"]),
         iterations=output["iterations"],
-        reprojection_error_before=before,
-        reprojection_error_after=reprojection_error(
-            refined, options.cheirality, num_threads=options.num_threads
-        ),
         build_time_in_seconds=output["build_time_in_seconds"],
         solve_time_in_seconds=output["solve_time_in_seconds"],
     )

@@ -103,13 +103,13 @@ def test_recalibrate(run, model, rates):
 def test_html(run, model, cycle, tmp_path, monkeypatch):
     written = []
     page = types.ModuleType("bundle.html")
-    page.write_inspection = lambda *arguments: written.append(arguments)
+    page.write_inspection = lambda *arguments, name="": written.append((*arguments, name))
     monkeypatch.setitem(sys.modules, "bundle.html", page)
     target = str(tmp_path / "page.html")
     assert run("inspect", model, "--html", target).code == 0
     assert run("inspect", "--graph", cycle, "--html", target).code == 0
-    (inspection, path, problem, options), (graph, _) = written
-    assert path == target
+    (inspection, path, problem, options, name), (graph, _, _) = written
+    assert (path, name) == (target, str(model))
     assert inspection.methods
     assert problem.num_images == inspection.num_camera_blocks
     assert options.num_threads == 0

@@ -80,7 +80,7 @@ def images(count, **changes):
 def written(tmp_path):
     def write(problem=None, options=None, inspection=INSPECTION):
         path = tmp_path / "inspection.html"
-        write_inspection(inspection, path, problem, options)
+        write_inspection(inspection, path, problem, options, name="<a street>")
         page = Page(path)
         check_self_contained(page)
         return path, page
@@ -90,6 +90,7 @@ def written(tmp_path):
 
 def test_every_method_is_a_row(written):
     _, page = written()
+    assert page.words.count("What solving <a street> costs") == 2  # title and heading
     rows = {row[0]: row for row in page.rows if row[0] != "method"}
     assert set(rows) == {
         "ceres DENSE_SCHUR natural", "fused SPARSE_SCHUR amd", "SPARSE_SCHUR colamd",
@@ -98,7 +99,7 @@ def test_every_method_is_a_row(written):
     assert rows["fused SPARSE_SCHUR amd"][1:8] == [
         "125 ms", "250 MB", "yes", "987", "4,321", "0", "1.20e+08",
     ]  # fmt: skip
-    assert rows["ceres DENSE_SCHUR natural"][2:6] == ["600.00 GB", "NO", "-", "1.23e+08"]
+    assert rows["ceres DENSE_SCHUR natural"][2:6] == ["600 GB", "NO", "-", "1.23e+08"]
     assert rows["fused ITERATIVE_SCHUR jacobi"][5:10] == ["-"] * 5
 
 

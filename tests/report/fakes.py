@@ -9,7 +9,8 @@ import numpy as np
 
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.result import ReprojectionError, Result
+from bundle.reprojection import ReprojectionError
+from bundle.result import Result
 from bundle.summary import Summary
 
 CONVERGED = Summary(
@@ -107,12 +108,16 @@ def error(scale: float, behind: int = 0) -> ReprojectionError:
 def result(problem: Problem, **changes: Any) -> Result:
     values: dict[str, Any] = {
         "problem": problem,
+        "initial_problem": problem,
         "options": OPTIONS,
         "summary": CONVERGED,
         "iterations": iterations(),
-        "reprojection_error_before": error(2.5, behind=31),
-        "reprojection_error_after": error(0.25),
         "build_time_in_seconds": 0.125,
         "solve_time_in_seconds": 1.0,
     }
-    return Result(**{**values, **changes})
+    made = Result(**{**values, **changes})
+    # As if measured already: what a property has found is kept beside the fields.
+    vars(made).update(
+        reprojection_error_before=error(2.5, behind=31), reprojection_error_after=error(0.25)
+    )
+    return made

@@ -184,6 +184,8 @@ def test_the_reprojection_error_is_per_observation(solve):
     assert result.reprojection_error_after.rmse == pytest.approx(
         np.sqrt(2 * result.summary.final_cost / n), rel=1e-10
     )
+    assert result.initial_problem is problem
+    assert result.reprojection_error_after is result.reprojection_error_after  # measured once
 
 
 def test_conjugate_gradients_survive_a_reduced_system_of_one_column(solve):

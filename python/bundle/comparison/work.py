@@ -18,9 +18,9 @@ from bundle.comparison.method import Method
 from bundle.comparison.predictions import predict
 from bundle.comparison.process import WorkerEnd, run_worker
 from bundle.comparison.result import ComparedProblem, Measurement, Prediction, Run
-from bundle.memory_sizes import format_size
 from bundle.errors import InputError, shown
 from bundle.io import load
+from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.summary import Summary

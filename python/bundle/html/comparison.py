@@ -36,10 +36,11 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
 
 
 def _scope(comparison: Comparison) -> str:
+    cap = format_size(comparison.memory_cap_in_bytes)
     words = (
         f"{len(comparison.methods)} methods, each in its own process, stopped after "
-        f"{comparison.timeout:g} seconds or at {format_size(comparison.memory_cap_in_bytes)} beyond "
-        f"the loaded problem; {seconds(comparison.wall_time_in_seconds)} in all."
+        f"{comparison.timeout:g} seconds or at {cap} beyond the loaded problem; "
+        f"{seconds(comparison.wall_time_in_seconds)} in all."
     )
     if comparison.repeat > 1:
         words += f" Runs of up to {comparison.repeat} repeats show the one of median time."

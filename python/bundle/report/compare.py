@@ -10,8 +10,8 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from bundle.comparison import GAPS, ComparedProblem, Comparison, Measurement, Method, Run
-from bundle.memory_sizes import format_size
 from bundle.errors import shown
+from bundle.memory_sizes import format_size
 from bundle.summary import share
 from bundle.tables import WIDEST, columns, facts, format_name, notes, number, plural, seconds
 

@@ -150,13 +150,14 @@ def _best(inspection: Inspection) -> MethodInspection:
 
 
 def _remarks(inspection: Inspection) -> list[str]:
+    free = format_size(inspection.available_memory_in_bytes)
     remarks = [
         "flops are the sum of c^2 + 3 c over the columns of L, c their entries below the diagonal, "
         'and those under "CHOLMOD\'s" its own sum of (c + 1)^2; fill is in pairs of blocks; the '
         "height is that of the elimination tree, in blocks; the fullest column of L has as many "
         "entries below the diagonal.",
         f"Times are for {inspection.num_threads} threads, by this machine's measured rates; memory "
-        f"is the peak beyond the problem, of {format_size(inspection.available_memory_in_bytes)} free.",
+        f"is the peak beyond the problem, of {free} free.",
     ]
     if any(not method.fits_in_memory for method in inspection.methods):
         remarks.append("! does not fit into the memory that is free.")

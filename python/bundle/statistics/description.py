@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from bundle.cameras import camera_models, param_kinds
 from bundle.errors import InputError
 from bundle.problem import Problem
-from bundle.reprojection import reprojection_error, reprojection_errors
-from bundle.result import ReprojectionError
+from bundle.reprojection import ReprojectionError, reprojection_error, reprojection_errors
 from bundle.statistics.covisibility import Covisibility, covisibility
 from bundle.statistics.suspicions import Suspicion, suspicions
 
