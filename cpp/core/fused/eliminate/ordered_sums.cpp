@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <utility>
 
 #include "core/fused/huge_pages.h"
 
@@ -37,14 +38,19 @@ OrderedSums::OrderedSums(const Terms& terms, const ReducedStructure& structure,
       if (wants_camera_diagonal) buffer.camera_diagonal.reserve(images * block_size);
     }
   }
+  MakeSystem();
+}
+
+void OrderedSums::MakeSystem() {
+  ReserveHugePages(structure_.num_values, &sums_.system.values);
+  sums_.system.values.resize(structure_.num_values);
+  is_new_ = true;
 }
 
 void OrderedSums::Clear(ThreadPool* pool) {
   std::vector<double>& values = sums_.system.values;
-  if (values.empty()) {
-    ReserveHugePages(structure_.num_values, &values);
-    values.resize(structure_.num_values);
-  } else {
+  if (values.empty()) MakeSystem();
+  if (!std::exchange(is_new_, false)) {
     pool->Run([&](int thread) {
       const int64_t size = structure_.num_values, threads = pool->num_threads();
       std::fill(values.data() + size * thread / threads,

@@ -61,6 +61,7 @@ class OrderedSums {
     }
   };
 
+  void MakeSystem();
   void AddOldest(Waiting* waiting);
 
   const Terms& terms_;
@@ -68,6 +69,7 @@ class OrderedSums {
   const Assembler& assembler_;
   const bool wants_camera_diagonal_;
   CameraSums sums_;
+  bool is_new_ = false;                       ///< S, and zero therefore
   std::vector<Waiting> waiting_;              ///< of each thread
   std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
   std::atomic<int> num_added_{0};             ///< chunks
