@@ -59,6 +59,7 @@ def arguments() -> argparse.Namespace:
         action="store_true",
         help="put the short report into README.md, all tables and plots into docs/",
     )
+    add("--from-json", type=Path, metavar="FILE", help="measure nothing: the tables of an older run")
     add("--output", type=Path, default=RESULTS, metavar="FOLDER", help="default benchmarks/results")
     options = parser.parse_args()
     every = ",".join(sorted({solver.family for solver in solvers.SOLVERS}))
@@ -207,6 +208,9 @@ def main() -> int:
     """Measure, then write JSON, tables and plots."""
     options = arguments()
     options.output.mkdir(parents=True, exist_ok=True)
+    if options.from_json:
+        write(Results(**json.loads(options.from_json.read_text())), options)
+        return 0
     chosen = choose(options)
     if not chosen:
         return 2

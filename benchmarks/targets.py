@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from benchmarks import scaling, table, whole
+from benchmarks import agreement, scaling, table, whole
 from benchmarks.measure import Spread
 from benchmarks.results import Results
 from benchmarks.rows import Row
@@ -53,6 +53,7 @@ def of(results: Results) -> list[Target]:
         *_large_synthetic(results),
         *_growth(results),
         *_choice(results),
+        *_agreement(results),
     ]
 
 
@@ -170,6 +171,18 @@ def _choice(results: Results) -> list[Target]:
         ratios.append((name, quotient(_total(results.row(name, REFERENCE)), better)))
     what = f"total, {REFERENCE} / the better of {FUSED} and {CERES}, most of"
     return [_extreme(what, ratios, 1.1, is_least=False)] if ratios else []
+
+
+def _agreement(results: Results) -> list[Target]:
+    found = agreement.found(results)
+    return [
+        _extreme(f"{what}, fused / ceres - 1, most of", ratios, limit, is_least=False)
+        for what, ratios, limit in (
+            (f"cost at each of the first {agreement.FIRST} steps", found.first, 1e-8),
+            ("final cost", found.final, 1e-9),
+        )
+        if ratios
+    ]
 
 
 def _extreme(

@@ -58,6 +58,10 @@ def test_bundle_and_pycolmap_side_by_side(data):
         ("pycolmap auto", "default"),
         ("pycolmap auto", "tight"),
     }
+    page = (data / "out" / "bench.md").read_text()
+    again = bench(data, "--from-json", str(data / "out" / "bench.json"))
+    assert again.returncode == 0, again.stderr
+    assert (data / "out" / "bench.md").read_text() == page
     theirs = outcomes["pycolmap auto", "default"]["final_cost"]
     for solver, outcome in outcomes.items():
         assert outcome is not None, (solver, done.stderr)
