@@ -59,7 +59,7 @@ def arguments() -> argparse.Namespace:
         action="store_true",
         help="put the short report into README.md, all tables and plots into docs/",
     )
-    add("--from-json", type=Path, metavar="FILE", help="measure nothing: the tables of an older run")
+    add("--from-json", type=Path, metavar="FILE", help="the tables of an older run, again")
     add("--output", type=Path, default=RESULTS, metavar="FOLDER", help="default benchmarks/results")
     options = parser.parse_args()
     every = ",".join(sorted({solver.family for solver in solvers.SOLVERS}))

@@ -56,7 +56,8 @@ def test_the_worst_of_the_first_steps_counts():
         run("bundle ceres dense-schur", [*late, 2.0], ("CERES", "DENSE_SCHUR"), "q"),
     )
     found = agreement.found(measured)
-    assert dict(found.first) == {"p sparse-schur": pytest.approx(1e-6, rel=1e-4), "q dense-schur": 0.0}
+    off = pytest.approx(1e-6, rel=1e-4)
+    assert dict(found.first) == {"p sparse-schur": off, "q dense-schur": 0.0}
     assert dict(found.final) == {"p sparse-schur": 0.0, "q dense-schur": pytest.approx(0.5)}
     first, final = (goal for goal in targets.of(measured) if "fused / ceres" in goal.what)
     assert "(p sparse-schur)" in first.what and not first.met
