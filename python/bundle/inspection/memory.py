@@ -26,9 +26,10 @@ _PACKED_COLUMNS = 384
 # Zeros that CHOLMOD's supernodes store besides the entries of L, merged where it pays.
 _SUPERNODE_PADDING = 1.15
 
-# Buffers of chunks that each thread of the fused backend fills: it has three, and takes the last of
-# them only when it is two chunks ahead of the others (ordered_sums.h).
-_CHUNK_BUFFERS = 2
+# Buffers of chunks that each thread of the fused backend fills. It has three, and takes the last of
+# them only when it is two chunks ahead of the others (ordered_sums.h): small problems seldom, large
+# ones always.
+_CHUNK_BUFFERS = 2.5
 
 # Ceres. An observation: the cost function and its residual block, the row of the Jacobian with its
 # cells, pointers in the problem, the program and the evaluator. A point: its parameter block with
