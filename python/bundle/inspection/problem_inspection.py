@@ -40,7 +40,8 @@ def inspect(
     """Predict what each way to solve a problem costs, without solving it.
 
     Counts are exact, by elimination on the blocks, unless a method's note says otherwise. Times are
-    counts times the rates of this machine, measured in a second when they are first needed.
+    counts times the rates of this machine, measured when they are first needed,
+    in a second or two.
 
     Args:
         problem: left untouched.
