@@ -127,6 +127,13 @@ def test_recommendation(inspect, street):
     assert inspection.recommendation.startswith(f"{best.linear_solver_type}: S is 21 % full")
 
 
+def test_recommendation_where_all_images_share_points(inspect):
+    inspection = inspect(make_scene(4, 30, 4))
+    assert inspection.reduced_density == 1.0
+    assert "S is 100 % full" in inspection.recommendation
+    assert "e+0" not in inspection.recommendation.split(",")[0]
+
+
 @pytest.mark.parametrize(
     "options",
     [{"refine": ("poses",)}, {"refine": ("points",)}],

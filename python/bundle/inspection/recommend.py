@@ -25,7 +25,7 @@ def explain(methods: Sequence[MethodInspection], best: int, density: float) -> s
             f"{format_size(least.memory_in_bytes)}."
         )
     chosen = methods[best]
-    reasons = [f"S is {100 * density:.2g} % full"]
+    reasons = [f"S is {_two_digits(100 * density)} % full"]
     if chosen.ordering:
         order = "" if chosen.linear_solver_type == "DENSE_SCHUR" else f"{chosen.ordering} makes "
         reasons.append(f"{order}{chosen.flops:.2g} flops a step")
@@ -59,9 +59,13 @@ def _against(rival: MethodInspection, chosen: MethodInspection) -> str:
     times = rival.time_per_step_in_seconds / chosen.time_per_step_in_seconds
     if chosen.flops and rival.flops > chosen.flops:
         pays = rival.flops / chosen.flops
-        return f"{name} pays {_ratio(pays)} times that and takes {_ratio(times)} times as long"
-    return f"{name} takes {_ratio(times)} times as long"
+        return f"{name} pays {_two_digits(pays)} times that and takes {_as_long(times)}"
+    return f"{name} takes {_as_long(times)}"
 
 
-def _ratio(value: float) -> str:
-    return f"{value:.2g}" if value < 100 else f"{value:.0f}"
+def _as_long(times: float) -> str:
+    return "as long" if times < 1.05 else f"{_two_digits(times)} times as long"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
