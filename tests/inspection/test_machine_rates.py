@@ -88,17 +88,17 @@ def test_instruction_sets_have_rates_of_their_own(monkeypatch):
 
 
 def test_calibration_of_this_machine():
-    """Rates that no machine is outside of, by a factor of ten on either side."""
+    """Right in kind: no machine is outside, not even one that does much else at the time."""
     rates = calibrate(1)
-    assert 1e8 < rates.dense.flops_per_second < 1e13
+    assert 1e6 < rates.dense.flops_per_second < 1e13
     assert rates.dense == rates.dense_threaded
-    assert 1e8 < rates.reduced_bytes_per_second < 1e13
+    assert 1e6 < rates.reduced_bytes_per_second < 1e13
     for name, low, high in (
-        ("fused_observation", 1e-9, 1e-5),
-        ("ceres_evaluation", 1e-8, 1e-4),
-        ("fused_step", 1e-7, 1e-1),
-        ("ceres_step", 1e-6, 1e-1),
-        ("ceres_normal_entry", 1e-10, 1e-6),
+        ("fused_observation", 1e-9, 1e-3),
+        ("ceres_evaluation", 1e-8, 1e-2),
+        ("fused_step", 1e-7, 10),
+        ("ceres_step", 1e-6, 10),
+        ("ceres_normal_entry", 1e-10, 1e-4),
     ):
         assert low < getattr(rates, name) < high, name
     for value in dataclasses.asdict(rates).values():
