@@ -28,7 +28,8 @@ void ExpectSameRecord(const IterationRecord& ours, const IterationRecord& ceres,
   EXPECT_EQ(ours.iteration, ceres.iteration);
   EXPECT_EQ(ours.step_is_successful, ceres.step_is_successful);
   EXPECT_EQ(ours.linear_solver_iterations, ceres.linear_solver_iterations);
-  const double rounding = 1e-12 * ceres.cost + 1e-20 * scale;
+  // Hilbert's matrix, of condition 5e11, makes most of it; compilers differ.
+  const double rounding = 1e-11 * ceres.cost + 1e-20 * scale;
   const double predicted = ceres.cost_change / ceres.relative_decrease;
   const double noise = predicted > 0 ? rounding / predicted : 0;
   ExpectClose(ours.cost, ceres.cost, rounding, "cost");
