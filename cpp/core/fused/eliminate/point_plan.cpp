@@ -164,14 +164,17 @@ class Planner {
   }
 
   void SortChunks() {
+    // Below, starting a thread takes longer than sorting.
+    constexpr int64_t kObservationsWorthAThread = 20000;
     ParallelFor(
-        static_cast<int64_t>(plan_.chunks.size()), num_threads_,
+        static_cast<int64_t>(plan_.chunks.size()),
+        plan_.num_observations() < kObservationsWorthAThread ? 1 : num_threads_,
         [this](int64_t begin, int64_t end) {
           for (int64_t c = begin; c < end; ++c) {
             if (plan_.chunks[c].last_row == 0) SortChunk(&plan_.chunks[c]);
           }
         },
-        /*min_slice=*/64);
+        /*min_slice=*/8);
   }
 
   /// Sorts images and pairs, so that a chunk is added to S forwards.
