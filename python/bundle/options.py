@@ -152,7 +152,8 @@ class SolveOptions:
     cheirality: str = option(
         "auto",
         "--cheirality",
-        "an observation behind its camera counts as zero (COLMAP) or keeps its algebraic residual "
+        "an observation behind its camera at the start counts as zero (COLMAP; one that goes behind "
+        "keeps more than it cost) or keeps its algebraic residual "
         "(BAL); auto: as the input's format does",
         choices=CHEIRALITIES,
     )

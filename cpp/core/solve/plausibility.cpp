@@ -27,13 +27,14 @@ std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayou
          std::to_string(problem.point_ids[first]) + ".";
 }
 
-void RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
+bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
   ProblemView refined = problem;
   refined.cam_from_world = output->cam_from_world.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
   try {
     ValidateProblem(refined);
+    return false;
   } catch (const InputError& error) {
     const auto restore = [](const double* from, std::vector<double>* to) {
       to->assign(from, from + to->size());
@@ -45,6 +46,7 @@ void RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
     output->summary.warnings.push_back(
         std::string("The solver left the possible and its solution is dropped: ") + error.what() +
         ".");
+    return true;
   }
 }
 
