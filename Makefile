@@ -65,7 +65,7 @@ format: $(READY)  ## rewrite the sources in the house format
 	$(VENV)/bin/ruff format .
 	$(VENV)/bin/clang-format -i $(CPP_SOURCES)
 
-docs: $(READY)  ## rewrite what README.md quotes from the code
+docs: $(READY)  ## rewrite what documents quote from the code
 	$(VENV)/bin/python tools/camera_table.py --update
 
 bench: $(READY_TO_BENCH)  ## measure against the peers, real data and synthetic (half an hour; writes benchmarks/results)
