@@ -128,3 +128,18 @@ def test_the_page_of_camera_models_has_the_table_that_the_code_gives() -> None:
     page = (ROOT / "docs" / "camera_models.md").read_text()
     between = page.split("<!-- cameras:begin -->\n")[1].split("<!-- cameras:end -->")[0]
     assert between == table, "run `make docs`"
+
+
+def test_the_readme_shows_what_the_demo_prints() -> None:
+    """Labels and the numbers of the start; the rest may differ in its last digits."""
+
+    def rows(text: str) -> list[list[str]]:
+        lines = [line.split() for line in text.splitlines() if line.strip()]
+        return [[word for word in line if not re.match(r"[-\d.]", word)] for line in lines]
+
+    script = [sys.executable, ROOT / "tools" / "demo_output.py"]
+    printed = subprocess.run(script, capture_output=True, text=True, check=True).stdout
+    readme = (ROOT / "README.md").read_text()
+    shown = readme.split("<!-- demo:begin -->\n")[1].split("<!-- demo:end -->")[0]
+    assert rows(shown) == rows(printed), "run `make docs`"
+    assert len(rows(shown)) > 8

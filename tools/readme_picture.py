@@ -32,7 +32,9 @@ def projection_centers(problem: bundle.Problem) -> NDArray[np.float64]:
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-    centers: NDArray[np.float64] = -np.einsum("jin,nj->ni", rotations, problem.cam_from_world[:, 4:])
+    centers: NDArray[np.float64] = -np.einsum(
+        "jin,nj->ni", rotations, problem.cam_from_world[:, 4:]
+    )
     return centers
 
 
