@@ -8,12 +8,23 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from bundle.errors import InputError, shown
+from bundle.errors import InputError, brief, shown
 from bundle.io import atomic, bal
 from bundle.io.model_files import MODEL_FILES, missing_model_files
+from bundle.io.source import Source, as_path, as_problem, is_path
+from bundle.option_fields import choice
 from bundle.problem import Problem
 
-__all__ = ["FORMATS", "check_target", "load", "output_format", "save"]
+__all__ = [
+    "FORMATS",
+    "Source",
+    "as_problem",
+    "check_target",
+    "is_path",
+    "load",
+    "output_format",
+    "save",
+]
 
 FORMATS = ("bal", "colmap", "colmap-text")
 
@@ -28,7 +39,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
             expected and what was found.
         OSError: the path does not exist or cannot be read.
     """
-    path = Path(path)
+    path = as_path(path)
     if path.is_dir():
         _check_model(path)
         from bundle.io import colmap  # pycolmap takes a while to import
@@ -60,8 +71,9 @@ def save(
         InputError: the format cannot hold the problem, or the path cannot be replaced.
         OSError: the system refuses: no permission, disk full.
     """
+    _check_problem(problem)
     chosen = output_format(problem, path, format)
-    path = Path(path)
+    path = as_path(path)
     if chosen == "bal":
         lost = bal.losses(problem)
         with atomic.replace_file(path) as temporary:
@@ -87,12 +99,11 @@ def output_format(
     Raises:
         InputError: the explicit format is none of these.
     """
+    folder = as_path(path).is_dir()
     if format is not None:
-        if format not in FORMATS:
-            raise InputError(f"format: expected one of {', '.join(FORMATS)}, found {format!r}")
-        return format
+        return choice("format", format, FORMATS)
     name = os.fspath(path)
-    if name.endswith("/") or Path(path).is_dir():
+    if name.endswith("/") or folder:
         return "colmap"
     if name.lower().endswith(_BAL_SUFFIXES):
         return "bal"
@@ -115,6 +126,11 @@ def check_target(
         atomic.check_file(Path(path))
     else:
         atomic.check_folder(Path(path))
+
+
+def _check_problem(problem: Problem) -> None:
+    if not isinstance(problem, Problem):
+        raise InputError(f"problem: expected a Problem, found {brief(problem)}")
 
 
 def _compression(path: Path) -> str:

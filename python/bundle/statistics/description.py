@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.cameras import camera_models, param_kinds
 from bundle.errors import InputError
+from bundle.io import Source, as_problem
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error, reprojection_errors
 from bundle.statistics.covisibility import Covisibility, covisibility
@@ -74,15 +75,20 @@ class Description:
     suspicions: tuple[Suspicion, ...]
 
 
-def describe(problem: Problem) -> Description:
+def describe(problem: Source) -> Description:
     """Describe a problem: what `bundle info` says.
 
     Args:
-        problem: any problem, also one that cannot be refined.
+        problem: also one that cannot be refined, the path of one, or a pycolmap.Reconstruction.
 
     Returns:
         A :class:`Description`; nothing of the problem is changed or kept.
+
+    Raises:
+        InputError: this is no problem.
+        OSError: the path cannot be read.
     """
+    problem = as_problem(problem)
     graph = covisibility(problem)
     errors: NDArray[np.float64] | None
     try:

@@ -73,7 +73,7 @@ def synthesize(options: SceneOptions | None = None, **changes: Any) -> Synthetic
         >>> scene.ground_truth.num_images
         12
     """
-    options = _with_changes(options or SceneOptions(), changes)
+    options = SceneOptions.of(options, changes, "synthesize")
     # One independent stream a purpose: more noise leaves the structure as it is.
     layout, structure, measurement, start = (
         np.random.default_rng(seed) for seed in np.random.SeedSequence(options.seed).spawn(4)
@@ -93,14 +93,6 @@ def synthesize(options: SceneOptions | None = None, **changes: Any) -> Synthetic
         is_outlier=is_outlier,
         options=options,
     )
-
-
-def _with_changes(options: SceneOptions, changes: dict[str, Any]) -> SceneOptions:
-    known = options.asdict()
-    for name in changes:
-        if name not in known:
-            raise InputError(f"synthesize: expected one of {', '.join(known)}, found {name!r}")
-    return options.replace(**changes)
 
 
 def _observe(
@@ -128,7 +120,12 @@ def _observe(
     pairs = Pairs.concatenate([part[2] for part in parts])
     preference = scene.preference(rng, points, pairs)
     return points, select_observations(
-        pairs, preference, weights, options.mean_track_length, options.num_images
+        pairs,
+        preference,
+        weights,
+        options.wanted_track_length,
+        options.num_images,
+        may_be_shorter=options.mean_track_length == 0,
     )
 
 
@@ -148,7 +145,7 @@ def _draw_visible(
     """
     points = scene.draw_points(rng, count)
     weights = scene.draw_lengths(rng, len(points))
-    lengths = wanted_lengths(weights, options.mean_track_length - 2.0).astype(np.float64)
+    lengths = wanted_lengths(weights, options.wanted_track_length - 2.0).astype(np.float64)
     pairs = visible_pairs(rng, scene, cameras, points, lengths)
     visible = np.flatnonzero(pairs.counts >= 2)
     kept = np.sort(rng.permutation(visible)[:wanted])
