@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
 
 __all__ = ["Display", "Displayed"]
 
@@ -39,6 +38,8 @@ class Display:
 
     def html(self) -> str:
         """Return the same as HTML, with everything escaped."""
+        from html import escape  # its tables take a while to import
+
         facts = "".join(
             f'<tr><th style="text-align:left">{escape(label)}</th>'
             f'<td style="text-align:left">{escape(fact)}</td></tr>'

@@ -10,6 +10,8 @@ from bundle._core import InputError
 
 __all__ = ["InputError", "brief", "check_keywords", "nearest", "shown"]
 
+InputError.__doc__ = """Input that cannot be used: one line with place, expected and found."""
+
 LONGEST_VALUE = 60
 
 

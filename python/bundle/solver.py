@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from bundle import _core
-from bundle.errors import InputError, brief
+from bundle.arguments import check_function
 from bundle.io import Source, as_problem
 from bundle.options import SolveOptions
 from bundle.problem import Problem
@@ -47,8 +47,7 @@ def solve(
     """
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
-    if progress is not None and not callable(progress):
-        raise InputError(f"progress: expected a function, found {brief(progress)}")
+    check_function("progress", progress)
     options = resolve_defaults(problem, options)
     output = _core.solve(problem, options.asdict(), progress)
     refined = problem.replace(

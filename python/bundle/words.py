@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
-__all__ = ["format_name", "number", "pixels", "plural", "seconds"]
+__all__ = ["Counts", "change", "contents", "format_name", "number", "pixels", "plural", "seconds"]
 
 
 def number(value: float) -> str:
@@ -28,10 +29,41 @@ def seconds(value: float) -> str:
     return "-" if value < 0 or not math.isfinite(value) else f"{value:.3f}"
 
 
+def change(before: float, after: float) -> str:
+    """Return "40944.1 -> 22913", in six significant digits."""
+    return f"{before:.6g} -> {after:.6g}"
+
+
 def plural(count: int, singular: str, many: str | None = None, *, grouped: bool = False) -> str:
     """Return "1 image", "2 images"; with ``grouped`` "1,200 images"."""
     figure = f"{count:,}" if grouped else f"{count}"
     return f"{figure} {singular if count == 1 else many or singular + 's'}"
+
+
+class Counts(Protocol):
+    """Whatever has the sizes of a problem."""
+
+    @property
+    def num_images(self) -> int:
+        """Number of images."""
+
+    @property
+    def num_cameras(self) -> int:
+        """Number of cameras."""
+
+    @property
+    def num_points(self) -> int:
+        """Number of points."""
+
+    @property
+    def num_observations(self) -> int:
+        """Number of observations."""
+
+
+def contents(of: Counts) -> str:
+    """Return "16 images, 1 camera, 22106 points, 83718 observations"."""
+    counts = (of.num_images, of.num_cameras, of.num_points, of.num_observations)
+    return ", ".join(map(plural, counts, ("image", "camera", "point", "observation")))
 
 
 def format_name(name: str) -> str:

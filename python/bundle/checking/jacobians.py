@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.arguments import check_function
 from bundle.cameras import camera_models, param_kinds
 from bundle.checking.assemble import CHECKER_PRECISION, TOLERANCE, make_report
 from bundle.checking.classify import classify, float_precision
@@ -71,6 +72,7 @@ def check_jacobians(
         samples_per_image = number("samples_per_image", samples_per_image, minimum=1, whole=True)
     seed = number("seed", seed, minimum=0, maximum=math.inf, whole=True)
     tolerance = number("tolerance", tolerance, above=0)
+    check_function("progress", progress)
     num_threads = number("num_threads", num_threads, minimum=0, whole=True)
     observations = _choose(problem, samples_per_image, seed)
     settings = _Settings(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bundle.errors import InputError, brief, shown
 from bundle.io import atomic, bal
-from bundle.io.model_files import MODEL_FILES, missing_model_files
+from bundle.io.model_files import MODEL_FILES, missing_model_files, models_below
 from bundle.io.source import Source, as_path, as_problem, is_path
 from bundle.option_fields import choice
 from bundle.problem import Problem
@@ -27,6 +27,9 @@ __all__ = [
 ]
 
 FORMATS = ("bal", "colmap", "colmap-text")
+
+MOST_HINTS = 5
+"""Models inside a folder that an error names."""
 
 _BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
 
@@ -143,11 +146,9 @@ def _check_model(folder: Path) -> None:
     if not missing:
         return
     found = f"found a folder without {', '.join(missing)}"
-    models = [
-        shown(child.name)
-        for child in sorted(folder.iterdir())
-        if child.is_dir() and not missing_model_files(child)
-    ]
+    models = models_below(folder)
     if models:
-        found += f"; there are models inside: {', '.join(models[:5])}"
+        paths = " or ".join(shown(model) for model in models[:MOST_HINTS])
+        more = f" (or {len(models) - MOST_HINTS} more)" if len(models) > MOST_HINTS else ""
+        found += f"; try {paths}{more}"
     raise InputError(f"{shown(folder)}: expected a COLMAP model, {found}")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.problem import Problem
 from bundle.synthetic.intrinsics import Intrinsics, draw_intrinsics
@@ -21,6 +22,7 @@ from bundle.synthetic.scene import Pairs, Points, Scene
 from bundle.synthetic.street import Street
 from bundle.synthetic.tracks import select_observations, wanted_lengths
 from bundle.synthetic.visibility import pixels, visible_pairs
+from bundle.words import contents, plural
 
 __all__ = ["SyntheticScene", "synthesize"]
 
@@ -34,8 +36,8 @@ _SCENES: dict[str, Callable[[np.random.Generator, SceneOptions], Scene]] = {
 _MAX_ROUNDS = 12
 
 
-@dataclass(frozen=True, kw_only=True)
-class SyntheticScene:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SyntheticScene(Displayed):
     """A problem of which the solution is known.
 
     Attributes:
@@ -50,6 +52,13 @@ class SyntheticScene:
     ground_truth: Problem
     is_outlier: NDArray[np.bool_]
     options: SceneOptions
+
+    def _display(self) -> Display:
+        facts = (
+            ("contents", contents(self.problem)),
+            ("outliers", plural(int(self.is_outlier.sum()), "observation")),
+        )
+        return Display(title=f"SyntheticScene: {self.options!r}", facts=facts)
 
 
 def synthesize(options: SceneOptions | None = None, **changes: Any) -> SyntheticScene:
