@@ -75,8 +75,7 @@ def write_page(
     ]
     body = tag("body", tag("h1", escape(title)), *sections, script)
     page = tag("html", tag("head", *head), body, lang="en")
-    with atomic.replace_file(path) as temporary:
-        temporary.write_text(f"<!doctype html>\n{page}\n", encoding="utf-8", errors="replace")
+    atomic.write_text(path, f"<!doctype html>\n{page}\n")
 
 
 def _asset(name: str) -> str:
