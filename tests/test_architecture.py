@@ -38,7 +38,8 @@ PYTHON_MAY_IMPORT = {
     "options": {"errors", "option_fields"},
     "losses": {"_core", "errors", "option_fields", "options"},
     "cameras": {"_core", "errors"},
-    "problem": {"_core", "errors"},
+    "arrays": {"_core", "errors"},
+    "problem": {"_core", "arrays", "cameras", "errors"},
     "tables": set(),
     "summary": {"tables"},
     "memory_sizes": {"errors"},
@@ -51,6 +52,7 @@ PYTHON_MAY_IMPORT = {
     "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
     "comparison": {
         "_core",
+        "arrays",
         "errors",
         "inspection",
         "io",

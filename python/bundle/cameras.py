@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from typing import Literal, NamedTuple, overload
 
 import numpy as np
@@ -10,7 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from bundle import _core
 from bundle.errors import InputError
 
-__all__ = ["CameraParam", "ProjectionResult", "camera_models", "param_kinds", "project"]
+__all__ = [
+    "CameraParam",
+    "ProjectionResult",
+    "camera_models",
+    "check_model",
+    "param_kinds",
+    "project",
+]
 
 
 class CameraParam(NamedTuple):
@@ -113,10 +121,22 @@ def project(
     return ProjectionResult(xy, valid, d_point, d_params)
 
 
-def _params(model: str) -> tuple[CameraParam, ...]:
-    try:
-        return _MODELS[model]
-    except KeyError:
+def check_model(model: str, where: str = "camera model") -> None:
+    """Raise an InputError, which begins with ``where``, if there is no such model."""
+    if model in _MODELS:
+        return
+    nearest = difflib.get_close_matches(model.upper(), _MODELS, n=1)
+    if nearest:
         raise InputError(
-            f"camera model: expected one of {', '.join(_MODELS)}, found {model!r}"
-        ) from None
+            f"{where}: expected a camera model of COLMAP, found {model!a:.80}; "
+            f"did you mean {nearest[0]}?"
+        )
+    raise InputError(
+        f"{where}: expected a camera model of COLMAP, found {model!a:.80}; "
+        f"there are {', '.join(_MODELS)}"
+    )
+
+
+def _params(model: str) -> tuple[CameraParam, ...]:
+    check_model(model)
+    return _MODELS[model]
