@@ -44,9 +44,11 @@ PYTHON_MAY_IMPORT = {
     "summary": {"tables"},
     "memory_sizes": {"errors"},
     "reprojection": {"_core", "errors", "problem"},
-    "result": {"options", "problem", "reprojection", "summary"},
+    "worst_images": {"problem", "reprojection"},
+    "result": {"options", "problem", "reprojection", "summary", "worst_images"},
+    "camera_changes": {"cameras", "result"},
     "io": {"_core", "cameras", "errors", "problem"},
-    "statistics": {"cameras", "errors", "problem", "reprojection"},
+    "statistics": {"cameras", "errors", "problem", "reprojection", "worst_images"},
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},
     "checking": {"_core", "cameras", "errors", "problem", "reprojection", "tables"},
@@ -77,6 +79,7 @@ PYTHON_MAY_IMPORT = {
     },
     "report": {
         "_core",
+        "camera_changes",
         "checking",
         "comparison",
         "errors",
@@ -88,6 +91,7 @@ PYTHON_MAY_IMPORT = {
         "statistics",
         "summary",
         "tables",
+        "worst_images",
     },
 }
 # The names that users see.

@@ -12,6 +12,7 @@ from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error
 from bundle.summary import Summary
+from bundle.worst_images import ImageError, worst_images
 
 __all__ = ["Result"]
 
@@ -48,9 +49,15 @@ class Result:
         """Statistics in pixels at the output, measured when first asked for."""
         return self._measure(self.problem)
 
+    @cached_property
+    def worst_images(self) -> tuple[ImageError, ...]:
+        """The images with the largest errors at the output, measured when first asked for."""
+        options = self.options
+        return worst_images(self.problem, options.cheirality, num_threads=options.num_threads)
+
     def measure(self) -> None:
-        """Measure both reprojection errors now, so that asking for them takes no time."""
-        _ = self.reprojection_error_before, self.reprojection_error_after
+        """Measure all of these now, so that asking for them takes no time."""
+        _ = self.reprojection_error_before, self.reprojection_error_after, self.worst_images
 
     def _measure(self, problem: Problem) -> ReprojectionError:
         options = self.options

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from bundle.tables import Columns
 
 __all__ = ["Summary", "share", "sizes", "solver_phases", "solver_table"]
 
@@ -144,7 +144,7 @@ def solver_phases(summary: Summary) -> list[tuple[str, float]]:
     return [*phases, ("other", other), ("postprocessor", post)]
 
 
-def solver_table(summary: Summary) -> Table:
+def solver_table(summary: Summary) -> Columns:
     """Return the phases of a solve with their share of it."""
     from bundle.tables import columns, seconds
 

@@ -201,6 +201,8 @@ def test_json_has_what_the_contract_lists(problem):
         "summary",
         "iterations",
         "reprojection_error",
+        "cameras",
+        "worst_images",
         "wall_time",
         "output",
     ]

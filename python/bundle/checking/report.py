@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rich.console import RenderableType
-from rich.table import Table
 
 from bundle.checking.evidence import Finding
-from bundle.tables import columns, facts, notes, plural, render
+from bundle.tables import Bar, Columns, columns, facts, notes, plural, render
 
 __all__ = [
     "GradientCheckerSummary",
@@ -21,8 +20,6 @@ __all__ = [
     "explanation",
     "outcome",
 ]
-
-BAR_WIDTH = 40
 
 
 @dataclass(frozen=True)
@@ -170,7 +167,7 @@ def explanation(report: GradientReport) -> list[RenderableType]:
     return parts
 
 
-def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Table:
+def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Columns:
     rows = [
         (
             verdict.name,
@@ -186,7 +183,7 @@ def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Table:
     return columns(head, rows, left=2)
 
 
-def _worst(offenders: Sequence[Offender]) -> Table:
+def _worst(offenders: Sequence[Offender]) -> Columns:
     rows = [
         (
             offender.parameter,
@@ -203,7 +200,7 @@ def _worst(offenders: Sequence[Offender]) -> Table:
     return columns(head, rows, left=2)
 
 
-def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Table:
+def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Columns:
     filled = [index for index, (_, _, count) in enumerate(histogram) if count]
     shown_bins = histogram[filled[0] : filled[-1] + 1] if filled else []
     largest = max((count for _, _, count in shown_bins), default=1)
@@ -211,13 +208,13 @@ def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Table:
     rows = [
         (
             _bin(low, high),
-            "#" * math.ceil(BAR_WIDTH * count / largest),
+            Bar(count / largest),
             str(count),
             f"{100.0 * count / total:.1f} %",
         )
         for low, high, count in shown_bins
     ]
-    return columns(("relative error", " " * BAR_WIDTH, "entries", "share"), rows, left=2)
+    return columns(("relative error", "", "entries", "share"), rows, left=2)
 
 
 def _bin(low: float, high: float) -> str:

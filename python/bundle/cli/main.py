@@ -11,7 +11,8 @@ from types import ModuleType
 
 from bundle import __version__
 from bundle.cli.arguments import Parser, add_common_arguments
-from bundle.cli.errors import EXIT_BAD_INPUT, describe_error
+from bundle.cli.errors import EXIT_BAD_INPUT, EXIT_DONE, describe_error
+from bundle.cli.suggestions import unknown_flag
 
 __all__ = ["main"]
 
@@ -23,7 +24,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 no usable solution, 2 bad input."""
     _print_any_path()
     try:
-        arguments = _parser().parse_args(argv)
+        parser = _parser()
+        words = sys.argv[1:] if argv is None else list(argv)
+        if not words:
+            parser.print_help()
+            return EXIT_DONE
+        arguments = parser.parse_args(words)
         code: int = arguments.run(arguments)
     except (Exception, KeyboardInterrupt) as error:
         line = describe_error(error)
@@ -38,19 +44,27 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> Parser:
+    flags: dict[str, tuple[str, ...]] = {}
     parser = Parser(
         prog="bundle",
         description="Refines structure-from-motion reconstructions and explains the solve.",
         epilog="bundle COMMAND --help tells more.",
+        explain=lambda found: unknown_flag(found, "", flags),
     )
     parser.add_argument("--version", action="version", version=f"bundle {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in COMMANDS:
         command = _module(name)
-        subparser = commands.add_parser(name, help=command.HELP, description=command.HELP)
+        subparser = commands.add_parser(
+            name,
+            help=command.HELP,
+            description=command.HELP,
+            explain=lambda found, name=name: unknown_flag(found, name, flags),
+        )
         command.add_arguments(subparser)
         add_common_arguments(subparser)
         subparser.set_defaults(run=command.run)
+        flags[name] = subparser.flags()
     return parser
 
 

@@ -59,7 +59,7 @@ def show(*renderables: RenderableType) -> None:
     if screen.is_terminal:
         screen.print(*renderables, sep="\n")
     else:
-        _print(render(*renderables))
+        _print(render(*renderables, width=screen.width))
 
 
 def _print(text: str) -> None:

@@ -1,21 +1,26 @@
 """Reading and writing of problems in the formats of the field.
 
-Formats are told from content when reading. Writing is atomic: see ``bundle.io.atomic``.
+Formats are told from content when reading. Writing is atomic: see ``bundle.io.atomic``. Where a
+killed process left a model replaced in part, both finish that first and warn (UserWarning).
 """
 
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 
 from bundle.errors import InputError, shown
 from bundle.io import atomic, bal
-from bundle.io.model_files import MODEL_FILES, missing_model_files
+from bundle.io.model_files import MODEL_FILES, missing_model_files, models_below
 from bundle.problem import Problem
 
 __all__ = ["FORMATS", "check_target", "load", "output_format", "save"]
 
 FORMATS = ("bal", "colmap", "colmap-text")
+
+MOST_HINTS = 5
+"""Models inside a folder that an error names."""
 
 _BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
 
@@ -29,6 +34,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
         OSError: the path does not exist or cannot be read.
     """
     path = Path(path)
+    _recover(path)
     if path.is_dir():
         _check_model(path)
         from bundle.io import colmap  # pycolmap takes a while to import
@@ -60,6 +66,7 @@ def save(
         InputError: the format cannot hold the problem, or the path cannot be replaced.
         OSError: the system refuses: no permission, disk full.
     """
+    _recover(path)
     chosen = output_format(problem, path, format)
     path = Path(path)
     if chosen == "bal":
@@ -110,11 +117,18 @@ def check_target(
         InputError: the format cannot hold the problem, or the path cannot be replaced.
         OSError: there is no permission to write.
     """
+    _recover(path)
     if output_format(problem, path, format) == "bal":
         bal.radial_params(problem)
         atomic.check_file(Path(path))
     else:
         atomic.check_folder(Path(path))
+
+
+def _recover(path: str | os.PathLike[str]) -> None:
+    """Finish what a killed process has left unfinished at a path, and warn that this was done."""
+    for sentence in atomic.recover(Path(path)):
+        warnings.warn(sentence, stacklevel=3)
 
 
 def _compression(path: Path) -> str:
@@ -127,11 +141,9 @@ def _check_model(folder: Path) -> None:
     if not missing:
         return
     found = f"found a folder without {', '.join(missing)}"
-    models = [
-        shown(child.name)
-        for child in sorted(folder.iterdir())
-        if child.is_dir() and not missing_model_files(child)
-    ]
+    models = models_below(folder)
     if models:
-        found += f"; there are models inside: {', '.join(models[:5])}"
+        paths = " or ".join(shown(model) for model in models[:MOST_HINTS])
+        more = f" (or {len(models) - MOST_HINTS} more)" if len(models) > MOST_HINTS else ""
+        found += f"; try {paths}{more}"
     raise InputError(f"{shown(folder)}: expected a COLMAP model, {found}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 
 from rich.console import RenderableType
@@ -13,7 +12,7 @@ from bundle.comparison import GAPS, ComparedProblem, Comparison, Measurement, Me
 from bundle.errors import shown
 from bundle.memory_sizes import format_size
 from bundle.summary import share
-from bundle.tables import WIDEST, columns, facts, format_name, notes, number, plural, seconds
+from bundle.tables import CommandLine, columns, facts, format_name, notes, number, plural, seconds
 
 __all__ = ["compared"]
 
@@ -203,18 +202,7 @@ def _recommendation(comparison: Comparison) -> list[RenderableType]:
     rows = [("recommended", found.reason)]
     if found.verdict:
         rows.append(("", found.verdict))
-    return [*report, facts(rows), "", *(Text(line) for line in _continued(found.command))]
-
-
-def _continued(command: str) -> list[str]:
-    """Return a command line broken between words, so that it can be copied as it stands."""
-    lines: list[str] = []
-    for word in map(shlex.quote, shlex.split(command)):
-        if lines and len(lines[-1]) + len(word) + 3 <= WIDEST:
-            lines[-1] += f" {word}"
-        else:
-            lines.append(f"    {word}" if lines else word)
-    return [f"{line} \\" for line in lines[:-1]] + lines[-1:]
+    return [*report, facts(rows), "", CommandLine(found.command)]
 
 
 class _Names:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
 from rich.console import RenderableType
-from rich.table import Table
 
 from bundle.errors import shown
 from bundle.inspection import Inspection, MethodInspection
@@ -15,7 +15,7 @@ from bundle.memory_sizes import format_size
 from bundle.problem import Problem
 from bundle.report import json
 from bundle.report.refine import contents
-from bundle.tables import columns, facts, format_name, notes, number
+from bundle.tables import Columns, CommandLine, columns, facts, format_name, notes, number
 
 __all__ = ["CONVENTION", "as_json", "inspected"]
 
@@ -44,7 +44,8 @@ def inspected(path: str, problem: Problem, inspection: Inspection) -> list[Rende
         "",
         _costs(inspection),
         "",
-        facts([("recommended", inspection.recommendation), *_command(path, inspection)]),
+        facts([("recommended", inspection.recommendation)]),
+        *_command(path, inspection),
         *notes(_remarks(inspection)),
     ]
 
@@ -84,7 +85,7 @@ def _nonzeros(inspection: Inspection) -> str:
     )
 
 
-def _factors(methods: Sequence[MethodInspection]) -> Table:
+def _factors(methods: Sequence[MethodInspection]) -> Columns:
     """Return a row for each way to factorise, whoever does it."""
     rows = {}
     for method in methods:
@@ -102,7 +103,7 @@ def _factors(methods: Sequence[MethodInspection]) -> Table:
     return columns(head, rows.values())
 
 
-def _costs(inspection: Inspection) -> Table:
+def _costs(inspection: Inspection) -> Columns:
     names = dict.fromkeys(method.name for method in inspection.methods)
     by_key = {(method.name, method.backend): method for method in inspection.methods}
     rows = []
@@ -132,17 +133,18 @@ def _cost(method: MethodInspection | None) -> tuple[str, str]:
     return memory, time if method.is_taken else f"({time})"
 
 
-def _command(path: str, inspection: Inspection) -> list[tuple[str, str]]:
+def _command(path: str, inspection: Inspection) -> list[RenderableType]:
+    """Return the command line that does what is recommended."""
     if inspection.recommended < 0:
         return []
     best = _best(inspection)
-    solver = best.linear_solver_type.lower().replace("_", "-")
-    words = f"bundle refine {shown(path)} -o OUTPUT --solver {solver}"
+    words = ["bundle", "refine", shown(path), "-o", "OUTPUT", "--solver"]
+    words.append(best.linear_solver_type.lower().replace("_", "-"))
     if best.preconditioner:
-        words += f" --preconditioner {best.preconditioner.lower().replace('_', '-')}"
+        words += ["--preconditioner", best.preconditioner.lower().replace("_", "-")]
     if best.backend == "CERES":
-        words += " --backend ceres"
-    return [("", words)]
+        words += ["--backend", "ceres"]
+    return ["", CommandLine(shlex.join(words)), ""]
 
 
 def _best(inspection: Inspection) -> MethodInspection:

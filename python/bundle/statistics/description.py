@@ -13,6 +13,7 @@ from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error, reprojection_errors
 from bundle.statistics.covisibility import Covisibility, covisibility
 from bundle.statistics.suspicions import Suspicion, suspicions
+from bundle.worst_images import ImageError, worst_images
 
 __all__ = ["CameraGroup", "Description", "Distribution", "describe"]
 
@@ -63,6 +64,7 @@ class Description:
         observations_per_image: observations an image.
         covisibility: which images see common points.
         reprojection_error: pixels, at the problem's values; None where a camera model is unknown.
+        worst_images: those with the largest errors; empty where a camera model is unknown.
         suspicions: what looks wrong, gravest first.
     """
 
@@ -71,6 +73,7 @@ class Description:
     observations_per_image: Distribution
     covisibility: Covisibility
     reprojection_error: ReprojectionError | None
+    worst_images: tuple[ImageError, ...]
     suspicions: tuple[Suspicion, ...]
 
 
@@ -99,6 +102,7 @@ def describe(problem: Problem) -> Description:
         ),
         covisibility=graph,
         reprojection_error=error,
+        worst_images=worst_images(problem) if error is not None else (),
         suspicions=suspicions(problem, graph, errors, behind),
     )
 
