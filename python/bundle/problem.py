@@ -43,6 +43,16 @@ _DTYPES: dict[str, type] = {
     "point_ids": np.int64,
 }
 
+# What has a default has one entry for each of these.
+_ONE_FOR_EACH = {
+    "image_ids": "num_images",
+    "image_camera": "num_images",
+    "camera_ids": "num_cameras",
+    "camera_sizes": "num_cameras",
+    "point_ids": "num_points",
+    "observation_keypoint": "num_observations",
+}
+
 
 def _by_default() -> Any:
     """Return None, which stands for the default until the number of images is known."""
@@ -225,17 +235,9 @@ class Problem:
 
 def _default(problem: Problem, name: str) -> NDArray[Any]:
     """Return the default of an array; those that it depends on are there."""
-    counts = {
-        "image_ids": problem.num_images,
-        "image_camera": problem.num_images,
-        "camera_ids": problem.num_cameras,
-        "camera_sizes": problem.num_cameras,
-        "point_ids": problem.num_points,
-        "observation_keypoint": problem.num_observations,
-    }
-    if name not in counts:
-        raise InputError(f"{name}: expected an array of numbers, found None")
-    count, dtype = counts[name], _DTYPES[name]
+    if name not in _ONE_FOR_EACH:
+        raise InputError(f"{name}: expected numbers, found None")
+    count, dtype = getattr(problem, _ONE_FOR_EACH[name]), _DTYPES[name]
     if name == "observation_keypoint":
         return filled((count,), -1, dtype)
     if name == "camera_sizes":
