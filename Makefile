@@ -65,8 +65,10 @@ format: $(READY)  ## rewrite the sources in the house format
 	$(VENV)/bin/ruff format .
 	$(VENV)/bin/clang-format -i $(CPP_SOURCES)
 
-docs: $(READY)  ## rewrite what README.md quotes from the code
+docs: $(READY)  ## rewrite what documents quote from the code
 	$(VENV)/bin/python tools/camera_table.py --update
+	$(VENV)/bin/python tools/demo_output.py --update
+	$(VENV)/bin/python tools/readme_picture.py
 
 bench: $(READY_TO_BENCH)  ## measure against the peers, real data and synthetic (half an hour; writes benchmarks/results)
 	$(VENV)/bin/python benchmarks/run.py

@@ -145,8 +145,7 @@ class SolveOptions:
     gauge: str = option(
         "auto",
         "--gauge",
-        "what holds the seven free degrees of the world; "
-        "auto: two-cameras for COLMAP, none for BAL",
+        "how the gauge (7 degrees of freedom) is fixed; auto: two-cameras for COLMAP, none for BAL",
         choices=GAUGES,
     )
     cheirality: str = option(

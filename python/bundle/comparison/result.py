@@ -56,7 +56,7 @@ class Prediction:
         nnz_reduced: nonzeros of the reduced camera system S, whether the solver stores its zeros or
             not.
         nnz_factor: nonzeros of L.
-        flops: of the factorisation, a step.
+        flops: of one factorisation, of which each step makes one.
         memory_in_bytes: peak beyond the loaded problem.
         time_per_step_in_seconds: of one trust region step.
     """

@@ -91,7 +91,7 @@ class Work:
                 where = f", {shown(problem.name)}" if len(problems) > 1 else ""
                 self.report(Progress(stage=f"predicting{where}"))
                 self._predict(index)
-                for _ in range(self.repeat):  # interleaved: what drifts, drifts for all
+                for _ in range(self.repeat):  # interleaved: slow drift affects all equally
                     for method in self.methods:
                         number += 1
                         if self._is_settled(index, method):

@@ -173,7 +173,7 @@ class _Inspector:
     def _note(self, method: Method, counted: Counted | None) -> str:
         if counted is None:
             products = products_per_step(method.preconditioner)
-            return f"takes {products} products with S a step for granted, where 2 to 500 are usual"
+            return f"assumes {products} products with S per step, where 2 to 500 are usual"
         if not method.backend:
             return "for comparison: neither backend takes this order"
         if not self._is_taken(method):

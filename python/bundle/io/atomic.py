@@ -33,6 +33,7 @@ from bundle.io.flush import flush, flush_folder
 from bundle.io.interrupts import interrupts_deferred
 from bundle.io.model_files import MODEL_FILES, missing_model_files
 from bundle.io.mounts import mount_points
+from bundle.io.streams import append, is_stream
 from bundle.io.temporary import (
     NEW,
     Temporary,
@@ -45,7 +46,21 @@ from bundle.io.temporary import (
     temporary_folder,
 )
 
-__all__ = ["check_file", "check_folder", "recording", "recover", "replace_file", "replace_folder"]
+__all__ = [
+    "RecoveryWarning",
+    "check_file",
+    "check_folder",
+    "recording",
+    "recover",
+    "replace_file",
+    "replace_folder",
+    "write_text",
+]
+
+
+class RecoveryWarning(UserWarning):
+    """A killed process had left a model replaced in part; that was finished."""
+
 
 _records: list[list[Path]] = []
 
@@ -79,11 +94,11 @@ def check_file(path: Path) -> None:
         PermissionError: the file is write-protected, or its folder is.
     """
     target = Path(os.path.realpath(path))
-    _check_parent(path, target)
     if target.is_dir():
         raise InputError(f"{shown(path)}: expected a file or nothing, found a folder")
-    if target.exists() and not target.is_file():
+    if is_stream(path):
         raise InputError(f"{shown(path)}: expected a file or nothing, found a device or pipe")
+    _check_parent(path, target)
     if target in mount_points():
         raise InputError(
             f"{shown(path)}: expected a file that can be replaced, found a mount point"
@@ -96,11 +111,15 @@ def check_folder(path: Path) -> None:
     """Raise what ``replace_folder`` would raise before it lets anything be written.
 
     Raises:
-        InputError: the path is a file, or a folder that is neither empty nor a COLMAP model, or its
-            parent folder does not exist.
+        InputError: the path is a file or device, or a folder that is neither empty nor a COLMAP
+            model, or its parent folder does not exist.
         PermissionError: the folder is write-protected, or the parent of a new one is.
     """
     target = Path(os.path.realpath(path))
+    if is_stream(path):
+        raise InputError(
+            f"{shown(path)}: expected a COLMAP model folder or nothing, found a device or pipe"
+        )
     _check_parent(path, target)
     if not target.exists():
         _check_writable(path, target.parent)
@@ -175,6 +194,20 @@ def replace_folder(path: Path) -> Iterator[Path]:
             _record(path)
             temporary.remove()
         flush_folder(target.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text to a file, whole or not at all, or into a device or pipe.
+
+    Raises:
+        InputError: the path is a folder, or its parent is none.
+        OSError: the system refuses; it names the path.
+    """
+    if is_stream(path):
+        append(path, text)
+        return
+    with replace_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", errors="replace")
 
 
 def _replace_existing(target: Path, temporary: Temporary, beside: bool) -> None:

@@ -67,7 +67,7 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
             "",
             columns(
                 (
-                    *(*names.head("method"), "gap", "steps", "s a step"),
+                    *(*names.head("method"), "gap", "steps", "s/step"),
                     *(f"to {gap:.0e}".replace("e-0", "e-") for gap in GAPS),
                     *("total", "MB"),
                 ),
@@ -136,7 +136,7 @@ def _predicted(measured: Sequence[tuple[Run, Measurement]], names: _Names) -> li
         *names.head("predicted, measured"),
         "nnz(L)",
         "flops",
-        "s a step",
+        "s/step",
         "measured",
         "MB",
         "measured",

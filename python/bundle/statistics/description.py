@@ -59,9 +59,9 @@ class Description:
     """What is in a problem.
 
     Attributes:
-        cameras: one entry a camera model, the most used first.
-        track_length: observations a point.
-        observations_per_image: observations an image.
+        cameras: one entry per camera model, the most used first.
+        track_length: observations per point.
+        observations_per_image: observations per image.
         covisibility: which images see common points.
         reprojection_error: pixels, at the problem's values; None where a camera model is unknown.
         worst_images: those with the largest errors; empty where a camera model is unknown.

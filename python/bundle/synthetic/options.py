@@ -51,8 +51,8 @@ class SceneOptions:
     cameras: str = option(
         "auto",
         "--cameras",
-        "one camera for all images, or one an image; auto: individual for photo-collection, shared "
-        "for the others",
+        "one camera for all images, or one per image; auto: individual for photo-collection, "
+        "shared for the others",
         choices=CAMERAS,
     )
     image_size: tuple[int, int] = option(
