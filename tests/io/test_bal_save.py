@@ -71,7 +71,7 @@ def test_everything_lost_is_named(tmp_path: Path) -> None:
     losses = bundle.save(shared, tmp_path / "out.txt")
     assert losses == (
         "Cameras of model SIMPLE_RADIAL come back as RADIAL.",
-        "Cameras shared by several images (1) become one an image.",
+        "Cameras shared by several images (1) become one per image.",
         "Cameras without an image (1) are left out.",
         "Principal points, up to 2 px, are subtracted from the observations.",
         "Names of images are left out.",

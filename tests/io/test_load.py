@@ -143,12 +143,14 @@ def test_check_target_refuses_what_save_would(tmp_path: Path, problem) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder/file.txt").write_text("")
     fisheye = problem.replace(camera_models=("SIMPLE_RADIAL_FISHEYE",) * 4)
+    below = problem.replace(image_ids=[-1, 1, 2, 3])
     for refused, name, format in (
         (problem, "folder", "bal"),
         (problem, "folder", "colmap"),
         (problem, "folder/file.txt", "colmap"),
         (problem, "missing/out.txt", None),
         (fisheye, "out.txt", None),
+        (below, "out", "colmap"),
     ):
         with pytest.raises(bundle.InputError) as checked:
             bundle.io.check_target(refused, tmp_path / name, format)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import pycolmap
 
-__all__ = ["BalSource", "beside_the_problem", "is_source", "packed", "unpacked"]
+__all__ = ["BalSource", "beside_the_problem", "is_reconstruction", "is_source", "packed", "unpacked"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +36,11 @@ class BalSource:
 
 def is_source(source: object) -> bool:
     """Tell whether a problem can have this as its source."""
-    return source is None or isinstance(source, BalSource) or _is_reconstruction(source)
+    return source is None or isinstance(source, BalSource) or is_reconstruction(source)
 
 
-def _is_reconstruction(source: object) -> bool:
+def is_reconstruction(source: object) -> bool:
+    """Tell whether a source is a pycolmap.Reconstruction, without importing pycolmap."""
     pycolmap = sys.modules.get("pycolmap")  # not imported: nobody can hold a reconstruction
     return pycolmap is not None and isinstance(source, pycolmap.Reconstruction)
 
@@ -48,7 +49,7 @@ def beside_the_problem(source: Any) -> list[str]:
     """Return what a source has that its problem has not."""
     if source is None or isinstance(source, BalSource):
         return []
-    is_known = _is_reconstruction(source)
+    is_known = is_reconstruction(source)
     colours = not is_known or any(point.color.any() for point in source.points3D.values())
     without_pose = not is_known or source.num_reg_images() < source.num_images()
     return [
@@ -88,7 +89,7 @@ class _Packed(NamedTuple):
 
 def packed(source: Any) -> Any:
     """Return the source of a problem as something that pickles; see :func:`unpacked`."""
-    if not _is_reconstruction(source):
+    if not is_reconstruction(source):
         return source
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
