@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
-from bundle.errors import InputError
+from bundle.arguments import real_numbers
+from bundle.errors import InputError, brief
 
 __all__ = ["filled", "freeze", "immutable"]
 
@@ -36,7 +37,9 @@ def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
         InputError: the value is no array of real numbers, or not of whole ones where the type asks
             for them; it begins with the name.
     """
-    given = _numbers(name, value)
+    given = real_numbers(name, value)
+    if given.ndim == 0:
+        raise InputError(f"{name}: expected an array of numbers, found {brief(value)}")
     usable = given.dtype == dtype and given.flags.c_contiguous and given.flags.aligned
     if usable and _core.is_immutable(given):
         return given.view()
@@ -49,17 +52,3 @@ def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
                 f"{name}: expected whole numbers of {array.dtype}, found {given[wrong][0]}"
             )
     return freeze(array)
-
-
-def _numbers(name: str, value: Any) -> NDArray[Any]:
-    if isinstance(value, np.ma.MaskedArray):
-        raise InputError(f"{name}: expected an array without a mask, found a masked one")
-    try:
-        given = np.asarray(value)
-    except (TypeError, ValueError, OverflowError, AttributeError, RuntimeError):
-        raise InputError(f"{name}: expected numbers, found {type(value).__name__}") from None
-    if given.ndim == 0:
-        raise InputError(f"{name}: expected numbers in an array, found {type(value).__name__}")
-    if given.dtype.kind not in "iuf":
-        raise InputError(f"{name}: expected numbers, found an array of {given.dtype.name}")
-    return given

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import difflib
 from typing import Literal, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
+from bundle.arguments import as_array
 from bundle.errors import InputError
+from bundle.option_fields import choice
 
-__all__ = [
-    "CameraParam",
-    "ProjectionResult",
-    "camera_models",
-    "check_model",
-    "param_kinds",
-    "project",
-]
+__all__ = ["CameraParam", "ProjectionResult", "camera_models", "param_kinds", "project"]
 
 
 class CameraParam(NamedTuple):
@@ -100,14 +94,15 @@ def project(
         InputError: unknown model, or arrays of the wrong shape.
     """
     expected = _params(model)
-    param_array = np.asarray(params, dtype=np.float64)
+    model = choice("camera model", model, _MODELS)
+    param_array = as_array("params", params)
     if param_array.shape != (len(expected),):
         names = ", ".join(param.name for param in expected)
         raise InputError(
             f"{model}: expected {len(expected)} parameters ({names}), "
             f"found an array of shape {param_array.shape}"
         )
-    points = np.asarray(points_in_camera, dtype=np.float64)
+    points = as_array("points_in_camera", points_in_camera)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"points_in_camera: expected shape (N, 3), found {points.shape}")
     xy, status, d_point, d_params = _core.project(model, param_array, points, jacobians)
@@ -121,22 +116,5 @@ def project(
     return ProjectionResult(xy, valid, d_point, d_params)
 
 
-def check_model(model: str, where: str = "camera model") -> None:
-    """Raise an InputError, which begins with ``where``, if there is no such model."""
-    if model in _MODELS:
-        return
-    nearest = difflib.get_close_matches(model.upper(), _MODELS, n=1)
-    if nearest:
-        raise InputError(
-            f"{where}: expected a camera model of COLMAP, found {model!a:.80}; "
-            f"did you mean {nearest[0]}?"
-        )
-    raise InputError(
-        f"{where}: expected a camera model of COLMAP, found {model!a:.80}; "
-        f"there are {', '.join(_MODELS)}"
-    )
-
-
 def _params(model: str) -> tuple[CameraParam, ...]:
-    check_model(model)
-    return _MODELS[model]
+    return _MODELS[choice("camera model", model, _MODELS)]

@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.arrays import filled, freeze, immutable
-from bundle.cameras import camera_models, check_model
+from bundle.cameras import camera_models
+from bundle.display import Display, Displayed
 from bundle.errors import InputError
+from bundle.option_fields import choice
+from bundle.words import contents, format_name
 
 if TYPE_CHECKING:
     import pycolmap
@@ -59,8 +62,8 @@ def _by_default() -> Any:
     return None
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Problem:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Problem(Displayed):
     """A bundle adjustment problem.
 
     Poses, camera models and parameters, points and observations have to be given; all else has a
@@ -124,19 +127,19 @@ class Problem:
     source: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        if self.format not in FORMATS:
-            raise InputError(
-                f"format: expected one of {', '.join(FORMATS)}, found {self.format!r:.80}"
-            )
+        object.__setattr__(self, "format", choice("format", self.format, FORMATS))
         for name, dtype in _DTYPES.items():
             value = getattr(self, name)
             array = _default(self, name) if value is None else immutable(name, value, dtype)
             object.__setattr__(self, name, array)
         names = ("",) * self.num_images if self.image_names is None else self.image_names
         object.__setattr__(self, "image_names", _names("image_names", names))
-        object.__setattr__(self, "camera_models", _names("camera_models", self.camera_models))
-        for model in dict.fromkeys(self.camera_models):
-            check_model(model, "camera_models")
+        models = _names("camera_models", self.camera_models)
+        known = camera_models()
+        canonical = {
+            model: choice("camera_models", model, known) for model in dict.fromkeys(models)
+        }
+        object.__setattr__(self, "camera_models", tuple(canonical[model] for model in models))
         _core.validate(self)
         _check_values(self)
 
@@ -195,10 +198,10 @@ class Problem:
         return dataclasses.replace(self, source=copy.deepcopy(self.source, memo))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        from bundle.io import sources
+        from bundle.io import problem_source
 
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return _unpacked, (type(self), fields | {"source": sources.packed(self.source)})
+        return _unpacked, (type(self), fields | {"source": problem_source.packed(self.source)})
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some arrays replaced; the others are shared, not copied."""
@@ -227,9 +230,13 @@ class Problem:
         return colmap.to_pycolmap(self)
 
     def __repr__(self) -> str:
-        return (
-            f"Problem({self.format}: {self.num_images} images, {self.num_cameras} cameras, "
-            f"{self.num_points} points, {self.num_observations} observations)"
+        return f"Problem({self.format}: {contents(self)})"
+
+    def _display(self) -> Display:
+        models = ", ".join(dict.fromkeys(self.camera_models)) or "none"
+        return Display(
+            title=f"Problem ({format_name(self.format)})",
+            facts=(("contents", contents(self)), ("camera models", models)),
         )
 
 
@@ -290,6 +297,6 @@ def _check_values(problem: Problem) -> None:
 
 def _unpacked(cls: type[Problem], fields: dict[str, Any]) -> Problem:
     """Return what was pickled, checked anew: the file may have changed."""
-    from bundle.io import sources
+    from bundle.io import problem_source
 
-    return cls(**fields | {"source": sources.unpacked(fields["source"])})
+    return cls(**fields | {"source": problem_source.unpacked(fields["source"])})

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from bundle import _core
 from bundle.cameras import param_kinds
 from bundle.errors import InputError, shown
-from bundle.io import sources
-from bundle.io.sources import BalSource
+from bundle.io import problem_source
+from bundle.io.problem_source import BalSource
 from bundle.problem import Problem
 
 __all__ = ["check_refined", "load", "losses", "radial_params", "save"]
@@ -187,7 +187,7 @@ def losses(problem: Problem) -> tuple[str, ...]:
         )
         if not np.array_equal(ids, np.arange(len(ids)))
     ]
-    beside = sources.beside_the_problem(problem.source)
+    beside = problem_source.beside_the_problem(problem.source)
     found = (
         (models, f"Cameras of model {', '.join(models)} come back as RADIAL."),
         (

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from bundle.errors import InputError
 from bundle.io.frames import Rigs, remove_cameras, remove_images
 from bundle.io.observation_edits import Baseline, ObservationEdits, find_edits
+from bundle.io.problem_source import is_source
 from bundle.io.reconstruction import baseline_of
-from bundle.io.sources import is_source
 from bundle.problem import Problem
 
 __all__ = ["check", "to_pycolmap", "write_back"]

@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import pycolmap
 
-__all__ = ["BalSource", "beside_the_problem", "is_reconstruction", "is_source", "packed", "unpacked"]
+__all__ = [
+    "BalSource",
+    "beside_the_problem",
+    "is_reconstruction",
+    "is_source",
+    "packed",
+    "unpacked",
+]
 
 
 @dataclass(frozen=True, eq=False)
