@@ -7,7 +7,6 @@ says where an error is.
 
 from __future__ import annotations
 
-import errno
 import math
 import os
 from pathlib import Path
@@ -16,6 +15,7 @@ import pycolmap
 
 from bundle import _core
 from bundle.errors import InputError
+from bundle.io import written
 from bundle.io.model_files import missing_model_files
 from bundle.io.reconstruction import Observations, from_pycolmap, problem_of, to_pycolmap
 from bundle.problem import Problem
@@ -88,7 +88,7 @@ def save(problem: Problem, folder: Path, binary: bool = True) -> tuple[str, ...]
         else:
             reconstruction.write_text(folder)
     except (ValueError, RuntimeError) as error:
-        raise OSError(errno.EIO, f"cannot be written: {_first_line(error)}", str(folder)) from None
+        raise written.failure(folder, f"cannot be written: {_first_line(error)}") from None
     _check_written(folder, problem)
     return _losses(reconstruction, binary)
 
@@ -128,7 +128,10 @@ def _check_written(folder: Path, problem: Problem) -> None:
     try:
         _core.check_colmap_model(os.fsencode(folder))
     except InputError as error:
-        raise OSError(errno.EIO, f"not written whole: {error}", str(folder)) from None
+        raise written.failure(folder, f"not written whole: {error}") from None
+    cut = written.check_text_files(folder)
+    if cut is not None:
+        raise written.failure(folder, f"not written whole: {cut}")
 
 
 def _losses(reconstruction: pycolmap.Reconstruction, binary: bool) -> tuple[str, ...]:
