@@ -15,8 +15,8 @@ from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report import json
-from bundle.report.refine import contents
 from bundle.tables import Columns, CommandLine, columns, facts, format_name, notes, number
+from bundle.words import contents
 
 __all__ = ["CONVENTION", "as_json", "inspected"]
 
