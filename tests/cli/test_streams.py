@@ -121,9 +121,9 @@ def test_signals_that_end_the_process_leave_old_or_new(tmp_path, number):
     source, target = tmp_path / "in.txt", tmp_path / "out.txt"
     bundle.save(scene(8, 400), source)
     target.write_text("old")
+    program = interrupting("bundle.io.atomic.flush").replace("SIGINT", number.name)
     process = subprocess.Popen(
-        [sys.executable, "-c", interrupting("bundle.io.atomic.flush").replace("SIGINT", number.name),
-         "refine", source, "-o", target, "--quiet"],
+        [sys.executable, "-c", program, "refine", source, "-o", target, "--quiet"],
         env=environment(), stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     _, err = process.communicate(timeout=60)
