@@ -7,7 +7,6 @@ says where an error is.
 
 from __future__ import annotations
 
-import errno
 import math
 import os
 from pathlib import Path
@@ -17,6 +16,7 @@ import pycolmap
 
 from bundle import _core
 from bundle.errors import InputError
+from bundle.io import written
 from bundle.io.model_files import missing_model_files
 from bundle.io.observation_edits import ObservationEdits
 from bundle.io.reconstruction import Observations, baseline_of, from_pycolmap, problem_of
@@ -91,7 +91,7 @@ def save(problem: Problem, folder: Path, binary: bool = True) -> tuple[str, ...]
         else:
             reconstruction.write_text(folder)
     except (ValueError, RuntimeError) as error:
-        raise OSError(errno.EIO, f"cannot be written: {_first_line(error)}", str(folder)) from None
+        raise written.failure(folder, f"cannot be written: {_first_line(error)}") from None
     _check_written(folder, problem)
     return _losses(problem, edits, binary)
 
@@ -131,7 +131,10 @@ def _check_written(folder: Path, problem: Problem) -> None:
     try:
         _core.check_colmap_model(os.fsencode(folder))
     except InputError as error:
-        raise OSError(errno.EIO, f"not written whole: {error}", str(folder)) from None
+        raise written.failure(folder, f"not written whole: {error}") from None
+    cut = written.check_text_files(folder)
+    if cut is not None:
+        raise written.failure(folder, f"not written whole: {cut}")
 
 
 def _losses(problem: Problem, edits: ObservationEdits, binary: bool) -> tuple[str, ...]:
