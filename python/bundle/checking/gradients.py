@@ -170,13 +170,13 @@ class _Check:
     def _undecided(self, comparison: Comparison, samples: Sequence[int]) -> dict[str, list[int]]:
         """Return the samples at which most entries have no good reference and none is wrong."""
         found: dict[str, list[int]] = {"no_value": [], "rough": []}
-        for k, number in enumerate(samples):
+        for k, index in enumerate(samples):
             doubt = comparison.doubt[k]
             if (comparison.error[k] > self.tolerance).any() or (
                 (doubt <= self.tolerance).mean() >= 0.5
             ):
                 continue
-            found["no_value" if np.isinf(doubt).any() else "rough"].append(number)
+            found["no_value" if np.isinf(doubt).any() else "rough"].append(index)
         return found
 
     def _findings(
