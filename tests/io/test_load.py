@@ -61,8 +61,11 @@ def test_a_folder_that_is_no_model(tmp_path: Path) -> None:
 
     write_model(tmp_path / "sparse/0", ".bin")
     write_model(tmp_path / "sparse/1", ".txt")
-    with pytest.raises(bundle.InputError, match=r"there are models inside: 0, 1$"):
-        bundle.load(tmp_path / "sparse")
+    candidates = " or ".join(str(tmp_path / "sparse" / name) for name in "01")
+    for folder in (tmp_path / "sparse", tmp_path):  # the project's folder, too
+        with pytest.raises(bundle.InputError) as error:
+            bundle.load(folder)
+        assert str(error.value).endswith(f"; try {candidates}")
 
     (write_model(tmp_path / "text", ".txt") / "images.txt").unlink()
     with pytest.raises(bundle.InputError, match=r"found a folder without images\.txt$"):
@@ -163,3 +166,11 @@ def test_a_bal_file_needs_no_pycolmap(tmp_path: Path) -> None:
     path.write_bytes(bal_text(*make_bal(3)))
     code = "import bundle, sys; bundle.load(sys.argv[1]); assert 'pycolmap' not in sys.modules"
     subprocess.run([sys.executable, "-c", code, str(path)], check=True)
+
+
+def test_check_target_refuses_edits_that_colmap_cannot_hold(tmp_path: Path, problem) -> None:
+    below = problem.replace(image_ids=[-1, 1, 2, 3])
+    for call in (bundle.io.check_target, bundle.save):
+        with pytest.raises(bundle.InputError, match=r"^image_ids: .* found -1$"):
+            call(below, tmp_path / "out", "colmap")
+    assert not (tmp_path / "out").exists()

@@ -74,16 +74,12 @@ def test_both_backends_take_the_same_steps(loss, strategy):
         found.iterations["step_is_successful"][:n], expected.iterations["step_is_successful"][:n]
     )
     good = expected.iterations["step_is_successful"][:n]
-    for field in ("cost", "relative_decrease", "gradient_max_norm"):
-        np.testing.assert_allclose(
-            found.iterations[field][:n][good], expected.iterations[field][:n][good], rtol=1e-6
-        )
-    if strategy == "levenberg_marquardt":
+    levenberg = strategy == "levenberg_marquardt"
+    costs = (result.iterations["cost"][:n][good] for result in (found, expected))
+    np.testing.assert_allclose(*costs, rtol=1e-8 if levenberg else 1e-6)
+    if levenberg:
         assert behind(expected.problem).any()
         assert behind(found.problem).tolist() == behind(expected.problem).tolist()
-        np.testing.assert_allclose(
-            found.iterations["cost"][:n][good], expected.iterations["cost"][:n][good], rtol=1e-8
-        )
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -100,10 +96,6 @@ def test_what_goes_behind_keeps_sixteen_times_its_cost(backend):
     held = 16 * 0.5 * np.sum(reprojection_errors(before)[0][lost] ** 2)
     expected = cost_in_front(after.problem) + held
     assert after.summary.final_cost == pytest.approx(expected, rel=1e-9)
-    # Its derivatives are zero: a point all of whose observations are lost has no gradient.
-    assert after.summary.final_cost < bundle.solve(
-        problem, backend=backend, max_num_iterations=k - 1
-    ).summary.final_cost
 
 
 def test_cost_falls_from_step_to_step(backend):
@@ -141,22 +133,24 @@ def test_an_image_with_none_in_front_is_named(solve):
 
 
 def test_one_behind_at_the_start_costs_nothing_and_blocks_no_step(solve):
-    """A point right behind the plane of a camera whose other images pull it to the front."""
+    """A camera too far ahead, so that its nearest point is right behind it."""
     problem = scenes.make_problem(num_images=5, num_points=60, seed=4, noise=0.3)
-    points = problem.points.copy()
-    points[0] = in_camera(problem, 0, [0.1, 0.1, -1e-7])
-    problem = problem.replace(points=points)
+    poses = problem.cam_from_world.copy()
+    rotation = Rotation.from_quat(poses[0, :4])
+    poses[0, 6] -= (rotation.apply(problem.points.copy()) + poses[0, 4:])[:, 2].min() + 1e-9
+    problem = problem.replace(cam_from_world=poses)
     assert behind(problem).sum() == 1
     result = solve(problem)
     assert result.summary.initial_cost == pytest.approx(cost_in_front(problem), rel=1e-9)
     assert result.summary.termination_type == "CONVERGENCE"
     assert result.summary.is_solution_usable
     assert not behind(result.problem).any()
+    assert reprojection_error(result.problem).rmse < 0.36
     (sentence,) = sentences(result, "left out")
     assert sentence.startswith("1 observation ")
     again = solve(result.problem)
     assert again.summary.warnings == ()
-    assert reprojection_error(again.problem).rmse < 1
+    assert again.summary.final_cost == pytest.approx(cost_in_front(again.problem), rel=1e-9)
 
 
 def test_points_at_a_camera_centre_do_not_block(solve):

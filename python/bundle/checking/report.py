@@ -5,24 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any
 
 from rich.console import RenderableType
-from rich.table import Table
 
 from bundle.checking.evidence import Finding
-from bundle.tables import columns, facts, notes, plural, render
+from bundle.display import Display
+from bundle.tables import Bar, Columns, columns, facts, notes, plural, render
 
 __all__ = [
     "GradientCheckerSummary",
     "GradientReport",
     "Offender",
+    "Undecided",
     "Verdict",
     "explanation",
     "outcome",
 ]
 
-BAR_WIDTH = 40
+
+SHOWN = 5
+"""Findings that the repr names; printing a report shows all."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,25 @@ class Offender:
 
 
 @dataclass(frozen=True)
+class Undecided:
+    """Points at which no reference is good enough to say anything.
+
+    Attributes:
+        reason: "camera_center" (the point is so close to the camera's centre that the rounding of
+            point and pose changes the derivatives), "rough" (a kink, a jump or noise), or
+            "no_value" (the residual has no value on both sides of the point).
+        count: how many.
+        places: the first few of them: "image IMG_17.jpg, point 12", "sample 3".
+        sentence: the same in words.
+    """
+
+    reason: str
+    count: int
+    places: tuple[str, ...]
+    sentence: str
+
+
+@dataclass(frozen=True)
 class GradientCheckerSummary:
     """How ceres::GradientChecker fared at the same points.
 
@@ -96,12 +119,13 @@ class GradientReport:
     """What a check found. True if nothing is wrong; printing it explains.
 
     Attributes:
-        ok: nothing is wrong, and something was checked.
+        ok: nothing is wrong, and not everything is undecided.
         subject: what was checked, in words.
         noun: what a point is: "sample", "observation".
         tolerance: relative error from which on an entry is wrong.
         num_checked: points (observations) checked.
         num_skipped: points left out: no finite residual there, or one that does not count.
+        undecided: points, out of those checked, of which nothing can be said, by reason.
         findings: what is wrong, worst first.
         groups: a verdict on each group of parameters.
         parameters: a verdict on each parameter.
@@ -122,6 +146,12 @@ class GradientReport:
     worst: tuple[Offender, ...]
     histogram: tuple[tuple[float, float, int], ...]
     gradient_checker: GradientCheckerSummary
+    undecided: tuple[Undecided, ...] = ()
+
+    @property
+    def num_undecided(self) -> int:
+        """Points checked of which nothing can be said."""
+        return sum(entry.count for entry in self.undecided)
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -135,15 +165,32 @@ class GradientReport:
         return render(*explanation(self)).rstrip("\n")
 
     def __repr__(self) -> str:
-        return f"<GradientReport: {'correct' if self.ok else 'wrong'}>\n{self}"
+        return self._display().text()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
+
+    def _display(self) -> Display:
+        count = plural(self.num_checked, self.noun)
+        findings = tuple(("finding", finding.sentence) for finding in self.findings[:SHOWN])
+        more = len(self.findings) - SHOWN
+        return Display(
+            title=f"GradientReport: {outcome(self)}",
+            facts=(
+                ("checked", f"{self.subject}, {count}, {self.num_skipped} skipped"),
+                *findings,
+                *((("", f"and {more} more"),) if more > 0 else ()),
+            ),
+        )
 
 
 def outcome(report: GradientReport) -> str:
     """Return the verdict in one sentence."""
     if report.ok and report.num_checked:
+        undecided = f"; {report.num_undecided} undecided" if report.num_undecided else ""
         return (
             f"Correct: all Jacobians agree with the reference to {report.tolerance:g} "
-            f"at {plural(report.num_checked, report.noun)}."
+            f"at {plural(report.num_checked - report.num_undecided, report.noun)}{undecided}."
         )
     if report.ok:
         return "Nothing to check."
@@ -158,6 +205,7 @@ def explanation(report: GradientReport) -> list[RenderableType]:
         facts([("checked", f"{report.subject}, {count}{skipped}")]),
         facts([("verdict", outcome(report))]),
         *notes((finding.sentence for finding in report.findings), style="red"),
+        *notes((entry.sentence for entry in report.undecided), style="yellow"),
     ]
     if not report.num_checked:
         return parts
@@ -170,7 +218,7 @@ def explanation(report: GradientReport) -> list[RenderableType]:
     return parts
 
 
-def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Table:
+def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Columns:
     rows = [
         (
             verdict.name,
@@ -186,7 +234,7 @@ def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Table:
     return columns(head, rows, left=2)
 
 
-def _worst(offenders: Sequence[Offender]) -> Table:
+def _worst(offenders: Sequence[Offender]) -> Columns:
     rows = [
         (
             offender.parameter,
@@ -203,7 +251,7 @@ def _worst(offenders: Sequence[Offender]) -> Table:
     return columns(head, rows, left=2)
 
 
-def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Table:
+def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Columns:
     filled = [index for index, (_, _, count) in enumerate(histogram) if count]
     shown_bins = histogram[filled[0] : filled[-1] + 1] if filled else []
     largest = max((count for _, _, count in shown_bins), default=1)
@@ -211,13 +259,13 @@ def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Table:
     rows = [
         (
             _bin(low, high),
-            "#" * math.ceil(BAR_WIDTH * count / largest),
+            Bar(count / largest),
             str(count),
             f"{100.0 * count / total:.1f} %",
         )
         for low, high, count in shown_bins
     ]
-    return columns(("relative error", " " * BAR_WIDTH, "entries", "share"), rows, left=2)
+    return columns(("relative error", "", "entries", "share"), rows, left=2)
 
 
 def _bin(low: float, high: float) -> str:

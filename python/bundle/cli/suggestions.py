@@ -1,0 +1,47 @@
+"""What is wrong with a command, a flag or a value that does not exist, and what was meant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from bundle.errors import nearest
+
+__all__ = ["unknown_command", "unknown_flag", "unknown_value"]
+
+
+def unknown_command(found: str, commands: Iterable[str]) -> str:
+    """Return what is wrong with a command that does not exist."""
+    names = list(commands)
+    listed = ", ".join(names)
+    return f"expected a command, one of {listed}, found {found!r}{nearest(found, names)}"
+
+
+def unknown_value(found: str, values: Iterable[str]) -> str:
+    """Return what is wrong with a value that is none of the choices."""
+    names = list(values)
+    listed = ", ".join(names)
+    return f"invalid choice: expected one of {listed}, found {found!r}{nearest(found, names)}"
+
+
+def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -> str:
+    """Return what is wrong with a flag, and which flag of which command was probably meant.
+
+    Args:
+        found: the flag as typed, perhaps with its value: "--solvr=auto".
+        command: the command it was given to; "" where none was.
+        flags: the flags of each command.
+    """
+    name, _, _ = found.partition("=")
+    meant = nearest(name, _long(flags.get(command, ())))
+    others = {other: _long(names) for other, names in flags.items() if other != command}
+    having = [other for other, names in others.items() if name in names]
+    if having:
+        meant += f"; {' and '.join(having[:3])} {'has' if len(having) == 1 else 'have'} {name}"
+    elif not meant:
+        near = ((other, nearest(name, names)) for other, names in others.items())
+        meant = next((f"{words[:-1]} of {other}?" for other, words in near if words), "")
+    return f"unrecognized arguments: {found}{meant}"
+
+
+def _long(flags: Iterable[str]) -> list[str]:
+    return [flag for flag in flags if flag.startswith("--")]
