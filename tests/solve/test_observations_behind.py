@@ -67,7 +67,9 @@ def test_an_image_is_not_turned_away(solve):
 @pytest.mark.parametrize("loss", ["trivial", "huber"])
 @pytest.mark.parametrize("strategy", ["levenberg_marquardt", "dogleg"])
 def test_both_backends_take_the_same_steps(loss, strategy):
-    options = {"loss": loss, "loss_scale": 30.0, "trust_region_strategy_type": strategy}
+    options = {"loss": loss, "trust_region_strategy_type": strategy}
+    if loss != "trivial":
+        options["loss_scale"] = 30.0
     found, expected = (solve_crossing(backend, **options) for backend in BACKENDS)
     n = min(len(found.iterations["cost"]), 20)
     np.testing.assert_array_equal(

@@ -27,7 +27,8 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
   warn(WatchConvergence(output->iterations));
   warn(CheckSolution(problem, layout, states, output->points, options.cheirality));
   const bool is_rejected = RejectImpossibleSolution(problem, output);
-  if (num_held > 0 && !is_rejected) JudgeLostObservations(problem, layout, options, num_held, output);
+  if (num_held > 0 && !is_rejected)
+    JudgeLostObservations(problem, layout, options, num_held, output);
 }
 
 }  // namespace bundle
