@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 from bundle.cli.errors import EXIT_DONE
 from bundle.cli.option_flags import add_options, naming_flags, options_given
-from bundle.options import SolveOptions
+from bundle.options import GRAPH_ORDERINGS, SolveOptions
 
 if TYPE_CHECKING:
     from bundle.inspection import GraphInspection
@@ -26,16 +27,6 @@ OPTIONS = (
     "fixed_image_ids",
     "fixed_point_ids",
     "gauge",
-)
-GRAPH_ORDERINGS = (
-    "natural",
-    "reverse",
-    "landmarks-first",
-    "minimum-degree",
-    "amd",
-    "colamd",
-    "metis",
-    "nesdis",
 )
 
 
@@ -59,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(parser, SolveOptions, "what is refined", OPTIONS)
     group = parser.add_argument_group("a graph in place of a problem")
+    orderings = [name.replace("_", "-") for name in GRAPH_ORDERINGS]
     group.add_argument(
         "--graph",
         metavar="FILE",
@@ -68,8 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ordering",
         metavar="ORDERING",
         type=lambda text: text.lower().replace("_", "-"),
-        choices=GRAPH_ORDERINGS,
-        help=f"of the graph: one of {', '.join(GRAPH_ORDERINGS)} (default: natural)",
+        choices=orderings,
+        help=f"of the graph: one of {', '.join(orderings)} (default: natural)",
     )
     group.add_argument(
         "--landmarks",
@@ -97,6 +89,11 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.json, source)
     check_json(arguments.html, source, *([arguments.json] if arguments.json else []))
     if arguments.graph is not None:
+        for field in dataclasses.fields(SolveOptions):
+            if getattr(arguments, field.name, None) is not None:
+                raise InputError(f"{field.metadata['flag']}: expected with INPUT only")
+        if arguments.recalibrate:
+            raise InputError("--recalibrate: expected with INPUT only")
         return _inspect_graph(arguments)
     for flag in ("ordering", "landmarks", "block_size"):
         if getattr(arguments, flag) is not None:

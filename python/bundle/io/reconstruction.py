@@ -14,6 +14,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from bundle.arguments import check_type
 from bundle.errors import InputError
 from bundle.problem import Problem
 
@@ -31,6 +32,7 @@ def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
         InputError: a rig has several sensors or a frame several images; keypoints and tracks do not
             match; a value that :class:`bundle.Problem` refuses.
     """
+    check_type("reconstruction", reconstruction, pycolmap.Reconstruction)
     return problem_of(pycolmap.Reconstruction(reconstruction))
 
 

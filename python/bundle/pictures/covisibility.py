@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.arguments import check_type
+from bundle.option_fields import number
 from bundle.problem import Problem
 from bundle.statistics.covisibility import shared_points
 
@@ -45,6 +47,8 @@ def covisibility_graph(problem: Problem, max_edges: int = 4000) -> CovisibilityG
     Where there are more pairs than ``max_edges``, the three strongest edges of each image stay, and
     of the others the strongest as far as they fit.
     """
+    check_type("problem", problem, Problem)
+    max_edges = number("max_edges", max_edges, whole=True, minimum=0)
     low, high, count = shared_points(problem)
     chosen = np.arange(len(count))
     if len(count) > max_edges:
