@@ -147,6 +147,21 @@ SCENE_OPTIONS = {
     "seed": ("-1", "1.5", "word", "None"),
 }
 
+OF_INDICES = ("NaN rows", "-1", "1.5", *OF_AN_ARRAY)
+PROBLEM = {
+    **dict.fromkeys(("cam_from_world", "points", "observation_xy"), ("NaN rows", *OF_AN_ARRAY)),
+    **dict.fromkeys(("observation_image", "observation_point", "image_camera"), OF_INDICES),
+    "camera_params": ("word", "complex", "masked", "objects", "ragged", "no array"),
+    "camera_sizes": ("word", "complex", "masked", "NaN rows"),
+    "image_names": ("1.5", "word", "bytes", "()", "itself", "generator", "objects"),
+    "camera_models": ("None", "1.5", "word", "bytes", "()", "itself", "generator", "objects"),
+    "image_ids": ("word", "complex", "NaN rows", "ragged"),
+    "camera_ids": ("word", "masked", "2**70"),
+    "point_ids": ("word", "dates", "no array"),
+    "observation_keypoint": ("word", "objects", "1.5"),
+    "format": ("None", "word", "1.5", "()"),
+}
+
 
 def good_problem():
     return scenes.make_problem(num_images=2, num_points=4, shared=True)
@@ -191,6 +206,10 @@ def targets():
     save_as = lambda value: bundle.save(good_problem(), "out/", format=value)  # noqa: E731
     yield "save.format", save_as, OF_A_WORD[1:]
     yield "from_pycolmap", bundle.Problem.from_pycolmap, ("None", "word", "bytes", "object")
+
+    for name, values in PROBLEM.items():
+        replace = lambda value, name=name: good_problem().replace(**{name: value})  # noqa: E731
+        yield f"Problem.{name}", replace, values
 
     check = lambda: {"problem": good_problem(), "samples_per_image": 1}  # noqa: E731
     for name, values in {

@@ -7,6 +7,7 @@ import dataclasses
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from bundle.cli.arguments import a_path
 from bundle.cli.errors import EXIT_DONE
 from bundle.cli.option_flags import add_options, naming_flags, options_given
 from bundle.options import GRAPH_ORDERINGS, SolveOptions
@@ -36,12 +37,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "input",
         metavar="INPUT",
+        type=a_path,
         nargs="?",
         help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text); "
         "told by its content",
     )
     parser.add_argument(
-        "--html", metavar="FILE", help="also write a page with pictures, which needs no network"
+        "--html",
+        metavar="FILE",
+        type=a_path,
+        help="also write a page with pictures, which needs no network",
     )
     parser.add_argument(
         "--recalibrate",
@@ -54,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--graph",
         metavar="FILE",
+        type=a_path,
         help="eliminate a small graph step by step: an edge a line, two names; # begins a comment",
     )
     group.add_argument(

@@ -1,4 +1,4 @@
-"""Between :class:`bundle.Problem` and ``pycolmap.Reconstruction``, in memory.
+"""From ``pycolmap.Reconstruction`` to :class:`bundle.Problem`; ``write_back`` goes the other way.
 
 A rig of one camera has ``rig_from_world = cam_from_world``, so a pose is read from the image and
 written to its frame. Setting a pose, parameters or a point in pycolmap keeps every bit; what a
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from operator import attrgetter
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pycolmap
@@ -16,13 +17,12 @@ from numpy.typing import NDArray
 
 from bundle.arguments import check_type
 from bundle.errors import InputError
+from bundle.io.observation_edits import Baseline
 from bundle.problem import Problem
 
-__all__ = ["Observations", "from_pycolmap", "problem_of", "to_pycolmap"]
+__all__ = ["Observations", "baseline_of", "from_pycolmap", "problem_of"]
 
-# COLMAP keeps the largest 32-bit number for "no image", and we hold point ids as signed numbers.
-MAX_ID = 2**32 - 2
-MAX_POINT_ID = 2**63 - 1
+MAX_POINT_ID = 2**63 - 1  # we hold them as signed numbers
 
 
 def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
@@ -52,7 +52,7 @@ def problem_of(
     if observations is None:
         observations = _observations(images, point_ids)
         _check_tracks(points, observations)
-    return Problem(
+    problem = Problem(
         cam_from_world=np.array([_pose(image) for image in images]).reshape(-1, 7),
         image_ids=np.array([image.image_id for image in images], np.int64),
         image_names=tuple(_name(image) for image in images),
@@ -70,6 +70,44 @@ def problem_of(
         format="colmap",
         source=reconstruction,
     )
+    _baselines[reconstruction] = Baseline(
+        problem.image_ids,
+        problem.point_ids,
+        problem.observation_image,
+        problem.observation_point,
+        problem.observation_keypoint,
+        problem.observation_xy,
+    )
+    return problem
+
+
+# What finding the observations again would take seconds for, while the reconstruction is in use.
+_baselines: WeakKeyDictionary[pycolmap.Reconstruction, Baseline] = WeakKeyDictionary()
+
+
+def baseline_of(reconstruction: pycolmap.Reconstruction) -> Baseline:
+    """Return what a problem made of this reconstruction has, found again only if it is not known.
+
+    Raises:
+        InputError: see :func:`from_pycolmap`.
+    """
+    known = _baselines.get(reconstruction)
+    counts = (
+        reconstruction.num_reg_images(),
+        reconstruction.num_points3D(),
+        reconstruction.compute_num_observations(),
+    )
+    # A source never changes, but nobody is kept from changing it.
+    if known and counts == (len(known.image_ids), len(known.point_ids), len(known.image)):
+        return known
+    _check_rigs(reconstruction)
+    images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
+    points = sorted(reconstruction.points3D.items())
+    point_ids = _ids_of_points([point_id for point_id, _ in points])
+    found = _observations(images, point_ids)
+    _check_tracks(points, found)
+    image_ids = np.array([image.image_id for image in images], np.int64)
+    return Baseline(image_ids, point_ids, found.image, found.point, found.keypoint, found.xy)
 
 
 def _check_rigs(reconstruction: pycolmap.Reconstruction) -> None:
@@ -177,122 +215,3 @@ def _check_tracks(points: list[tuple[int, pycolmap.Point3D]], observations: Obse
             f"point {points[bad][0]}: expected as many track elements as keypoints of registered "
             f"images that refer to it, found {length[bad]} and {observed[bad]}"
         )
-
-
-def to_pycolmap(problem: Problem) -> pycolmap.Reconstruction:
-    """Return a reconstruction: a copy of the source with the numbers of this problem in it.
-
-    Poses, camera parameters and points are those of the problem, the errors of the points are
-    computed anew, all else (names, colours, tracks, rigs, keypoints without a point, images without
-    a pose) is the source's. A problem that did not come from COLMAP gives a new reconstruction:
-    the same ids, a trivial rig a camera and a trivial frame an image, and as keypoints of an image
-    its observations in the order of the problem.
-
-    Raises:
-        InputError: the problem has a camera, image or point that its source has not, or an id that
-            COLMAP cannot hold.
-    """
-    if isinstance(problem.source, pycolmap.Reconstruction):
-        reconstruction = pycolmap.Reconstruction(problem.source)
-        _replace_numbers(reconstruction, problem)
-    else:
-        reconstruction = _new_reconstruction(problem)
-    reconstruction.update_point_3d_errors()
-    return reconstruction
-
-
-def _replace_numbers(reconstruction: pycolmap.Reconstruction, problem: Problem) -> None:
-    camera_ids = problem.camera_ids.tolist()
-    image_ids = problem.image_ids.tolist()
-    point_ids = problem.point_ids.tolist()
-    _check_known("camera", camera_ids, set(reconstruction.cameras))
-    _check_known("image", image_ids, set(reconstruction.reg_image_ids()))
-    _check_known("point", point_ids, reconstruction.point3D_ids())
-    for camera_id, params in zip(camera_ids, problem.camera_params, strict=True):
-        camera = reconstruction.camera(camera_id)
-        camera.params = params[: len(camera.params)].tolist()
-    for image_id, pose in zip(image_ids, problem.cam_from_world, strict=True):
-        frame = reconstruction.frame(reconstruction.image(image_id).frame_id)
-        frame.rig_from_world = _rigid3d(pose)
-    points = reconstruction.points3D
-    for point_id, xyz in zip(point_ids, problem.points, strict=True):
-        points[point_id].xyz = xyz
-
-
-def _check_known(kind: str, ids: list[int], known: set[int]) -> None:
-    unknown = set(ids) - known
-    if unknown:
-        raise InputError(
-            f"expected {kind}s of the source of the problem, found {kind} {min(unknown)}"
-        )
-
-
-def _rigid3d(pose: NDArray[np.float64]) -> pycolmap.Rigid3d:
-    return pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:4]), pose[4:])
-
-
-def _new_reconstruction(problem: Problem) -> pycolmap.Reconstruction:
-    _check_range("camera", problem.camera_ids, MAX_ID)
-    _check_range("image", problem.image_ids, MAX_ID)
-    _check_range("point", problem.point_ids, MAX_POINT_ID)
-    reconstruction = pycolmap.Reconstruction()
-    _add_cameras(reconstruction, problem)
-    keypoint = _add_images(reconstruction, problem)
-    _add_points(reconstruction, problem, keypoint)
-    return reconstruction
-
-
-def _check_range(kind: str, ids: NDArray[np.int64], largest: int) -> None:
-    outside = (ids < 0) | (ids > largest)
-    if outside.any():
-        raise InputError(f"expected {kind} ids from 0 to {largest}, found {ids[outside][0]}")
-
-
-def _add_cameras(reconstruction: pycolmap.Reconstruction, problem: Problem) -> None:
-    for index, camera_id in enumerate(problem.camera_ids.tolist()):
-        width, height = problem.camera_sizes[index].tolist()
-        model = pycolmap.CameraModelId.__members__.get(problem.camera_models[index])
-        if model is None:
-            raise InputError(
-                f"camera {camera_id}: expected a camera model of COLMAP, "
-                f"found {problem.camera_models[index]!r}"
-            )
-        camera = pycolmap.Camera.create_from_model_id(camera_id, model, 1.0, width, height)
-        camera.params = problem.camera_params[index, : len(camera.params)].tolist()
-        reconstruction.add_camera_with_trivial_rig(camera)
-
-
-def _add_images(reconstruction: pycolmap.Reconstruction, problem: Problem) -> NDArray[np.int64]:
-    """Add the images with their observations as keypoints; return each observation's keypoint."""
-    order = np.argsort(problem.observation_image, kind="stable")
-    counts = np.bincount(problem.observation_image, minlength=problem.num_images)
-    starts = np.cumsum(counts) - counts
-    keypoint = np.empty(problem.num_observations, np.int64)
-    keypoint[order] = np.arange(problem.num_observations) - np.repeat(starts, counts)
-    for index, image_id in enumerate(problem.image_ids.tolist()):
-        observations = order[starts[index] : starts[index] + counts[index]]
-        image = pycolmap.Image(
-            name=problem.image_names[index] or f"image_{image_id:06d}",
-            keypoints=problem.observation_xy[observations],
-            camera_id=int(problem.camera_ids[problem.image_camera[index]]),
-            image_id=image_id,
-        )
-        pose = _rigid3d(problem.cam_from_world[index])
-        reconstruction.add_image_with_trivial_frame(image, pose)
-    return keypoint
-
-
-def _add_points(
-    reconstruction: pycolmap.Reconstruction, problem: Problem, keypoint: NDArray[np.int64]
-) -> None:
-    order = np.argsort(problem.observation_point, kind="stable")
-    ends = np.cumsum(np.bincount(problem.observation_point, minlength=problem.num_points)).tolist()
-    image_ids = problem.image_ids[problem.observation_image[order]].tolist()
-    keypoints = keypoint[order].tolist()
-    start = 0
-    for point_id, xyz, end in zip(problem.point_ids.tolist(), problem.points, ends, strict=True):
-        track = pycolmap.Track()
-        for image_id, index in zip(image_ids[start:end], keypoints[start:end], strict=True):
-            track.add_element(image_id, index)
-        reconstruction.add_point3D_with_id(point_id, pycolmap.Point3D(xyz=xyz, track=track))
-        start = end
