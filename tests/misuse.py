@@ -150,7 +150,8 @@ SCENE_OPTIONS = {
 OF_INDICES = ("NaN rows", "-1", "1.5", *OF_AN_ARRAY)
 PROBLEM = {
     **dict.fromkeys(("cam_from_world", "points", "observation_xy"), ("NaN rows", *OF_AN_ARRAY)),
-    **dict.fromkeys(("observation_image", "observation_point", "image_camera"), OF_INDICES),
+    **dict.fromkeys(("observation_image", "observation_point"), OF_INDICES),
+    "image_camera": tuple(value for value in OF_INDICES if value != "None"),
     "camera_params": ("word", "complex", "masked", "objects", "ragged", "no array"),
     "camera_sizes": ("word", "complex", "masked", "NaN rows"),
     "image_names": ("1.5", "word", "bytes", "()", "itself", "generator", "objects"),
