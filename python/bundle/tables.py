@@ -14,6 +14,8 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from bundle.words import format_name, number, pixels, plural, seconds
+
 __all__ = [
     "WIDEST",
     "Bar",
@@ -93,7 +95,9 @@ class Columns:
         sizes = self._sizes(console, options)
         narrowest = [min(size.minimum, limit) for size in sizes]
         narrowest[0] = min(narrowest[0], limit // 2)
-        for group in _groups(narrowest, limit):
+        for number, group in enumerate(_groups(narrowest, limit)):
+            if number:
+                yield Text("")
             spare = limit - sum(narrowest[index] + GUTTER for index in group) + GUTTER
             widths = {}
             for index in group:
@@ -188,34 +192,3 @@ def notes(sentences: Iterable[str], *, style: str = "") -> list[RenderableType]:
     for sentence in sentences:
         table.add_row(Text("-"), Text(sentence))
     return [table] if table.row_count else []
-
-
-def number(value: float) -> str:
-    """Return a magnitude in four significant digits; "-" where there is none."""
-    if not math.isfinite(value):
-        return "-"
-    if value == 0 or 1e-3 <= abs(value) < 1e6:
-        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
-    return f"{value:.3e}"
-
-
-def pixels(value: float) -> str:
-    """Return pixels to a ten-thousandth; "-" where there is none."""
-    if not math.isfinite(value):
-        return "-"
-    return f"{value:.4f}" if value < 1e6 else f"{value:.4e}"
-
-
-def seconds(value: float) -> str:
-    """Return a time to the millisecond; "-" where it was not measured (Ceres' -1)."""
-    return "-" if value < 0 or not math.isfinite(value) else f"{value:.3f}"
-
-
-def plural(count: int, singular: str, many: str | None = None) -> str:
-    """Return "1 image", "2 images"."""
-    return f"{count} {singular if count == 1 else many or singular + 's'}"
-
-
-def format_name(name: str) -> str:
-    """Return a format as people write it: "COLMAP", "BAL", "COLMAP text"."""
-    return name.replace("-", " ").replace("colmap", "COLMAP").replace("bal", "BAL")

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tests.campaigns import degenerate, jobs, mutants
+from tests.campaigns import degenerate, jobs, kills, mutants
 
 
 def misbehave(job):
@@ -39,3 +39,9 @@ def test_nothing_is_wrong(campaign):
     outcomes = campaign(60)
     assert [outcome for outcome in outcomes if not outcome.orderly] == []
     assert {outcome.kind for outcome in outcomes} >= {"ok"}
+
+
+def test_kills_leave_the_old_or_the_new():
+    cases = kills.campaign(10, num_points=40)
+    assert [case.wrong for case in cases if case.wrong] == []
+    assert {case.counts["old"] + case.counts["new"] for case in cases} == {2}

@@ -38,7 +38,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         "bundle.synthetic.synthesize",
         "bundle.statistics.describe",
     ):
-        monkeypatch.setattr(f"bundle.{name}", work)
+        monkeypatch.setattr(name, work)
 
 
 @pytest.mark.parametrize(

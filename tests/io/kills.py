@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Callable
 
 from bundle.io import exchange
@@ -14,6 +15,7 @@ OPERATIONS = (
 
 def killed_before(operation: int, work: Callable[[], None]) -> bool:
     """Do the work in a child; return whether it was killed before it had done it all."""
+    sys.stdout.flush()
     child = os.fork()
     if child == 0:
         count = 0

@@ -18,7 +18,7 @@ double PredictDenseMatrixBytes(LinearSolverType solver, const ProblemShape& shap
 /// that cannot be told.
 double AvailableMemoryBytes();
 
-/// "1.4 GiB"
+/// "1.4 GB": powers of 1000 and three digits, as python/bundle/memory_sizes.py writes them.
 std::string FormatBytes(double bytes);
 
 }  // namespace bundle

@@ -19,6 +19,9 @@ void CheckTrustRegion(const SolveOptions& options);
 /// One sentence if a preconditioner was asked for that the linear solver has no use for; else "".
 std::string FindIdlePreconditioner(const SolveOptions& options);
 
+/// One sentence if an elimination ordering was asked for of a linear solver that has none; else "".
+std::string FindIdleOrdering(const SolveOptions& options);
+
 /// Throws InputError if the dense matrices of a solver do not fit into the free memory.
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape, bool cameras_eliminated);
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any
 
 from rich.console import RenderableType
 
 from bundle.checking.evidence import Finding
+from bundle.display import Display
 from bundle.tables import Bar, Columns, columns, facts, notes, plural, render
 
 __all__ = [
@@ -20,6 +22,10 @@ __all__ = [
     "explanation",
     "outcome",
 ]
+
+
+SHOWN = 5
+"""Findings that the repr names; printing a report shows all."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +138,23 @@ class GradientReport:
         return render(*explanation(self)).rstrip("\n")
 
     def __repr__(self) -> str:
-        return f"<GradientReport: {'correct' if self.ok else 'wrong'}>\n{self}"
+        return self._display().text()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
+
+    def _display(self) -> Display:
+        count = plural(self.num_checked, self.noun)
+        findings = tuple(("finding", finding.sentence) for finding in self.findings[:SHOWN])
+        more = len(self.findings) - SHOWN
+        return Display(
+            title=f"GradientReport: {outcome(self)}",
+            facts=(
+                ("checked", f"{self.subject}, {count}, {self.num_skipped} skipped"),
+                *findings,
+                *((("", f"and {more} more"),) if more > 0 else ()),
+            ),
+        )
 
 
 def outcome(report: GradientReport) -> str:

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Collection
 from pathlib import Path
 
-from bundle.errors import InputError, shown
+from bundle.errors import InputError, brief, shown
 from bundle.io import atomic, bal
 from bundle.io.interrupts import interrupts_deferred
 from bundle.io.model_files import (
@@ -20,9 +20,20 @@ from bundle.io.model_files import (
     missing_model_files,
     models_below,
 )
+from bundle.io.source import Source, as_path, as_problem, is_path
+from bundle.option_fields import choice
 from bundle.problem import Problem
 
-__all__ = ["FORMATS", "check_target", "load", "output_format", "save"]
+__all__ = [
+    "FORMATS",
+    "Source",
+    "as_problem",
+    "check_target",
+    "is_path",
+    "load",
+    "output_format",
+    "save",
+]
 
 FORMATS = ("bal", "colmap", "colmap-text")
 
@@ -40,7 +51,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
             expected and what was found.
         OSError: the path does not exist or cannot be read.
     """
-    path = Path(path)
+    path = as_path(path)
     _recover(path)
     if path.is_dir():
         _check_model(path)
@@ -73,9 +84,10 @@ def save(
         InputError: the format cannot hold the problem, or the path cannot be replaced.
         OSError: the system refuses: no permission, disk full.
     """
+    _check_problem(problem)
     _recover(path)
     chosen = output_format(problem, path, format)
-    path = Path(path)
+    path = as_path(path)
     if chosen == "bal":
         lost = bal.losses(problem)
         with atomic.replace_file(path) as temporary:
@@ -105,11 +117,10 @@ def output_format(
     Raises:
         InputError: the explicit format is none of these.
     """
+    folder = as_path(path)
     if format is not None:
-        if format not in FORMATS:
-            raise InputError(f"format: expected one of {', '.join(FORMATS)}, found {format!r}")
-        return format
-    name, folder = os.fspath(path), Path(path)
+        return choice("format", format, FORMATS)
+    name = os.fspath(path)
     colmap = "colmap-text" if source is not None and is_text_model(Path(source)) else "colmap"
     if folder.is_dir() and not missing_model_files(folder):
         return "colmap-text" if is_text_model(folder) else "colmap"
@@ -156,7 +167,7 @@ def check_target(
 
 def _recover(path: str | os.PathLike[str]) -> None:
     """Finish what a killed process has left unfinished at a path, and warn that this was done."""
-    for sentence in atomic.recover(Path(path)):
+    for sentence in atomic.recover(as_path(path)):
         warnings.warn(sentence, atomic.RecoveryWarning, stacklevel=3)
 
 
@@ -166,6 +177,11 @@ def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:
     names = [name for name in sorted(MODEL_FILES) if name.endswith(suffix)]
     going = [name for name in names if (folder / name).exists()]
     return (f"Files of the model that was there before go: {', '.join(going)}.",) if going else ()
+
+
+def _check_problem(problem: Problem) -> None:
+    if not isinstance(problem, Problem):
+        raise InputError(f"problem: expected a Problem, found {brief(problem)}")
 
 
 def _compression(path: Path) -> str:

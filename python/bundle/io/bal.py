@@ -179,7 +179,7 @@ def losses(problem: Problem) -> tuple[str, ...]:
         (models, f"Cameras of model {', '.join(models)} come back as RADIAL."),
         (
             (used > 1).any(),
-            f"Cameras shared by several images ({(used > 1).sum()}) become one an image.",
+            f"Cameras shared by several images ({(used > 1).sum()}) become one per image.",
         ),
         ((used == 0).any(), f"Cameras without an image ({(used == 0).sum()}) are left out."),
         (

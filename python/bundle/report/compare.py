@@ -13,6 +13,7 @@ from bundle.errors import shown
 from bundle.memory_sizes import format_size
 from bundle.summary import share
 from bundle.tables import CommandLine, columns, facts, format_name, notes, number, plural, seconds
+from bundle.words import contents
 
 __all__ = ["compared"]
 
@@ -55,7 +56,7 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
         facts(
             [
                 ("input", f"{shown(problem.name)} ({format_name(problem.format)})"),
-                ("", _contents(problem)),
+                ("", contents(problem)),
                 ("best cost", f"{comparison.best_cost(index):.9e}"),
             ]
         )
@@ -67,7 +68,7 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
             "",
             columns(
                 (
-                    *(*names.head("method"), "gap", "steps", "s a step"),
+                    *(*names.head("method"), "gap", "steps", "s/step"),
                     *(f"to {gap:.0e}".replace("e-0", "e-") for gap in GAPS),
                     *("total", "MB"),
                 ),
@@ -136,7 +137,7 @@ def _predicted(measured: Sequence[tuple[Run, Measurement]], names: _Names) -> li
         *names.head("predicted, measured"),
         "nnz(L)",
         "flops",
-        "s a step",
+        "s/step",
         "measured",
         "MB",
         "measured",
@@ -222,14 +223,3 @@ class _Names:
     def words(self, method: Method) -> str:
         """Return a method within a sentence."""
         return f"{method.name}, {method.threads}" if self._with_threads else method.name
-
-
-def _contents(problem: ComparedProblem) -> str:
-    return ", ".join(
-        (
-            plural(problem.num_images, "image"),
-            plural(problem.num_cameras, "camera"),
-            plural(problem.num_points, "point"),
-            plural(problem.num_observations, "observation"),
-        )
-    )

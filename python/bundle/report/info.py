@@ -9,9 +9,10 @@ from rich.console import RenderableType
 
 from bundle.errors import shown
 from bundle.problem import Problem
-from bundle.report.refine import contents, worst_table
+from bundle.report.refine import worst_table
 from bundle.statistics import CameraGroup, Covisibility, Description, Distribution
 from bundle.tables import Bar, Columns, columns, facts, format_name, notes, number, pixels, plural
+from bundle.words import contents
 
 __all__ = ["information"]
 

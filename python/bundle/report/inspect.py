@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rich.console import RenderableType
 
+from bundle.comparison.command_line import recommended_command
 from bundle.errors import shown
 from bundle.inspection import Inspection, MethodInspection
 from bundle.memory_sizes import format_size
+from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report import json
-from bundle.report.refine import contents
 from bundle.tables import Columns, CommandLine, columns, facts, format_name, notes, number
+from bundle.words import contents
 
 __all__ = ["CONVENTION", "as_json", "inspected"]
 
@@ -27,8 +28,11 @@ CONVENTION = (
 _CLEARLY_SLOWER = 1.25
 
 
-def inspected(path: str, problem: Problem, inspection: Inspection) -> list[RenderableType]:
+def inspected(
+    path: str, problem: Problem, inspection: Inspection, options: SolveOptions
+) -> list[RenderableType]:
     """Return the predictions for a problem as tables and sentences."""
+    command = recommended_command(inspection, options, shown(path))
     return [
         facts(
             [
@@ -45,7 +49,7 @@ def inspected(path: str, problem: Problem, inspection: Inspection) -> list[Rende
         _costs(inspection),
         "",
         facts([("recommended", inspection.recommendation)]),
-        *_command(path, inspection),
+        *_copyable(command),
         *notes(_remarks(inspection)),
     ]
 
@@ -54,14 +58,25 @@ def as_json(
     path: str,
     problem: Problem,
     inspection: Inspection,
-    options: dict[str, Any],
+    options: SolveOptions,
+    names: Iterable[str],
     wall_time: float,
 ) -> dict[str, Any]:
-    """Return the report of `bundle inspect` for programs; wall_time in seconds."""
+    """Return the report of `bundle inspect` for programs.
+
+    Args:
+        path: of the input.
+        problem: what was inspected.
+        inspection: what was found.
+        options: with which.
+        names: of the options that count for an inspection.
+        wall_time: seconds.
+    """
     return {
         **json.heading("inspect", path, problem),
-        "options": json.plain(options),
+        "options": json.plain({name: getattr(options, name) for name in names}),
         **json.plain(dataclasses.asdict(inspection)),
+        "recommended_command": recommended_command(inspection, options, path),
         "nonzeros": CONVENTION,
         "wall_time": {"total": wall_time},
     }
@@ -113,13 +128,12 @@ def _costs(inspection: Inspection) -> Columns:
         chosen = inspection.recommended >= 0 and name == _best(inspection).name
         rows.append(
             (
-                name,
+                f"{name} <" if chosen else name,
                 *_cost(ours),
                 *_cost(theirs),
-                "<" if chosen else "",
             )
         )
-    head = ("method", "fused: memory", "a step", "Ceres: memory", "a step", "")
+    head = ("method", "fused: memory", "fused: per step", "Ceres: memory", "Ceres: per step")
     return columns(head, rows)
 
 
@@ -133,18 +147,8 @@ def _cost(method: MethodInspection | None) -> tuple[str, str]:
     return memory, time if method.is_taken else f"({time})"
 
 
-def _command(path: str, inspection: Inspection) -> list[RenderableType]:
-    """Return the command line that does what is recommended."""
-    if inspection.recommended < 0:
-        return []
-    best = _best(inspection)
-    words = ["bundle", "refine", shown(path), "-o", "OUTPUT", "--solver"]
-    words.append(best.linear_solver_type.lower().replace("_", "-"))
-    if best.preconditioner:
-        words += ["--preconditioner", best.preconditioner.lower().replace("_", "-")]
-    if best.backend == "CERES":
-        words += ["--backend", "ceres"]
-    return ["", CommandLine(shlex.join(words)), ""]
+def _copyable(command: str) -> list[RenderableType]:
+    return ["", CommandLine(command), ""] if command else []
 
 
 def _best(inspection: Inspection) -> MethodInspection:

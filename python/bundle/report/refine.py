@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from rich.console import RenderableType
 
 from bundle.camera_changes import CameraChange, camera_changes
 from bundle.errors import shown
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.report.termination import sentence
 from bundle.report.timing import WallTime, wall_table
 from bundle.result import Result
 from bundle.summary import Summary, sizes
@@ -26,6 +24,7 @@ from bundle.tables import (
     plural,
     seconds,
 )
+from bundle.words import contents
 from bundle.worst_images import ImageError
 
 __all__ = ["contents", "outcome", "refinement", "worst_table"]
@@ -116,23 +115,9 @@ def _cameras(changes: Sequence[CameraChange]) -> list[RenderableType]:
     return [*report, ""]
 
 
-def contents(problem: Problem) -> str:
-    """Return "16 images, 16 cameras, 22106 points, 83718 observations"."""
-    return ", ".join(
-        (
-            plural(problem.num_images, "image"),
-            plural(problem.num_cameras, "camera"),
-            plural(problem.num_points, "point"),
-            plural(problem.num_observations, "observation"),
-        )
-    )
-
-
 def outcome(solved: Result) -> str:
     """Return how the solve ended, in plain words."""
-    # Entry 0 is the evaluation at the start, not a step.
-    accepted = np.asarray(solved.iterations["step_is_successful"], bool)[1:]
-    return sentence(solved.summary, len(accepted), int((~accepted).sum()))
+    return solved.outcome
 
 
 def _refined(options: SolveOptions) -> str:
