@@ -26,7 +26,8 @@ class Summary(Displayed):
     ``linear_solver_choice`` (why ``auto`` took them; "" when asked for), ``instruction_set`` (what
     the fused backend's kernels run on; "" for Ceres), ``warnings`` (sentences: a fallback, a gauge
     that could not be held, ...), ``interrupted``, ``origin`` (x, y, z: the centre that a scene far
-    from its origin was solved about; None where it was solved as given). Costs are 1/2 sum rho(||r||^2), r in pixels.
+    from its origin was solved about; None where it was solved as given).
+    Costs are 1/2 sum rho(||r||^2), r in pixels.
 
     What each step factorises (None, or "", where it factorises nothing or nobody can tell; blocks
     count as full, matrices by both triangles and the diagonal, the factor L by its lower triangle
