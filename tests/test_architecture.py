@@ -39,7 +39,8 @@ PYTHON_MAY_IMPORT = {
     "options": {"errors", "option_fields"},
     "losses": {"_core", "arguments", "errors", "option_fields", "options"},
     "cameras": {"_core", "arguments", "errors", "option_fields"},
-    "problem": {"_core", "display", "errors", "words"},
+    "arrays": {"_core", "arguments", "errors"},
+    "problem": {"_core", "arrays", "cameras", "display", "errors", "option_fields", "words"},
     "words": set(),
     "display": set(),
     "tables": {"words"},
@@ -98,6 +99,7 @@ PYTHON_MAY_IMPORT = {
     "compare_defaults": set(),
     "comparison": {
         "_core",
+        "arrays",
         "arguments",
         "compare_defaults",
         "errors",

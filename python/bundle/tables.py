@@ -95,8 +95,8 @@ class Columns:
         sizes = self._sizes(console, options)
         narrowest = [min(size.minimum, limit) for size in sizes]
         narrowest[0] = min(narrowest[0], limit // 2)
-        for number, group in enumerate(_groups(narrowest, limit)):
-            if number:
+        for position, group in enumerate(_groups(narrowest, limit)):
+            if position:
                 yield Text("")
             spare = limit - sum(narrowest[index] + GUTTER for index in group) + GUTTER
             widths = {}

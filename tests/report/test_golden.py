@@ -24,8 +24,10 @@ from bundle.report.timing import WallTime
 from bundle.statistics import describe
 from bundle.synthetic import SceneOptions, synthesize
 from bundle.tables import render
+from bundle.termination import sentence
 from tests.pictures.comparisons import comparison
 from tests.report import fakes
+from tests.report.test_report import ENDS
 from tests.scenes import make_problem, scene
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -104,7 +106,13 @@ def normalised(text):
     return "".join(f"{line}\n" for line, _ in groupby(lines))
 
 
+def terminated(_):
+    ends = [*ENDS, {"interrupted": True, "termination_type": "USER_SUCCESS"}]
+    return [sentence(fakes.summary(**end), 5, 2) for end in ends]
+
+
 REPORTS = {
+    "termination": terminated,
     "info": informed,
     "refine": refined,
     "compare": compared,
