@@ -163,3 +163,24 @@ def test_empty_reconstruction() -> None:
     problem = Problem.from_pycolmap(pycolmap.Reconstruction())
     assert (problem.num_images, problem.num_points, problem.num_observations) == (0, 0, 0)
     assert fields(problem.to_pycolmap()) == fields(pycolmap.Reconstruction())
+
+
+@pytest.mark.parametrize("element", [(1, 40), (777, 1), (1, 100_000)])
+def test_tracks_as_long_as_they_should_be_but_elsewhere(
+    element: tuple[int, int], capfd: pytest.CaptureFixture[str]
+) -> None:
+    source = synthesize(10)
+    point = source.point3D(3)
+    elements = [pycolmap.TrackElement(*element), *point.track.elements[1:]]
+    point.track = pycolmap.Track(elements)
+    found = f"found keypoint {element[1]} of image {element[0]}$"
+    with pytest.raises(InputError, match=f"^point 3: .*{found}"):
+        Problem.from_pycolmap(source)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_camera_with_too_few_parameters() -> None:
+    source = synthesize(10)
+    source.camera(2).params = [900.0, 512.0]
+    with pytest.raises(InputError, match=r"^camera 2: expected 4 parameters .*, found 2$"):
+        Problem.from_pycolmap(source)

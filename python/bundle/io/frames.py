@@ -40,7 +40,7 @@ class Rigs:
         # A frame takes the observations of its images with it, but these are the copy's now.
         for keypoint in image.get_observation_point2D_idxs():
             image.reset_point3D_for_point2D(int(keypoint))
-        frame_id = image.frame_id if image.has_frame_id() else self.free_frame_id(image_id)
+        frame_id = image.frame_id
         remove_images(self._reconstruction, {image_id})
         self.add(moved, frame_id, pose)
 
@@ -82,9 +82,7 @@ def _cameras_of(rig: pycolmap.Rig) -> list[int]:
 def remove_images(reconstruction: pycolmap.Reconstruction, image_ids: set[int]) -> None:
     """Remove images that observe no point any more, with their frames."""
     for image_id in sorted(image_ids):
-        image = reconstruction.image(image_id)
-        if image.has_frame_id():
-            _remove_frame(reconstruction, image.frame_id)
+        _remove_frame(reconstruction, reconstruction.image(image_id).frame_id)
         del reconstruction.images[image_id]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from bundle.cameras import camera_models
 from bundle.errors import InputError
 from bundle.io.observation_edits import Baseline
 from bundle.problem import Problem
@@ -47,17 +48,18 @@ def problem_of(
     points = sorted(reconstruction.points3D.items())
     camera_index = {camera.camera_id: index for index, camera in enumerate(cameras)}
     point_ids = _ids_of_points([point_id for point_id, _ in points])
+    image_ids = np.array([image.image_id for image in images], np.int64)
     if observations is None:
         observations = _observations(images, point_ids)
-        _check_tracks(points, observations)
+        _check_tracks(reconstruction, points, image_ids, observations)
     problem = Problem(
         cam_from_world=np.array([_pose(image) for image in images]).reshape(-1, 7),
-        image_ids=np.array([image.image_id for image in images], np.int64),
+        image_ids=image_ids,
         image_names=tuple(_name(image) for image in images),
         image_camera=np.array([camera_index[image.camera_id] for image in images], np.int32),
         camera_ids=np.array([camera.camera_id for camera in cameras], np.int64),
         camera_models=tuple(camera.model.name for camera in cameras),
-        camera_params=_padded([camera.params for camera in cameras]),
+        camera_params=_padded([_params(camera) for camera in cameras]),
         camera_sizes=np.array([_size(camera) for camera in cameras], np.int64).reshape(-1, 2),
         points=np.array([point.xyz for _, point in points]).reshape(-1, 3),
         point_ids=point_ids,
@@ -103,8 +105,8 @@ def baseline_of(reconstruction: pycolmap.Reconstruction) -> Baseline:
     points = sorted(reconstruction.points3D.items())
     point_ids = _ids_of_points([point_id for point_id, _ in points])
     found = _observations(images, point_ids)
-    _check_tracks(points, found)
     image_ids = np.array([image.image_id for image in images], np.int64)
+    _check_tracks(reconstruction, points, image_ids, found)
     return Baseline(image_ids, point_ids, found.image, found.point, found.keypoint, found.xy)
 
 
@@ -151,6 +153,17 @@ def _size(camera: pycolmap.Camera) -> tuple[int, int]:
             f"found {camera.width} x {camera.height}"
         )
     return camera.width, camera.height
+
+
+def _params(camera: pycolmap.Camera) -> NDArray[np.float64]:
+    # A model that does not exist is for Problem to refuse.
+    expected = len(camera_models().get(camera.model.name, camera.params))
+    if len(camera.params) != expected:
+        raise InputError(
+            f"camera {camera.camera_id}: expected {expected} parameters of {camera.model.name}, "
+            f"found {len(camera.params)}"
+        )
+    return camera.params
 
 
 def _padded(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -200,10 +213,15 @@ def _observations(images: list[pycolmap.Image], point_ids: NDArray[np.int64]) ->
     return Observations(image_index[order], point[order], keypoint[order], xy[order])
 
 
-def _check_tracks(points: list[tuple[int, pycolmap.Point3D]], observations: Observations) -> None:
-    """Check that each point has as many track elements as registered images observe it.
+def _check_tracks(
+    reconstruction: pycolmap.Reconstruction,
+    points: list[tuple[int, pycolmap.Point3D]],
+    image_ids: NDArray[np.int64],
+    observations: Observations,
+) -> None:
+    """Check that tracks and the keypoints of registered images refer to each other.
 
-    Otherwise pycolmap could not compute its error: an element without a posed image.
+    Otherwise pycolmap could not compute the errors of points, and what it writes would not load.
     """
     length = np.fromiter((point.track.length() for _, point in points), np.int64, len(points))
     observed = np.bincount(observations.point, minlength=len(points))
@@ -213,3 +231,30 @@ def _check_tracks(points: list[tuple[int, pycolmap.Point3D]], observations: Obse
             f"point {points[bad][0]}: expected as many track elements as keypoints of registered "
             f"images that refer to it, found {length[bad]} and {observed[bad]}"
         )
+    if _is_valid(reconstruction):
+        return
+    ends = np.cumsum(observed)
+    for (point_id, point), start, end in zip(points, ends - observed, ends, strict=True):
+        referring = set(
+            zip(
+                image_ids[observations.image[start:end]].tolist(),
+                observations.keypoint[start:end].tolist(),
+                strict=True,
+            )
+        )
+        for element in point.track.elements:
+            if (element.image_id, element.point2D_idx) not in referring:
+                raise InputError(
+                    f"point {point_id}: expected keypoints that refer to it in its track, found "
+                    f"keypoint {element.point2D_idx} of image {element.image_id}"
+                )
+
+
+def _is_valid(reconstruction: pycolmap.Reconstruction) -> bool:
+    """Ask pycolmap, which is fast, without the lines that it logs of what it finds."""
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = 3  # fatal errors only
+    try:
+        return bool(reconstruction.is_valid())
+    finally:
+        pycolmap.logging.minloglevel = level

@@ -170,7 +170,7 @@ def _write_images(
             continue
         image = reconstruction.image(image_id)
         image.name = name
-        if image.camera_id != camera_id or not image.has_frame_id():
+        if image.camera_id != camera_id:
             rigs.move(image, camera_id, pose)
             continue
         frame = reconstruction.frame(image.frame_id)
