@@ -50,7 +50,7 @@ class CameraGroup:
         model: COLMAP's name.
         num_cameras: cameras of this model.
         num_images: images that use one of them.
-        images_per_camera: least and most images that share one of them.
+        images_per_camera: min and max number of images that share one of them.
         focal: smallest and largest focal length in pixels; None for a model bundle does not know.
         supported: whether bundle can refine this model.
     """
