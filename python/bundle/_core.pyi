@@ -139,6 +139,7 @@ def check_reprojections(
     NDArray[np.float64],  # reference
     NDArray[np.float64],  # uncertainty of the reference
     NDArray[np.float64],  # ceres::GradientChecker's numeric Jacobian
+    NDArray[np.float64],  # rounding (num_checked,): relative, of the derivatives by pose and point
     NDArray[np.bool_],  # counts (num_checked,)
     NDArray[np.bool_],  # agrees
     NDArray[np.bool_],  # stable
