@@ -78,6 +78,7 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   d["factor_flops"] = s.factor.flops;
   d["factor_ordering"] = s.factor.ordering;
   d["symbolic_time_in_seconds"] = s.factor.symbolic_time_in_seconds;
+  d["origin"] = s.origin.empty() ? py::object(py::none()) : py::tuple(py::cast(s.origin));
   d["warnings"] = py::tuple(py::cast(s.warnings));
   return d;
 }
