@@ -46,6 +46,7 @@ def test_files_beside_the_model_stay_the_same_files(path: Path, exchanged: list[
     (path / "link").symlink_to("images")
     (path / "dangling").symlink_to("nowhere")
     (path / "images" / "empty").mkdir()
+    write_tree(path, {"backup/cameras.bin": "another model"})
     os.mkfifo(path / "pipe")
     inodes = {name: (path / name).stat().st_ino for name in FOREIGN}
     path.chmod(0o2751)
@@ -62,7 +63,7 @@ def test_files_beside_the_model_stay_the_same_files(path: Path, exchanged: list[
     assert (path / "images").stat().st_mtime_ns == times
     (path / "link").unlink()
     (path / "pipe").unlink()
-    assert_replaced(path)
+    assert_replaced(path, {"backup/cameras.bin": "another model"})
 
 
 def test_files_that_come_meanwhile_are_kept(
