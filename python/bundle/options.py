@@ -189,8 +189,9 @@ class SolveOptions(Options):
     cheirality: str = option(
         "auto",
         "--cheirality",
-        "residual of an observation behind its camera: zero (COLMAP) or algebraic (BAL); "
-        "auto: the convention of the input's format",
+        "residual of an observation behind its camera at the start: zero (COLMAP; one that goes "
+        "behind later costs more than in front) or algebraic (BAL); auto: the convention of the "
+        "input's format",
         choices=CHEIRALITIES,
     )
 

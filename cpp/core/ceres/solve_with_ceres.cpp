@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
 
@@ -38,6 +39,23 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
   CameraStates* states_;
 };
 
+/// Remembers in which iterations other observations counted at the candidate than at the state.
+class RecordChanges final : public ceres::IterationCallback {
+ public:
+  explicit RecordChanges(HoldingWatch* watch) : watch_(watch) {}
+
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
+    if (watch_->has_changed.exchange(false)) iterations_.insert(iteration.iteration);
+    return ceres::SOLVER_CONTINUE;
+  }
+
+  const std::set<int>& iterations() const { return iterations_; }
+
+ private:
+  HoldingWatch* watch_;
+  std::set<int> iterations_;
+};
+
 class ReportProgress final : public ceres::IterationCallback {
  public:
   ReportProgress(const ProgressCallback& progress, double fixed_cost)
@@ -66,7 +84,7 @@ class CeresSolve {
         warnings_(std::move(prepared.warnings)),
         layout_(std::move(prepared.layout)),
         states_(problem, layout_),
-        context_{problem_, layout_, states_, options.cheirality},
+        context_{problem_, layout_, states_, options.cheirality, &watch_},
         points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
         state_(layout_.InitialState(problem)),
         update_states_(state_.data(), &states_),
@@ -76,6 +94,7 @@ class CeresSolve {
     BuildProblem();
     ceres::Solver::Options ceres_options = ChooseSolver();
     ReportProgress report(progress, fixed_cost_);
+    ceres_options.callbacks.push_back(&record_changes_);
     if (progress) ceres_options.callbacks.push_back(&report);
 
     const ProcessSettings settings(BlasThreads(ceres_options));
@@ -186,12 +205,15 @@ class CeresSolve {
                                               summary.linear_solver_type_used);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
       output->iterations.push_back(ToRecord(iteration, fixed_cost_));
+      output->iterations.back().changes_what_counts =
+          record_changes_.iterations().count(iteration.iteration) > 0;
     }
     states_.Update(state_.data());
     output->cam_from_world = states_.CamFromWorld();
     output->camera_params = states_.camera_params();
     output->points = std::move(points_);
-    FinishSolve(problem_, layout_, states_, options_, std::move(warnings_), output);
+    FinishSolve(problem_, layout_, states_, options_, std::move(warnings_), watch_.num_held.load(),
+                output);
   }
 
   double* PointData(int point) { return points_.data() + 3 * static_cast<int64_t>(point); }
@@ -202,6 +224,8 @@ class CeresSolve {
   std::string linear_solver_choice_;
   ParameterLayout layout_;
   CameraStates states_;
+  HoldingWatch watch_;
+  RecordChanges record_changes_{&watch_};
   ReprojectionContext context_;
   std::vector<double> points_;
   std::vector<double> state_;
