@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.checking.columns import Column
 from bundle.checking.comparison import Comparison
+from bundle.checking.evidence import Evidence
 
 
 @pytest.mark.parametrize(
@@ -42,3 +44,11 @@ def test_what_the_reference_does_not_know_is_no_error():
     found = comparison([2.0, 2.0, 2.0], [0.4, 0.1, 0.1], [0.1, 0.2, np.inf])
     assert found.doubt.ravel() == pytest.approx([0.05, 0.1, np.inf])
     assert found.error.ravel() == pytest.approx([0.15, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("doubt", "is_explained"), [(0.05, True), (0.2, False)])
+def test_a_guess_explains_only_what_stands_clear_of_the_doubt(doubt, is_explained):
+    points = np.ones((3, 1))
+    wrong = comparison([1.0, 1.0, 1.0], [0.5, 0.5, 0.5], [doubt, doubt, doubt])
+    evidence = Evidence(wrong, [Column("x", "x")], [], points, lambda *_: None, [0])
+    assert evidence.explains(np.full((3, 1, 1), 1.5), [0]) == is_explained
