@@ -32,6 +32,7 @@ CORE_MAY_INCLUDE = {
 
 # Modules and packages directly in python/bundle.
 PYTHON_MAY_IMPORT = {
+    "address_space": set(),
     "errors": {"_core"},
     "headers": set(),
     "option_fields": {"errors"},
@@ -44,7 +45,7 @@ PYTHON_MAY_IMPORT = {
     "memory_sizes": {"errors"},
     "reprojection": {"_core", "errors", "problem"},
     "result": {"options", "problem", "reprojection", "summary"},
-    "io": {"_core", "cameras", "errors", "problem"},
+    "io": {"_core", "address_space", "cameras", "errors", "problem"},
     "statistics": {"cameras", "errors", "problem", "reprojection"},
     "synthetic": {"cameras", "errors", "option_fields", "problem"},
     "solver": {"_core", "errors", "options", "problem", "reprojection", "result", "summary"},

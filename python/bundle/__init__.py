@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from bundle import address_space as address_space  # first: it looks whether the rest has room
 from bundle._core import __version__
 from bundle.cameras import camera_models, project
 from bundle.errors import InputError

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 
-from bundle._core import InputError
+from bundle._core import InputError, end_in_one_line
 
-__all__ = ["InputError", "shown"]
+__all__ = ["InputError", "end_in_one_line", "shown"]
 
 
 def shown(path: str | os.PathLike[str]) -> str:

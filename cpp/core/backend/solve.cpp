@@ -3,10 +3,13 @@
 #include <utility>
 
 #include "core/backend/choose_backend.h"
+#include "core/blas_threads.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/fused/solve_with_fused.h"
+#include "core/solve/memory.h"
 #include "core/solve/option_names.h"
 #include "core/solve/prepare.h"
+#include "core/solve/solver_checks.h"
 #include "core/stopwatch.h"
 
 namespace bundle {
@@ -28,6 +31,8 @@ SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions optio
 SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
                   const ProgressCallback& progress) {
   const Stopwatch time;
+  RefuseTooLarge(problem);
+  if (HasMemoryLimit()) TakeBlasBuffers();
   PreparedSolve prepared = PrepareSolve(problem, options);
   BackendChoice choice = ChooseBackend(problem, options, prepared.layout);
   SolveOutput output = choice.backend == Backend::kFused

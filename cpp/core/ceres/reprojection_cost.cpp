@@ -20,6 +20,7 @@ class ReprojectionCost final : public ceres::CostFunction {
     pose_ = &context.states.pose(image);
     params_ = context.states.params(camera);
     cheirality_ = context.cheirality;
+    abandoned_ = context.abandoned;
     measurement_[0] = problem.observation_xy[2 * observation];
     measurement_[1] = problem.observation_xy[2 * observation + 1];
 
@@ -39,6 +40,7 @@ class ReprojectionCost final : public ceres::CostFunction {
 
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
+    if (abandoned_ != nullptr && abandoned_->load(std::memory_order_relaxed)) return false;
     const double* point = fixed_point_ != nullptr ? fixed_point_ : parameters[0];
     if (jacobians == nullptr) {
       EvaluateReprojection<Model, kParams>(*pose_, params_, point, measurement_, cheirality_,
@@ -79,6 +81,7 @@ class ReprojectionCost final : public ceres::CostFunction {
   const CameraSideBlock* blocks_[2] = {};
   int num_blocks_ = 0;
   Cheirality cheirality_;
+  const std::atomic<bool>* abandoned_ = nullptr;
 };
 
 }  // namespace

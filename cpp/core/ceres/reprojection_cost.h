@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <memory>
 
 #include "core/ceres/ceres_version.h"
@@ -15,6 +16,8 @@ struct ReprojectionContext {
   const ParameterLayout& layout;
   const CameraStates& states;
   Cheirality cheirality;
+  /// Where it is true, costs cannot be evaluated any more, so that Ceres ends. Not read if null.
+  const std::atomic<bool>* abandoned = nullptr;
 };
 
 /// The residual of one observation as Ceres sees it. Its parameter blocks are, in this order and as

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 from bundle.errors import InputError, shown
 
 __all__ = ["EXIT_BAD_INPUT", "EXIT_DONE", "EXIT_NO_SOLUTION", "describe_error"]
+
+# How the dynamic loader says so.
+_LACKS_MEMORY = re.compile("failed to map segment|cannot allocate memory", re.IGNORECASE)
 
 EXIT_DONE = 0
 EXIT_NO_SOLUTION = 1
@@ -18,7 +23,9 @@ def describe_error(error: BaseException) -> str | None:
     if isinstance(error, OSError):
         return _one_line(_os_error(error))
     if isinstance(error, MemoryError):
-        return "out of memory"
+        return _one_line(f"not enough memory: {error}" if str(error) else "not enough memory")
+    if isinstance(error, ImportError) and _LACKS_MEMORY.search(str(error)):
+        return _one_line(f"not enough memory to load a library: {error}")
     if isinstance(error, KeyboardInterrupt):
         return "interrupted; nothing was written"
     return None

@@ -12,6 +12,7 @@ from types import ModuleType
 from bundle import __version__
 from bundle.cli.arguments import Parser, add_common_arguments
 from bundle.cli.errors import EXIT_BAD_INPUT, describe_error
+from bundle.errors import end_in_one_line
 
 __all__ = ["main"]
 
@@ -22,6 +23,7 @@ COMMANDS = ("info", "inspect", "refine", "compare", "check", "convert", "synth")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 no usable solution, 2 bad input."""
     _print_any_path()
+    end_in_one_line()
     try:
         arguments = _parser().parse_args(argv)
         code: int = arguments.run(arguments)

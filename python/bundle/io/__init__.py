@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from bundle import address_space
 from bundle.errors import InputError, shown
 from bundle.io import atomic, bal
 from bundle.io.model_files import MODEL_FILES, missing_model_files
@@ -31,6 +32,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
     path = Path(path)
     if path.is_dir():
         _check_model(path)
+        address_space.require("pycolmap", address_space.PYCOLMAP)
         from bundle.io import colmap  # pycolmap takes a while to import
 
         return colmap.load(path)

@@ -69,6 +69,9 @@ struct PointPlan {
 /// As many observations as a point may have, so that 16 bits number the blocks of a chunk.
 inline constexpr int64_t kMaxTrackLength = 30000;
 
+/// Bytes that the blocks of a chunk take, about, where they are many.
+inline constexpr int64_t kMaxBufferBytes = 1 << 25;
+
 /// The most observations of one point.
 int64_t LongestTrack(const ProblemView& problem);
 
