@@ -11,7 +11,8 @@ READY := $(VENV)/ready
 READY_TO_BENCH := $(VENV)/ready-to-bench
 BUILT_FROM := pyproject.toml CMakeLists.txt $(shell find cpp -type f) tools/setup.sh
 CPP_SOURCES = $(shell find cpp python/bundle examples tests -name '*.h' -o -name '*.cpp')
-LINT_BUILD := build/lint
+# Where pip builds the module (pyproject.toml); the C++ tests share its objects.
+BUILD := build/release
 SANITIZE_BUILD := build/sanitize
 SANITIZERS := address,undefined,float-cast-overflow
 
@@ -36,7 +37,7 @@ demo: $(READY)  ## refine the model in data/ and show where the time went
 	$(VENV)/bin/bundle refine $(DEMO_INPUT) -o $(DEMO_OUTPUT) $(DEMO_OPTIONS)
 
 test: $(READY)  ## run the tests
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest --numprocesses auto --dist worksteal
 
 sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(SANITIZE_BUILD) -G Ninja --log-level=WARNING \
@@ -55,19 +56,19 @@ lint: $(READY)  ## check format, style, types and compiler warnings
 	$(VENV)/bin/clang-format --dry-run -Werror $(CPP_SOURCES)
 	$(VENV)/bin/mypy
 	$(VENV)/bin/python -m mypy.stubtest bundle._core --ignore-disjoint-bases
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(LINT_BUILD) -G Ninja --log-level=WARNING \
-	  -DBUNDLE_WARNINGS_AS_ERRORS=ON -DBUNDLE_CPP_TESTS=ON \
-	  -DPython_EXECUTABLE=$(CURDIR)/$(VENV)/bin/python \
-	  -Dpybind11_DIR=$$($(VENV)/bin/python -m pybind11 --cmakedir)
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(LINT_BUILD)
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(BUILD) --log-level=WARNING \
+	  -DBUNDLE_WARNINGS_AS_ERRORS=ON -DBUNDLE_CPP_TESTS=ON
+	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(BUILD) --target all bundle_tests
 
 format: $(READY)  ## rewrite the sources in the house format
 	$(VENV)/bin/ruff check --fix-only .
 	$(VENV)/bin/ruff format .
 	$(VENV)/bin/clang-format -i $(CPP_SOURCES)
 
-docs: $(READY)  ## rewrite what README.md quotes from the code
+docs: $(READY)  ## rewrite what documents quote from the code
 	$(VENV)/bin/python tools/camera_table.py --update
+	$(VENV)/bin/python tools/demo_output.py --update
+	$(VENV)/bin/python tools/readme_picture.py
 
 bench: $(READY_TO_BENCH)  ## measure against the peers, real data and synthetic (half an hour; writes benchmarks/results)
 	$(VENV)/bin/python benchmarks/run.py

@@ -85,7 +85,8 @@ def rotation_matrices(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -axes[:, 2], axes[:, 1], -axes[:, 0]
     cross -= cross.transpose(0, 2, 1)
     sin, cos = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
-    return np.eye(3) + sin * cross + (1.0 - cos) * (cross @ cross)
+    rotations: NDArray[np.float64] = np.eye(3) + sin * cross + (1.0 - cos) * (cross @ cross)
+    return rotations
 
 
 def rotation_vectors(matrices: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks import flops, scaling, table, whole
+from benchmarks import flops, scaling, table, targets, whole
 from benchmarks.results import Results
 from benchmarks.solvers import REFERENCE
 
@@ -23,6 +23,8 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
         "[benchmarks/README.md](../benchmarks/README.md). In brackets the spread of the runs."
     )
     for title, text in (
+        ("Targets", _targets(results)),
+        (f"Ratios to {REFERENCE}", _ratios(results)),
         ("Growth with the observations", _with_plot(scaling.growth_table(results), plots)),
         ("Growth of drives in laps", scaling.growth_table(results, scaling.LAPS)),
         ("Threads: time per step, 1 thread over all", scaling.threads_table(results)),
@@ -46,6 +48,25 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
             table.of_problem(results.rows_of(problem)),
         ]
     return "\n\n".join(parts) + "\n"
+
+
+def _targets(results: Results) -> str:
+    goals = targets.of(results)
+    return targets.as_table(goals) if goals else ""
+
+
+def _ratios(results: Results) -> str:
+    """Return a table per peer: one line per problem."""
+    parts = []
+    for peer in (targets.PEER, targets.CERES):
+        tables = [{row.solver: row for row in results.rows_of(name)} for name in results.kinds]
+        pairs = [(rows[REFERENCE], rows[peer]) for rows in tables if {REFERENCE, peer} <= set(rows)]
+        if pairs:
+            parts += [
+                f"`{peer}` as a ratio to `{REFERENCE}` (above 1: it needs more):",
+                table.of_pair(pairs),
+            ]
+    return "\n\n".join(parts)
 
 
 def _with_plot(text: str, plots: dict[str, str]) -> str:

@@ -93,6 +93,30 @@ def draw(panels: Sequence[tuple[str, Sequence[Run], float]], paths: Sequence[Pat
     _save(figure, paths)
 
 
+def draw_totals(rows: Sequence[tuple[str, float, float | None]], paths: Sequence[Path]) -> None:
+    """Draw (problem, the peer's total over ours, our Ceres backend's over ours) as bars."""
+    figure, axis = _pyplot().subplots(figsize=(6.4, 0.9 + 0.5 * len(rows)), layout="constrained")
+    names = [name for name, _, _ in rows]
+    series = (
+        ("pycolmap", -0.19, COLOURS["pycolmap"], [peer for _, peer, _ in rows]),
+        ("Ceres by bundle", 0.19, COLOURS["bundle ceres"], [ceres for _, _, ceres in rows]),
+    )
+    for label, shift, colour, values in series:
+        places = [place + shift for place in range(len(rows))]
+        bars = axis.barh(
+            places, [value or 0.0 for value in values], 0.36, color=colour, label=label
+        )
+        texts = [f"{value:.1f}" if value else "" for value in values]
+        axis.bar_label(bars, texts, padding=3, fontsize=8)
+    axis.axvline(1.0, color=COLOURS["bundle fused"], linewidth=1.6, label="bundle")
+    axis.set(yticks=range(len(rows)), yticklabels=names, xlabel="total time, multiples of bundle's")
+    axis.invert_yaxis()
+    axis.margins(x=0.1)
+    axis.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside upper center", ncols=3, fontsize=9, frameon=False)
+    _save(figure, paths)
+
+
 def draw_scaling(results: Results, solvers: Sequence[str], paths: Sequence[Path]) -> bool:
     """Draw total time against observations, with fitted powers; False if there is no curve."""
     curves = {solver: scaling.points(results, solver) for solver in solvers}

@@ -6,9 +6,11 @@ from pathlib import Path
 
 from benchmarks import table, targets
 from benchmarks.results import Results
+from benchmarks.rows import Row
 from benchmarks.series import REPEAT_BELOW
 from benchmarks.solvers import REFERENCE
 
+SHOWN = ("16-22106", "lund_door", "vr_opencv", "street-1000", "photo-collection-1000")
 BEGIN, END = "<!-- bench:begin -->", "<!-- bench:end -->"
 
 
@@ -29,26 +31,67 @@ def heading(results: Results) -> str:
     )
 
 
+def chosen(results: Results) -> list[tuple[Row, Row]]:
+    """Return the rows (ours, the peer's) of the problems that the short table shows.
+
+    They are those of SHOWN, real and synthetic, small and large; of a run that measured fewer than
+    two of them, the first problems that it has.
+    """
+    have = [name for name in results.kinds if results.row(name, targets.PEER)]
+    names = [name for name in SHOWN if name in have]
+    names = names if len(names) > 1 else have[: len(SHOWN)]
+    pairs = [(results.row(name, REFERENCE), results.row(name, targets.PEER)) for name in names]
+    return [(ours, theirs) for ours, theirs in pairs if ours and theirs]
+
+
+def bar(results: Results, ours: Row, peer: Row) -> tuple[str, float, float | None]:
+    """Return a problem and the totals of the peer and of our Ceres backend over ours."""
+    ceres = results.row(ours.problem, targets.CERES)
+    return (
+        ours.problem,
+        targets.quotient(peer.total, ours.total) or 0.0,
+        targets.quotient(ceres.total, ours.total) if ceres else None,
+    )
+
+
+def short_table(results: Results) -> str:
+    """Return one line per problem: our total, and what the peers need as multiples of it."""
+    lines = []
+    for ours, peer in chosen(results):
+        ceres = results.row(ours.problem, targets.CERES)
+        lines.append(
+            [
+                ours.problem,
+                f"{results.size(ours.problem).get('observations', 0):,}",
+                table.seconds(ours.total.median) if ours.total else "",
+                table.ratio(peer.total, ours.total),
+                table.ratio(ceres.total, ours.total) if ceres else "",
+                table.ratio(peer.memory, ours.memory, table.megabytes),
+            ]
+        )
+    header = [
+        "problem",
+        "observations",
+        "bundle, total",
+        "pycolmap, total",
+        "bundle's Ceres, total",
+    ]
+    return table.grid([*header, "pycolmap, peak memory"], lines) if lines else ""
+
+
 def markdown(results: Results, page: str, image: str) -> str:
     """Return the report; ``page`` and ``image`` are paths as its links have them, or ""."""
-    parts = [heading(results)]
-    goals = targets.of(results)
-    if goals:
-        parts.append(targets.as_table(goals))
+    parts = [
+        short_table(results),
+        "Totals are build and solve under one stopping rule, ratios are multiples of bundle's (in "
+        "brackets the spread of the runs).",
+        heading(results),
+    ]
     if image:
-        parts.append(f"![Cost gap against time]({image})")
-    for peer in (targets.PEER, targets.CERES):
-        tables = [{row.solver: row for row in results.rows_of(name)} for name in results.kinds]
-        pairs = [(rows[REFERENCE], rows[peer]) for rows in tables if {REFERENCE, peer} <= set(rows)]
-        if pairs:
-            parts += [
-                f"`{peer}` as a ratio to `{REFERENCE}` (above 1: it needs more; in brackets the "
-                "spread of the runs):",
-                table.of_pair(pairs),
-            ]
+        parts.insert(0, f"![Total time of pycolmap and of Ceres over bundle's]({image})")
     if page:
-        parts.append(f"Every solver on every problem, growth, threads: [{page}]({page}).")
-    return "\n\n".join(parts) + "\n"
+        parts.append(f"Every solver on every problem, targets, growth, threads: [{page}]({page}).")
+    return "\n\n".join(part for part in parts if part) + "\n"
 
 
 def put_into(readme: Path, text: str) -> None:

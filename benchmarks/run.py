@@ -178,6 +178,10 @@ def plot(results: Results, folders: list[Path]) -> dict[str, str]:
     if panels:
         plotting.draw(panels, [folder / "bench.png" for folder in folders])
         drawn["gap"] = "bench.png"
+    bars = [report.bar(results, ours, peer) for ours, peer in report.chosen(results)]
+    if bars:
+        plotting.draw_totals(bars, [folder / "bench_totals.png" for folder in folders])
+        drawn["totals"] = "bench_totals.png"
     names = [solver.name for solver in solvers.SOLVERS]
     paths = [folder / "bench_scaling.png" for folder in folders]
     if scaling.growth_table(results) and plotting.draw_scaling(results, names, paths):
@@ -194,11 +198,11 @@ def write(results: Results, options: argparse.Namespace) -> None:
     page = details.page(results, report.heading(results), plots)
     for folder in folders:
         (folder / "benchmarks.md").write_text(page)
-    short = report.markdown(results, "benchmarks.md", plots.get("gap", ""))
+    short = report.markdown(results, "benchmarks.md", plots.get("totals", ""))
     (options.output / "bench.md").write_text(short)
     print(short)
     if options.update_readme:
-        image = f"docs/{plots['gap']}" if "gap" in plots else ""
+        image = f"docs/{plots['totals']}" if "totals" in plots else ""
         report.put_into(
             problems.ROOT / "README.md", report.markdown(results, "docs/benchmarks.md", image)
         )

@@ -101,7 +101,7 @@ def make_targets() -> set[str]:
     return set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
 
 
-@pytest.mark.parametrize("document", ["README.md", "CHANGELOG.md", ".ci/run"])
+@pytest.mark.parametrize("document", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", ".ci/run"])
 def test_documents_name_make_targets_that_exist(document: str) -> None:
     text = (ROOT / document).read_text()
     code = (
@@ -121,10 +121,25 @@ def test_help_lists_every_target() -> None:
     assert set(re.findall(r"^make ([a-z]+)", shown, re.MULTILINE)) == make_targets()
 
 
-def test_readme_has_the_table_of_camera_models_that_the_code_gives() -> None:
+def test_the_page_of_camera_models_has_the_table_that_the_code_gives() -> None:
     script = [sys.executable, ROOT / "tools" / "camera_table.py"]
     table = subprocess.run(script, capture_output=True, text=True, check=True).stdout
     assert all(model in table for model in bundle.camera_models())
-    readme = (ROOT / "README.md").read_text()
-    between = readme.split("<!-- cameras:begin -->\n")[1].split("<!-- cameras:end -->")[0]
+    page = (ROOT / "docs" / "camera_models.md").read_text()
+    between = page.split("<!-- cameras:begin -->\n")[1].split("<!-- cameras:end -->")[0]
     assert between == table, "run `make docs`"
+
+
+def test_the_readme_shows_what_the_demo_prints() -> None:
+    """Labels and the numbers of the start; the rest may differ in its last digits."""
+
+    def rows(text: str) -> list[list[str]]:
+        lines = [line.split() for line in text.splitlines() if line.strip()]
+        return [[word for word in line if not re.match(r"[-\d.]", word)] for line in lines]
+
+    script = [sys.executable, ROOT / "tools" / "demo_output.py"]
+    printed = subprocess.run(script, capture_output=True, text=True, check=True).stdout
+    readme = (ROOT / "README.md").read_text()
+    shown = readme.split("<!-- demo:begin -->\n")[1].split("<!-- demo:end -->")[0]
+    assert rows(shown) == rows(printed), "run `make docs`"
+    assert len(rows(shown)) > 8

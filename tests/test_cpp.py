@@ -10,8 +10,8 @@ from pathlib import Path
 import pybind11
 
 ROOT = Path(__file__).parents[1]
-# Where `make lint` builds, whose objects are used again.
-BUILD = ROOT / "build" / "lint"
+# Where pip built the module, whose objects are used again.
+BUILD = ROOT / "build" / "release"
 
 
 def run(*command: str | Path) -> None:

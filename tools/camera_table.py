@@ -1,7 +1,7 @@
-"""The README's table of camera models, made from the code.
+"""The table of camera models in docs/camera_models.md, made from the code.
 
     python tools/camera_table.py            prints it
-    python tools/camera_table.py --update   writes it into README.md
+    python tools/camera_table.py --update   writes it into the page
 
 Names and parameters are what the built core says; the source is the paragraph that begins
 "Source:" in the comment of the header that defines the model, less COLMAP, which all have.
@@ -17,7 +17,7 @@ import bundle
 from bundle.cameras import param_kinds
 
 ROOT = Path(__file__).resolve().parent.parent
-README = ROOT / "README.md"
+PAGE = ROOT / "docs" / "camera_models.md"
 HEADERS = ROOT / "cpp" / "core" / "cameras"
 BEGIN, END = "<!-- cameras:begin -->\n", "<!-- cameras:end -->"
 
@@ -32,19 +32,19 @@ def table() -> str:
         )
         header = _header_of(model)
         path = header.relative_to(ROOT).as_posix()
-        lines.append(f"| {model} | {params} | [{header.name}]({path}) | {_source(header)} |")
+        lines.append(f"| {model} | {params} | [{header.name}](../{path}) | {_source(header)} |")
     return "\n".join(lines) + "\n"
 
 
-def updated(readme: str) -> str:
-    """Return the text of a README with its table replaced.
+def updated(page: str) -> str:
+    """Return the text of a page with its table replaced.
 
     Raises:
         ValueError: it has no markers.
     """
-    if BEGIN not in readme or END not in readme:
-        raise ValueError(f"README.md: expected the lines {BEGIN.strip()} and {END}")
-    before, rest = readme.split(BEGIN, 1)
+    if BEGIN not in page or END not in page:
+        raise ValueError(f"{PAGE.name}: expected the lines {BEGIN.strip()} and {END}")
+    before, rest = page.split(BEGIN, 1)
     return before + BEGIN + table() + END + rest.split(END, 1)[1]
 
 
@@ -66,9 +66,9 @@ def _source(header: Path) -> str:
 def main() -> None:
     """Print the table, or write it."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--update", action="store_true", help="write it into README.md")
+    parser.add_argument("--update", action="store_true", help="write it into the page")
     if parser.parse_args().update:
-        README.write_text(updated(README.read_text()))
+        PAGE.write_text(updated(PAGE.read_text()))
     else:
         print(table(), end="")
 

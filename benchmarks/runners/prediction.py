@@ -13,6 +13,7 @@ import ctypes
 import json
 import statistics
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +89,12 @@ def main() -> None:
     request_path, answer_path = (Path(argument) for argument in sys.argv[1:3])
     request = json.loads(request_path.read_text())
     protocol.pin(request["threads"])
-    action = {"calibrate": calibrate, "inspect": inspect, "solve": solve}[request.pop("do")]
+    actions: dict[str, Callable[..., dict[str, Any]]] = {
+        "calibrate": calibrate,
+        "inspect": inspect,
+        "solve": solve,
+    }
+    action = actions[request.pop("do")]
     try:
         answer = action(**request)
     except Exception as error:  # a failed solve is a row, not the end of the table

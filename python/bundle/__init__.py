@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 from bundle import address_space as address_space  # first: it looks whether the rest has room
@@ -12,12 +13,13 @@ from bundle.headers import get_include
 from bundle.io import load, save
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.reprojection import ReprojectionError
+from bundle.reprojection import ReprojectionError, reprojection_errors
 from bundle.result import Result
 from bundle.solver import solve
 from bundle.summary import Summary
 
 if TYPE_CHECKING:
+    from bundle import html, losses, pictures
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.inspection import (
@@ -27,10 +29,12 @@ if TYPE_CHECKING:
         inspect,
         inspect_graph,
     )
+    from bundle.statistics import Description, describe
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
     "Comparison",
+    "Description",
     "GradientReport",
     "GraphInspection",
     "InputError",
@@ -48,39 +52,48 @@ __all__ = [
     "check_gradients",
     "check_jacobians",
     "compare",
+    "describe",
     "get_include",
+    "html",
     "inspect",
     "inspect_graph",
     "load",
+    "losses",
+    "pictures",
     "project",
+    "reprojection_errors",
     "save",
     "solve",
     "synthesize",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Import what few need when they ask for it (PEP 562): every command starts here."""
-    if name in ("SceneOptions", "SyntheticScene", "synthesize"):
-        from bundle import synthetic
-
-        return getattr(synthetic, name)
-    if name in ("Comparison", "compare"):
-        from bundle import comparison
-
-        return getattr(comparison, name)
-    if name in ("GradientReport", "check_gradients", "check_jacobians"):
-        from bundle import checking
-
-        return getattr(checking, name)
-    if name in (
+_DEFERRED = {
+    "checking": ("GradientReport", "check_gradients", "check_jacobians"),
+    "comparison": ("Comparison", "compare"),
+    "inspection": (
         "GraphInspection",
         "Inspection",
         "MethodInspection",
         "inspect",
         "inspect_graph",
-    ):
-        from bundle import inspection
+    ),
+    "statistics": ("Description", "describe"),
+    "synthetic": ("SceneOptions", "SyntheticScene", "synthesize"),
+    "html": (),
+    "losses": (),
+    "pictures": (),
+}
+"""Packages that are imported when first asked for (PEP 562), with the names that they give."""
 
-        return getattr(inspection, name)
+
+def __getattr__(name: str) -> Any:
+    for package, names in _DEFERRED.items():
+        if name == package and not names:
+            return importlib.import_module(f"bundle.{package}")
+        if name in names:
+            return getattr(importlib.import_module(f"bundle.{package}"), name)
     raise AttributeError(f"module 'bundle' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

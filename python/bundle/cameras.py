@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
+from bundle.arguments import as_array
 from bundle.errors import InputError
+from bundle.option_fields import choice
 
 __all__ = ["CameraParam", "ProjectionResult", "camera_models", "param_kinds", "project"]
 
@@ -92,14 +94,15 @@ def project(
         InputError: unknown model, or arrays of the wrong shape.
     """
     expected = _params(model)
-    param_array = np.asarray(params, dtype=np.float64)
+    model = choice("camera model", model, _MODELS)
+    param_array = as_array("params", params)
     if param_array.shape != (len(expected),):
         names = ", ".join(param.name for param in expected)
         raise InputError(
             f"{model}: expected {len(expected)} parameters ({names}), "
             f"found an array of shape {param_array.shape}"
         )
-    points = np.asarray(points_in_camera, dtype=np.float64)
+    points = as_array("points_in_camera", points_in_camera)
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError(f"points_in_camera: expected shape (N, 3), found {points.shape}")
     xy, status, d_point, d_params = _core.project(model, param_array, points, jacobians)
@@ -114,9 +117,4 @@ def project(
 
 
 def _params(model: str) -> tuple[CameraParam, ...]:
-    try:
-        return _MODELS[model]
-    except KeyError:
-        raise InputError(
-            f"camera model: expected one of {', '.join(_MODELS)}, found {model!r}"
-        ) from None
+    return _MODELS[choice("camera model", model, _MODELS)]

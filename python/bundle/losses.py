@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
-from bundle.errors import InputError
-from bundle.option_fields import choice
+from bundle.arguments import as_array
+from bundle.errors import InputError, brief
+from bundle.option_fields import choice, number
 from bundle.options import LOSSES
 
 __all__ = ["SECOND_ORDER_TERMS", "Corrected", "correct", "evaluate_loss", "second_order_block"]
@@ -43,14 +44,13 @@ def evaluate_loss(loss: str, scale: float, squared_norms: ArrayLike) -> NDArray[
         InputError: there is no such loss, or a value is out of its range.
     """
     name = choice("loss", loss, LOSSES)
-    if not (np.isfinite(scale) and scale > 0):
-        raise InputError(f"scale: expected a number above 0, found {scale!r}")
-    squared = np.asarray(squared_norms, float, order="C")
+    scale = number("scale", scale, above=0)
+    squared = as_array("squared_norms", squared_norms)
     if squared.ndim != 1 or not (squared >= 0).all():
         raise InputError(
-            f"squared_norms: expected numbers of 0 or more in one row, found {squared_norms!r}"
+            f"squared_norms: expected numbers of 0 or more in one row, found {brief(squared_norms)}"
         )
-    return _core.evaluate_loss(name, float(scale), squared)
+    return _core.evaluate_loss(name, scale, squared)
 
 
 def second_order_block(
@@ -101,12 +101,12 @@ def correct(
 def _checked(
     rho: ArrayLike, residual: ArrayLike, jacobian: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    r = np.asarray(residual, float, order="C")
-    wanted = {"rho": (rho, (3,)), "residual": (r, (max(r.size, 1),))}
+    r, three = as_array("residual", residual), as_array("rho", rho)
+    wanted = {"rho": (three, (3,)), "residual": (r, (max(r.size, 1),))}
     for name, (value, shape) in wanted.items():
-        if np.shape(value) != shape:
-            raise InputError(f"{name}: expected shape {shape}, found {np.shape(value)}")
-    j = np.asarray(jacobian, float, order="C")
+        if value.shape != shape:
+            raise InputError(f"{name}: expected shape {shape}, found {value.shape}")
+    j = as_array("jacobian", jacobian)
     if j.ndim != 2 or j.shape[0] != r.size or j.shape[1] == 0:
         raise InputError(f"jacobian: expected shape ({r.size}, n), found {j.shape}")
-    return np.asarray(rho, float, order="C"), r, j
+    return three, r, j

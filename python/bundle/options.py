@@ -7,12 +7,12 @@ JSON report lists them, and ``bundle._core`` reads them by name.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+import operator
 from dataclasses import dataclass
 from typing import Any
 
-from bundle.errors import InputError
-from bundle.option_fields import checked, choice, option
+from bundle.errors import InputError, brief
+from bundle.option_fields import Options, checked, choice, documented, option
 
 __all__ = ["SolveOptions"]
 
@@ -50,9 +50,10 @@ GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
 
 
-@dataclass(frozen=True, kw_only=True)
-class SolveOptions:
-    """Options of :func:`bundle.solve`; Ceres' names wherever Ceres has the thing.
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SolveOptions(Options):
+    """Options of :func:`bundle.solve`, under Ceres' names where Ceres has them.
 
     Choices are accepted in any case, with hyphens or underscores ("sparse-schur", "SPARSE_SCHUR").
 
@@ -64,39 +65,59 @@ class SolveOptions:
     backend: str = option(
         "auto",
         "--backend",
-        "who solves: our own solver, made for eliminating points, or Ceres; auto takes the first "
-        "for all that it supports and says why if not",
+        "solver library: fused is our own, built for eliminating points; auto takes fused for "
+        "everything that it supports, otherwise Ceres, and gives the reason",
         choices=BACKENDS,
     )
     linear_solver_type: str = option(
         "auto",
         "--solver",
-        "linear solver; auto chooses from the shape of the problem and says why",
+        "linear solver; auto chooses by predicted cost and gives the reason",
         choices=LINEAR_SOLVER_TYPES,
     )
     linear_solver_ordering: str = option(
-        "points_first", "--ordering", "what is eliminated first", choices=ORDERINGS
+        "points_first",
+        "--ordering",
+        "which blocks are eliminated first",
+        choices=ORDERINGS,
+        only_with=(
+            "linear_solver_type",
+            (
+                "auto",
+                "dense_schur",
+                "sparse_schur",
+                "iterative_schur",
+                "sparse_normal_cholesky",
+            ),
+        ),
+        idle="note",
     )
     preconditioner_type: str = option(
         "auto",
         "--preconditioner",
-        "of iterative-schur and cgnr; auto: two-level for the first by our own solver, "
-        "schur-jacobi by Ceres; jacobi for the second",
+        "preconditioner of iterative-schur and cgnr; auto: two-level for iterative-schur (fused), "
+        "schur-jacobi for iterative-schur (Ceres), jacobi for cgnr",
         choices=("auto", *PRECONDITIONER_TYPES),
+        only_with=("linear_solver_type", ("auto", "iterative_schur", "cgnr")),
+        idle="note",
     )
     trust_region_strategy_type: str = option(
-        "levenberg_marquardt", "--trust-region", "step strategy", choices=TRUST_REGION_STRATEGIES
+        "levenberg_marquardt",
+        "--trust-region",
+        "trust region strategy",
+        choices=TRUST_REGION_STRATEGIES,
     )
     loss: str = option("trivial", "--loss", "robust loss of a reprojection error", choices=LOSSES)
     loss_scale: float = option(
         1.0,
         "--loss-scale",
-        "where the loss bends, in pixels",
+        "error at which the loss begins to bend, in pixels",
         above=0.0,
         metavar="PIXELS",
+        only_with=("loss", LOSSES[1:]),
     )
     max_num_iterations: int = option(
-        100, "--max-iterations", "steps to try at most", minimum=0, metavar="N"
+        100, "--max-iterations", "maximum number of steps to try", minimum=0, metavar="N"
     )
     function_tolerance: float = option(
         1e-6,
@@ -108,7 +129,7 @@ class SolveOptions:
     gradient_tolerance: float = option(
         1e-10,
         "--gradient-tolerance",
-        "stop when the largest gradient entry is <= X",
+        "stop when max |gradient entry| <= X",
         minimum=0.0,
         metavar="X",
     )
@@ -120,74 +141,77 @@ class SolveOptions:
         metavar="X",
     )
     num_threads: int = option(
-        0, "--threads", "threads, at most one a core; 0: all cores", minimum=0, metavar="N"
+        0,
+        "--threads",
+        "number of threads, capped at the number of cores; 0: all cores",
+        minimum=0,
+        metavar="N",
     )
     deterministic: bool = option(
         False,
         "--deterministic",
-        "the same result, bit for bit, for any number of threads",
+        "the same result, bit for bit, for any number of threads; results of different instruction "
+        "sets (AVX-512, AVX2, baseline) still differ in the last bits",
     )
     refine: tuple[str, ...] = option(
         ("poses", "points", "focal", "extra"),
         "--refine",
-        "what to refine, out of " + ",".join(REFINABLE).replace("_", "-"),
+        "parameters to refine, out of " + ",".join(REFINABLE).replace("_", "-"),
         metavar="LIST",
     )
     fixed_camera_ids: tuple[int, ...] = option(
-        (), "--fix-cameras", "cameras whose intrinsics stay, by id", metavar="IDS"
+        (), "--fix-cameras", "ids of cameras whose intrinsics are held fixed", metavar="IDS"
     )
     fixed_image_ids: tuple[int, ...] = option(
-        (), "--fix-images", "images whose pose stays, by id", metavar="IDS"
+        (), "--fix-images", "ids of images whose pose is held fixed", metavar="IDS"
     )
     fixed_point_ids: tuple[int, ...] = option(
-        (), "--fix-points", "points that stay, by id", metavar="IDS"
+        (), "--fix-points", "ids of points that are held fixed", metavar="IDS"
     )
     gauge: str = option(
         "auto",
         "--gauge",
-        "what holds the seven free degrees of the world; "
-        "auto: two-cameras for COLMAP, none for BAL",
+        "how the gauge (7 degrees of freedom) is fixed; auto: two-cameras for COLMAP, none for BAL",
         choices=GAUGES,
     )
     cheirality: str = option(
         "auto",
         "--cheirality",
-        "an observation behind its camera counts as zero (COLMAP) or keeps its algebraic residual "
-        "(BAL); auto: as the input's format does",
+        "residual of an observation behind its camera: zero (COLMAP) or algebraic (BAL); "
+        "auto: the convention of the input's format",
         choices=CHEIRALITIES,
     )
 
-    def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            object.__setattr__(self, field.name, _checked(field, getattr(self, field.name)))
-
-    def replace(self, **changes: Any) -> SolveOptions:
-        """Return a copy with some options changed."""
-        return dataclasses.replace(self, **changes)
-
-    def asdict(self) -> dict[str, Any]:
-        """Return every option by name."""
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-
-
-def _checked(field: dataclasses.Field[Any], value: Any) -> Any:
-    """Return the value in canonical form, or raise an InputError that names option and value."""
-    if field.name == "refine":
-        return _names(value)
-    if field.name.startswith("fixed_"):
-        return _ids(field.name, value)
-    return checked(field, value)
+    def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
+        if field.name == "refine":
+            return _names(value)
+        if field.name.startswith("fixed_"):
+            return _ids(field.name, value)
+        return checked(field, value)
 
 
 def _names(value: Any) -> tuple[str, ...]:
-    names = value.split(",") if isinstance(value, str) else list(value)
-    given = [str(name).strip() for name in names]
-    chosen = {choice("refine", name, REFINABLE) for name in given if name}
+    try:
+        given = value.split(",") if isinstance(value, str) else list(value)
+    except TypeError:
+        raise InputError(
+            f"refine: expected names out of {', '.join(REFINABLE)}, found {brief(value)}"
+        ) from None
+    words = [name.strip() if isinstance(name, str) else name for name in given]
+    chosen = {choice("refine", name, REFINABLE) for name in words if name != ""}
     return tuple(name for name in REFINABLE if name in chosen)
 
 
-def _ids(name: str, value: Iterable[Any]) -> tuple[int, ...]:
+def _ids(name: str, value: Any) -> tuple[int, ...]:
     try:
-        return tuple(sorted({int(entry) for entry in value}))
-    except (TypeError, ValueError):
-        raise InputError(f"{name}: expected whole numbers, found {value!r}") from None
+        if isinstance(value, str | bytes):
+            raise TypeError  # their characters are no ids
+        given = list(value)
+        if any(isinstance(entry, bool) for entry in given):
+            raise TypeError
+        ids = {operator.index(entry) for entry in given}
+    except TypeError:
+        raise InputError(f"{name}: expected whole numbers, found {brief(value)}") from None
+    for found in (entry for entry in ids if not -(2**63) <= entry < 2**63):
+        raise InputError(f"{name}: expected ids below 2^63, found {brief(found)}")
+    return tuple(sorted(ids))

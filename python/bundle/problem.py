@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.display import Display, Displayed
 from bundle.errors import InputError
+from bundle.words import contents, format_name
 
 if TYPE_CHECKING:
     import pycolmap
@@ -38,8 +40,8 @@ _DTYPES: dict[str, type] = {
 }
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Problem:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Problem(Displayed):
     """A bundle adjustment problem.
 
     Arrays are C-contiguous and read-only; an array of the right type is taken as it is, without a
@@ -148,9 +150,13 @@ class Problem:
         return colmap.to_pycolmap(self)
 
     def __repr__(self) -> str:
-        return (
-            f"Problem({self.format}: {self.num_images} images, {self.num_cameras} cameras, "
-            f"{self.num_points} points, {self.num_observations} observations)"
+        return f"Problem({self.format}: {contents(self)})"
+
+    def _display(self) -> Display:
+        models = ", ".join(dict.fromkeys(self.camera_models)) or "none"
+        return Display(
+            title=f"Problem ({format_name(self.format)})",
+            facts=(("contents", contents(self)), ("camera models", models)),
         )
 
 

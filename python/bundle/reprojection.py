@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
 from bundle.errors import InputError
+from bundle.io import Source, as_problem
+from bundle.option_fields import choice, number
+from bundle.options import CHEIRALITIES
 from bundle.problem import Problem
 
 __all__ = [
@@ -59,25 +62,41 @@ class Linearization(NamedTuple):
 
 
 def resolve_cheirality(problem: Problem, cheirality: str) -> str:
-    """Return what "auto" means for this problem: "algebraic" for BAL, "zero" otherwise."""
+    """Return what "auto" means for this problem: "algebraic" for BAL, "zero" otherwise.
+
+    Raises:
+        InputError: there is no such cheirality.
+    """
+    cheirality = choice("cheirality", cheirality, CHEIRALITIES)
     if cheirality != "auto":
         return cheirality
     return "algebraic" if problem.format == "bal" else "zero"
 
 
 def reprojection_errors(
-    problem: Problem, *, num_threads: int = 0
+    problem: Source, *, num_threads: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the reprojection error of each observation.
+    """Return the reprojection error of each observation at the problem's own values.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        num_threads: 0: all cores.
 
     Returns:
-        ||r|| in pixels, (num_observations,), by the formula also for points behind their camera,
-        NaN where it has no value; and whether the point is out of the camera's sight,
-        (num_observations,).
+        Errors ||r|| in pixels, (num_observations,): projection minus measurement. Also defined for
+        points behind their camera, by the formula; NaN where there is no projection. And a mask,
+        (num_observations,), of points that the camera does not see: behind it, for most models.
 
     Raises:
         InputError: an observed image has a camera model that is not supported.
+        OSError: the path cannot be read.
+
+    Example:
+        >>> errors, behind = bundle.reprojection_errors(result.problem)
+        >>> outliers = (errors > 4.0) | behind
     """
+    problem = as_problem(problem)
+    num_threads = number("num_threads", num_threads, minimum=0, whole=True)
     return _core.reprojection_errors(problem, num_threads)
 
 

@@ -8,16 +8,20 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.display import Display, Displayed
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error
 from bundle.summary import Summary
+from bundle.termination import sentence
+from bundle.words import change, contents, pixels, plural, seconds
+from bundle.worst_images import ImageError, worst_images
 
 __all__ = ["Result"]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Result:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Result(Displayed):
     """A refined problem and how it came about.
 
     Attributes:
@@ -38,6 +42,13 @@ class Result:
     build_time_in_seconds: float
     solve_time_in_seconds: float
 
+    @property
+    def outcome(self) -> str:
+        """How the solve ended, in one sentence."""
+        # Entry 0 is the evaluation at the start, not a step.
+        accepted = np.asarray(self.iterations["step_is_successful"], bool)[1:]
+        return sentence(self.summary, len(accepted), int((~accepted).sum()))
+
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:
         """Statistics in pixels at the input, measured when first asked for."""
@@ -48,10 +59,30 @@ class Result:
         """Statistics in pixels at the output, measured when first asked for."""
         return self._measure(self.problem)
 
+    @cached_property
+    def worst_images(self) -> tuple[ImageError, ...]:
+        """The images with the largest errors at the output, measured when first asked for."""
+        options = self.options
+        return worst_images(self.problem, options.cheirality, num_threads=options.num_threads)
+
     def measure(self) -> None:
-        """Measure both reprojection errors now, so that asking for them takes no time."""
-        _ = self.reprojection_error_before, self.reprojection_error_after
+        """Measure all of these now, so that asking for them takes no time."""
+        _ = self.reprojection_error_before, self.reprojection_error_after, self.worst_images
 
     def _measure(self, problem: Problem) -> ReprojectionError:
         options = self.options
         return reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
+
+    def _display(self) -> Display:
+        summary = self.summary
+        before, after = self.reprojection_error_before, self.reprojection_error_after
+        solver = f"{summary.backend_used} {summary.linear_solver_type_used}"
+        facts = [
+            ("cost", change(summary.initial_cost, summary.final_cost)),
+            ("RMSE", f"{pixels(before.rmse)} -> {pixels(after.rmse)} px"),
+            ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
+            ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),
+            ("problem", contents(self.problem)),
+            *(("warning", warning) for warning in summary.warnings),
+        ]
+        return Display(title=f"Result: {self.outcome}", facts=tuple(facts))

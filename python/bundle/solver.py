@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from bundle import _core
+from bundle.arguments import check_function
+from bundle.io import Source, as_problem
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
@@ -18,7 +20,7 @@ Progress = Callable[[dict[str, Any]], None]
 
 
 def solve(
-    problem: Problem,
+    problem: Source,
     options: SolveOptions | None = None,
     *,
     progress: Progress | None = None,
@@ -31,18 +33,21 @@ def solve(
     state and ``summary.interrupted``. Not converging is a result as well, not an exception.
 
     Args:
-        problem: left untouched.
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
         progress: called after each iteration with a dict under the names of Ceres'
             IterationSummary. What it raises stops the solve and comes out of this function.
         **changes: options by name, in place of those in ``options``.
 
     Raises:
-        InputError: a camera model that is not supported, a fixed id that does not exist, options
-            that exclude each other or the backend asked for, or dense matrices beyond the memory of
-            this machine.
+        InputError: an option that does not exist, a camera model that is not supported, a fixed id
+            that does not exist, options that exclude each other or the backend asked for, or dense
+            matrices beyond the memory of this machine.
+        OSError: the path cannot be read.
     """
-    options = (options or SolveOptions()).replace(**changes)
+    problem = as_problem(problem)
+    options = SolveOptions.of(options, changes, "solve")
+    check_function("progress", progress)
     options = resolve_defaults(problem, options)
     output = _core.solve(problem, options.asdict(), progress)
     refined = problem.replace(

@@ -9,14 +9,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from bundle.display import Display, Displayed
+from bundle.words import change, plural, seconds
+
 if TYPE_CHECKING:
-    from rich.table import Table
+    from bundle.tables import Columns
 
 __all__ = ["Summary", "share", "sizes", "solver_phases", "solver_table"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Summary:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Summary(Displayed):
     """Ceres' Solver::Summary under Ceres' field names; times in seconds, -1 where not measured.
 
     Beyond Ceres: ``backend_given`` and ``backend_used``, ``backend_choice`` and
@@ -116,6 +119,22 @@ class Summary:
 
         return render(solver_table(self))
 
+    def _display(self) -> Display:
+        # Ceres counts the evaluation at the start as a successful step.
+        steps = max(self.num_successful_steps + self.num_unsuccessful_steps - 1, 0)
+        solver = f"{self.backend_used} {self.linear_solver_type_used}"
+        usable = "" if self.is_solution_usable else " (solution not usable)"
+        return Display(
+            title=f"Summary: {self.termination_type}{usable}: {' '.join(self.message.split())}",
+            facts=(
+                ("cost", change(self.initial_cost, self.final_cost)),
+                ("steps", f"{steps}, {self.num_unsuccessful_steps} rejected"),
+                ("time", f"{seconds(self.total_time_in_seconds)} s"),
+                ("solver", f"{solver} on {plural(self.num_threads_used, 'thread')}"),
+                *(("warning", warning) for warning in self.warnings),
+            ),
+        )
+
 
 # What a backend does in the times of residual evaluation, Jacobian evaluation and linear solver.
 _PHASES = {
@@ -144,7 +163,7 @@ def solver_phases(summary: Summary) -> list[tuple[str, float]]:
     return [*phases, ("other", other), ("postprocessor", post)]
 
 
-def solver_table(summary: Summary) -> Table:
+def solver_table(summary: Summary) -> Columns:
     """Return the phases of a solve with their share of it."""
     from bundle.tables import columns, seconds
 

@@ -5,15 +5,22 @@ from __future__ import annotations
 import io
 import math
 import os
-from collections.abc import Iterable, Sequence
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TextIO
 
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from bundle.words import format_name, number, pixels, plural, seconds
+
 __all__ = [
     "WIDEST",
+    "Bar",
+    "Columns",
+    "CommandLine",
     "columns",
     "console",
     "facts",
@@ -28,6 +35,8 @@ __all__ = [
 
 NARROWEST, WIDEST = 60, 100
 LABEL_WIDTH = 16
+GUTTER = 2
+NARROWEST_BAR, BAR_WIDTH = 8, 40
 
 
 def console(file: TextIO) -> Console:
@@ -64,23 +73,113 @@ def facts(rows: Iterable[tuple[str, str]]) -> Table:
     return table
 
 
-def columns(head: Sequence[str], rows: Iterable[Sequence[str]], *, left: int = 1) -> Table:
-    """Return a table without frames: `left` columns of text, then numbers flush right.
+class Columns:
+    """A table without frames: columns of text, then numbers flush right.
+
+    Where it is wider than the terminal, text wraps between words. Where that is not enough, columns
+    move below, each group of them behind the first column: nothing is cut.
+    """
+
+    def __init__(
+        self, head: Sequence[str], rows: Iterable[Sequence[RenderableType]], left: int
+    ) -> None:
+        self.head = tuple(map(Text, head))
+        self.rows = [
+            tuple(Text(cell) if isinstance(cell, str) else cell for cell in row) for row in rows
+        ]
+        self._left = left
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield as many tables as the width asks for."""
+        limit = options.max_width
+        sizes = self._sizes(console, options)
+        narrowest = [min(size.minimum, limit) for size in sizes]
+        narrowest[0] = min(narrowest[0], limit // 2)
+        for group in _groups(narrowest, limit):
+            spare = limit - sum(narrowest[index] + GUTTER for index in group) + GUTTER
+            widths = {}
+            for index in group:
+                taken = min(sizes[index].maximum - narrowest[index], max(spare, 0))
+                widths[index] = narrowest[index] + taken
+                spare -= taken
+            yield self._table(widths)
+
+    def _sizes(self, console: Console, options: ConsoleOptions) -> list[Measurement]:
+        """Return of each column the width below which words are cut and the one without breaks."""
+        unlimited = options.update_width(10_000)
+        sizes = []
+        for index, cells in enumerate(zip(self.head, *self.rows, strict=True)):
+            found = [Measurement.get(console, unlimited, cell) for cell in cells]
+            widest = max(size.maximum for size in found)
+            wraps = index < self._left
+            narrowest = max(size.minimum for size in found) if wraps else widest
+            least = LABEL_WIDTH if index == 0 else 0
+            sizes.append(Measurement(max(narrowest, least), max(widest, least)))
+        return sizes
+
+    def _table(self, widths: Mapping[int, int]) -> Table:
+        table = Table(box=None, pad_edge=False, padding=(0, GUTTER, 0, 0), header_style="bold")
+        for index, width in widths.items():
+            justify: JustifyMethod = "left" if index < self._left else "right"
+            table.add_column(self.head[index], justify=justify, width=width, overflow="fold")
+        for row in self.rows:
+            style = "bold" if str(row[0]).startswith("total") else None
+            table.add_row(*(row[index] for index in widths), style=style)
+        return table
+
+
+def _groups(widths: Sequence[int], limit: int) -> list[list[int]]:
+    """Return the columns of each table, the first column in every one."""
+    groups, used = [[0]], widths[0]
+    for index, width in enumerate(widths[1:], 1):
+        if used + GUTTER + width > limit and len(groups[-1]) > 1:
+            groups.append([0])
+            used = widths[0]
+        groups[-1].append(index)
+        used += GUTTER + width
+    return groups
+
+
+def columns(
+    head: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, left: int = 1
+) -> Columns:
+    """Return a table of `left` columns of text, then numbers; see :class:`Columns`.
 
     A row whose first cell starts with "total" stands out.
     """
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
-    for index, title in enumerate(head):
-        table.add_column(
-            Text(title),
-            justify="left" if index < left else "right",
-            min_width=LABEL_WIDTH if index == 0 else None,
-            no_wrap=index >= left,
-        )
-    for row in rows:
-        style = "bold" if row[0].startswith("total") else None
-        table.add_row(*(Text(cell) for cell in row), style=style)
-    return table
+    return Columns(head, rows, left)
+
+
+class Bar:
+    """A bar of at most `BAR_WIDTH` characters, shorter where the terminal is narrow."""
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the bar; what is more than nothing has at least one character."""
+        yield Text("#" * math.ceil(self._share * min(options.max_width, BAR_WIDTH)))
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        """Return the narrowest and the widest that a bar can be."""
+        return Measurement(NARROWEST_BAR, BAR_WIDTH)
+
+
+class CommandLine:
+    """A command line broken between words with a backslash, so that it can be copied as it is."""
+
+    def __init__(self, command: str) -> None:
+        self.command = command
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the lines, each indented."""
+        lines: list[str] = []
+        for word in map(shlex.quote, shlex.split(self.command)):
+            if lines and len(lines[-1]) + len(word) + 3 <= options.max_width:
+                lines[-1] += f" {word}"
+            else:
+                lines.append(f"    {word}" if lines else word)
+        yield Text(" \\\n".join(lines), no_wrap=True, overflow="ignore")
 
 
 def notes(sentences: Iterable[str], *, style: str = "") -> list[RenderableType]:
@@ -91,34 +190,3 @@ def notes(sentences: Iterable[str], *, style: str = "") -> list[RenderableType]:
     for sentence in sentences:
         table.add_row(Text("-"), Text(sentence))
     return [table] if table.row_count else []
-
-
-def number(value: float) -> str:
-    """Return a magnitude in four significant digits; "-" where there is none."""
-    if not math.isfinite(value):
-        return "-"
-    if value == 0 or 1e-3 <= abs(value) < 1e6:
-        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
-    return f"{value:.3e}"
-
-
-def pixels(value: float) -> str:
-    """Return pixels to a ten-thousandth; "-" where there is none."""
-    if not math.isfinite(value):
-        return "-"
-    return f"{value:.4f}" if value < 1e6 else f"{value:.4e}"
-
-
-def seconds(value: float) -> str:
-    """Return a time to the millisecond; "-" where it was not measured (Ceres' -1)."""
-    return "-" if value < 0 or not math.isfinite(value) else f"{value:.3f}"
-
-
-def plural(count: int, singular: str, many: str | None = None) -> str:
-    """Return "1 image", "2 images"."""
-    return f"{count} {singular if count == 1 else many or singular + 's'}"
-
-
-def format_name(name: str) -> str:
-    """Return a format as people write it: "COLMAP", "BAL", "COLMAP text"."""
-    return name.replace("-", " ").replace("colmap", "COLMAP").replace("bal", "BAL")

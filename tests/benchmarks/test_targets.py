@@ -177,7 +177,15 @@ def test_the_page_has_every_part_and_whole_tables():
     runs += [run("16-22106", "pycolmap auto", 0.018, threads=1)]
     measured = results(runs)
     text = details.page(measured, report.heading(measured), {"scaling": "s.png", "gap": "g.png"})
-    for title in ("Growth", "Threads", "Share of the limit", "Time to 1e-8", "Problem by problem"):
+    for title in (
+        "Targets",
+        "Ratios",
+        "Growth",
+        "Threads",
+        "Share of the limit",
+        "Time to 1e-8",
+        "Problem by problem",
+    ):
         assert f"## {title}" in text
     assert "1.80" in text.split("## Threads")[1].split("##")[0]
     assert "(s.png)" in text
@@ -187,3 +195,36 @@ def test_the_page_has_every_part_and_whole_tables():
         cells = line.count(" | ")
         assert not line.startswith("|") or width in (0, cells), line
         width = cells if line.startswith("|") else 0
+
+
+def test_the_short_report_has_a_line_per_shown_problem():
+    runs = [
+        run(name, solver, step)
+        for name, factor in (("16-22106", 1.0), ("street-1000", 3.0), ("street-50", 1.0))
+        for solver, step in (
+            ("bundle auto", 0.01),
+            ("bundle ceres auto", 0.04),
+            ("pycolmap auto", 0.05 * factor),
+        )
+    ]
+    measured = results(runs)
+    lines = report.short_table(measured).splitlines()[2:]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert [line[:5] for line in cells] == [
+        ["16-22106", "83,718", "100 ms", "5.00", "4.00"],
+        ["street-1000", "1,000,000", "100 ms", "15.00", "4.00"],
+    ]
+    bars = [report.bar(measured, *pair) for pair in report.chosen(measured)]
+    assert bars == [
+        ("16-22106", pytest.approx(5.0), pytest.approx(4.0)),
+        ("street-1000", pytest.approx(15.0), pytest.approx(4.0)),
+    ]
+    text = report.markdown(measured, "p.md", "i.png")
+    assert "(i.png)" in text and "(p.md)" in text
+
+
+def test_the_short_report_of_other_problems_shows_the_first():
+    runs = [run("toy", "bundle auto", 0.01), run("toy", "pycolmap auto", 0.02)]
+    measured = results(runs)
+    assert [ours.problem for ours, _ in report.chosen(measured)] == ["toy"]
+    assert report.bar(measured, *report.chosen(measured)[0]) == ("toy", pytest.approx(2.0), None)

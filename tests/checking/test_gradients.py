@@ -93,7 +93,7 @@ def test_a_swapped_pair_is_named_by_the_users_names():
     assert [v.verdict for v in report.parameters] == ["wrong", "wrong", "correct"]
     assert {offender.parameter for offender in report.worst if offender.error} == {"u", "v"}
     assert f"sample {report.worst[0].details['sample']}" in str(report)
-    assert repr(report).startswith("<GradientReport: wrong>\n")
+    assert repr(report).startswith("GradientReport: WRONG")
 
 
 def test_derivatives_near_zero_are_no_false_alarms():

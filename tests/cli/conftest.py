@@ -49,9 +49,10 @@ def spawn() -> Callable[..., Outcome]:
     """Run in a process of its own."""
 
     def call(*arguments: Any, **settings: Any) -> Outcome:
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         done = subprocess.run(
-            command(*arguments), env=environment(), capture_output=True, text=True, timeout=60,
-            check=False, **settings,
+            command(*arguments), env=environment(), text=True, timeout=60, check=False,
+            **{**pipes, **settings},
         )  # fmt: skip
         return Outcome(done.returncode, done.stdout, done.stderr)
 

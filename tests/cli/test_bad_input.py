@@ -76,7 +76,6 @@ def test_folder_that_is_no_model(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], ["COMMAND", "--help"]),
         (["polish"], ["polish", "refine"]),
         (["refine"], ["INPUT"]),
         (["refine", "IN"], ["--output"]),

@@ -11,9 +11,8 @@ import pytest
 from bundle import _core
 from bundle.cli import inspect as command
 from bundle.inspection import GRAPH_ORDERINGS, problem_inspection
+from tests.figures import figures, table
 from tests.inspection.conftest import RATES
-
-CONVENTION = "Nonzeros count both triangles and the diagonal"
 
 
 @pytest.fixture(autouse=True)
@@ -38,19 +37,13 @@ def cycle(tmp_path):
 
 
 def test_report(run, model):
-    code, out, err = run("inspect", model)
+    code, out, _ = run("inspect", model)
     assert code == 0
-    for words in (
-        CONVENTION,
-        "SPARSE_SCHUR colamd",
-        "SPARSE_NORMAL_CHOLESKY amd",
-        "ITERATIVE_SCHUR schur_jacobi",
-        "recommended       DENSE_SCHUR: S is",
-        "--solver dense-schur",
-        "by this machine's measured rates",
-    ):
-        assert words in " ".join(out.split()).replace("recommended ", "recommended       ")
-    assert "inspecting ..." in err
+    costs = table(out[out.index("\nmethod ") :])
+    for name in ("SPARSE_SCHUR colamd", "SPARSE_NORMAL_CHOLESKY amd"):
+        assert name in costs
+    assert "<" in costs["DENSE_SCHUR natural"]  # what is recommended
+    assert f"bundle refine {model} -o OUTPUT" in out.replace(" \\\n    ", " ")
     assert max(map(len, out.splitlines())) <= 100
 
 
@@ -65,7 +58,8 @@ def test_json(run, model, tmp_path):
     assert list(report)[:5] == ["schema", "command", "version", "input", "options"]
     assert (report["schema"], report["command"], report["num_threads"]) == (1, "inspect", 1)
     assert report["options"]["refine"] == ["poses", "points"]
-    assert CONVENTION in report["nonzeros"]
+    assert report["recommended_command"].startswith(f"bundle refine {model} -o OUTPUT")
+    assert "--refine poses,points" in report["recommended_command"]
     names = {method["name"] for method in report["methods"]}
     assert "SPARSE_SCHUR metis" in names
     for method in report["methods"]:
@@ -88,9 +82,9 @@ def test_what_does_not_fit_is_marked(run, model, monkeypatch):
     monkeypatch.setattr(_core, "available_memory", lambda: 1e5)
     code, out, _ = run("inspect", model)
     assert code == 0
-    assert "MB !" in out
-    assert "! does not fit into the memory that is free" in out
-    assert "No method fits into the memory" in " ".join(out.split())
+    costs = table(out[out.index("\nmethod ") :])
+    assert costs["DENSE_SCHUR natural"][0].endswith("!")
+    assert costs["ITERATIVE_SCHUR identity"][0].endswith("!")
     assert "bundle refine" not in out
 
 
@@ -119,30 +113,36 @@ def test_html(run, model, cycle, tmp_path, monkeypatch):
 def test_graph(run, cycle):
     code, out, _ = run("inspect", "--graph", cycle)
     assert code == 0
-    assert "column counts     2 2 2 2 1 0" in out
-    assert "flops             44 (" in out
-    assert "1-5" in out  # the first edge of fill
-    assert CONVENTION in out
+    rows = table(out)
+    assert rows["column counts"] == ["2 2 2 2 1 0"]
+    assert figures(rows["flops"][0])[0] == "44"
+    assert "1-5" in rows["0"]  # the first edge of fill
     assert max(map(len, out.splitlines())) <= 100
+
+
+def flops(out):
+    return figures(table(out)["flops"][0])[0]
 
 
 def test_graph_in_another_order(run, tmp_path):
     star = tmp_path / "star.txt"
     star.write_text("".join(f"hub leaf{i}\n" for i in range(6)))
-    assert "154 (" in run("inspect", "--graph", star).out
-    assert "24 (" in run("inspect", "--graph", star, "--ordering", "minimum-degree").out
+    assert flops(run("inspect", "--graph", star).out) == "154"
+    out = run("inspect", "--graph", star, "--ordering", "minimum-degree").out
+    assert flops(out) == "24"
     leaves = ",".join(f"leaf{i}" for i in range(6))
     code, out, _ = run(
         "inspect", "--graph", star, "--ordering", "landmarks-first", "--landmarks", leaves
     )
     assert code == 0
-    assert "24 (" in out
+    assert flops(out) == "24"
 
 
 def test_graph_of_poses(run, tmp_path):
     chain = tmp_path / "chain.txt"
     chain.write_text("0 1\n1 2\n")
-    assert "252 of the matrix" in run("inspect", "--graph", chain, "--block-size", 6).out
+    out = run("inspect", "--graph", chain, "--block-size", 6).out
+    assert figures(table(out)["nonzeros"][0])[0] == "252"
 
 
 def test_graph_json(run, cycle, tmp_path):
@@ -154,7 +154,6 @@ def test_graph_json(run, cycle, tmp_path):
     assert report["column_counts"] == [2, 2, 2, 2, 1, 0]
     assert (report["fill"], report["flops"]) == (3, 44)
     assert [step["variable"] for step in report["steps"]] == report["order"]
-    assert CONVENTION in report["nonzeros"]
 
 
 def test_the_orderings_of_graphs_are_the_library_s():
@@ -162,32 +161,32 @@ def test_the_orderings_of_graphs_are_the_library_s():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "parts"),
     [
-        ([], "expected INPUT or --graph FILE, found neither"),
-        (["MODEL", "--graph", "CYCLE"], "expected INPUT or --graph FILE, found both"),
-        (["MODEL", "--ordering", "amd"], "--ordering: expected with --graph only"),
-        (["MODEL", "--block-size", "6"], "--block-size: expected with --graph only"),
-        (["--graph", "CYCLE", "--ordering", "best"], "argument --ordering: invalid choice"),
-        (["--graph", "CYCLE", "--landmarks", "l1"], "--landmarks: expected variables of"),
-        (["--graph", "CYCLE", "--block-size", "0"], "--block-size: expected at least 1, found 0"),
-        (["--graph", "MISSING"], "No such file"),
-        (["MISSING"], "No such file"),
-        (["MODEL", "--threads", "-1"], "--threads: expected at least 0, found -1"),
-        (["MODEL", "--refine", "nothing"], "--refine: expected one of"),
-        (["MODEL", "--fix-images", "77"], "--fix-images: expected ids in the problem, found 77"),
-        (["MODEL", "--html", "MODEL"], "the report would replace what the command works on"),
-        (["MODEL", "--json", "x/y/z.json"], "x/y"),
+        ([], ["--graph"]),
+        (["MODEL", "--graph", "CYCLE"], ["--graph"]),
+        (["MODEL", "--ordering", "amd"], ["--ordering", "--graph"]),
+        (["MODEL", "--block-size", "6"], ["--block-size", "--graph"]),
+        (["--graph", "CYCLE", "--ordering", "best"], ["--ordering", "'best'"]),
+        (["--graph", "CYCLE", "--landmarks", "l1"], ["--landmarks", "'l1'"]),
+        (["--graph", "CYCLE", "--block-size", "0"], ["--block-size", "found 0"]),
+        (["--graph", "MISSING"], ["missing"]),
+        (["MISSING"], ["missing"]),
+        (["MODEL", "--threads", "-1"], ["--threads", "found -1"]),
+        (["MODEL", "--refine", "nothing"], ["--refine", "nothing"]),
+        (["MODEL", "--fix-images", "77"], ["--fix-images", "found 77"]),
+        (["MODEL", "--html", "MODEL"], ["problem.txt"]),
+        (["MODEL", "--json", "x/y/z.json"], ["x/y"]),
     ],
 )
-def test_bad_input_is_one_line(run, model, cycle, tmp_path, arguments, message):
+def test_bad_input_is_one_line(run, model, cycle, tmp_path, arguments, parts):
     names = {"MODEL": model, "CYCLE": cycle, "MISSING": tmp_path / "missing"}
     code, out, err = run("inspect", *(names.get(word, word) for word in arguments), "--quiet")
     assert code == 2
     assert out == ""
     assert err.startswith("error: ")
     assert err.count("\n") == 1
-    assert message in err
+    assert all(part in err for part in parts)
 
 
 def test_a_line_that_is_no_edge(run, tmp_path):
@@ -195,4 +194,4 @@ def test_a_line_that_is_no_edge(run, tmp_path):
     path.write_text("a b\na b c\n")
     code, _, err = run("inspect", "--graph", path)
     assert code == 2
-    assert f"{path}:2: expected two variables" in err
+    assert f"{path}:2: " in err

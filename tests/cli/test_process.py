@@ -82,7 +82,7 @@ def test_interrupted_elsewhere_writes_nothing(tmp_path):
         _, err = process.communicate(timeout=20)
     finally:
         process.kill()
-    assert process.returncode == 2
+    assert process.returncode == 130
     assert (first + err).splitlines()[-1].startswith("error: ")
     assert "Traceback" not in err
     assert not output.exists()

@@ -69,12 +69,12 @@ def test_paths_of_the_truth(run, tmp_path):
 def test_json(run, tmp_path):
     outcome = run(
         "synth", tmp_path / "a", *SMALL, "--scene", "photo-collection", "--outlier-share", 0.1,
-        "--image-size", 800, 600, "--no-loop-closure", "--json", "-",
+        "--image-size", 800, 600, "--json", "-",
     )  # fmt: skip
     report = json.loads(outcome.out)
     options = bundle.SceneOptions(
         scene="photo_collection", num_images=12, num_points=300, mean_track_length=3,
-        outlier_share=0.1, image_size=(800, 600), loop_closure=False,
+        outlier_share=0.1, image_size=(800, 600),
     )  # fmt: skip
     assert report["schema"] == 1
     assert report["command"] == "synth"

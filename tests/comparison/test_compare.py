@@ -15,6 +15,7 @@ from bundle.errors import InputError
 from bundle.report.compare import compared
 from bundle.report.compare_json import as_json
 from bundle.tables import render
+from tests.figures import figures
 from tests.scenes import make_problem, scene
 
 pytestmark = pytest.mark.usefixtures("unpredicted")
@@ -63,8 +64,9 @@ def test_runs_that_fail_are_rows(monkeypatch):
         "ceres DENSE_SCHUR": "done",
     }
     text = render(*compared(comparison))
-    assert "- fused SPARSE_SCHUR: its process ended by SIGABRT" in text
-    assert "- fused DENSE_QR: linear_solver_type: expected auto, dense_schur" in text
+    for name, reason in (("fused SPARSE_SCHUR", "SIGABRT"), ("fused DENSE_QR", "dense_schur")):
+        line = next(line for line in text.splitlines() if line.startswith(f"- {name}: "))
+        assert reason in line
     assert comparison.recommendation.method.name == "fused DENSE_SCHUR"
 
 
@@ -83,11 +85,11 @@ def test_dense_matrix_beyond_the_cap_is_a_row():
     runs = {run.method.name: run for run in comparison.runs}
     for name in ("fused DENSE_SCHUR", "ceres DENSE_SCHUR"):
         assert runs[name].outcome == "out_of_memory"
-        assert runs[name].message == "needed more than 500 MB beyond the loaded problem"
+        assert "500 MB" in runs[name].message
     for name in ("fused SPARSE_SCHUR", "ceres SPARSE_SCHUR"):
         assert runs[name].outcome == "done"
         assert runs[name].measurement.added_memory_in_bytes < 500_000_000
-    assert "needed more than 500 MB" in render(*compared(comparison))
+    assert render(*compared(comparison)).count("500 MB") >= 2
     assert comparison.recommendation.method.linear_solver_type == "sparse_schur"
 
 
@@ -102,14 +104,15 @@ def test_ctrl_c_keeps_what_is_there():
     assert comparison.recommendation.method in {run.method for run in comparison.runs[:2]}
     text = render(*compared(comparison))
     assert "interrupted" in text
-    assert "the comparison was interrupted before" in text
+    assert all(run.message in " ".join(text.split()) for run in comparison.runs[2:])
 
 
 def test_what_auto_took_is_told():
     comparison = compare(PROBLEM, solvers=["auto", "cgnr"], backends=["auto"], **QUICK)
     text = render(*compared(comparison))
-    assert "- auto AUTO: took fused DENSE_SCHUR." in text
-    assert "- auto CGNR: took ceres CGNR." in text
+    notes = {line.split(":")[0]: line for line in text.splitlines() if line.startswith("- ")}
+    assert "fused DENSE_SCHUR" in notes["- auto AUTO"]
+    assert "ceres CGNR" in notes["- auto CGNR"]
 
 
 def test_several_problems_give_profiles(tmp_path):
@@ -126,7 +129,7 @@ def test_several_problems_give_profiles(tmp_path):
         assert dense.share(1) + iterative.share(1) >= 1
         assert dense.share(math.inf) == 1
     text = render(*compared(comparison))
-    assert "2 problems solved to 1e-3 within" in text
+    assert ["2", "1e-3"] in [figures(line)[:2] for line in text.splitlines() if "fastest" in line]
     assert max(map(len, text.splitlines())) <= 100
 
 

@@ -12,7 +12,7 @@ from bundle.comparison.methods import expand
 from bundle.comparison.predictions import predict
 from bundle.options import SolveOptions
 from bundle.report.compare import compared
-from bundle.tables import render
+from bundle.tables import number, render
 from tests.comparison.fakes import CERES, DENSE, ITERATIVE, SPARSE, prediction
 from tests.scenes import make_problem
 
@@ -72,11 +72,18 @@ def test_predicted_stands_beside_measured():
     comparison = compare(
         PROBLEM, solvers=["dense_schur"], backends=["fused"], threads=[1], repeat=1
     )
-    text = render(*compared(comparison))
-    assert "predicted, measured" in text
-    assert "its dense factorisation makes" in text
-    assert "both triangles" in text or "nnz(L): lower triangle with the diagonal" in text
-    assert comparison.recommendation.verdict.endswith("which was right.")
+    (run,) = comparison.runs
+    rows = [line.split() for line in render(*compared(comparison)).splitlines()]
+    nnz, flops = number(run.prediction.nnz_factor), number(run.prediction.flops)
+    # After the two words of the name: L, flops, time and memory, each predicted and measured.
+    (row,) = (row for row in rows if row[2:4] == [nnz, flops])
+    assert row[4:6] == [
+        number(run.prediction.time_per_step_in_seconds),
+        number(run.measurement.time_per_step_in_seconds),
+    ]
+    assert row[6] == number(run.prediction.memory_in_bytes / 1e6)
+    assert comparison.recommendation.foreseen == (run.method,)
+    assert "right" in comparison.recommendation.verdict
 
 
 def test_least_predicted_time_that_fits_is_foreseen():

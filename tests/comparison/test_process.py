@@ -11,6 +11,7 @@ import pytest
 import bundle
 from bundle.comparison import hand_over, process
 from bundle.options import SolveOptions
+from tests.figures import figures
 from tests.scenes import make_problem, scene
 
 
@@ -80,7 +81,7 @@ def test_worker_measures_what_a_solve_here_gives(work):
 def test_refusal_has_the_words_of_the_error(work):
     end = work(backend="fused", linear_solver_type="dense_qr")
     assert end.outcome == "refused"
-    assert end.message.startswith("linear_solver_type: expected auto, dense_schur")
+    assert end.message.startswith("linear_solver_type: ")
 
 
 def test_time_out_keeps_the_iterations_so_far(work):
@@ -100,7 +101,8 @@ def test_time_out_keeps_the_iterations_so_far(work):
     )
     assert time.monotonic() - started < 20
     assert end.outcome == "timed_out"
-    assert end.message.startswith("stopped after the time-out of 3 s, at iteration ")
+    latest = end.iterations[-1]
+    assert figures(end.message) == ["3", str(latest["iteration"]), f"{latest['cost']:.4e}"]
     assert end.measurement is None
     assert end.iterations[0]["iteration"] == 0
     assert end.iterations[-1] == seen[-1]
@@ -113,7 +115,8 @@ def test_time_out_ends_all_that_a_worker_started(work, instead, tmp_path):
         f"open({str(note)!r}, 'w').write(str(child.pid)); time.sleep(60)"
     )
     end = work(timeout=1.0)
-    assert (end.outcome, end.message) == ("timed_out", "stopped after the time-out of 1 s")
+    assert end.outcome == "timed_out"
+    assert "1 s" in end.message
     deadline = time.monotonic() + 5
     while is_running(note) and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -123,14 +126,14 @@ def test_time_out_ends_all_that_a_worker_started(work, instead, tmp_path):
 @pytest.mark.parametrize(
     ("script", "outcome", "words"),
     [
-        ("import os; os.kill(os.getpid(), 9)", "died", "killed from outside, perhaps for want of"),
-        ("import os; os.kill(os.getpid(), 11)", "died", "ended by SIGSEGV: no word why"),
-        ("raise SystemExit('what a day')", "died", "ended by exit code 1: what a day"),
-        ("pass", "died", "ended by exit code 0: no word why"),
+        ("import os; os.kill(os.getpid(), 9)", "died", "memory"),
+        ("import os; os.kill(os.getpid(), 11)", "died", "SIGSEGV"),
+        ("raise SystemExit('what a day')", "died", "exit code 1: what a day"),
+        ("pass", "died", "exit code 0"),
         (
             "import os, sys; print('CHOLMOD error: out of memory', flush=True); os.abort()",
             "out_of_memory",
-            "ran out of memory (SIGABRT)",
+            "SIGABRT",
         ),
     ],
 )
@@ -154,7 +157,7 @@ def test_growth_beyond_the_cap_is_ended_at_once(work, instead):
     started = time.monotonic()
     end = work(memory_cap=100_000_000)
     assert end.outcome == "out_of_memory"
-    assert end.message == "needed more than 100 MB beyond the loaded problem"
+    assert "100 MB" in end.message
     assert time.monotonic() - started < 20
 
 

@@ -170,3 +170,32 @@ class Browser:
         ]
         urls = [event["params"]["request"]["url"] for event in sent]
         return [url for url in urls if not url.startswith("data:")]
+
+
+# What is wider than the box it stands in, and text that leaves its drawing; folds are opened.
+CLIPPED = """(() => {
+  document.querySelectorAll("details").forEach((fold) => { fold.open = true; });
+  const wide = [...document.querySelectorAll("body *")].filter((e) =>
+    !(e instanceof SVGElement) && e.clientWidth > 0 && e.scrollWidth > e.clientWidth + 1 &&
+    getComputedStyle(e).display !== "inline");
+  const outside = [...document.querySelectorAll("svg text")].filter((e) => {
+    const text = e.getBoundingClientRect(), drawing = e.ownerSVGElement.getBoundingClientRect();
+    return text.left < drawing.left - 1 || text.right > drawing.right + 1 ||
+      text.top < drawing.top - 1 || text.bottom > drawing.bottom + 1;
+  });
+  return [...wide, ...outside].map((e) => e.tagName + " " + e.textContent.slice(0, 60));
+})()"""
+
+
+def check_nothing_is_clipped(browser: Browser, path: Path, width: int) -> None:
+    """Open a page at a width: nothing scrolls sideways, nothing leaves its box."""
+    browser.call(
+        "Emulation.setDeviceMetricsOverride",
+        width=width, height=900, deviceScaleFactor=1, mobile=False,
+    )  # fmt: skip
+    try:
+        browser.open(path)
+        assert browser.evaluate("document.documentElement.scrollWidth") <= width
+        assert browser.evaluate(CLIPPED) == []
+    finally:
+        browser.call("Emulation.clearDeviceMetricsOverride")

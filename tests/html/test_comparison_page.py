@@ -7,6 +7,7 @@ import dataclasses
 import pytest
 
 from bundle.html import write_comparison
+from tests.html.browser import check_nothing_is_clipped
 from tests.html.reader import Page, check_self_contained
 from tests.pictures.comparisons import HOSTILE, METHODS, comparison
 
@@ -77,3 +78,10 @@ def test_browser_shows_it_without_asking_for_anything(browser, tmp_path):
     assert browser.evaluate("document.title") == "Solvers compared: 2 problems"
     # One curve a run with a trace and problem, and one a method in each of the three profiles.
     assert browser.count("svg[role=img] .curve") == 13 + 3 * len(METHODS)
+
+
+@pytest.mark.parametrize("width", [1300, 800, 400])
+def test_nothing_is_clipped(browser, tmp_path, width):
+    path = tmp_path / "comparison.html"
+    write_comparison(comparison(), path)
+    check_nothing_is_clipped(browser, path, width)

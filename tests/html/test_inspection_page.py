@@ -13,6 +13,7 @@ from bundle import SolveOptions
 from bundle.html import write_inspection
 from bundle.html.subgraph import best_connected, image_graph, spread
 from bundle.inspection import Inspection, MethodInspection
+from tests.html.browser import check_nothing_is_clipped
 from tests.html.reader import Page, check_self_contained
 from tests.scenes import make_problem
 
@@ -88,25 +89,72 @@ def written(tmp_path):
     return write
 
 
-def test_every_method_is_a_row(written):
+LABELS = {
+    "ceres DENSE_SCHUR natural", "fused SPARSE_SCHUR amd", "SPARSE_SCHUR colamd",
+    "SPARSE_SCHUR nesdis", "fused ITERATIVE_SCHUR jacobi",
+}  # fmt: skip
+
+
+def test_every_method_is_a_row_and_so_is_every_factor(written):
     _, page = written()
-    assert page.words.count("What solving <a street> costs") == 2  # title and heading
-    rows = {row[0]: row for row in page.rows if row[0] != "method"}
-    assert set(rows) == {
-        "ceres DENSE_SCHUR natural", "fused SPARSE_SCHUR amd", "SPARSE_SCHUR colamd",
-        "SPARSE_SCHUR nesdis", "fused ITERATIVE_SCHUR jacobi",
-    }  # fmt: skip
-    assert rows["fused SPARSE_SCHUR amd"][1:8] == [
-        "125 ms", "250 MB", "yes", "987", "4,321", "0", "1.20e+08",
-    ]  # fmt: skip
-    assert rows["ceres DENSE_SCHUR natural"][2:6] == ["600 GB", "NO", "-", "1.23e+08"]
-    assert rows["fused ITERATIVE_SCHUR jacobi"][5:10] == ["-"] * 5
+    rows = {row[0]: row[1:] for row in page.rows if row[0] in LABELS and len(row) == 5}
+    assert next(iter(rows)) == "fused SPARSE_SCHUR amd"  # what is recommended
+    assert list(rows)[-1] == "ceres DENSE_SCHUR natural"  # what does not fit
+    assert set(rows) == LABELS
+    assert rows["fused SPARSE_SCHUR amd"][:3] == ["125 ms", "250 MB", "yes"]
+    assert rows["ceres DENSE_SCHUR natural"][1:3] == ["600 GB", "NO"]
+    factors = {row[0]: row[1:] for row in page.rows if row and len(row) == 7}
+    assert factors["SPARSE_SCHUR amd"][:4] == ["987", "4,321", "0", "1.20e+08"]
+    assert factors["DENSE_SCHUR natural"][:2] == ["-", "1.23e+08"]
+    assert "ITERATIVE_SCHUR jacobi" not in factors
+
+
+def test_the_page_leads_with_what_to_take_how_and_why(written):
+    _, page = written()
+    title, headline, *words = filter(str.strip, page.words)
+    assert "<a street>" in title
+    for part in ("fused SPARSE_SCHUR amd", "125 ms", "250 MB"):
+        assert part in headline
+    command = "bundle refine '<a street>' -o OUTPUT --solver sparse-schur"
+    assert words[:2] == [command, INSPECTION.recommendation]
+    _, page = written(inspection=dataclasses.replace(INSPECTION, recommended=-1))
+    assert "24 GB" in page.text
+    assert "bundle refine" not in page.text
+
+
+def test_options_are_in_the_command(written):
+    _, page = written(options=SolveOptions(refine=("poses", "points"), num_threads=1))
+    assert "--solver sparse-schur --threads 1 --refine poses,points" in page.text
+
+
+def test_rows_beyond_five_are_folded_away(written):
+    many = tuple(
+        method(f"SPARSE_SCHUR order{i}", "FUSED", nnz_factor=1, flops=10.0**i,
+               time_per_step_in_seconds=0.1 * (9 - i))
+        for i in range(9)
+    )  # fmt: skip
+    _, page = written(inspection=dataclasses.replace(INSPECTION, methods=many, recommended=8))
+    shown, folded = page.source.split("<details", 1)
+    names = [f"fused SPARSE_SCHUR order{i}" for i in reversed(range(9))]
+    assert [name for name in names if name in shown] == names[:5]
+    assert [name for name in names if f">{name}</th>" in folded] == names[5:]
+    assert page.words.count("4 more") == 4  # methods, factors, and bars of both
+    _, page = written(inspection=dataclasses.replace(INSPECTION, methods=many[:6], recommended=5))
+    assert "<details" not in page.source  # a single one is not worth it
+
+
+@pytest.mark.parametrize("width", [1300, 800, 400])
+def test_nothing_is_clipped(written, browser, width):
+    long = method("ITERATIVE_SCHUR schur_power_series_expansion", "FUSED", note=NOTE)
+    methods = dataclasses.replace(INSPECTION, methods=(*METHODS, long, long, long))
+    path, _ = written(images(40), inspection=methods)
+    check_nothing_is_clipped(browser, path, width)
 
 
 def test_notes_stand_once_and_rows_point_to_them(written):
     _, page = written()
     assert page.text.count(NOTE) == 1
-    pointing = [row[0] for row in page.rows if row[-1] == "1"]
+    pointing = [row[0] for row in page.rows if len(row) == 5 and row[-1] == "1"]
     assert pointing == ["SPARSE_SCHUR colamd", "SPARSE_SCHUR nesdis"]
     assert "Does not fit in memory: ceres DENSE_SCHUR natural." in page.text
 

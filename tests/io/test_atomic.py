@@ -2,6 +2,7 @@
 
 import os
 import resource
+import signal
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,23 +13,7 @@ import pytest
 import bundle
 from bundle.io import atomic
 from tests.io.bal_files import bal_text, load_bytes, make_bal
-
-OLD_MODEL = {"cameras.txt": "c", "images.txt": "i", "points3D.txt": "p", "rigs.txt": "r"}
-FOREIGN = {"project.ini": "ini", "points3D.ply": "ply", "images/a.jpg": "jpg"}
-NEW_MODEL = {"cameras.bin": "C", "images.bin": "I", "points3D.bin": "P", "frames.bin": "F"}
-
-
-def write_tree(folder: Path, files: dict[str, str]) -> Path:
-    for name, content in files.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(content)
-    return folder
-
-
-def tree(folder: Path) -> dict[str, str]:
-    """Every file below the folder, hidden and temporary ones too."""
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
-    return {str(path.relative_to(folder)): path.read_text() for path in files}
+from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 
 
 @contextmanager
@@ -125,10 +110,10 @@ def test_folder_appears(tmp_path: Path, exists: bool) -> None:
 
 
 def test_folder_in_place_keeps_what_is_no_model(tmp_path: Path) -> None:
-    path = write_tree(tmp_path, OLD_MODEL | FOREIGN)
+    path = write_tree(tmp_path / "model", OLD_MODEL | FOREIGN)
     with atomic.replace_folder(path) as temporary:
         write_tree(temporary, NEW_MODEL)
-        assert {k: v for k, v in tree(path).items() if "/new/" not in k} == OLD_MODEL | FOREIGN
+        assert tree(path) == OLD_MODEL | FOREIGN
     assert tree(path) == NEW_MODEL | FOREIGN
     assert {child.name for child in path.iterdir()} == {*NEW_MODEL, *map(_top, FOREIGN)}
 
@@ -146,49 +131,6 @@ def test_folder_stays_when_the_writer_fails(tmp_path: Path, error, before: dict[
         raise error("no")
     assert tree(tmp_path / "model") == before
     assert all(child.name == "model" for child in tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("after", [False, True])
-@pytest.mark.parametrize("failing", range(8))
-def test_folder_is_rolled_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: int, after: bool
-) -> None:
-    """Each rename in turn fails, or is interrupted right after it has happened."""
-    path = write_tree(tmp_path / "model", OLD_MODEL | FOREIGN)
-    rename = Path.rename
-    calls = 0
-
-    def fail_once(self: Path, target: Path) -> Path:
-        nonlocal calls
-        calls += 1
-        if calls - 1 != failing:
-            return rename(self, target)
-        if after:
-            rename(self, target)
-        raise Interruption
-
-    monkeypatch.setattr(Path, "rename", fail_once)
-    with pytest.raises(Interruption), atomic.replace_folder(path) as temporary:
-        write_tree(temporary, NEW_MODEL)
-    assert tree(tmp_path) == {f"model/{k}": v for k, v in (OLD_MODEL | FOREIGN).items()}
-
-
-def test_the_only_copies_are_kept_when_rolling_back_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write_tree(tmp_path / "model", OLD_MODEL)
-    rename = Path.rename
-
-    def fail_from_the_third(self: Path, target: Path) -> Path:
-        if len(list(path.glob("*.txt"))) <= 2:
-            raise OSError(5, "Input/output error")
-        return rename(self, target)
-
-    monkeypatch.setattr(Path, "rename", fail_from_the_third)
-    with pytest.raises(OSError, match="Input/output error"), atomic.replace_folder(path) as new:
-        write_tree(new, NEW_MODEL)
-    left = {Path(name).name: content for name, content in tree(path).items()}
-    assert OLD_MODEL.items() <= left.items()
 
 
 def test_links_stay_links(tmp_path: Path) -> None:
@@ -249,3 +191,102 @@ def test_write_protection_is_respected(
     monkeypatch.setattr(os, "access", lambda path, _: Path(path) != tmp_path)
     with pytest.raises(PermissionError, match="is not writable"):
         check(tmp_path / "out")
+
+
+def test_owner_and_permissions_stay(tmp_path: Path) -> None:
+    path = write_tree(tmp_path / "model", OLD_MODEL | {"images/a.jpg": "jpg"})
+    (path / "images").chmod(0o711)
+    (path / "cameras.txt").chmod(0o604)
+    path.chmod(0o2750)
+    if os.geteuid() == 0:
+        os.chown(path, 1234, 2345)
+        os.chown(path / "cameras.txt", 1234, 2346)
+    before = path.stat()
+    with atomic.replace_folder(path) as temporary:
+        write_tree(temporary, OLD_MODEL)
+    after, file = path.stat(), (path / "cameras.txt").stat()
+    assert stat.S_IMODE(after.st_mode) == 0o2750
+    assert (after.st_uid, after.st_gid) == (before.st_uid, before.st_gid)
+    assert stat.S_IMODE(file.st_mode) == 0o604
+    assert stat.S_IMODE((path / "images").stat().st_mode) == 0o711
+    if os.geteuid() == 0:
+        assert (file.st_uid, file.st_gid) == (1234, 2346)
+        assert (path / "rigs.txt").stat().st_gid == 0
+
+
+def test_what_was_replaced_is_recorded_once_it_is(tmp_path: Path) -> None:
+    with atomic.recording() as replaced:
+        with atomic.replace_file(tmp_path / "a") as temporary:
+            assert replaced == []
+        assert replaced == [tmp_path / "a"]
+        with pytest.raises(ValueError, match="no"), atomic.replace_folder(tmp_path / "b"):
+            raise ValueError("no")
+        with atomic.replace_folder(tmp_path / "b") as temporary:
+            write_tree(temporary, NEW_MODEL)
+    assert replaced == [tmp_path / "a", tmp_path / "b"]
+    with atomic.replace_file(tmp_path / "a"):
+        pass
+    assert len(replaced) == 2
+
+
+@pytest.mark.parametrize("replace", [atomic.replace_file, atomic.replace_folder])
+def test_ctrl_c_during_the_replacement_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, replace
+) -> None:
+    real = os.rename, os.replace
+
+    def interrupted(call):
+        def rename(*arguments) -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+            call(*arguments)
+
+        return rename
+
+    monkeypatch.setattr(os, "rename", interrupted(real[0]))
+    monkeypatch.setattr(os, "replace", interrupted(real[1]))
+    with (
+        atomic.recording() as replaced,
+        pytest.raises(KeyboardInterrupt),
+        replace(tmp_path / "out") as temporary,
+    ):
+        pass
+    assert replaced == [tmp_path / "out"]
+    assert [child.name for child in tmp_path.iterdir()] == ["out"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert not temporary.exists()
+
+
+def test_two_writers_of_one_folder(tmp_path: Path) -> None:
+    """Each is whole when it comes; the last one wins, and nothing is left behind."""
+    path = write_tree(tmp_path / "model", OLD_MODEL | FOREIGN)
+    with atomic.replace_folder(path) as first:
+        write_tree(first, OLD_MODEL | {"cameras.txt": "first"})
+        with atomic.replace_folder(path) as second:
+            write_tree(second, NEW_MODEL)
+        assert tree(path) == NEW_MODEL | FOREIGN
+        assert first.exists()
+    assert tree(tmp_path) == {
+        f"model/{k}": v for k, v in (OLD_MODEL | FOREIGN | {"cameras.txt": "first"}).items()
+    }
+
+
+def test_two_writers_of_one_new_folder(tmp_path: Path) -> None:
+    path = tmp_path / "model"
+    with atomic.replace_folder(path) as first:
+        write_tree(first, OLD_MODEL)
+        with atomic.replace_folder(path) as second:
+            write_tree(second, NEW_MODEL)
+    assert tree(tmp_path) == {f"model/{k}": v for k, v in OLD_MODEL.items()}
+
+
+def test_a_folder_where_a_model_file_should_be_is_refused(tmp_path: Path) -> None:
+    path = write_tree(tmp_path, OLD_MODEL | {"frames.bin/thesis.tex": ""})
+    with pytest.raises(bundle.InputError, match=r"frames\.bin: expected a file of the model"):
+        atomic.check_folder(path)
+
+
+def test_a_mounted_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_tree(tmp_path, {"out.txt": "old"})
+    monkeypatch.setattr(atomic, "mount_points", lambda: frozenset({tmp_path / "out.txt"}))
+    with pytest.raises(bundle.InputError, match="mount point"):
+        atomic.check_file(tmp_path / "out.txt")

@@ -61,8 +61,11 @@ def test_a_folder_that_is_no_model(tmp_path: Path) -> None:
 
     write_model(tmp_path / "sparse/0", ".bin")
     write_model(tmp_path / "sparse/1", ".txt")
-    with pytest.raises(bundle.InputError, match=r"there are models inside: 0, 1$"):
-        bundle.load(tmp_path / "sparse")
+    candidates = " or ".join(str(tmp_path / "sparse" / name) for name in "01")
+    for folder in (tmp_path / "sparse", tmp_path):  # the project's folder, too
+        with pytest.raises(bundle.InputError) as error:
+            bundle.load(folder)
+        assert str(error.value).endswith(f"; try {candidates}")
 
     (write_model(tmp_path / "text", ".txt") / "images.txt").unlink()
     with pytest.raises(bundle.InputError, match=r"found a folder without images\.txt$"):

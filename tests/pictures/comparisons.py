@@ -117,10 +117,10 @@ def run(problem: int, index: int) -> Run:
     )
 
 
-def comparison(num_problems: int = 2) -> Comparison:
+def comparison(num_problems: int = 2, name: str = "street-980.txt") -> Comparison:
     problems = tuple(
         ComparedProblem(
-            name=name,
+            name=shown,
             format="bal",
             is_file=True,
             num_cameras=980 * (index + 1),
@@ -128,7 +128,7 @@ def comparison(num_problems: int = 2) -> Comparison:
             num_points=107_000,
             num_observations=512_034,
         )
-        for index, name in enumerate(["street-980.txt", HOSTILE][:num_problems])
+        for index, shown in enumerate([name, HOSTILE][:num_problems])
     )
     runs = tuple(run(p, m) for p in range(num_problems) for m in range(len(METHODS)))
     made = Comparison(
@@ -137,8 +137,8 @@ def comparison(num_problems: int = 2) -> Comparison:
         profiles=(),
         recommendation=Recommendation(
             method=METHODS[0],
-            reason="fused SPARSE_SCHUR: S is 14 % full, AMD makes 2.1e9 flops a step; "
-            "DENSE_SCHUR pays 3.1 times that.",
+            reason="fused SPARSE_SCHUR: S is 14 % full, AMD needs 2.1e9 flops per step; "
+            "DENSE_SCHUR takes 3.1 times as long.",
             command="bundle refine street-980.txt -o refined.txt --solver sparse-schur",
             foreseen=(METHODS[0],) * num_problems,
             verdict="That was foreseen on every problem.",

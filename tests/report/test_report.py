@@ -11,10 +11,10 @@ import pytest
 from bundle.problem import Problem
 from bundle.report import json as json_report
 from bundle.report.refine import refinement
-from bundle.report.termination import sentence
 from bundle.report.timing import WallTime
 from bundle.summary import solver_phases
 from bundle.tables import number, pixels, plural, render, seconds
+from bundle.termination import sentence
 from tests.report import fakes
 
 WALL = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, total=2.0)
@@ -201,6 +201,8 @@ def test_json_has_what_the_contract_lists(problem):
         "summary",
         "iterations",
         "reprojection_error",
+        "cameras",
+        "worst_images",
         "wall_time",
         "output",
     ]

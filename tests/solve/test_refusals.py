@@ -57,7 +57,7 @@ def huge_problem():
     ],
 )
 def test_dense_matrices_beyond_memory_are_refused_with_their_size(options):
-    message = r"needs [\d.]+ [TP]iB for its dense matrices, of which this machine has .* free"
+    message = r"needs [\d.]+ [TP]B for its dense matrices, of which this machine has .* free"
     with pytest.raises(bundle.InputError, match=message):
         bundle.solve(huge_problem(), **options)
 
@@ -74,7 +74,7 @@ def test_a_dense_reduced_system_beyond_memory_is_refused_with_its_size(solve):
         observation_xy=np.zeros((n, 2)),
         observation_keypoint=np.full(n, -1),
     )
-    message = r"^linear_solver_type: DENSE_SCHUR needs [\d.]+ TiB for its dense matrices"
+    message = r"^linear_solver_type: DENSE_SCHUR needs [\d.]+ [GT]B for its dense matrices"
     with pytest.raises(bundle.InputError, match=message):
         solve(problem, linear_solver_type="dense_schur")
 
@@ -130,7 +130,7 @@ def test_auto_looks_at_how_full_the_reduced_system_is(solve, backend, track, loc
         problem = problem.replace(observation_image=images)
     summary = solve(problem, max_num_iterations=1).summary
     assert summary.linear_solver_type_used == used
-    expected = reason if backend == "ceres" else "is expected to take a step: dense about"
+    expected = reason if backend == "ceres" else "columns): dense "
     assert expected in summary.linear_solver_choice
 
 

@@ -174,8 +174,9 @@ class CeresSolve {
       linear_solver_choice_ = std::move(choice.reason);
     }
     ceres::Solver::Options result = TranslateOptions(options);
-    std::string idle = FindIdlePreconditioner(options);
-    if (!idle.empty()) warnings_.push_back(std::move(idle));
+    for (std::string idle : {FindIdlePreconditioner(options), FindIdleOrdering(options)}) {
+      if (!idle.empty()) warnings_.push_back(std::move(idle));
+    }
     RefuseTooMuchMemory(options.linear_solver_type, shape,
                         options.linear_solver_ordering == EliminationOrdering::kCamerasFirst);
     if (NothingToEliminate(options.linear_solver_ordering, layout_)) {

@@ -142,11 +142,11 @@ double PredictCeresWorkingBytes(const ProblemShape& shape) {
 }
 
 std::string FormatBytes(double bytes) {
-  const char* const units[] = {"B", "KiB", "MiB", "GiB", "TiB", "PiB"};
+  const char* const units[] = {"B", "kB", "MB", "GB", "TB", "PB"};
   int unit = 0;
-  while (bytes >= 1024 && unit < 5) bytes /= 1024, ++unit;
+  while (bytes >= 999.5 && unit < 5) bytes /= 1000, ++unit;
   char text[32];
-  std::snprintf(text, sizeof(text), unit == 0 ? "%.0f %s" : "%.1f %s", bytes, units[unit]);
+  std::snprintf(text, sizeof(text), bytes < 999.5 ? "%.3g %s" : "%.0f %s", bytes, units[unit]);
   return text;
 }
 

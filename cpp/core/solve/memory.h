@@ -35,7 +35,7 @@ double PredictFusedWorkingBytes(const ProblemView& problem, const ParameterLayou
 /// (bundle/inspection/memory.py).
 double PredictCeresWorkingBytes(const ProblemShape& shape);
 
-/// "1.4 GiB"
+/// "1.4 GB": powers of 1000 and three digits, as python/bundle/memory_sizes.py writes them.
 std::string FormatBytes(double bytes);
 
 }  // namespace bundle

@@ -42,9 +42,8 @@ void RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
     restore(problem.camera_params, &output->camera_params);
     restore(problem.points, &output->points);
     output->summary.is_solution_usable = false;
-    output->summary.warnings.push_back(
-        std::string("The solver left the possible and its solution is dropped: ") + error.what() +
-        ".");
+    output->summary.warnings.push_back(std::string("The solution is invalid (") + error.what() +
+                                       ") and was discarded.");
   }
 }
 

@@ -51,6 +51,15 @@ std::string FindIdlePreconditioner(const SolveOptions& options) {
          UpperName(options.linear_solver_type, kLinearSolverTypes) + " is a direct solver.";
 }
 
+std::string FindIdleOrdering(const SolveOptions& options) {
+  const bool orders = options.linear_solver_type != LinearSolverType::kDenseNormalCholesky &&
+                      options.linear_solver_type != LinearSolverType::kDenseQr &&
+                      options.linear_solver_type != LinearSolverType::kCgnr;
+  if (orders || options.linear_solver_ordering == EliminationOrdering::kPointsFirst) return "";
+  return "The ordering is not used: " + UpperName(options.linear_solver_type, kLinearSolverTypes) +
+         " does not eliminate block by block.";
+}
+
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
                          bool cameras_eliminated) {
   Refuse(type, PredictDenseMatrixBytes(type, shape, cameras_eliminated), "dense matrices",

@@ -19,6 +19,9 @@ void CheckTrustRegion(const SolveOptions& options);
 /// One sentence if a preconditioner was asked for that the linear solver has no use for; else "".
 std::string FindIdlePreconditioner(const SolveOptions& options);
 
+/// One sentence if an elimination ordering was asked for of a linear solver that has none; else "".
+std::string FindIdleOrdering(const SolveOptions& options);
+
 /// True if `bytes` leave a tenth of the available memory to everything else.
 bool FitsIntoMemory(double bytes, double available);
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bundle.arguments import as_array
 from bundle.checking.comparison import Array
 from bundle.errors import InputError
 
@@ -52,11 +53,15 @@ class UserFunction:
                 f"function: expected (residual, list of Jacobians), found {type(answer).__name__}"
             )
         residual, jacobians = answer
-        return residual, jacobians
+        if not isinstance(jacobians, list | tuple | np.ndarray):
+            raise InputError(
+                f"function: expected a list of Jacobians, found {type(jacobians).__name__}"
+            )
+        return residual, list(jacobians)
 
     @staticmethod
     def _residual(residual: Any) -> Array:
-        values = np.array(residual, dtype=np.float64).reshape(-1)
+        values = as_array("function: residual", residual).reshape(-1).copy()
         if not len(values):
             raise InputError("function: expected at least one residual, found none")
         return values
@@ -69,7 +74,7 @@ class UserFunction:
             )
         result = []
         for b, (jacobian, size) in enumerate(zip(jacobians, self.sizes, strict=True)):
-            matrix = np.asarray(jacobian, dtype=np.float64)
+            matrix = as_array(f"function: Jacobian {b}", jacobian)
             expected = (self.num_residuals, size)
             if matrix.shape != expected and not (
                 matrix.ndim == 1 and matrix.size == size and self.num_residuals == 1

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle import _core
+from bundle.arguments import as_array
 from bundle.checking.assemble import CHECKER_PRECISION, TOLERANCE, make_report
 from bundle.checking.classify import classify, float_precision, stale
 from bundle.checking.columns import Block, Column
@@ -18,7 +20,8 @@ from bundle.checking.layout import Layout, Name, sample
 from bundle.checking.manifolds import ManifoldLike
 from bundle.checking.report import GradientCheckerSummary, GradientReport, Offender
 from bundle.checking.tally import Tally
-from bundle.errors import InputError
+from bundle.errors import InputError, brief
+from bundle.option_fields import number
 
 __all__ = ["check_gradients"]
 
@@ -70,11 +73,20 @@ def check_gradients(
         InputError: blocks, manifolds or names do not fit each other, or the function answers with
             wrong shapes. What the function raises comes through.
     """
-    start = [np.array(block, dtype=np.float64).reshape(-1) for block in blocks]
+    if not callable(function):
+        raise InputError(f"function: expected a function, found {brief(function)}")
+    if isinstance(blocks, str | bytes | Mapping) or not isinstance(blocks, Iterable):
+        raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}")
+    start = [as_array("blocks", block).reshape(-1).copy() for block in blocks]
     if not start or not all(len(block) for block in start):
         raise InputError("blocks: expected at least one block, none of them empty")
-    if num_samples < 1:
-        raise InputError(f"num_samples: expected at least 1, found {num_samples}")
+    for b, block in enumerate(start):
+        if not np.isfinite(block).all():
+            raise InputError(f"blocks: expected finite numbers, found others in block {b}")
+    num_samples = number("num_samples", num_samples, minimum=1, whole=True)
+    radius = number("radius", radius, minimum=0)
+    seed = number("seed", seed, minimum=0, maximum=math.inf, whole=True)
+    tolerance = number("tolerance", tolerance, above=0)
     layout = Layout.make(start, manifolds, names)
     user = UserFunction(function, start)
     rng = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.arguments import check_function
 from bundle.cameras import camera_models, param_kinds
 from bundle.checking.assemble import CHECKER_PRECISION, TOLERANCE, make_report
 from bundle.checking.classify import classify, float_precision
@@ -18,6 +20,8 @@ from bundle.checking.evidence import Evidence, Finding
 from bundle.checking.report import GradientCheckerSummary, GradientReport, Offender
 from bundle.checking.tally import Tally, Worst
 from bundle.errors import InputError
+from bundle.io import Source, as_problem
+from bundle.option_fields import number
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 
@@ -35,7 +39,7 @@ Progress = Callable[[int, int], None]
 
 
 def check_jacobians(
-    problem: Problem,
+    problem: Source,
     *,
     samples_per_image: int | None = SAMPLES_PER_IMAGE,
     seed: int = 0,
@@ -51,7 +55,7 @@ def check_jacobians(
     start of its rotation's chart.
 
     Args:
-        problem: checked at its own values.
+        problem: checked at its own values; also the path of one, or a pycolmap.Reconstruction.
         samples_per_image: observations to check of each image (an image has one camera); None: all.
         seed: of the sampling.
         tolerance: relative error from which on an entry is wrong.
@@ -60,12 +64,16 @@ def check_jacobians(
         progress: called with the observations done and all of them.
 
     Raises:
-        InputError: a camera model that is not supported, or a count or tolerance out of range.
+        InputError: a camera model that is not supported, or an argument out of range.
+        OSError: the path cannot be read.
     """
-    if samples_per_image is not None and samples_per_image < 1:
-        raise InputError(f"samples_per_image: expected at least 1, found {samples_per_image}")
-    if not tolerance > 0:
-        raise InputError(f"tolerance: expected more than 0, found {tolerance}")
+    problem = as_problem(problem)
+    if samples_per_image is not None:
+        samples_per_image = number("samples_per_image", samples_per_image, minimum=1, whole=True)
+    seed = number("seed", seed, minimum=0, maximum=math.inf, whole=True)
+    tolerance = number("tolerance", tolerance, above=0)
+    check_function("progress", progress)
+    num_threads = number("num_threads", num_threads, minimum=0, whole=True)
     observations = _choose(problem, samples_per_image, seed)
     settings = _Settings(
         resolve_cheirality(problem, cheirality) == "algebraic", num_threads, tolerance

@@ -10,7 +10,7 @@ import numpy as np
 from bundle.checking.columns import Block, Column
 from bundle.checking.comparison import Array
 from bundle.checking.manifolds import Manifold, ManifoldLike
-from bundle.errors import InputError
+from bundle.errors import InputError, brief
 
 __all__ = ["Layout", "Name", "sample"]
 
@@ -39,6 +39,9 @@ class Layout:
             InputError: manifolds or names do not fit the blocks.
         """
         count = len(start)
+        for what, given in (("manifolds", manifolds), ("names", names)):
+            if given is not None and not isinstance(given, list | tuple):
+                raise InputError(f"{what}: expected a list, one a block, found {brief(given)}")
         manifolds = [None] * count if manifolds is None else list(manifolds)
         names = [f"block {b}" for b in range(count)] if names is None else list(names)
         for what, given in (("manifolds", manifolds), ("names", names)):
@@ -50,10 +53,16 @@ class Layout:
         return layout
 
     def _add(self, manifold: Manifold, name: Name) -> None:
-        group = name if isinstance(name, str) else name[0]
-        parameters = (
-            manifold.parameter_names(group) if isinstance(name, str) else [*map(str, name[1])]
-        )
+        if isinstance(name, str):
+            group, parameters = name, manifold.parameter_names(name)
+        elif (
+            isinstance(name, tuple | list) and len(name) == 2 and isinstance(name[1], list | tuple)
+        ):
+            group, parameters = str(name[0]), [*map(str, name[1])]
+        else:
+            raise InputError(
+                f"names: expected a name or (name, names of its parameters), found {brief(name)}"
+            )
         if len(parameters) != manifold.size:
             raise InputError(
                 f"names: expected {manifold.size} names for {group}, found {len(parameters)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,11 +11,22 @@ import numpy as np
 from bundle import _core
 from bundle.checking.columns import Block
 from bundle.checking.comparison import Array
-from bundle.errors import InputError
+from bundle.errors import InputError, brief
+from bundle.option_fields import choice
 
 __all__ = ["Manifold", "ManifoldLike"]
 
 ManifoldLike = str | tuple[str, Sequence[int]] | None
+
+NAMES = (
+    "euclidean",
+    "angle_axis",
+    "quaternion_wxyz",
+    "quaternion_xyzw",
+    "se3",
+    "sphere",
+    "subset",
+)
 
 _PARAMETERS = {
     "quaternion_wxyz": ("qw", "qx", "qy", "qz"),
@@ -54,9 +66,19 @@ class Manifold:
         Raises:
             InputError: there is no such manifold, or it does not fit a block of this size.
         """
-        name, constant = given if isinstance(given, tuple) else (given or "euclidean", ())
-        name = str(name).lower().replace("-", "_")
-        entries = tuple(int(entry) for entry in constant)
+        pair = given if isinstance(given, tuple) else (given or "euclidean", ())
+        if len(pair) != 2:
+            raise InputError(f"manifolds: expected a name or (name, entries), found {brief(given)}")
+        name = choice("manifolds", pair[0], NAMES)
+        try:
+            entries = tuple(operator.index(entry) for entry in pair[1])
+        except TypeError:
+            raise InputError(
+                f"manifolds: expected the entries that stay constant, found {brief(pair[1])}"
+            ) from None
+        for entry in entries:
+            if not 0 <= entry < size:
+                raise InputError(f"manifolds: expected entries from 0 to {size - 1}, found {entry}")
         if name == "angle_axis" and size != 3:
             raise InputError(f"manifolds: angle_axis expects a block of 3 numbers, found {size}")
         core = (_core_name(name), list(entries))

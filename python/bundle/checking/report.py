@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any
 
 from rich.console import RenderableType
-from rich.table import Table
 
 from bundle.checking.evidence import Finding
-from bundle.tables import columns, facts, notes, plural, render
+from bundle.display import Display
+from bundle.tables import Bar, Columns, columns, facts, notes, plural, render
 
 __all__ = [
     "GradientCheckerSummary",
@@ -22,7 +23,9 @@ __all__ = [
     "outcome",
 ]
 
-BAR_WIDTH = 40
+
+SHOWN = 5
+"""Findings that the repr names; printing a report shows all."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,23 @@ class GradientReport:
         return render(*explanation(self)).rstrip("\n")
 
     def __repr__(self) -> str:
-        return f"<GradientReport: {'correct' if self.ok else 'wrong'}>\n{self}"
+        return self._display().text()
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
+
+    def _display(self) -> Display:
+        count = plural(self.num_checked, self.noun)
+        findings = tuple(("finding", finding.sentence) for finding in self.findings[:SHOWN])
+        more = len(self.findings) - SHOWN
+        return Display(
+            title=f"GradientReport: {outcome(self)}",
+            facts=(
+                ("checked", f"{self.subject}, {count}, {self.num_skipped} skipped"),
+                *findings,
+                *((("", f"and {more} more"),) if more > 0 else ()),
+            ),
+        )
 
 
 def outcome(report: GradientReport) -> str:
@@ -170,7 +189,7 @@ def explanation(report: GradientReport) -> list[RenderableType]:
     return parts
 
 
-def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Table:
+def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Columns:
     rows = [
         (
             verdict.name,
@@ -186,7 +205,7 @@ def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Table:
     return columns(head, rows, left=2)
 
 
-def _worst(offenders: Sequence[Offender]) -> Table:
+def _worst(offenders: Sequence[Offender]) -> Columns:
     rows = [
         (
             offender.parameter,
@@ -203,7 +222,7 @@ def _worst(offenders: Sequence[Offender]) -> Table:
     return columns(head, rows, left=2)
 
 
-def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Table:
+def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Columns:
     filled = [index for index, (_, _, count) in enumerate(histogram) if count]
     shown_bins = histogram[filled[0] : filled[-1] + 1] if filled else []
     largest = max((count for _, _, count in shown_bins), default=1)
@@ -211,13 +230,13 @@ def _histogram(histogram: Sequence[tuple[float, float, int]]) -> Table:
     rows = [
         (
             _bin(low, high),
-            "#" * math.ceil(BAR_WIDTH * count / largest),
+            Bar(count / largest),
             str(count),
             f"{100.0 * count / total:.1f} %",
         )
         for low, high, count in shown_bins
     ]
-    return columns(("relative error", " " * BAR_WIDTH, "entries", "share"), rows, left=2)
+    return columns(("relative error", "", "entries", "share"), rows, left=2)
 
 
 def _bin(low: float, high: float) -> str:

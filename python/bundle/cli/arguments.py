@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import shutil
 import textwrap
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from bundle.errors import InputError
+from bundle.cli.suggestions import unknown_command, unknown_value
+from bundle.errors import InputError, shown
 from bundle.io import FORMATS
 
 __all__ = ["Parser", "add_common_arguments", "add_input", "add_output"]
@@ -25,14 +27,44 @@ class _Formatter(argparse.HelpFormatter):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaints are InputErrors."""
+    """An argument parser whose complaints are InputErrors.
 
-    def __init__(self, **settings: Any) -> None:
+    A flag that does not exist comes before anything that is missing: who misspells ``--output``
+    learns that, not that ``--output`` is required.
+    """
+
+    def __init__(self, *, explain: Callable[[str], str] | None = None, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=_Formatter, **settings)
+        self.explain = explain or (lambda found: f"unrecognized arguments: {found}")
 
     def error(self, message: str) -> NoReturn:
         """Raise what is wrong as one line that also says where to read more."""
-        raise InputError(f"{message} (see {self.prog} --help)")
+        raise InputError(f"{shown(message)} (see {self.prog} --help)")
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Parse; unlike the base class, take no flag or word that is not known."""
+        for word in args or ():
+            if word == "--" or (self._subparsers is not None and not word.startswith("-")):
+                break  # what follows is no flag, or those of a command
+            if word.startswith("--") and word.partition("=")[0] not in self.flags():
+                self.error(self.explain(word))
+        parsed, rest = super().parse_known_args(args, namespace)
+        if rest:
+            self.error(self.explain(rest[0]))
+        return parsed, rest
+
+    def flags(self) -> tuple[str, ...]:
+        """Return every flag."""
+        return tuple(self._option_string_actions)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is None or value in action.choices:
+            return
+        if isinstance(action, argparse._SubParsersAction):
+            self.error(unknown_command(value, action.choices))
+        raise argparse.ArgumentError(action, unknown_value(str(value), map(str, action.choices)))
 
 
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,11 +79,14 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_input(parser: argparse.ArgumentParser) -> None:
+def add_input(
+    parser: argparse.ArgumentParser, name: str = "input", nargs: str | None = None
+) -> None:
     """Add INPUT."""
     parser.add_argument(
-        "input",
+        name,
         metavar="INPUT",
+        nargs=nargs,
         help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text); "
         "told by its content",
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from time import perf_counter
 
 from bundle.cli.arguments import add_input
@@ -57,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.checking.report import outcome
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
+    from bundle.cli.streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import load
     from bundle.report.check import as_json, checked
@@ -92,5 +92,5 @@ def run(arguments: argparse.Namespace) -> int:
     if report.ok:
         return EXIT_DONE
     if arguments.json == "-":  # the report that people read was not printed
-        print(outcome(report), file=sys.stderr)
+        complain(outcome(report))
     return EXIT_NO_SOLUTION

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from bundle import compare_defaults as defaults
 from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, options_given
 from bundle.errors import InputError
@@ -21,15 +22,6 @@ __all__ = ["HELP", "NAME", "add_arguments", "run"]
 NAME = "compare"
 HELP = "the same start under several solvers: measured, and one of them recommended"
 
-COMPARED = {
-    "backend": "--backends",
-    "linear_solver_type": "--solvers",
-    "linear_solver_ordering": "--orderings",
-    "preconditioner_type": "--preconditioners",
-    "num_threads": "--threads",
-}
-"""Options that are compared, with the flags that take a list of their values."""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
@@ -43,32 +35,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_methods(parser.add_argument_group("what is compared: every combination of"))
     _add_limits(parser.add_argument_group("options of the comparison"))
-    others = [name for name in SolveOptions.__dataclass_fields__ if name not in COMPARED]
+    others = [name for name in SolveOptions.__dataclass_fields__ if name not in defaults.COMPARED]
     add_options(parser, SolveOptions, "options of every solve", others)
 
 
 def _add_methods(group: argparse._ArgumentGroup) -> None:
     fields = SolveOptions.__dataclass_fields__
-    for name, default, words in (
-        ("linear_solver_type", "dense-schur,sparse-schur,iterative-schur", ""),
-        ("backend", "fused,ceres", ""),
-        ("preconditioner_type", "auto", "for solvers that iterate, "),
-        ("linear_solver_ordering", "points-first", "what is eliminated first, "),
+    for name, values, words in (
+        ("linear_solver_type", defaults.SOLVERS, ""),
+        ("backend", defaults.BACKENDS, ""),
+        ("preconditioner_type", defaults.PRECONDITIONERS, "for iterative solvers, "),
+        ("linear_solver_ordering", defaults.ORDERINGS, "which blocks are eliminated first, "),
     ):
         choices = ", ".join(fields[name].metadata["choices"]).replace("_", "-")
+        shown = ",".join(values).replace("_", "-")
         group.add_argument(
-            COMPARED[name],
+            _flag(name),
             metavar="LIST",
             type=_names,
-            default=_names(default),
-            help=f"{words}out of {choices} (default: {default})",
+            default=values,
+            help=f"{words}out of {choices} (default: {shown})",
         )
     group.add_argument(
         "--threads",
         metavar="LIST",
         type=_counts,
-        default=(0,),
-        help="numbers of threads, such as 1,2; 0: all cores (default: 0)",
+        default=defaults.THREADS,
+        help="numbers of threads, such as 1,2; 0: all cores "
+        f"(default: {','.join(map(str, defaults.THREADS))})",
     )
 
 
@@ -77,22 +71,23 @@ def _add_limits(group: argparse._ArgumentGroup) -> None:
         "--repeat",
         metavar="N",
         type=int,
-        default=3,
-        help="runs of each method, of which the median counts; what takes over 10 s is not "
-        "repeated (default: 3)",
+        default=defaults.REPEAT,
+        help="runs of each method, of which the median counts; a run of more than "
+        f"{defaults.SECONDS_NOT_REPEATED:g} s is not repeated (default: {defaults.REPEAT})",
     )
     group.add_argument(
         "--timeout",
         metavar="SECONDS",
         type=float,
-        default=60.0,
-        help="stop a solve that takes longer (default: 60)",
+        default=defaults.TIMEOUT,
+        help=f"stop a solve that takes longer (default: {defaults.TIMEOUT:g})",
     )
     group.add_argument(
         "--memory-cap",
         metavar="SIZE",
-        help="stop a solve that takes more memory beyond the loaded problem, such as 500MB "
-        "(default: 90 %% of what is free at the start)",
+        help="stop a solve that takes more memory beyond the loaded problem, such as 500MB; "
+        "1 MB is 1,000,000 bytes "
+        f"(default: {100 * defaults.SHARE_OF_FREE_MEMORY:g} %% of what is free at the start)",
     )
     group.add_argument("--html", metavar="FILE", help="also write a page with plots")
 
@@ -160,9 +155,14 @@ def _naming_flags() -> Iterator[None]:
         yield
     except InputError as error:
         name, _, rest = str(error).partition(":")
-        if name in COMPARED:
-            raise InputError(f"{COMPARED[name]}:{rest}") from None
+        if name in defaults.COMPARED:
+            raise InputError(f"{_flag(name)}:{rest}") from None
         raise
+
+
+def _flag(name: str) -> str:
+    """Return the flag that lists the values of an option that is compared."""
+    return f"--{defaults.COMPARED[name]}"
 
 
 def _memory_cap(text: str | None) -> int:

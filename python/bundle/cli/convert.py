@@ -33,7 +33,10 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = load(arguments.input)
-        output = {"path": path, "format": output_format(problem, path, arguments.format)}
+        output = {
+            "path": path,
+            "format": output_format(problem, path, arguments.format, arguments.input),
+        }
         check_target(problem, **output)
         progress.stage(f"writing {shown(path)}")
         lost = save(problem, **output)

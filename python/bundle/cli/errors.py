@@ -1,12 +1,32 @@
-"""Errors that a user can cause, each in one line."""
+"""Errors that a user can cause, each in one line, and the exit codes.
+
+===== =============================================================================================
+code  meaning
+===== =============================================================================================
+0     done
+1     no usable solution, or interrupted with something to show for it; the report is written
+2     bad input or usage, or the system refused to read or write
+130   interrupted (Ctrl-C) before there was anything to show
+===== =============================================================================================
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from pathlib import Path
 
+from bundle.cli import startup
 from bundle.errors import InputError, shown
 
-__all__ = ["EXIT_BAD_INPUT", "EXIT_DONE", "EXIT_NO_SOLUTION", "describe_error"]
+__all__ = [
+    "EXIT_BAD_INPUT",
+    "EXIT_DONE",
+    "EXIT_INTERRUPTED",
+    "EXIT_NO_SOLUTION",
+    "describe_error",
+    "is_interruption",
+]
 
 # How the dynamic loader says so.
 _LACKS_MEMORY = re.compile("failed to map segment|cannot allocate memory", re.IGNORECASE)
@@ -14,10 +34,33 @@ _LACKS_MEMORY = re.compile("failed to map segment|cannot allocate memory", re.IG
 EXIT_DONE = 0
 EXIT_NO_SOLUTION = 1
 EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = startup.EXIT_INTERRUPTED
 
 
-def describe_error(error: BaseException) -> str | None:
-    """Return an error in one line, or None for one that only a bug can cause."""
+def describe_error(error: BaseException, written: Sequence[Path] = ()) -> str | None:
+    """Return an error in one line, or None for one that only a bug can cause.
+
+    Args:
+        error: what ended the command.
+        written: paths that it had replaced before, which the line names.
+    """
+    paths = [shown(path) for path in dict.fromkeys(written)]
+    after = f"{' and '.join(paths)} {'were' if len(paths) > 1 else 'was'} written"
+    if is_interruption(error):
+        return f"interrupted; {after if paths else 'nothing was written'}"
+    line = _line(error)
+    return f"{line}; {after}" if line is not None and paths else line
+
+
+def is_interruption(error: BaseException) -> bool:
+    """Tell whether Ctrl-C caused an error: an import may turn it into an ImportError."""
+    if isinstance(error, ImportError):
+        cause = error.__cause__ or error.__context__
+        return cause is not None and is_interruption(cause)
+    return isinstance(error, KeyboardInterrupt)
+
+
+def _line(error: BaseException) -> str | None:
     if isinstance(error, InputError):
         return _one_line(str(error))
     if isinstance(error, OSError):
@@ -26,8 +69,6 @@ def describe_error(error: BaseException) -> str | None:
         return _one_line(f"not enough memory: {error}" if str(error) else "not enough memory")
     if isinstance(error, ImportError) and _LACKS_MEMORY.search(str(error)):
         return _one_line(f"not enough memory to load a library: {error}")
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted; nothing was written"
     return None
 
 

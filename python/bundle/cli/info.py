@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from bundle.cli.arguments import add_input
 from bundle.cli.errors import EXIT_DONE
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -15,11 +19,12 @@ HELP = "what a reconstruction holds, its reprojection error [px] now, and what l
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
-    add_input(parser)
+    parser.usage = "bundle info INPUT... [options]"
+    add_input(parser, "inputs", nargs="+")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Describe INPUT."""
+    """Describe every INPUT."""
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
@@ -27,13 +32,18 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.report import info, json
     from bundle.statistics import describe
 
-    check_json(arguments.json, arguments.input)
+    check_json(arguments.json, *arguments.inputs)
+    tables: list[RenderableType] = []
+    reports = []
     with Progress(quiet=arguments.quiet) as progress:
-        progress.stage(f"reading {shown(arguments.input)}")
-        problem = load(arguments.input)
-        progress.stage("counting")
-        description = describe(problem)
+        for path in arguments.inputs:
+            progress.stage(f"reading {shown(path)}")
+            problem = load(path)
+            progress.stage("counting")
+            description = describe(problem)
+            tables += ["", *info.information(path, problem, description)]
+            reports.append(json.information(path, problem, description))
     if arguments.json != "-":
-        show(*info.information(arguments.input, problem, description))
-    write_json(arguments.json, json.information(arguments.input, problem, description))
+        show(*tables[1:])
+    write_json(arguments.json, reports[0] if len(reports) == 1 else json.several("info", reports))
     return EXIT_DONE

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "inspect"
-HELP = "what each way to solve a problem will cost: nonzeros, fill, flops, memory, time a step"
+HELP = "what each way to solve a problem will cost: nonzeros, fill, flops, memory, time per step"
 
 # What decides the pattern, and how many threads the times are for.
 OPTIONS = (
@@ -127,10 +127,10 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
             page, name = arguments.html, str(arguments.input)
             write_inspection(inspection, page, problem, options, name=name)
     if arguments.json != "-":
-        show(*inspected(arguments.input, problem, inspection))
+        show(*inspected(arguments.input, problem, inspection, options))
     wall = perf_counter() - started
-    given = {name: getattr(options, name) for name in OPTIONS}
-    write_json(arguments.json, as_json(arguments.input, problem, inspection, given, wall))
+    report = as_json(arguments.input, problem, inspection, options, OPTIONS, wall)
+    write_json(arguments.json, report)
     return EXIT_DONE
 
 

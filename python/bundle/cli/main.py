@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
-import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import ModuleType
+from typing import Any
 
 from bundle import __version__
+from bundle.cli import startup
 from bundle.cli.arguments import Parser, add_common_arguments
-from bundle.cli.errors import EXIT_BAD_INPUT, describe_error
+from bundle.cli.errors import (
+    EXIT_BAD_INPUT,
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    describe_error,
+    is_interruption,
+)
+from bundle.cli.streams import complain, open_missing_streams, release_broken_streams
+from bundle.cli.suggestions import unknown_flag
 from bundle.errors import end_in_one_line
+from bundle.io import atomic
 
 __all__ = ["main"]
 
@@ -21,38 +34,71 @@ COMMANDS = ("info", "inspect", "refine", "compare", "check", "convert", "synth")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code: 0 done, 1 no usable solution, 2 bad input."""
-    _print_any_path()
+    """Run one command and return its exit code; ``bundle.cli.errors`` has them all."""
+    open_missing_streams()
     end_in_one_line()
-    try:
-        arguments = _parser().parse_args(argv)
-        code: int = arguments.run(arguments)
-    except (Exception, KeyboardInterrupt) as error:
-        line = describe_error(error)
-        if line is None:
-            raise
-        with contextlib.suppress(OSError):  # nobody reads what went wrong
-            print(f"error: {line}", file=sys.stderr, flush=True)
-        return EXIT_BAD_INPUT
-    finally:
-        _let_go_of_broken_streams()
+    with atomic.recording() as written, _noting_recoveries():
+        try:
+            code = _run(sys.argv[1:] if argv is None else list(argv))
+        except (Exception, KeyboardInterrupt) as error:
+            with _ignoring_interrupts():
+                line = describe_error(error, written)
+                if line is None:
+                    raise
+                complain(f"error: {line}")
+                code = EXIT_INTERRUPTED if is_interruption(error) else EXIT_BAD_INPUT
+        finally:
+            release_broken_streams()
+    if argv is None:  # nothing is left but the interpreter's end, which may take a moment
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     return code
 
 
+def _run(words: list[str]) -> int:
+    parser = _parser()
+    startup.done()
+    code = EXIT_DONE
+    try:
+        if words:
+            arguments = parser.parse_args(words)
+            code = arguments.run(arguments)
+        else:
+            parser.print_help()
+    except SystemExit:  # after --help and --version
+        _flush()
+        raise
+    _flush()
+    return code
+
+
+def _flush() -> None:
+    lost = release_broken_streams()
+    if lost is not None:
+        raise lost
+
+
 def _parser() -> Parser:
+    flags: dict[str, tuple[str, ...]] = {}
     parser = Parser(
         prog="bundle",
         description="Refines structure-from-motion reconstructions and explains the solve.",
         epilog="bundle COMMAND --help tells more.",
+        explain=lambda found: unknown_flag(found, "", flags),
     )
     parser.add_argument("--version", action="version", version=f"bundle {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in COMMANDS:
         command = _module(name)
-        subparser = commands.add_parser(name, help=command.HELP, description=command.HELP)
+        subparser = commands.add_parser(
+            name,
+            help=command.HELP,
+            description=command.HELP,
+            explain=lambda found, name=name: unknown_flag(found, name, flags),
+        )
         command.add_arguments(subparser)
         add_common_arguments(subparser)
         subparser.set_defaults(run=command.run)
+        flags[name] = subparser.flags()
     return parser
 
 
@@ -60,21 +106,31 @@ def _module(name: str) -> ModuleType:
     return importlib.import_module(f"bundle.cli.{name}")
 
 
-def _let_go_of_broken_streams() -> None:
-    """Drop what a closed pipe or a full disk did not take.
+@contextmanager
+def _noting_recoveries() -> Iterator[None]:
+    """Print a line where an unfinished replacement of a killed run was finished."""
+    with warnings.catch_warnings():
+        show = warnings.showwarning
 
-    The interpreter flushes once more at its exit and would turn that into a complaint and a code of
-    its own.
-    """
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except OSError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        def note(message: Warning | str, category: type[Warning], *where: Any, **how: Any) -> None:
+            if issubclass(category, atomic.RecoveryWarning):
+                complain(f"note: {message}")
+            else:
+                show(message, category, *where, **how)
+
+        warnings.simplefilter("always", atomic.RecoveryWarning)
+        setattr(warnings, "showwarning", note)  # noqa: B010 (the stub knows only functions of its own)
+        yield
 
 
-def _print_any_path() -> None:
-    """Let file names that are not UTF-8 pass through standard output as escapes."""
-    reconfigure = getattr(sys.stdout, "reconfigure", None)
-    if reconfigure is not None:
-        reconfigure(errors="backslashreplace")
+@contextmanager
+def _ignoring_interrupts() -> Iterator[None]:
+    """Let impatience not interrupt the line that says what has happened."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -45,15 +46,19 @@ def options_given(arguments: argparse.Namespace, kind: type[Options]) -> Options
 
 @contextmanager
 def naming_flags(kind: type[Any]) -> Iterator[None]:
-    """Let an InputError about an option name its flag, as the user typed it."""
+    """Let an InputError about an option name its flag, as the user typed it.
+
+    Options stand at the head of a message, and before "=" within it.
+    """
     try:
         yield
     except InputError as error:
-        name, _, rest = str(error).partition(":")
-        for field in dataclasses.fields(kind):
-            if field.name == name:
-                raise InputError(f"{field.metadata['flag']}:{rest}") from None
-        raise
+        flags = {field.name: field.metadata["flag"] for field in dataclasses.fields(kind)}
+        name, colon, rest = str(error).partition(":")
+        if name not in flags:
+            raise
+        words = re.sub(r"\b(\w+)=", lambda m: f"{flags.get(m[1], m[1])} ", rest)
+        raise InputError(f"{flags[name]}{colon}{words}") from None
 
 
 def parse_ids(text: str) -> tuple[int, ...]:

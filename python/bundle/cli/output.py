@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 from pathlib import Path
@@ -10,47 +9,64 @@ from typing import Any
 
 from rich.console import RenderableType
 
+from bundle.cli.streams import print_out
 from bundle.errors import InputError, shown
 from bundle.io import atomic
+from bundle.io.model_files import MODEL_FILES
+from bundle.io.recognition import reconstruction_at
+from bundle.io.streams import is_stream
 from bundle.report import json
 from bundle.tables import console, render
 
-__all__ = ["check_json", "show", "write_json"]
+__all__ = ["check_json", "check_new", "show", "write_json"]
 
 
 def check_json(path: str | None, *others: str) -> None:
-    """Refuse now a path that a report could not be written to later.
+    """Refuse now a path that a report could not be written to later, or must not be.
 
     Args:
-        path: the argument of --json.
+        path: the argument of --json or --html.
         *others: what the command reads and writes besides, which a report must not replace.
 
     Raises:
-        InputError: the path is a folder, has no folder to be in, or is one of the others.
+        InputError: the path is a folder, has no folder to be in, is one of the others or a model
+            file in one of them, or a reconstruction stands there.
         OSError: there is no permission to write.
 
     """
-    if path is None or path == "-":
+    if path is None or path == "-" or is_stream(path):
         return
-    target = os.path.realpath(path)
-    if any(target == os.path.realpath(other) for other in others):
-        raise InputError(f"{shown(path)}: the report would replace what the command works on")
-    if not _is_device(path):
-        atomic.check_file(Path(path))
+    target = Path(os.path.realpath(path))
+    for other in (Path(os.path.realpath(other)) for other in others):
+        if target == other or (target.parent == other and target.name in MODEL_FILES):
+            raise InputError(f"{shown(path)}: the report would replace what the command works on")
+    atomic.check_file(Path(path))
+    found = reconstruction_at(target)
+    if found is not None:
+        raise InputError(f"{shown(path)}: the report would replace {found}")
+
+
+def check_new(path: str, flag: str) -> None:
+    """Refuse to replace what stands at a path, an empty folder aside; the flag allows it.
+
+    Raises:
+        InputError: something stands there.
+    """
+    target = Path(path)
+    if not os.path.lexists(target) or (target.is_dir() and next(target.iterdir(), None) is None):
+        return
+    found = reconstruction_at(target) or ("a folder" if target.is_dir() else "a file")
+    raise InputError(f"{shown(path)}: expected nothing there, found {found} ({flag} replaces it)")
 
 
 def write_json(path: str | None, report: dict[str, Any]) -> None:
     """Write a report to a file, whole or not at all, to standard output ("-"), or nowhere."""
     if path is None:
         return
-    text = json.dumps(report)
     if path == "-":
-        _print(text)
-    elif _is_device(path):
-        Path(path).write_text(text, encoding="ascii")
+        print_out(json.dumps(report))
     else:
-        with atomic.replace_file(Path(path)) as temporary:
-            temporary.write_text(text, encoding="ascii")
+        atomic.write_text(Path(path), json.dumps(report))
 
 
 def show(*renderables: RenderableType) -> None:
@@ -59,17 +75,4 @@ def show(*renderables: RenderableType) -> None:
     if screen.is_terminal:
         screen.print(*renderables, sep="\n")
     else:
-        _print(render(*renderables))
-
-
-def _print(text: str) -> None:
-    """Print as long as somebody reads: `| head` is no failure of the work that was done."""
-    with contextlib.suppress(BrokenPipeError):
-        sys.stdout.write(text)
-        sys.stdout.flush()
-
-
-def _is_device(path: str) -> bool:
-    """Whether something stands at path that is written into, not replaced: a pipe, a device."""
-    target = Path(path)
-    return target.exists() and not target.is_file() and not target.is_dir()
+        print_out(render(*renderables, width=screen.width))

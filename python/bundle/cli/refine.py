@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -40,6 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
+    from bundle.cli.streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import check_target, load, output_format, save
     from bundle.report import json
@@ -57,8 +57,13 @@ def run(arguments: argparse.Namespace) -> int:
         load_time = perf_counter() - begun
         if problem.num_observations == 0:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")
-        output = {"path": target, "format": output_format(problem, target, arguments.format)}
-        check_target(problem, **output)
+        output = {
+            "path": target,
+            "format": output_format(problem, target, arguments.format, source),
+        }
+        check_target(
+            problem, **output, refined=options.refine, fixed_camera_ids=options.fixed_camera_ids
+        )
         if arguments.check_gradients:
             progress.stage("checking the Jacobians")
             wrong = _wrong_jacobians(arguments, problem, options)
@@ -89,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if arguments.json == "-":  # the report that people read was not printed
-        print(outcome(solved), file=sys.stderr)
+        complain(outcome(solved))
     return EXIT_NO_SOLUTION
 
 
@@ -100,6 +105,7 @@ def _wrong_jacobians(
     from bundle.checking import check_jacobians
     from bundle.checking.report import outcome
     from bundle.cli.output import show, write_json
+    from bundle.cli.streams import complain
     from bundle.report.check import as_json, checked
 
     begun = perf_counter()
@@ -109,7 +115,7 @@ def _wrong_jacobians(
     if report.ok:
         return False
     if arguments.json == "-":
-        print(outcome(report), file=sys.stderr)
+        complain(outcome(report))
     else:
         show(*checked(arguments.input, problem, report))
     settings = {"check_gradients": True, **options.asdict()}

@@ -47,12 +47,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where the true solution goes, with the same observations (default: beside OUTPUT, "
         "OUTPUT_ground_truth)",
     )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace what stands at these paths (default: stop if there is anything)",
+    )
     add_options(parser, SceneOptions, "options of the scene")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Make a scene; write its start to OUTPUT and the truth beside it."""
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import check_json, check_new, show, write_json
     from bundle.cli.progress import Progress
     from bundle.io import check_target, output_format, save
     from bundle.synthetic import synthesize
@@ -63,6 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
     if os.path.realpath(path) == os.path.realpath(truth_path):
         raise InputError(f"{shown(truth_path)}: the ground truth would replace the start")
     check_json(arguments.json, path, truth_path)
+    if not arguments.overwrite:
+        for target in (path, truth_path):
+            check_new(target, "--overwrite")
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"making {options.num_images} images of {options.num_points} points")
         with naming_flags(SceneOptions):
@@ -70,11 +78,11 @@ def run(arguments: argparse.Namespace) -> int:
         format = output_format(scene.problem, path, arguments.format)
         output = {"path": path, "format": format}
         truth = {"path": truth_path, "format": format}
-        check_target(scene.problem, **output)
-        check_target(scene.ground_truth, **truth)
+        check_target(scene.problem, path, format)
+        check_target(scene.ground_truth, truth_path, format)
         progress.stage(f"writing {shown(path)}")
-        save(scene.problem, **output)
-        save(scene.ground_truth, **truth)
+        save(scene.problem, path, format)
+        save(scene.ground_truth, truth_path, format)
     report = _report(scene, output, truth)
     if arguments.json != "-":
         show(*_tables(report))

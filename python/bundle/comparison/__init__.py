@@ -1,6 +1,7 @@
 """The same start under several methods: measured, compared, recommended."""
 
-from bundle.comparison.comparing import REPEAT, TIMEOUT, compare
+from bundle.compare_defaults import REPEAT, TIMEOUT
+from bundle.comparison.comparing import compare
 from bundle.comparison.method import Method
 from bundle.comparison.result import (
     GAPS,

@@ -6,9 +6,10 @@ import dataclasses
 import shlex
 from typing import Any
 
+from bundle.inspection import Inspection
 from bundle.options import SolveOptions
 
-__all__ = ["command_line"]
+__all__ = ["command_line", "recommended_command"]
 
 
 def command_line(options: SolveOptions, source: str = "INPUT", output: str = "OUTPUT") -> str:
@@ -19,6 +20,21 @@ def command_line(options: SolveOptions, source: str = "INPUT", output: str = "OU
         if value != field.default:
             words += _flag(field, value)
     return shlex.join(words)
+
+
+def recommended_command(
+    inspection: Inspection, options: SolveOptions, source: str = "INPUT"
+) -> str:
+    """Return the `bundle refine` that an inspection recommends; "" where it recommends nothing."""
+    if inspection.recommended < 0:
+        return ""
+    best = inspection.methods[inspection.recommended]
+    options = options.replace(
+        linear_solver_type=best.linear_solver_type.lower(),
+        preconditioner_type=best.preconditioner.lower() or "auto",
+        backend="ceres" if best.backend == "CERES" else "auto",
+    )
+    return command_line(options, source)
 
 
 def _flag(field: dataclasses.Field[Any], value: Any) -> list[str]:

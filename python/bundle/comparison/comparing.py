@@ -3,28 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bundle.arguments import check_function
+from bundle.compare_defaults import (
+    BACKENDS,
+    COMPARED,
+    ORDERINGS,
+    PRECONDITIONERS,
+    REPEAT,
+    SHARE_OF_FREE_MEMORY,
+    SOLVERS,
+    THREADS,
+    TIMEOUT,
+)
 from bundle.comparison import memory
-from bundle.comparison.methods import BACKENDS, SOLVERS, expand
+from bundle.comparison.methods import expand
 from bundle.comparison.profiles import performance_profiles
 from bundle.comparison.recommend import recommend
 from bundle.comparison.result import GAPS, Comparison, PerformanceProfile
-from bundle.comparison.work import Progress, Source, Work
-from bundle.errors import InputError
+from bundle.comparison.work import Progress, Work
+from bundle.errors import InputError, check_keywords
+from bundle.io import Source
+from bundle.option_fields import number, spellings
 from bundle.options import SolveOptions
-from bundle.problem import Problem
 
-__all__ = ["REPEAT", "TIMEOUT", "compare"]
-
-TIMEOUT = 60.0
-REPEAT = 3
-SHARE_OF_FREE_MEMORY = 0.9
+__all__ = ["compare"]
 
 
 def compare(
@@ -32,10 +40,10 @@ def compare(
     options: SolveOptions | None = None,
     *,
     solvers: Iterable[str] = SOLVERS,
-    preconditioners: Iterable[str] = ("auto",),
-    orderings: Iterable[str] = ("points_first",),
+    preconditioners: Iterable[str] = PRECONDITIONERS,
+    orderings: Iterable[str] = ORDERINGS,
     backends: Iterable[str] = BACKENDS,
-    threads: Iterable[int] = (0,),
+    threads: Iterable[int] = THREADS,
     repeat: int = REPEAT,
     timeout: float = TIMEOUT,
     memory_cap: int = 0,
@@ -49,7 +57,7 @@ def compare(
     is there.
 
     Args:
-        problems: one or several problems, or paths of what :func:`bundle.load` reads.
+        problems: one, or a list of several: problems, paths, or pycolmap.Reconstructions.
         options: of every solve, but for what the methods vary.
         solvers: values of ``linear_solver_type`` to compare.
         preconditioners: values of ``preconditioner_type``, for the solvers that iterate.
@@ -64,15 +72,15 @@ def compare(
         **changes: options by name, in place of those in ``options``.
 
     Raises:
-        InputError: a problem cannot be loaded or has no observations, an option is out of its
-            range, or there is nothing to compare.
+        InputError: an option does not exist, is compared or is out of its range, a problem cannot
+            be loaded or has no observations, or there is nothing to compare.
 
     Example:
         >>> comparison = bundle.compare("problem.txt", solvers=["dense_schur", "sparse_schur"])
         >>> print(comparison.recommendation.command)
     """
     started = time.perf_counter()
-    options = (options or SolveOptions()).replace(**changes)
+    options = _options(options, changes)
     methods = expand(
         solvers=solvers,
         preconditioners=preconditioners,
@@ -80,14 +88,11 @@ def compare(
         backends=backends,
         threads=threads,
     )
-    if repeat < 1 or not timeout > 0 or memory_cap < 0:
-        raise InputError(
-            "repeat, timeout, memory_cap: expected at least 1, more than 0 and at least 0, "
-            f"found {repeat}, {timeout:g} and {memory_cap}"
-        )
-    sources: Sequence[Source] = (
-        [problems] if isinstance(problems, Problem | str | os.PathLike) else list(problems)
-    )
+    repeat = number("repeat", repeat, whole=True, minimum=1)
+    timeout = number("timeout", timeout, above=0)
+    memory_cap = number("memory_cap", memory_cap, whole=True, minimum=0, maximum=2**63 - 1)
+    check_function("progress", progress)
+    sources: list[Any] = list(problems) if isinstance(problems, list | tuple) else [problems]
     if not sources:
         raise InputError("expected a problem to compare methods on, found none")
     cap = memory_cap or int(SHARE_OF_FREE_MEMORY * memory.available_memory())
@@ -121,6 +126,24 @@ def compare(
         profiles=_profiles(comparison),
         recommendation=recommend(comparison, work.foreseen),
     )
+
+
+def _options(options: SolveOptions | None, changes: Mapping[str, Any]) -> SolveOptions:
+    """Return the options of every solve; refuse those that the methods vary."""
+    own = ("repeat", "timeout", "memory_cap", "progress", *COMPARED.values())
+    known = {
+        **{
+            spelling: COMPARED.get(name, name) for spelling, name in spellings(SolveOptions).items()
+        },
+        **{name: name for name in own},
+    }
+    check_keywords("compare", changes, known)
+    chosen = SolveOptions.of(options, changes, "compare")
+    for name, argument in COMPARED.items():
+        value = getattr(chosen, name)
+        if value != SolveOptions.__dataclass_fields__[name].default:
+            raise InputError(f"options: {name} is compared; expected {argument}=[{value!r}]")
+    return chosen
 
 
 def _profiles(comparison: Comparison) -> tuple[PerformanceProfile, ...]:

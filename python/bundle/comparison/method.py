@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bundle.options import SolveOptions
+from bundle.words import plural
 
 __all__ = ["ITERATIVE", "Method"]
 
@@ -37,7 +38,7 @@ class Method:
     @property
     def threads(self) -> str:
         """Return "2 threads"."""
-        return f"{self.num_threads} thread{'s' if self.num_threads > 1 else ''}"
+        return plural(self.num_threads, "thread")
 
     @property
     def is_iterative(self) -> bool:

@@ -7,39 +7,36 @@ from collections.abc import Iterable
 from typing import Any
 
 from bundle import _core
-from bundle.comparison.method import ITERATIVE, Method
-from bundle.errors import InputError
+from bundle.compare_defaults import BACKENDS, ORDERINGS, PRECONDITIONERS, SOLVERS, THREADS
+from bundle.comparison.method import Method
+from bundle.errors import InputError, brief
 from bundle.options import SolveOptions
 
-__all__ = ["BACKENDS", "SOLVERS", "expand"]
-
-BACKENDS = ("fused", "ceres")
-SOLVERS = ("dense_schur", "sparse_schur", "iterative_schur")
-"""What is compared unless something else is asked for."""
+__all__ = ["expand"]
 
 
 def expand(
     *,
     solvers: Iterable[str] = SOLVERS,
-    preconditioners: Iterable[str] = ("auto",),
-    orderings: Iterable[str] = ("points_first",),
+    preconditioners: Iterable[str] = PRECONDITIONERS,
+    orderings: Iterable[str] = ORDERINGS,
     backends: Iterable[str] = BACKENDS,
-    threads: Iterable[int] = (0,),
+    threads: Iterable[int] = THREADS,
 ) -> tuple[Method, ...]:
     """Return the methods, backend by backend.
 
-    Preconditioners apply to what iterates. Thread counts beyond the cores become the cores, as in
-    a solve; 0 means all of them.
+    What has no effect on a method, such as the preconditioner of a direct solver, is dropped.
+    Thread counts beyond the cores become the cores, as in a solve; 0 means all of them.
 
     Raises:
         InputError: a value is none of its option, or one of the lists is empty.
     """
     given: dict[str, tuple[Any, ...]] = {
-        "backend": tuple(backends),
-        "linear_solver_type": tuple(solvers),
-        "linear_solver_ordering": tuple(orderings),
-        "preconditioner_type": tuple(preconditioners),
-        "num_threads": tuple(threads),
+        "backend": _listed("backends", backends),
+        "linear_solver_type": _listed("solvers", solvers),
+        "linear_solver_ordering": _listed("orderings", orderings),
+        "preconditioner_type": _listed("preconditioners", preconditioners),
+        "num_threads": _listed("threads", threads),
     }
     for name, values in given.items():
         if not values:
@@ -49,13 +46,23 @@ def expand(
     return tuple(dict.fromkeys(map(_method, chosen)))
 
 
+def _listed(argument: str, values: Any) -> tuple[Any, ...]:
+    """Return the values of a list; a single word is a list of one."""
+    if isinstance(values, str):
+        return (values,)
+    try:
+        return tuple(values)
+    except TypeError:
+        raise InputError(f"{argument}: expected a list, found {brief(values)}") from None
+
+
 def _method(options: SolveOptions) -> Method:
-    iterates = options.linear_solver_type in ("auto", *ITERATIVE)
+    options = options.without_idle()
     cores = _core.hardware_threads()
     return Method(
         backend=options.backend,
         linear_solver_type=options.linear_solver_type,
         linear_solver_ordering=options.linear_solver_ordering,
-        preconditioner_type=options.preconditioner_type if iterates else "auto",
+        preconditioner_type=options.preconditioner_type,
         num_threads=min(options.num_threads or cores, cores),
     )

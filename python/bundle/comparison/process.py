@@ -86,7 +86,7 @@ def run_worker(
             if not end.outcome:  # it closed the channel, which only its end does
                 process.wait(SECONDS_TO_END)
         except subprocess.TimeoutExpired:
-            end = WorkerEnd(outcome="died", message="it neither went on nor ended")
+            end = WorkerEnd(outcome="died", message="the process stopped responding")
         finally:
             _kill(process)
         words.seek(0)
@@ -173,10 +173,11 @@ def _explained(end: WorkerEnd, code: int, words: str) -> WorkerEnd:
         end.outcome, end.message = "out_of_memory", f"ran out of memory ({name})"
     elif code == -signal.SIGKILL:
         end.outcome = "died"
-        end.message = "its process was killed from outside, perhaps for want of memory"
+        end.message = "the process was killed from outside, perhaps for lack of memory"
     else:
         end.outcome = "died"
-        end.message = f"its process ended by {name}: {said[-1] if said else 'no word why'}"
+        why = f": {said[-1]}" if said else " and gave no message"
+        end.message = f"the process ended with {name}{why}"
     return end
 
 

@@ -14,7 +14,7 @@ __all__ = ["reason_on_many", "reason_on_one"]
 
 
 def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> str:
-    """Return "SPARSE_SCHUR: S is 14 % full, AMD makes 2.1e9 flops a step; DENSE_SCHUR pays ...".
+    """Return "SPARSE_SCHUR: S is 14 % full, AMD needs 2.1e9 flops per step; DENSE_SCHUR takes ...".
 
     Args:
         comparison: of one problem.
@@ -30,7 +30,7 @@ def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> s
     rivals = _rivals(winner, runs)
     slower = [rival for rival in rivals if rival.is_usable]
     if slower:
-        words.append(", ".join(_pays(comparison, winner, rival, tolerance) for rival in slower))
+        words.append(", ".join(_behind(comparison, winner, rival, tolerance) for rival in slower))
     words += [
         f"{_told_apart(method, rival.method)} has no result ({rival.outcome.replace('_', ' ')})"
         for rival in rivals
@@ -67,13 +67,13 @@ def _structure(winner: Run, runs: Sequence[Run]) -> str:
         factor = _least_flops(runs)
         words = [full] if full else []
         if factor:
-            words.append(f"a factorisation would make {factor:.1e} flops a step")
+            words.append(f"a factorisation would need {factor:.1e} flops per step")
         words.append(_iterations(winner))
         return ", ".join(words)
     if not math.isfinite(known.flops):
         return full or _shares(winner)
     maker = known.ordering.upper() if solver == "sparse_schur" else "its dense factorisation"
-    flops = f"{maker or 'its factorisation'} makes {known.flops:.1e} flops a step"
+    flops = f"{maker or 'its factorisation'} needs {known.flops:.1e} flops per step"
     return f"{full}, {flops}" if full else flops
 
 
@@ -97,7 +97,7 @@ def _iterations(winner: Run) -> str:
         return ""
     inner = np.asarray(measurement.iterations["linear_solver_iterations"], float)[1:]
     mean = inner.mean() if inner.size else 0.0
-    return f"conjugate gradients take {mean:.0f} iterations a step"
+    return f"conjugate gradients take {mean:.0f} iterations per step"
 
 
 def _shares(winner: Run) -> str:
@@ -131,11 +131,12 @@ def _speed(run: Run) -> tuple[bool, float]:
     return not run.is_usable, run.total_time_in_seconds if run.is_usable else 0.0
 
 
-def _pays(comparison: Comparison, winner: Run, rival: Run, tolerance: float) -> str:
-    """Return what a rival pays for not being the winner."""
+def _behind(comparison: Comparison, winner: Run, rival: Run, tolerance: float) -> str:
+    """Return how much longer a rival takes, and how much worse it ends."""
     ratio = rival.total_time_in_seconds / winner.total_time_in_seconds
     name = _told_apart(winner.method, rival.method)
-    words = f"{name} {'pay' if name.endswith('threads') else 'pays'} {_times(ratio)} that"
+    verb = "take" if name.endswith("threads") else "takes"
+    words = f"{name} {verb} {_times(ratio)} as long"
     gap = comparison.gap(rival)
     if gap > tolerance:
         words += f" and ends {gap:.1e} above the best cost"

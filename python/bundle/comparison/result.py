@@ -11,8 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.comparison.method import Method
+from bundle.display import Display, Displayed
+from bundle.errors import shown
+from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.summary import Summary
+from bundle.words import change, contents, number, plural, seconds
 
 __all__ = [
     "GAPS",
@@ -56,7 +60,7 @@ class Prediction:
         nnz_reduced: nonzeros of the reduced camera system S, whether the solver stores its zeros or
             not.
         nnz_factor: nonzeros of L.
-        flops: of the factorisation, a step.
+        flops: of one factorisation, of which each step makes one.
         memory_in_bytes: peak beyond the loaded problem.
         time_per_step_in_seconds: of one trust region step.
     """
@@ -72,8 +76,8 @@ class Prediction:
     note: str = ""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Measurement:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Measurement(Displayed):
     """One solve in one process.
 
     Attributes:
@@ -109,6 +113,16 @@ class Measurement:
         solves = self.summary.num_linear_solves
         return self.summary.minimizer_time_in_seconds / solves if solves > 0 else math.nan
 
+    def _display(self) -> Display:
+        summary = self.summary
+        facts = (
+            ("cost", change(summary.initial_cost, summary.final_cost)),
+            ("steps", str(self.num_steps)),
+            ("time", f"{seconds(self.total_time_in_seconds)} s"),
+            ("peak memory", format_size(self.peak_memory_in_bytes)),
+        )
+        return Display(title=f"Measurement: {summary.termination_type}", facts=facts)
+
     @property
     def breakdown(self) -> dict[str, float]:
         """Return the seconds of residuals, Jacobians, linear solver and the rest of the total.
@@ -129,8 +143,8 @@ class Measurement:
         return _trace(self.iterations, self.build_time_in_seconds)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Run:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Run(Displayed):
     """One method on one problem, all repeats.
 
     Attributes:
@@ -190,6 +204,17 @@ class Run:
             return self.measurement.trace
         return _trace(self.unfinished, 0.0) if self.unfinished else (np.empty(0), np.empty(0))
 
+    def _display(self) -> Display:
+        title = f"Run: {self.method.name}, {self.method.threads}: {self.outcome}"
+        if self.measurement is None or not self.is_usable:
+            return Display(title=title, facts=(("message", self.message),))
+        facts = (
+            ("cost", number(self.final_cost)),
+            ("time", f"{seconds(self.total_time_in_seconds)} s"),
+            ("repeats", str(len(self.measurements))),
+        )
+        return Display(title=title, facts=facts)
+
     def time_to(self, cost: float) -> float:
         """Return the seconds to the first state of at most this cost; NaN if there is none.
 
@@ -240,8 +265,8 @@ class Recommendation:
     verdict: str = ""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Comparison:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Comparison(Displayed):
     """The same start under several methods.
 
     Attributes:
@@ -290,6 +315,33 @@ class Comparison:
     def time_to_gap(self, run: Run, gap: float) -> float:
         """Return the seconds to (1 + gap) times the best cost; NaN if it was not reached."""
         return run.time_to((1 + gap) * self.best_cost(run.problem))
+
+    def _display(self) -> Display:
+        facts = [(shown(problem.name), contents(problem)) for problem in self.problems]
+        found = self.recommendation
+        if found is None:
+            facts.append(("recommended", "nothing: no method has a usable solution"))
+        else:
+            facts += [("recommended", found.reason), ("command", found.command)]
+        return Display(
+            title=f"Comparison of {plural(len(self.methods), 'method')}"
+            f"{', interrupted' if self.interrupted else ''}",
+            facts=tuple(facts),
+            head=("method", "threads", "problem", "outcome", "gap", "time [s]", "peak memory"),
+            rows=tuple(self._row(run) for run in self.runs),
+        )
+
+    def _row(self, run: Run) -> tuple[str, ...]:
+        gap = self.gap(run)
+        return (
+            run.method.name,
+            str(run.method.num_threads),
+            str(run.problem + 1),
+            run.outcome.replace("_", " "),
+            f"{gap:.0e}" if math.isfinite(gap) else "-",
+            seconds(run.total_time_in_seconds),
+            format_size(run.peak_memory_in_bytes),
+        )
 
 
 def _trace(iterations: dict[str, NDArray[Any]], start: float) -> Trace:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.compare_defaults import SECONDS_NOT_REPEATED
 from bundle.comparison import hand_over
 from bundle.comparison.foresee import foresee
 from bundle.comparison.method import Method
@@ -19,18 +20,12 @@ from bundle.comparison.predictions import predict
 from bundle.comparison.process import WorkerEnd, run_worker
 from bundle.comparison.result import ComparedProblem, Measurement, Prediction, Run
 from bundle.errors import InputError, shown
-from bundle.io import load
+from bundle.io import Source, as_problem, is_path
 from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
-from bundle.problem import Problem
 from bundle.summary import Summary
 
-__all__ = ["Progress", "Source", "Work"]
-
-SECONDS_NOT_REPEATED = 10.0
-"""A run that took this long is not repeated: its spread is small, and patience ends."""
-
-Source = Problem | str | os.PathLike[str]
+__all__ = ["Progress", "Work"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,12 +58,12 @@ class Work:
 
     def take_over(self, index: int, source: Source) -> ComparedProblem:
         """Load a problem if it is a path, and lay it out for the workers."""
-        is_file = not isinstance(source, Problem)
+        is_file = is_path(source)
         name = f"problem {index + 1}"
-        if not isinstance(source, Problem):
+        if is_path(source):
             name = os.fspath(source)
             self.report(Progress(stage=f"reading {shown(name)}"))
-            source = load(source)
+        source = as_problem(source, name="problems")
         if source.num_observations == 0:
             raise InputError(f"{shown(name)}: expected observations to refine, found none")
         hand_over.store(source, self.folder / str(index))
@@ -91,7 +86,7 @@ class Work:
                 where = f", {shown(problem.name)}" if len(problems) > 1 else ""
                 self.report(Progress(stage=f"predicting{where}"))
                 self._predict(index)
-                for _ in range(self.repeat):  # interleaved: what drifts, drifts for all
+                for _ in range(self.repeat):  # interleaved: slow drift affects all equally
                     for method in self.methods:
                         number += 1
                         if self._is_settled(index, method):

@@ -60,11 +60,15 @@ def bars(
     *,
     impossible: Sequence[str] = (),
     show: Callable[[float], str] = amount,
+    rows_shown: int | None = None,
 ) -> str:
-    """Return horizontal bars on a log scale; NaN and 0 have none, impossible ones are hatched."""
+    """Return horizontal bars on a log scale; NaN and 0 have none, impossible ones are hatched.
+
+    Bars beyond the first `rows_shown` are folded away, on the same scale; a single one is not.
+    """
     scale = logarithmic([value / 3 for value in values.values()] + [*values.values()])
     longest = 46.0 if impossible else 66.0  # leaves room for what is written behind
-    rows = []
+    rows: list[str] = []
     for name, value in values.items():
         there = math.isfinite(value) and value > 0
         width = longest * scale(value) if there else 0.0
@@ -74,7 +78,12 @@ def bars(
         rows.append(tag("div", escape(name)))
         bar = tag("div", class_=kind, style=f"width:{width:.2f}%")
         rows.append(tag("div", bar, tag("div", escape(words), class_="value"), class_="track"))
-    return tag("div", *rows, class_="bars")
+    shown = len(values) if rows_shown is None or len(values) <= rows_shown + 1 else rows_shown
+    chart = tag("div", *rows[: 2 * shown], class_="bars")
+    if shown < len(values):
+        summary = tag("summary", f"{len(values) - shown} more")
+        chart += tag("details", summary, tag("div", *rows[2 * shown :], class_="bars"))
+    return chart
 
 
 def stacked_bars(rows: Mapping[str, Mapping[str, float]], unit: str) -> str:

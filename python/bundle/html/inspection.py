@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from bundle.comparison.command_line import recommended_command
 from bundle.html.charts import bars
 from bundle.html.elimination import MOST_VARIABLES, elimination_data, elimination_section
 from bundle.html.graph import column_counts, write_graph
@@ -31,6 +32,8 @@ __all__ = ["write_inspection"]
 
 STEPPED = ("natural", "minimum_degree")
 MOST_EDGES = 1500
+# Methods that are shown; the rest is folded away.
+ROWS_SHOWN = 5
 
 
 def write_inspection(
@@ -59,7 +62,7 @@ def write_inspection(
     """
     if isinstance(inspection, Inspection):
         title = f"What solving {name} costs" if name else "What solving costs"
-        _write_problem(inspection, Path(path), title, problem, options or SolveOptions())
+        _write_problem(inspection, Path(path), title, problem, options or SolveOptions(), name)
     elif isinstance(inspection, GraphInspection):
         write_graph(_with_rivals(inspection), path)
     else:
@@ -90,14 +93,18 @@ def _write_problem(
     title: str,
     problem: Problem | None,
     options: SolveOptions,
+    name: str,
 ) -> None:
+    methods = _ranked(inspection)
     sections = [
-        _scope(inspection),
-        tag("div", tag("p", escape(inspection.recommendation)), class_="recommended"),
-        tag("h2", "Methods"),
-        _methods(inspection),
+        _recommendation(inspection, options, name),
+        _scope(inspection, name),
+        tag("h2", "Methods, the fastest first"),
+        _methods(inspection, methods),
         tag("h2", "What a step costs"),
-        _costs(inspection),
+        _costs(methods),
+        tag("h2", "What is factorised"),
+        _factors(methods),
     ]
     graphs: list[GraphInspection] = []
     if problem is not None:
@@ -125,68 +132,108 @@ def _write_problem(
             elimination_section(graphs),
         ]
     data = {"elimination": elimination_data(graphs)} if graphs else None
-    write_page(path, title, sections, data)
+    write_page(path, title, sections, data, headline=_headline(inspection))
 
 
-def _scope(inspection: Inspection) -> str:
+def _ranked(inspection: Inspection) -> list[MethodInspection]:
+    """Return the methods that can be asked for and fit, then the others; the fastest first."""
+    methods = inspection.methods
+    best = inspection.recommended
+
+    def rank(index: int) -> tuple[bool, bool, bool, float]:
+        method = methods[index]
+        time = method.time_per_step_in_seconds
+        return index != best, not method.fits_in_memory, not method.is_taken, time
+
+    return [methods[index] for index in sorted(range(len(methods)), key=rank)]
+
+
+def _headline(inspection: Inspection) -> str:
+    if inspection.recommended < 0:
+        free = format_size(inspection.available_memory_in_bytes)
+        return f"No method fits into the free memory ({free})"
+    best = inspection.methods[inspection.recommended]
+    time = seconds(best.time_per_step_in_seconds)
+    return f"Use {_label(best)}: {time} per step, {format_size(best.memory_in_bytes)}"
+
+
+def _recommendation(inspection: Inspection, options: SolveOptions, name: str) -> str:
+    """Return the command line that does it, and why."""
+    command = recommended_command(inspection, options, name or "INPUT")
+    lines = [tag("pre", tag("code", escape(command)))] if command else []
+    return tag("div", *lines, tag("p", escape(inspection.recommendation)), class_="recommended")
+
+
+def _scope(inspection: Inspection, name: str) -> str:
+    sizes = inspection.methods[0]
     words = (
         f"{inspection.num_observations:,} observations, {inspection.num_free_points:,} points and "
         f"{inspection.num_camera_blocks:,} blocks of {inspection.num_camera_columns:,} unknowns on "
-        f"the camera side; S is {inspection.reduced_density:.2%} full. Times are for "
-        f"{inspection.num_threads} threads of this machine, which has "
-        f"{format_size(inspection.available_memory_in_bytes)} free."
+        f"the camera side: {sizes.num_unknowns:,} unknowns. J has {amount(sizes.nnz_jacobian)} "
+        f"nonzeros, the information matrix {amount(sizes.nnz_information)}, S is "
+        f"{inspection.reduced_density:.2%} full. Times are for {inspection.num_threads} threads of "
+        f"this machine, which has {format_size(inspection.available_memory_in_bytes)} free."
     )
-    return tag("p", words, class_="quiet")
+    return tag("p", escape(f"{name}: {words}" if name else words), class_="quiet")
 
 
 def _label(method: MethodInspection) -> str:
     return f"{method.backend.lower()} {method.name}".strip()
 
 
-def _methods(inspection: Inspection) -> str:
-    head = [
-        "method", "time per step", "memory", "fits", "nonzeros of S", "nonzeros of L", "fill edges",
-        "flops", "CHOLMOD's flops", "height of the tree", "unknowns", "nonzeros of J",
-        "nonzeros of the information matrix", "note",
-    ]  # fmt: skip
+def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> str:
     notes = Notes()
-    rows = []
-    for method in inspection.methods:
-        has_factor = method.nnz_factor > 0
-        counts = (
-            method.nnz_factor,
-            method.fill,
-            method.flops,
-            method.cholmod_flops,
-            method.tree_height,
-        )
-        rows.append([
+    rows = [
+        [
             _label(method),
             seconds(method.time_per_step_in_seconds),
             format_size(method.memory_in_bytes),
             "yes" if method.fits_in_memory else "NO",
-            amount_if_any(method.nnz_reduced),
-            *(amount(count) if has_factor else "-" for count in counts),
-            amount(method.num_unknowns),
-            amount(method.nnz_jacobian),
-            amount(method.nnz_information),
             notes.refer(method.note),
-        ])  # fmt: skip
-    best = inspection.recommended if inspection.recommended >= 0 else None
-    unfit = [_label(method) for method in inspection.methods if not method.fits_in_memory]
+        ]
+        for method in methods
+    ]
+    unfit = [_label(method) for method in methods if not method.fits_in_memory]
     warning = f"Does not fit in memory: {', '.join(unfit)}."
     return "".join(
         [
-            table(head, rows, best=best),
-            convention(),
+            table(
+                ["method", "time per step", "memory", "fits", "note"],
+                rows,
+                best=0 if inspection.recommended >= 0 else None,
+                rows_shown=ROWS_SHOWN,
+            ),
             notes.listed(),
             tag("p", escape(warning), class_="warn") if unfit else "",
         ]
     )
 
 
-def _costs(inspection: Inspection) -> str:
-    methods = inspection.methods
+def _factors(methods: Sequence[MethodInspection]) -> str:
+    """Return a row for each factor, whoever makes it."""
+    head = [
+        "factor L", "nonzeros of S", "nonzeros of L", "fill edges", "flops", "CHOLMOD's flops",
+        "tree height",
+    ]  # fmt: skip
+    rows = {
+        method.name: [
+            method.name,
+            amount_if_any(method.nnz_reduced),
+            amount(method.nnz_factor),
+            amount(method.fill),
+            amount(method.flops),
+            amount(method.cholmod_flops),
+            amount(method.tree_height),
+        ]
+        for method in methods
+        if method.nnz_factor > 0
+    }
+    if not rows:
+        return tag("p", "No method factorises anything.", class_="quiet")
+    return table(head, list(rows.values()), rows_shown=ROWS_SHOWN) + convention()
+
+
+def _costs(methods: Sequence[MethodInspection]) -> str:
     unfit = [method for method in methods if not method.fits_in_memory]
     flops = {method.name: method.flops for method in methods if method.flops > 0}
     times = {_label(method): method.time_per_step_in_seconds for method in methods}
@@ -198,10 +245,11 @@ def _costs(inspection: Inspection) -> str:
         and method.column_count_profile
     }
     charts = [
+        tag("figure", tag("h3", "Time per step, on a log scale"),
+            bars(times, impossible=[_label(method) for method in unfit], show=seconds,
+                 rows_shown=ROWS_SHOWN)),
         tag("figure", tag("h3", "Flops of the factorisation, on a log scale"),
-            bars(flops, impossible=[method.name for method in unfit])),
-        tag("figure", tag("h3", "Time of a step, on a log scale"),
-            bars(times, impossible=[_label(method) for method in unfit], show=seconds)),
+            bars(flops, impossible=[method.name for method in unfit], rows_shown=ROWS_SHOWN)),
         column_counts(profiles) if profiles else "",
     ]  # fmt: skip
     return tag("div", *charts, class_="grid")

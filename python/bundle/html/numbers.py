@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from bundle.words import plural
+
 __all__ = ["amount", "amount_if_any", "counted", "seconds"]
 
 
@@ -21,7 +23,7 @@ def amount_if_any(value: float) -> str:
 
 def counted(number: int, what: str) -> str:
     """Return "1 camera", "1,200 cameras"."""
-    return f"{number:,} {what}{'' if number == 1 else 's'}"
+    return plural(number, what, grouped=True)
 
 
 def seconds(time: float) -> str:

@@ -48,7 +48,12 @@ def as_json(data: Any) -> str:
 
 
 def write_page(
-    path: Path, title: str, sections: list[str], data: Mapping[str, Any] | None = None
+    path: Path,
+    title: str,
+    sections: list[str],
+    data: Mapping[str, Any] | None = None,
+    *,
+    headline: str = "",
 ) -> None:
     """Write a page that appears whole or not at all.
 
@@ -57,6 +62,7 @@ def write_page(
         title: of the page, as text.
         sections: markup.
         data: what its script needs; a page without is one without script.
+        headline: at the top of the page, as text; the title where there is none.
 
     Raises:
         InputError: the path is a folder, or its parent is none.
@@ -73,10 +79,9 @@ def write_page(
         tag("title", escape(title)),
         tag("style", _asset("page.css")),
     ]
-    body = tag("body", tag("h1", escape(title)), *sections, script)
+    body = tag("body", tag("h1", escape(headline or title)), *sections, script)
     page = tag("html", tag("head", *head), body, lang="en")
-    with atomic.replace_file(path) as temporary:
-        temporary.write_text(f"<!doctype html>\n{page}\n", encoding="utf-8", errors="replace")
+    atomic.write_text(path, f"<!doctype html>\n{page}\n")
 
 
 def _asset(name: str) -> str:

@@ -11,6 +11,8 @@ __all__ = ["Notes", "convention", "table"]
 
 # Characters of a sentence that wraps.
 LONG = 20
+# Columns that fit on a page of 800 pixels.
+MOST_COLUMNS = 7
 
 CONVENTION = (
     "Nonzeros: matrices count both triangles and the diagonal, L its lower triangle with the "
@@ -25,15 +27,23 @@ def table(
     *,
     words: Collection[int] = (),
     best: int | None = None,
+    rows_shown: int | None = None,
 ) -> str:
-    """Return a table of text that scrolls by itself where the page is narrow.
+    """Return a table of text; where the page is narrow, each row is a list of its cells.
 
     Args:
         head: names of the columns.
         rows: cells; the first of a row names it.
         words: columns that hold sentences, which wrap.
         best: the row to stand out.
+        rows_shown: rows beyond these are folded away; None shows all. A single one is not folded.
     """
+    if rows_shown is not None and len(rows) > rows_shown + 1:
+        rest = None if best is None else best - rows_shown
+        below = table(head, rows[rows_shown:], words=words, best=rest)
+        summary = tag("summary", f"{len(rows) - rows_shown} more")
+        above = table(head, rows[:rows_shown], words=words, best=best)
+        return above + tag("details", summary, below)
     kinds: list[str | None] = [None] * len(head)
     for column in words:
         longest = max((len(row[column]) for row in rows), default=0)
@@ -42,8 +52,8 @@ def table(
     for index, row in enumerate(rows):
         name = tag("th", escape(row[0]), scope="row")
         cells = [
-            tag("td", escape(cell), class_=kind)
-            for cell, kind in zip(row[1:], kinds[1:], strict=True)
+            tag("td", escape(cell), class_=kind, data_label=label)
+            for cell, kind, label in zip(row[1:], kinds[1:], head[1:], strict=True)
         ]
         lines.append(tag("tr", name, *cells, class_="best" if index == best else None))
     heading = tag(
@@ -53,7 +63,8 @@ def table(
             for name, kind in zip(head, kinds, strict=True)
         ),
     )
-    inner = tag("table", tag("thead", heading), tag("tbody", *lines))
+    size = "wide" if len(head) > MOST_COLUMNS else None
+    inner = tag("table", tag("thead", heading), tag("tbody", *lines), class_=size)
     return tag("div", inner, class_="scroll", tabindex=0)
 
 

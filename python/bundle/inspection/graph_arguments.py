@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.errors import InputError
+from bundle.errors import InputError, brief
 
 __all__ = ["as_block_sizes", "as_edges", "as_names", "as_tracks", "as_variables"]
 
@@ -21,15 +21,17 @@ def _as_integers(argument: str, values: Any) -> NDArray[np.int64]:
     """Return an array of integers of whatever shape; nothing at all has shape (0,)."""
     try:
         array = np.asarray(values if isinstance(values, np.ndarray) else list(values))
-    except (TypeError, ValueError):
+    except Exception:  # whatever the user's objects raise while they are looked at
         raise InputError(
-            f"{argument}: expected an array of integers, found {values!r:.60}"
+            f"{argument}: expected an array of integers, found {brief(values)}"
         ) from None
+    if isinstance(values, np.ma.MaskedArray):
+        raise InputError(f"{argument}: expected an array without a mask, found a masked one")
     if array.size == 0:
         return np.zeros(array.shape, np.int64)
     if array.dtype.kind not in "iu":
         raise InputError(
-            f"{argument}: expected integers, found {array.dtype} {array.flat[0]!r:.60}"
+            f"{argument}: expected integers, found {array.dtype} {brief(array.flat[0])}"
         )
     if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
         raise InputError(f"{argument}: expected integers below 2^63, found {array.max()}")
@@ -55,12 +57,16 @@ def as_names(
     names: Sequence[str] | None, pairs: NDArray[np.int64], num_variables: int | None
 ) -> tuple[str, ...]:
     """Return a name for each variable, as many as there are."""
+    if names is not None and not isinstance(names, str | list | tuple | np.ndarray):
+        raise InputError(f"names: expected a list of names, found {brief(names)}")
     if num_variables is None:
         num_variables = len(names) if names is not None else int(pairs.max(initial=-1)) + 1
     try:
         count = operator.index(num_variables)
     except TypeError:
-        raise InputError(f"num_variables: expected an integer, found {num_variables!r}") from None
+        raise InputError(
+            f"num_variables: expected an integer, found {brief(num_variables)}"
+        ) from None
     if not 0 <= count <= MOST_VARIABLES:
         raise InputError(f"num_variables: expected 0 to {MOST_VARIABLES}, found {count}")
     if names is None:

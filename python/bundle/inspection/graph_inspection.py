@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.inspection.elimination import EliminationStep, eliminate, minimum_degree_order
 from bundle.inspection.graph_arguments import as_block_sizes, as_edges, as_names, as_variables
+from bundle.option_fields import choice
+from bundle.words import plural
 
 __all__ = ["GRAPH_ORDERINGS", "GraphInspection", "inspect_graph"]
 
@@ -32,8 +35,8 @@ GRAPH_ORDERINGS = (
 MOST_PAIRS_TO_RECORD = 2_000_000
 
 
-@dataclass(frozen=True)
-class GraphInspection:
+@dataclass(frozen=True, repr=False)
+class GraphInspection(Displayed):
     """The Cholesky factor L of a matrix with a given graph, known before any arithmetic.
 
     Nonzeros of the matrix count both triangles and the diagonal; those of L count its lower
@@ -97,6 +100,17 @@ class GraphInspection:
             for left in reversed(range(self.block_sizes[variable]))
         )
 
+    def _display(self) -> Display:
+        graph = f"{plural(self.num_variables, 'variable')}, {plural(len(self.edges), 'edge')}"
+        facts = (
+            ("ordering", self.ordering),
+            ("fill", plural(self.fill, "edge")),
+            ("flops", str(self.flops)),
+            ("nonzeros", f"{self.nnz} of the matrix, {self.nnz_factor} of its factor L"),
+            ("tree height", str(self.tree_height)),
+        )
+        return Display(title=f"GraphInspection: {graph}", facts=facts)
+
     def pattern(self) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
         """Return (sizes, column_begin, rows) as the core takes a matrix' lower triangle."""
         edges = np.array(self.edges, np.int64).reshape(-1, 2)
@@ -124,8 +138,8 @@ def inspect_graph(
             round, is one edge.
         num_variables: numbered from 0; by default as many as there are names, or up to the largest
             in an edge.
-        ordering: one of ``GRAPH_ORDERINGS``, with "-" for "_" if you like, or all variables in the
-            order in which they are to be eliminated.
+        ordering: one of ``GRAPH_ORDERINGS``, in any case, with hyphens or underscores, or all
+            variables in the order in which they are to be eliminated.
         names: of the variables; by default their numbers.
         landmarks: variables.
         block_size: scalars of each variable, such as 6 for poses; one number or one a variable.
@@ -192,11 +206,7 @@ def _find_order(
     """Return an order and its name."""
     if not isinstance(ordering, str):
         return "given", as_variables("ordering", ordering, num_variables).astype(np.int32)
-    name = ordering.replace("-", "_")
-    if name not in GRAPH_ORDERINGS:
-        raise InputError(
-            f"ordering: expected one of {', '.join(GRAPH_ORDERINGS)}, found {ordering}"
-        )
+    name = choice("ordering", ordering, GRAPH_ORDERINGS)
     if name == "landmarks_first":
         if len(landmarks) == 0:
             raise InputError("ordering landmarks_first: expected landmarks, found none")

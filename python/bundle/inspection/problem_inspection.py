@@ -20,6 +20,7 @@ from bundle.inspection.step_time import (
     fused_time,
     products_per_step,
 )
+from bundle.io import Source, as_problem
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.solver import resolve_defaults
@@ -31,7 +32,7 @@ SHARE_OF_MEMORY = 0.9
 
 
 def inspect(
-    problem: Problem,
+    problem: Source,
     options: SolveOptions | None = None,
     *,
     recalibrate: bool = False,
@@ -44,16 +45,18 @@ def inspect(
     in a second or two.
 
     Args:
-        problem: left untouched.
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
         options: what is refined and by how many threads; which solver they name does not matter.
         recalibrate: measure the rates of this machine again.
         **changes: options by name, in place of those in ``options``.
 
     Raises:
-        InputError: a camera model that is not supported, a fixed id that does not exist, or no
-            observations of anything that is refined.
+        InputError: an option or a fixed id that does not exist, a camera model that is not
+            supported, or no observations of anything that is refined.
+        OSError: the path cannot be read.
     """
-    chosen = resolve_defaults(problem, (options or SolveOptions()).replace(**changes))
+    problem = as_problem(problem)
+    chosen = resolve_defaults(problem, SolveOptions.of(options, changes, "inspect"))
     pattern = find_pattern(problem, chosen)
     rates = machine_rates(chosen.num_threads, recalibrate=recalibrate)
     inspector = _Inspector(problem, chosen, pattern, rates)
@@ -173,7 +176,7 @@ class _Inspector:
     def _note(self, method: Method, counted: Counted | None) -> str:
         if counted is None:
             products = products_per_step(method.preconditioner)
-            return f"takes {products} products with S a step for granted, where 2 to 500 are usual"
+            return f"assumes {products} products with S per step, where 2 to 500 are usual"
         if not method.backend:
             return "for comparison: neither backend takes this order"
         if not self._is_taken(method):

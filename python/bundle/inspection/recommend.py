@@ -21,16 +21,20 @@ def explain(methods: Sequence[MethodInspection], best: int, density: float) -> s
     if best < 0:
         least = min(methods, key=lambda method: method.memory_in_bytes)
         return (
-            f"No method fits into the memory that is free; {least.name} needs least, "
+            f"No method fits into the free memory; {least.name} needs the least, "
             f"{format_size(least.memory_in_bytes)}."
         )
     chosen = methods[best]
     reasons = [f"S is {_two_digits(100 * density)} % full"]
     if chosen.ordering:
-        order = "" if chosen.linear_solver_type == "DENSE_SCHUR" else f"{chosen.ordering} makes "
-        reasons.append(f"{order}{chosen.flops:.2g} flops a step")
+        order = (
+            ""
+            if chosen.linear_solver_type == "DENSE_SCHUR"
+            else f"the {chosen.ordering} order needs "
+        )
+        reasons.append(f"{order}{chosen.flops:.2g} flops per step")
     else:
-        reasons.append("no factor is made")
+        reasons.append("nothing is factorised")
     rival = _rival(methods, chosen)
     if rival is not None:
         reasons.append(_against(rival, chosen))
@@ -58,8 +62,8 @@ def _against(rival: MethodInspection, chosen: MethodInspection) -> str:
         return f"{name} needs {format_size(rival.memory_in_bytes)}, more than is free"
     times = rival.time_per_step_in_seconds / chosen.time_per_step_in_seconds
     if chosen.flops and rival.flops > chosen.flops:
-        pays = rival.flops / chosen.flops
-        return f"{name} pays {_two_digits(pays)} times that and takes {_as_long(times)}"
+        more = rival.flops / chosen.flops
+        return f"{name} needs {_two_digits(more)} times the flops and takes {_as_long(times)}"
     return f"{name} takes {_as_long(times)}"
 
 

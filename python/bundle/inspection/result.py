@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from bundle.display import Display, Displayed
 from bundle.inspection.memory import Terms
+from bundle.memory_sizes import format_size
+from bundle.words import number, plural
 
 __all__ = ["Inspection", "MethodInspection"]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MethodInspection:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class MethodInspection(Displayed):
     """What one method is predicted to cost.
 
     Nonzeros of J, of the information matrix and of S count both triangles and the diagonal; those
@@ -65,9 +68,29 @@ class MethodInspection:
     is_taken: bool
     note: str
 
+    @property
+    def backend_name(self) -> str:
+        """The backend as people write it; "-" where neither takes the order."""
+        return {"FUSED": "fused", "CERES": "Ceres"}.get(self.backend, "-")
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Inspection:
+    def _display(self) -> Display:
+        facts = [
+            ("backend", self.backend_name),
+            ("unknowns", str(self.num_unknowns)),
+            ("nonzeros of L", number(self.nnz_factor) if self.nnz_factor else "-"),
+            ("flops", number(self.flops) if self.flops else "-"),
+            ("memory", format_size(self.memory_in_bytes)),
+            ("time per step", f"{number(self.time_per_step_in_seconds)} s"),
+        ]
+        if not self.fits_in_memory:
+            facts.append(("", "does not fit into the free memory"))
+        if self.note:
+            facts.append(("note", self.note))
+        return Display(title=f"MethodInspection: {self.name}", facts=tuple(facts))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Inspection(Displayed):
     """What is known of a problem before it is solved.
 
     Attributes:
@@ -94,3 +117,28 @@ class Inspection:
     recommended: int
     recommendation: str
     auto_choice: str
+
+    def _display(self) -> Display:
+        unknowns = self.methods[0].num_unknowns if self.methods else 0
+        facts = (
+            ("problem", plural(self.num_observations, "observation")),
+            ("unknowns", f"{unknowns}, those of {plural(self.num_free_points, 'point')} included"),
+            ("recommended", self.recommendation),
+        )
+        rows = tuple(
+            (
+                f"{'* ' if index == self.recommended else '  '}{method.name}",
+                method.backend_name,
+                number(method.nnz_factor) if method.nnz_factor else "-",
+                number(method.flops) if method.flops else "-",
+                format_size(method.memory_in_bytes),
+                number(method.time_per_step_in_seconds),
+            )
+            for index, method in enumerate(self.methods)
+        )
+        return Display(
+            title=f"Inspection: predicted cost on {plural(self.num_threads, 'thread')}",
+            facts=facts,
+            head=("  method", "backend", "nonzeros of L", "flops", "memory", "s per step"),
+            rows=rows,
+        )

@@ -1,22 +1,45 @@
 """Reading and writing of problems in the formats of the field.
 
-Formats are told from content when reading. Writing is atomic: see ``bundle.io.atomic``.
+Formats are told from content when reading. Writing is atomic: see ``bundle.io.atomic``. Where a
+killed process left a model replaced in part, both finish that first and warn (UserWarning).
 """
 
 from __future__ import annotations
 
 import os
+import warnings
+from collections.abc import Collection
 from pathlib import Path
 
 from bundle import address_space
-from bundle.errors import InputError, shown
+from bundle.errors import InputError, brief, shown
 from bundle.io import atomic, bal
-from bundle.io.model_files import MODEL_FILES, missing_model_files
+from bundle.io.interrupts import interrupts_deferred
+from bundle.io.model_files import (
+    MODEL_FILES,
+    is_text_model,
+    missing_model_files,
+    models_below,
+)
+from bundle.io.source import Source, as_path, as_problem, is_path
+from bundle.option_fields import choice
 from bundle.problem import Problem
 
-__all__ = ["FORMATS", "check_target", "load", "output_format", "save"]
+__all__ = [
+    "FORMATS",
+    "Source",
+    "as_problem",
+    "check_target",
+    "is_path",
+    "load",
+    "output_format",
+    "save",
+]
 
 FORMATS = ("bal", "colmap", "colmap-text")
+
+MOST_HINTS = 5
+"""Models inside a folder that an error names."""
 
 _BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
 
@@ -29,12 +52,13 @@ def load(path: str | os.PathLike[str]) -> Problem:
             expected and what was found.
         OSError: the path does not exist or cannot be read.
     """
-    path = Path(path)
+    path = as_path(path)
+    _recover(path)
     if path.is_dir():
         _check_model(path)
         address_space.require("pycolmap", address_space.PYCOLMAP)
-        from bundle.io import colmap  # pycolmap takes a while to import
-
+        with interrupts_deferred():  # pycolmap takes a while to import, and knows no interruption
+            from bundle.io import colmap
         return colmap.load(path)
     if path.name in MODEL_FILES and not missing_model_files(path.parent):
         raise InputError(
@@ -62,61 +86,104 @@ def save(
         InputError: the format cannot hold the problem, or the path cannot be replaced.
         OSError: the system refuses: no permission, disk full.
     """
+    _check_problem(problem)
+    _recover(path)
     chosen = output_format(problem, path, format)
-    path = Path(path)
+    path = as_path(path)
     if chosen == "bal":
         lost = bal.losses(problem)
         with atomic.replace_file(path) as temporary:
             bal.save(problem, temporary, _compression(path))
         return lost
-    from bundle.io import colmap
-
+    with interrupts_deferred():
+        from bundle.io import colmap
+    going = _files_of_other_format(path, chosen)
     with atomic.replace_folder(path) as temporary:
-        return colmap.save(problem, temporary, binary=chosen == "colmap")
+        lost = colmap.save(problem, temporary, binary=chosen == "colmap")
+    return lost + going
 
 
 def output_format(
     problem: Problem,
     path: str | os.PathLike[str],
     format: str | None = None,
+    source: str | os.PathLike[str] | None = None,
 ) -> str:
     """Return the format in which ``save`` writes: "bal", "colmap" or "colmap-text".
 
     An explicit format counts first; then the path: ".txt", ".txt.gz" and ".txt.bz2" are BAL, an
-    existing folder or a trailing slash is COLMAP; then the format in which the problem came, and
-    COLMAP for one from memory.
+    existing folder or a trailing slash is COLMAP, as text where a model stands there as text, in
+    binary where one stands there in binary; then the format in which the problem came, and COLMAP
+    for one from memory: as text if it was read from a model in text at ``source``, else in binary.
 
     Raises:
         InputError: the explicit format is none of these.
     """
+    folder = as_path(path)
     if format is not None:
-        if format not in FORMATS:
-            raise InputError(f"format: expected one of {', '.join(FORMATS)}, found {format!r}")
-        return format
+        return choice("format", format, FORMATS)
     name = os.fspath(path)
-    if name.endswith("/") or Path(path).is_dir():
-        return "colmap"
+    colmap = "colmap-text" if source is not None and is_text_model(Path(source)) else "colmap"
+    if folder.is_dir() and not missing_model_files(folder):
+        return "colmap-text" if is_text_model(folder) else "colmap"
+    if name.endswith("/") or folder.is_dir():
+        return colmap
     if name.lower().endswith(_BAL_SUFFIXES):
         return "bal"
-    return "bal" if problem.format == "bal" else "colmap"
+    return "bal" if problem.format == "bal" else colmap
 
 
 def check_target(
     problem: Problem,
     path: str | os.PathLike[str],
     format: str | None = None,
+    refined: Collection[str] = (),
+    fixed_camera_ids: Collection[int] = (),
 ) -> None:
     """Raise now what ``save`` would refuse later, before hours go into a solve.
+
+    Args:
+        problem: what is going to be written, or solved and then written.
+        path: as for ``save``.
+        format: as for ``save``.
+        refined: kinds of camera parameters that the solve will change: "focal",
+            "principal_point", "extra"; others have no effect.
+        fixed_camera_ids: cameras that it will not change.
 
     Raises:
         InputError: the format cannot hold the problem, or the path cannot be replaced.
         OSError: there is no permission to write.
     """
-    if output_format(problem, path, format) == "bal":
-        bal.radial_params(problem)
+    _recover(path)
+    chosen = output_format(problem, path, format)
+    if chosen == "bal":
+        bal.check_refined(problem, refined, fixed_camera_ids)
         atomic.check_file(Path(path))
-    else:
-        atomic.check_folder(Path(path))
+        return
+    if chosen == "colmap-text" and problem.source is not None:
+        with interrupts_deferred():
+            from bundle.io import colmap
+        colmap.check_text(problem)
+    atomic.check_folder(Path(path))
+
+
+def _recover(path: str | os.PathLike[str]) -> None:
+    """Finish what a killed process has left unfinished at a path, and warn that this was done."""
+    for sentence in atomic.recover(as_path(path)):
+        warnings.warn(sentence, atomic.RecoveryWarning, stacklevel=3)
+
+
+def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:
+    """Tell that files of a model in the other format go: they would soon contradict the new one."""
+    suffix = ".txt" if format == "colmap" else ".bin"
+    names = [name for name in sorted(MODEL_FILES) if name.endswith(suffix)]
+    going = [name for name in names if (folder / name).exists()]
+    return (f"Files of the model that was there before go: {', '.join(going)}.",) if going else ()
+
+
+def _check_problem(problem: Problem) -> None:
+    if not isinstance(problem, Problem):
+        raise InputError(f"problem: expected a Problem, found {brief(problem)}")
 
 
 def _compression(path: Path) -> str:
@@ -129,11 +196,9 @@ def _check_model(folder: Path) -> None:
     if not missing:
         return
     found = f"found a folder without {', '.join(missing)}"
-    models = [
-        shown(child.name)
-        for child in sorted(folder.iterdir())
-        if child.is_dir() and not missing_model_files(child)
-    ]
+    models = models_below(folder)
     if models:
-        found += f"; there are models inside: {', '.join(models[:5])}"
+        paths = " or ".join(shown(model) for model in models[:MOST_HINTS])
+        more = f" (or {len(models) - MOST_HINTS} more)" if len(models) > MOST_HINTS else ""
+        found += f"; try {paths}{more}"
     raise InputError(f"{shown(folder)}: expected a COLMAP model, {found}")

@@ -11,6 +11,7 @@ Format: https://grail.cs.washington.edu/projects/bal/
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.cameras import param_kinds
 from bundle.errors import InputError, shown
 from bundle.problem import Problem
 
-__all__ = ["load", "losses", "radial_params", "save"]
+__all__ = ["check_refined", "load", "losses", "radial_params", "save"]
 
 
 class _Layout(NamedTuple):
@@ -120,6 +122,30 @@ def radial_params(problem: Problem) -> NDArray[np.float64]:
     return params
 
 
+def check_refined(
+    problem: Problem, refined: Collection[str], fixed_camera_ids: Collection[int] = ()
+) -> None:
+    """Raise now what ``radial_params`` would raise once these kinds of parameters are refined.
+
+    Args:
+        problem: before the solve.
+        refined: "focal", "principal_point", "extra", others without effect.
+        fixed_camera_ids: cameras whose parameters stay.
+
+    Raises:
+        InputError: a camera is, or may become, more than a BAL file can hold.
+    """
+    radial_params(problem)
+    for image, camera in enumerate(problem.image_camera.tolist()):
+        model = problem.camera_models[camera]
+        layout, kinds = _LAYOUTS[model], param_kinds(model)
+        moving = (*(layout.focal if len(layout.focal) > 1 else ()), *layout.zero)
+        free = sorted({kinds[parameter] for parameter in moving} & set(refined))
+        if free and problem.camera_ids[camera] not in fixed_camera_ids:
+            expected = f"expected one that stays so while {' and '.join(free)} are refined"
+            raise _unsupported(problem, image, expected)
+
+
 def _unsupported(problem: Problem, image: int, expected: str) -> InputError:
     camera = problem.image_camera[image]
     name = problem.image_names[image]
@@ -153,7 +179,7 @@ def losses(problem: Problem) -> tuple[str, ...]:
         (models, f"Cameras of model {', '.join(models)} come back as RADIAL."),
         (
             (used > 1).any(),
-            f"Cameras shared by several images ({(used > 1).sum()}) become one an image.",
+            f"Cameras shared by several images ({(used > 1).sum()}) become one per image.",
         ),
         ((used == 0).any(), f"Cameras without an image ({(used == 0).sum()}) are left out."),
         (

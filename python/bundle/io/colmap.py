@@ -20,7 +20,7 @@ from bundle.io.model_files import missing_model_files
 from bundle.io.reconstruction import Observations, from_pycolmap, problem_of, to_pycolmap
 from bundle.problem import Problem
 
-__all__ = ["from_pycolmap", "is_model", "load", "save", "to_pycolmap"]
+__all__ = ["check_text", "from_pycolmap", "is_model", "load", "save", "to_pycolmap"]
 
 
 def is_model(path: str | os.PathLike[str]) -> bool:
@@ -97,13 +97,25 @@ def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
+def _nameless(image_id: int) -> str:
+    return f"image {image_id}: expected a name, which COLMAP's text format needs, found none"
+
+
+def check_text(problem: Problem) -> None:
+    """Raise now what ``save`` would raise for text.
+
+    Raises:
+        InputError: an image of a COLMAP model has no name. Others get one when they are written.
+    """
+    if problem.source is not None and not all(problem.image_names):
+        raise InputError(_nameless(int(problem.image_ids[problem.image_names.index("")])))
+
+
 def _make_fit_for_text(reconstruction: pycolmap.Reconstruction) -> None:
     """Keep out of text files what COLMAP can write to them but not read back."""
     for image_id in reconstruction.reg_image_ids():
         if not reconstruction.image(image_id).name:
-            raise InputError(
-                f"image {image_id}: expected a name, which COLMAP's text format needs, found none"
-            )
+            raise InputError(_nameless(image_id))
     for point in reconstruction.points3D.values():
         if not math.isfinite(point.error):
             point.error = -1.0  # COLMAP's "not known"

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
-__all__ = ["MODEL_FILES", "missing_model_files"]
+__all__ = ["MODEL_FILES", "is_text_model", "missing_model_files", "models_below"]
+
+DEPTH = 3
+"""Levels below a folder where models are looked for: a project has them in dense/0/sparse/."""
+MOST_FOLDERS = 1000
+"""Folders that are looked into: a hint is worth no more."""
 
 _REQUIRED = ("cameras", "images", "points3D")
 _OPTIONAL = ("rigs", "frames")
@@ -19,8 +25,39 @@ def missing_model_files(folder: Path) -> tuple[str, ...]:
     Of the two kinds the one that is nearer to complete is meant; binary where they tie, as COLMAP
     prefers it.
     """
-    lacking = [
-        tuple(stem + suffix for stem in _REQUIRED if not (folder / (stem + suffix)).is_file())
-        for suffix in _SUFFIXES
-    ]
-    return min(lacking, key=len)
+    return min((_missing(folder, suffix) for suffix in _SUFFIXES), key=len)
+
+
+def is_text_model(folder: Path) -> bool:
+    """Tell whether the folder holds a COLMAP model as text, and none in binary."""
+    return bool(_missing(folder, ".bin")) and not _missing(folder, ".txt")
+
+
+def _missing(folder: Path, suffix: str) -> tuple[str, ...]:
+    names = (stem + suffix for stem in _REQUIRED)
+    return tuple(name for name in names if not (folder / name).is_file())
+
+
+def models_below(folder: Path) -> list[Path]:
+    """Return the models inside a folder, the nearest first.
+
+    Links are not followed; hidden folders, such as leftovers of killed runs, are not looked into.
+    """
+    found: list[Path] = []
+    level, seen = [folder], 0
+    for _ in range(DEPTH):
+        below = []
+        for parent in level:
+            try:
+                children = sorted(entry.path for entry in os.scandir(parent) if _is_folder(entry))
+            except OSError:  # not ours to read
+                continue
+            below += [Path(child) for child in children[: max(MOST_FOLDERS - seen, 0)]]
+            seen += len(children)
+        found += [child for child in below if not missing_model_files(child)]
+        level = below
+    return found
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    return entry.is_dir(follow_symlinks=False) and not entry.name.startswith(".")

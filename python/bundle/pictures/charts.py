@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,10 @@ COLOURS = (
     "#9a6324", "#469990",
 )  # fmt: skip
 LINES = ("-", "--", ":", "-.")
+# Characters of a title, and of labels of which two stand side by side, on an axis of 4 inches.
+LONGEST_TITLE, LONGEST_OF_TWO = 44, 22
+# Points that ticks and label take below an axis.
+LABELS_BELOW = 38
 
 
 def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[str] = ()) -> None:
@@ -49,14 +54,14 @@ def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[s
         if name in impossible:
             bar.set(facecolor="none", edgecolor=COLOURS[1], hatch="////")
         text = "none" if np.isnan(value) else f"{value:.2g}"
-        text += ", does not fit in memory" if name in impossible else ""
+        text += "\ndoes not fit" if name in impossible else ""
         middle = bar.get_y() + bar.get_height() / 2
         ax.annotate(
             text, (lowest if np.isnan(value) else value, middle), (3, 0),
             textcoords="offset points", va="center", fontsize=8,
         )  # fmt: skip
-    ax.set_xlim(lowest, highest * (highest / lowest) ** 0.6)
-    ax.set_yticks(np.arange(len(values)), [*flops], fontsize=8)
+    ax.set_xlim(lowest, highest * (highest / lowest) ** 0.6)  # room for the words
+    ax.set_yticks(np.arange(len(values)), [*map(_wrapped, flops)], fontsize=7)
     ax.set(ylim=(len(values) - 0.4, -0.6), xlabel="flops of one step", title="predicted flops")
 
 
@@ -80,7 +85,7 @@ def draw_column_counts(ax: Axes, counts: Mapping[str, ArrayLike]) -> None:
         xticklabels=["first", "middle", "last"],
     )
     if counts:
-        ax.legend(fontsize=8)
+        _legend_below(ax)
 
 
 def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
@@ -101,10 +106,10 @@ def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -
         xlabel="seconds from the loaded problem on",
         ylabel="cost / best cost - 1",
     )
-    ax.set_title(comparison.problems[problem].name, parse_math=False)
+    _title(ax, comparison.problems[problem].name)
     ax.grid(which="major", color="0.9")
     if ax.lines:
-        ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        _legend_below(ax)
 
 
 def draw_breakdown(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
@@ -119,11 +124,11 @@ def draw_breakdown(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
         colour = COLOURS[index] if phase != "rest" else "0.75"
         ax.barh(np.arange(len(runs)), seconds, left=left, label=phase, color=colour)
         left += seconds
-    ax.set_yticks(np.arange(len(runs)), [names[run.method] for run in runs], fontsize=8)
+    ax.set_yticks(np.arange(len(runs)), [_wrapped(names[run.method]) for run in runs], fontsize=7)
     ax.set(ylim=(len(runs) - 0.4, -0.6), xlabel="seconds")
-    ax.set_title(comparison.problems[problem].name, parse_math=False)
+    _title(ax, comparison.problems[problem].name)
     if runs:
-        ax.legend(fontsize=8)
+        _legend_below(ax)
 
 
 def draw_performance_profile(ax: Axes, comparison: Comparison, gap: float = 1e-3) -> None:
@@ -150,4 +155,32 @@ def draw_performance_profile(ax: Axes, comparison: Comparison, gap: float = 1e-3
         title="performance profile",
     )
     if profiles:
-        ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        _legend_below(ax)
+
+
+def _legend_below(ax: Axes) -> None:
+    """Put the legend where no curve is: under the axis and its label."""
+    from matplotlib.transforms import offset_copy
+
+    _, names = ax.get_legend_handles_labels()
+    ax.legend(
+        fontsize=7,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        bbox_transform=offset_copy(
+            ax.transAxes, ax.get_figure(root=True), y=-LABELS_BELOW, units="points"
+        ),
+        borderaxespad=0.0,
+        ncols=2 if max(map(len, names)) <= LONGEST_OF_TWO else 1,
+    )
+
+
+def _title(ax: Axes, name: str) -> None:
+    """Show the name of a problem, of a long one the end, which tells files apart."""
+    shown = name if len(name) <= LONGEST_TITLE else "..." + name[3 - LONGEST_TITLE :]
+    ax.set_title(shown, fontsize=9, parse_math=False)
+
+
+def _wrapped(name: str) -> str:
+    """Return the name of a method in short lines."""
+    return textwrap.fill(name, 22, break_long_words=False, break_on_hyphens=False)

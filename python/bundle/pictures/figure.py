@@ -31,4 +31,5 @@ def figure(
             "'bundle[pictures]'"
         ) from None
     made = Figure(figsize=(num_columns * width, num_rows * height), layout="constrained")
+    made.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
     return made, made.subplots(num_rows, num_columns, squeeze=False)

@@ -95,7 +95,8 @@ def _draw(ax: Axes, density: Density, title: str) -> None:
     if image.size:
         interpolation = "nearest" if size <= 2 * len(image) else "antialiased"
         ax.imshow(image, extent=(0, size, size, 0), interpolation=interpolation)
-    ax.set(xlim=(0, size), ylim=(size, 0), aspect="equal", title=title)
+    ax.set(xlim=(0, size), ylim=(size, 0), aspect="equal")
+    ax.set_title(title, fontsize=10, pad=8)
     ax.xaxis.tick_top()
     ax.tick_params(labelsize=7)
     ax.locator_params(nbins=4, integer=True)

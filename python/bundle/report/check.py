@@ -12,8 +12,8 @@ from bundle.checking.report import explanation
 from bundle.errors import shown
 from bundle.problem import Problem
 from bundle.report import json
-from bundle.report.refine import contents
 from bundle.tables import facts, format_name
+from bundle.words import contents
 
 __all__ = ["as_json", "checked"]
 

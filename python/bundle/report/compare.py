@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 
 from rich.console import RenderableType
@@ -13,7 +12,8 @@ from bundle.comparison import GAPS, ComparedProblem, Comparison, Measurement, Me
 from bundle.errors import shown
 from bundle.memory_sizes import format_size
 from bundle.summary import share
-from bundle.tables import WIDEST, columns, facts, format_name, notes, number, plural, seconds
+from bundle.tables import CommandLine, columns, facts, format_name, notes, number, plural, seconds
+from bundle.words import contents
 
 __all__ = ["compared"]
 
@@ -56,7 +56,7 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
         facts(
             [
                 ("input", f"{shown(problem.name)} ({format_name(problem.format)})"),
-                ("", _contents(problem)),
+                ("", contents(problem)),
                 ("best cost", f"{comparison.best_cost(index):.9e}"),
             ]
         )
@@ -68,7 +68,7 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
             "",
             columns(
                 (
-                    *(*names.head("method"), "gap", "steps", "s a step"),
+                    *(*names.head("method"), "gap", "steps", "s/step"),
                     *(f"to {gap:.0e}".replace("e-0", "e-") for gap in GAPS),
                     *("total", "MB"),
                 ),
@@ -137,7 +137,7 @@ def _predicted(measured: Sequence[tuple[Run, Measurement]], names: _Names) -> li
         *names.head("predicted, measured"),
         "nnz(L)",
         "flops",
-        "s a step",
+        "s/step",
         "measured",
         "MB",
         "measured",
@@ -203,18 +203,7 @@ def _recommendation(comparison: Comparison) -> list[RenderableType]:
     rows = [("recommended", found.reason)]
     if found.verdict:
         rows.append(("", found.verdict))
-    return [*report, facts(rows), "", *(Text(line) for line in _continued(found.command))]
-
-
-def _continued(command: str) -> list[str]:
-    """Return a command line broken between words, so that it can be copied as it stands."""
-    lines: list[str] = []
-    for word in map(shlex.quote, shlex.split(command)):
-        if lines and len(lines[-1]) + len(word) + 3 <= WIDEST:
-            lines[-1] += f" {word}"
-        else:
-            lines.append(f"    {word}" if lines else word)
-    return [f"{line} \\" for line in lines[:-1]] + lines[-1:]
+    return [*report, facts(rows), "", CommandLine(found.command)]
 
 
 class _Names:
@@ -234,14 +223,3 @@ class _Names:
     def words(self, method: Method) -> str:
         """Return a method within a sentence."""
         return f"{method.name}, {method.threads}" if self._with_threads else method.name
-
-
-def _contents(problem: ComparedProblem) -> str:
-    return ", ".join(
-        (
-            plural(problem.num_images, "image"),
-            plural(problem.num_cameras, "camera"),
-            plural(problem.num_points, "point"),
-            plural(problem.num_observations, "observation"),
-        )
-    )

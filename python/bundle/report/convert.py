@@ -6,8 +6,8 @@ from rich.console import RenderableType
 
 from bundle.errors import shown
 from bundle.problem import Problem
-from bundle.report.refine import contents
 from bundle.tables import facts, format_name, notes
+from bundle.words import contents
 
 __all__ = ["conversion"]
 

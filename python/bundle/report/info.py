@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from rich.console import RenderableType
-from rich.table import Table
 
 from bundle.errors import shown
 from bundle.problem import Problem
-from bundle.report.refine import contents
+from bundle.report.refine import worst_table
 from bundle.statistics import CameraGroup, Covisibility, Description, Distribution
-from bundle.tables import columns, facts, format_name, notes, number, pixels, plural
+from bundle.tables import Bar, Columns, columns, facts, format_name, notes, number, pixels, plural
+from bundle.words import contents
 
 __all__ = ["information"]
-
-BAR_WIDTH = 40
 
 
 def information(path: str, problem: Problem, description: Description) -> list[RenderableType]:
@@ -34,17 +31,18 @@ def information(path: str, problem: Problem, description: Description) -> list[R
         "",
         _histogram("track length", "points", description.track_length),
         "",
-        _histogram("obs. of an image", "images", description.observations_per_image),
+        _histogram("obs. per image", "images", description.observations_per_image),
         "",
         facts([("covisibility", _covisibility(description.covisibility))]),
         facts([("error now", _error(description))]),
         "",
+        *worst_table(description.worst_images, "worst images"),
         facts([("looks wrong", "" if wrong else "nothing found")]),
         *notes(wrong, style="yellow"),
     ]
 
 
-def _cameras(groups: Sequence[CameraGroup]) -> Table:
+def _cameras(groups: Sequence[CameraGroup]) -> Columns:
     rows = [
         (
             group.model,
@@ -64,30 +62,30 @@ def _range(low: str, high: str) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _distributions(description: Description) -> Table:
+def _distributions(description: Description) -> Columns:
     def row(name: str, values: Distribution) -> tuple[str, ...]:
         return (name, *map(number, (values.min, values.median, values.mean, values.max)))
 
     rows = [
-        row("observations of a point", description.track_length),
-        row("observations of an image", description.observations_per_image),
+        row("observations per point", description.track_length),
+        row("observations per image", description.observations_per_image),
     ]
-    return columns(("", "least", "median", "mean", "most"), rows)
+    return columns(("", "min", "median", "mean", "max"), rows)
 
 
-def _histogram(title: str, noun: str, values: Distribution) -> Table:
+def _histogram(title: str, noun: str, values: Distribution) -> Columns:
     largest = max((count for _, _, count in values.histogram), default=1)
     total = max(sum(count for _, _, count in values.histogram), 1)
     rows = [
         (
             _range(str(low), str(high)).replace(" to ", "-"),
-            "#" * math.ceil(BAR_WIDTH * count / max(largest, 1)),
+            Bar(count / max(largest, 1)),
             str(count),
             f"{100.0 * count / total:.1f} %",
         )
         for low, high, count in values.histogram
     ]
-    return columns((title, " " * BAR_WIDTH, noun, "share"), rows, left=2)
+    return columns((title, "", noun, "share"), rows, left=2)
 
 
 def _covisibility(graph: Covisibility) -> str:
@@ -109,6 +107,6 @@ def _error(description: Description) -> str:
         return "there is no observation that counts"
     return (
         f"RMSE {pixels(error.rmse)} px, mean {pixels(error.mean)}, median {pixels(error.median)}, "
-        f"95 % below {pixels(error.p95)}, largest {pixels(error.max)}, "
+        f"95th percentile {pixels(error.p95)}, max {pixels(error.max)}, "
         f"over {plural(error.num_observations, 'observation')}"
     )

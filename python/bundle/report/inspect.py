@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rich.console import RenderableType
-from rich.table import Table
 
+from bundle.comparison.command_line import recommended_command
 from bundle.errors import shown
 from bundle.inspection import Inspection, MethodInspection
 from bundle.memory_sizes import format_size
+from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report import json
-from bundle.report.refine import contents
-from bundle.tables import columns, facts, format_name, notes, number
+from bundle.tables import Columns, CommandLine, columns, facts, format_name, notes, number
+from bundle.words import contents
 
 __all__ = ["CONVENTION", "as_json", "inspected"]
 
@@ -27,8 +28,11 @@ CONVENTION = (
 _CLEARLY_SLOWER = 1.25
 
 
-def inspected(path: str, problem: Problem, inspection: Inspection) -> list[RenderableType]:
+def inspected(
+    path: str, problem: Problem, inspection: Inspection, options: SolveOptions
+) -> list[RenderableType]:
     """Return the predictions for a problem as tables and sentences."""
+    command = recommended_command(inspection, options, shown(path))
     return [
         facts(
             [
@@ -44,7 +48,8 @@ def inspected(path: str, problem: Problem, inspection: Inspection) -> list[Rende
         "",
         _costs(inspection),
         "",
-        facts([("recommended", inspection.recommendation), *_command(path, inspection)]),
+        facts([("recommended", inspection.recommendation)]),
+        *_copyable(command),
         *notes(_remarks(inspection)),
     ]
 
@@ -53,14 +58,25 @@ def as_json(
     path: str,
     problem: Problem,
     inspection: Inspection,
-    options: dict[str, Any],
+    options: SolveOptions,
+    names: Iterable[str],
     wall_time: float,
 ) -> dict[str, Any]:
-    """Return the report of `bundle inspect` for programs; wall_time in seconds."""
+    """Return the report of `bundle inspect` for programs.
+
+    Args:
+        path: of the input.
+        problem: what was inspected.
+        inspection: what was found.
+        options: with which.
+        names: of the options that count for an inspection.
+        wall_time: seconds.
+    """
     return {
         **json.heading("inspect", path, problem),
-        "options": json.plain(options),
+        "options": json.plain({name: getattr(options, name) for name in names}),
         **json.plain(dataclasses.asdict(inspection)),
+        "recommended_command": recommended_command(inspection, options, path),
         "nonzeros": CONVENTION,
         "wall_time": {"total": wall_time},
     }
@@ -84,7 +100,7 @@ def _nonzeros(inspection: Inspection) -> str:
     )
 
 
-def _factors(methods: Sequence[MethodInspection]) -> Table:
+def _factors(methods: Sequence[MethodInspection]) -> Columns:
     """Return a row for each way to factorise, whoever does it."""
     rows = {}
     for method in methods:
@@ -102,7 +118,7 @@ def _factors(methods: Sequence[MethodInspection]) -> Table:
     return columns(head, rows.values())
 
 
-def _costs(inspection: Inspection) -> Table:
+def _costs(inspection: Inspection) -> Columns:
     names = dict.fromkeys(method.name for method in inspection.methods)
     by_key = {(method.name, method.backend): method for method in inspection.methods}
     rows = []
@@ -118,7 +134,7 @@ def _costs(inspection: Inspection) -> Table:
                 "<" if chosen else "",
             )
         )
-    head = ("method", "fused: memory", "a step", "Ceres: memory", "a step", "")
+    head = ("method", "fused: memory", "per step", "Ceres: memory", "per step", "")
     return columns(head, rows)
 
 
@@ -132,17 +148,8 @@ def _cost(method: MethodInspection | None) -> tuple[str, str]:
     return memory, time if method.is_taken else f"({time})"
 
 
-def _command(path: str, inspection: Inspection) -> list[tuple[str, str]]:
-    if inspection.recommended < 0:
-        return []
-    best = _best(inspection)
-    solver = best.linear_solver_type.lower().replace("_", "-")
-    words = f"bundle refine {shown(path)} -o OUTPUT --solver {solver}"
-    if best.preconditioner:
-        words += f" --preconditioner {best.preconditioner.lower().replace('_', '-')}"
-    if best.backend == "CERES":
-        words += " --backend ceres"
-    return [("", words)]
+def _copyable(command: str) -> list[RenderableType]:
+    return ["", CommandLine(command), ""] if command else []
 
 
 def _best(inspection: Inspection) -> MethodInspection:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle._core import __version__
+from bundle.camera_changes import camera_changes
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report.timing import WallTime
@@ -28,6 +29,7 @@ __all__ = [
     "records",
     "refinement",
     "result",
+    "several",
     "solve_options",
 ]
 
@@ -49,6 +51,11 @@ def heading(command: str, path: str, problem: Problem) -> dict[str, Any]:
             "num_observations": problem.num_observations,
         },
     }
+
+
+def several(command: str, reports: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the reports on several inputs as one."""
+    return {"schema": SCHEMA, "command": command, "version": __version__, "reports": reports}
 
 
 def result(solved: Result) -> dict[str, Any]:
@@ -77,6 +84,8 @@ def refinement(
     return {
         **heading("refine", path, problem),
         **result(solved),
+        "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
+        "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),
         "wall_time": plain(dataclasses.asdict(wall)),
         "output": output,
     }

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
-import numpy as np
-from rich.console import RenderableType
-from rich.table import Table
+from collections.abc import Sequence
 
+from rich.console import RenderableType
+
+from bundle.camera_changes import CameraChange, camera_changes
 from bundle.errors import shown
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.report.termination import sentence
 from bundle.report.timing import WallTime, wall_table
 from bundle.result import Result
 from bundle.summary import Summary, sizes
-from bundle.tables import columns, facts, format_name, notes, number, pixels, plural, seconds
+from bundle.tables import (
+    Columns,
+    columns,
+    facts,
+    format_name,
+    notes,
+    number,
+    pixels,
+    plural,
+    seconds,
+)
+from bundle.words import contents
+from bundle.worst_images import ImageError
 
-__all__ = ["contents", "outcome", "refinement"]
+__all__ = ["contents", "outcome", "refinement", "worst_table"]
+
+MOST_CAMERAS = 5
+"""Cameras whose changes are shown."""
 
 
 def refinement(
@@ -49,6 +64,8 @@ def refinement(
         "",
         _before_and_after(solved),
         "",
+        *_cameras(camera_changes(solved)),
+        *worst_table(solved.worst_images, "worst images, after"),
         facts([("outcome", outcome(solved))]),
         *notes(summary.warnings, style="yellow"),
         "",
@@ -59,23 +76,48 @@ def refinement(
     ]
 
 
-def contents(problem: Problem) -> str:
-    """Return "16 images, 16 cameras, 22106 points, 83718 observations"."""
-    return ", ".join(
+def worst_table(images: Sequence[ImageError], title: str) -> list[RenderableType]:
+    """Return the images with the largest errors and an empty line; nothing for one image."""
+    if len(images) < 2:
+        return []
+    rows = [
         (
-            plural(problem.num_images, "image"),
-            plural(problem.num_cameras, "camera"),
-            plural(problem.num_points, "point"),
-            plural(problem.num_observations, "observation"),
+            shown(image.name) or f"image {image.image_id}",
+            str(image.num_observations),
+            pixels(image.rmse),
+            pixels(image.max),
         )
-    )
+        for image in images
+    ]
+    return [columns((title, "observations", "RMSE [px]", "max error [px]"), rows), ""]
+
+
+def _cameras(changes: Sequence[CameraChange]) -> list[RenderableType]:
+    """Return what changed in the intrinsics, of the cameras that moved most."""
+    if not changes:
+        return []
+    rows = []
+    for change in changes[:MOST_CAMERAS]:
+        label = f"{change.camera_id} {change.model}"
+        for name, before in change.before.items():
+            after = change.after[name]
+            if after != before:
+                rows.append(
+                    (label, name, f"{before:.7g}", f"{after:.7g}", f"{after - before:+.3g}")
+                )
+                label = ""
+    report: list[RenderableType] = [
+        columns(("camera", "parameter", "before", "after", "change"), rows, left=2)
+    ]
+    if len(changes) > MOST_CAMERAS:
+        others = plural(len(changes) - MOST_CAMERAS, "other camera")
+        report += notes([f"{others} changed less; --json FILE lists all"])
+    return [*report, ""]
 
 
 def outcome(solved: Result) -> str:
     """Return how the solve ended, in plain words."""
-    # Entry 0 is the evaluation at the start, not a step.
-    accepted = np.asarray(solved.iterations["step_is_successful"], bool)[1:]
-    return sentence(solved.summary, len(accepted), int((~accepted).sum()))
+    return solved.outcome
 
 
 def _refined(options: SolveOptions) -> str:
@@ -123,14 +165,14 @@ def _factor(summary: Summary) -> str:
     )
 
 
-def _before_and_after(solved: Result) -> Table:
+def _before_and_after(solved: Result) -> Columns:
     before, after = solved.reprojection_error_before, solved.reprojection_error_after
     titles = {
         "rmse": "RMSE [px]",
         "mean": "mean error [px]",
         "median": "median error [px]",
-        "p95": "95 % below [px]",
-        "max": "largest error [px]",
+        "p95": "95th percentile [px]",
+        "max": "max error [px]",
     }
     rows = [
         ("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}"),

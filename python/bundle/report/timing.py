@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rich.table import Table
-
 from bundle.summary import Summary, share, solver_phases
-from bundle.tables import columns, seconds
+from bundle.tables import Columns, columns, seconds
 
 __all__ = ["WallTime", "wall_table"]
 
@@ -23,7 +21,7 @@ class WallTime:
     total: float
 
 
-def wall_table(summary: Summary, wall: WallTime) -> Table:
+def wall_table(summary: Summary, wall: WallTime) -> Columns:
     """Return the stages of a command, the phases of the solve among them, with their shares."""
     total, solver = wall.total, summary.total_time_in_seconds
     rows = [_stage("load", wall.load, total), _stage("build", wall.build, total)]

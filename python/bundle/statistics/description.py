@@ -8,11 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.cameras import camera_models, param_kinds
+from bundle.display import Display, Displayed
 from bundle.errors import InputError
+from bundle.io import Source, as_problem
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error, reprojection_errors
 from bundle.statistics.covisibility import Covisibility, covisibility
 from bundle.statistics.suspicions import Suspicion, suspicions
+from bundle.words import number, pixels, plural
+from bundle.worst_images import ImageError, worst_images
 
 __all__ = ["CameraGroup", "Description", "Distribution", "describe"]
 
@@ -53,16 +57,17 @@ class CameraGroup:
     supported: bool
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Description:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Description(Displayed):
     """What is in a problem.
 
     Attributes:
-        cameras: one entry a camera model, the most used first.
-        track_length: observations a point.
-        observations_per_image: observations an image.
+        cameras: one entry per camera model, the most used first.
+        track_length: observations per point.
+        observations_per_image: observations per image.
         covisibility: which images see common points.
         reprojection_error: pixels, at the problem's values; None where a camera model is unknown.
+        worst_images: those with the largest errors; empty where a camera model is unknown.
         suspicions: what looks wrong, gravest first.
     """
 
@@ -71,18 +76,39 @@ class Description:
     observations_per_image: Distribution
     covisibility: Covisibility
     reprojection_error: ReprojectionError | None
+    worst_images: tuple[ImageError, ...]
     suspicions: tuple[Suspicion, ...]
 
+    def _display(self) -> Display:
+        error = self.reprojection_error
+        models = ", ".join(f"{plural(g.num_cameras, 'camera')} {g.model}" for g in self.cameras)
+        rmse = "unknown" if error is None else f"RMSE {pixels(error.rmse)} px"
+        pieces = plural(len(self.covisibility.component_sizes), "connected piece")
+        facts = [
+            ("cameras", models or "none"),
+            ("track length", f"mean {number(self.track_length.mean)}"),
+            ("observations", f"mean {number(self.observations_per_image.mean)} per image"),
+            ("covisibility", pieces),
+            ("error", rmse),
+        ]
+        facts += [("suspicion", suspicion.sentence) for suspicion in self.suspicions]
+        return Display(title="Description", facts=tuple(facts))
 
-def describe(problem: Problem) -> Description:
+
+def describe(problem: Source) -> Description:
     """Describe a problem: what `bundle info` says.
 
     Args:
-        problem: any problem, also one that cannot be refined.
+        problem: also one that cannot be refined, the path of one, or a pycolmap.Reconstruction.
 
     Returns:
         A :class:`Description`; nothing of the problem is changed or kept.
+
+    Raises:
+        InputError: this is no problem.
+        OSError: the path cannot be read.
     """
+    problem = as_problem(problem)
     graph = covisibility(problem)
     errors: NDArray[np.float64] | None
     try:
@@ -99,6 +125,7 @@ def describe(problem: Problem) -> Description:
         ),
         covisibility=graph,
         reprojection_error=error,
+        worst_images=worst_images(problem) if error is not None else (),
         suspicions=suspicions(problem, graph, errors, behind),
     )
 

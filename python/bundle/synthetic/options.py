@@ -6,13 +6,11 @@ the JSON report lists them.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from bundle.errors import InputError
-from bundle.option_fields import checked, option
+from bundle.option_fields import Options, documented, option
 
 __all__ = ["SceneOptions"]
 
@@ -21,10 +19,13 @@ SCENES = ("street", "orbit", "photo_collection")
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 CAMERAS = ("auto", "shared", "individual")
 MIN_OBSERVATIONS_PER_IMAGE = 20
+MIN_TRACK_LENGTH = 2
+USUAL_TRACK_LENGTH = 6.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class SceneOptions:
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SceneOptions(Options):
     """Options of :func:`bundle.synthesize`.
 
     Choices are accepted in any case, with hyphens or underscores ("photo-collection").
@@ -43,7 +44,12 @@ class SceneOptions:
     num_images: int = option(40, "--images", "number of images", minimum=2, metavar="N")
     num_points: int = option(3000, "--points", "number of points", minimum=20, metavar="N")
     mean_track_length: float = option(
-        6.0, "--track-length", "observations per point, on average", minimum=2.0, metavar="X"
+        0.0,
+        "--track-length",
+        "observations per point, on average, at least 2; 0: 6, or what the images of a small scene "
+        "allow",
+        minimum=0.0,
+        metavar="X",
     )
     camera_model: str = option(
         "SIMPLE_RADIAL", "--camera-model", "COLMAP's camera model", choices=CAMERA_MODELS
@@ -51,8 +57,8 @@ class SceneOptions:
     cameras: str = option(
         "auto",
         "--cameras",
-        "one camera for all images, or one an image; auto: individual for photo-collection, shared "
-        "for the others",
+        "one camera for all images, or one per image; auto: individual for photo-collection, "
+        "shared for the others",
         choices=CAMERAS,
     )
     image_size: tuple[int, int] = option(
@@ -119,26 +125,33 @@ class SceneOptions:
         minimum=0.0,
         below=1e6,
         metavar="X",
+        only_with=("camera_model", ("SIMPLE_RADIAL", "RADIAL", "OPENCV")),
     )
     loop_closure: bool = option(
         True,
         "--loop-closure",
-        "street only: drive laps that come back to known places, not one way",
+        "drive laps that come back to known places, not one way",
+        only_with=("scene", ("street",)),
     )
     num_rings: int = option(
         0,
         "--rings",
-        "orbit only: rings of cameras at different heights; 0: one per 40 images, at most 6",
+        "rings of cameras at different heights; 0: one per 40 images, at most 6",
         minimum=0,
         metavar="N",
+        only_with=("scene", ("orbit",)),
     )
     seed: int = option(
         0, "--seed", "same seed, same scene", minimum=0, maximum=math.inf, metavar="N"
     )
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            object.__setattr__(self, field.name, checked(field, getattr(self, field.name)))
+        super().__post_init__()
+        if 0 < self.mean_track_length < MIN_TRACK_LENGTH:
+            raise InputError(
+                f"mean_track_length: expected at least {MIN_TRACK_LENGTH}, or 0, "
+                f"found {self.mean_track_length:g}"
+            )
         if self.mean_track_length > self.num_images:
             raise InputError(
                 f"mean_track_length: expected at most num_images = {self.num_images}, "
@@ -151,16 +164,13 @@ class SceneOptions:
             )
 
     @property
+    def wanted_track_length(self) -> float:
+        """Mean track length to aim at."""
+        return self.mean_track_length or min(USUAL_TRACK_LENGTH, self.num_images)
+
+    @property
     def has_shared_camera(self) -> bool:
         """Whether all images share one camera."""
         if self.cameras == "auto":
             return self.scene != "photo_collection"
         return self.cameras == "shared"
-
-    def replace(self, **changes: Any) -> SceneOptions:
-        """Return a copy with some options changed."""
-        return dataclasses.replace(self, **changes)
-
-    def asdict(self) -> dict[str, Any]:
-        """Return every option by name."""
-        return dataclasses.asdict(self)

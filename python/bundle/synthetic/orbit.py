@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 DISTANCE = 3.6
 FOCAL = 1.25
 WIDEST_ANGLE = np.radians(65.0)  # between the normal and the direction to the camera
+WIDEST_STEP = np.radians(45.0)  # between neighbours on a ring
 LOWEST, HIGHEST = np.radians(8.0), np.radians(55.0)  # elevation of the rings
 
 
@@ -38,7 +39,7 @@ class Orbit(Scene):
         outward = _rings(rng, count, options.num_rings or int(np.clip(round(count / 40), 1, 6)))
         centers = DISTANCE * rng.uniform(0.92, 1.08, count)[:, None] * outward
         aims = rng.normal(0.0, 0.05, (count, 3))
-        angle = _view_angle(rng, outward, 3.0 * options.mean_track_length)
+        angle = _view_angle(rng, outward, 3.0 * options.wanted_track_length)
         self.images = Images(
             centers=centers,
             rotations=look_along(aims - centers, rng.normal(0.0, 0.03, count)),
@@ -70,7 +71,8 @@ def _rings(rng: np.random.Generator, count: int, num_rings: int) -> Array:
     """Return unit directions (count, 3) on rings, in order around each ring, lowest ring first."""
     ring = np.arange(count) * num_rings // count
     first = np.searchsorted(ring, np.arange(num_rings + 1))
-    step = 2 * np.pi / np.diff(first)
+    # A ring of few cameras is an arc: neighbours must see the same side of the object.
+    step: Array = np.minimum(2 * np.pi / np.diff(first), WIDEST_STEP)
     azimuth = (np.arange(count) - first[ring]) * step[ring]
     azimuth += rng.uniform(0.0, 2 * np.pi, num_rings)[ring]
     azimuth += rng.normal(0.0, 0.15, count) * step[ring]

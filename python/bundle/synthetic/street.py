@@ -37,7 +37,7 @@ class Street(Scene):
 
     def __init__(self, rng: np.random.Generator, options: SceneOptions) -> None:
         count = options.num_images
-        self.spacing = float(np.clip(VIEW_LENGTH / (2.4 * options.mean_track_length), 0.3, 3.5))
+        self.spacing = float(np.clip(VIEW_LENGTH / (2.4 * options.wanted_track_length), 0.3, 3.5))
         # Small drives get small blocks, so that they too turn and close a lap (4 blocks' length).
         self.pitch = float(np.clip(count * self.spacing / 4.4, 20.0, 60.0))
         self._block_heights = rng.uniform(6.0, 18.0, 512)

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError
 from bundle.synthetic.components import components
-from bundle.synthetic.options import MIN_OBSERVATIONS_PER_IMAGE
+from bundle.synthetic.options import MIN_OBSERVATIONS_PER_IMAGE, MIN_TRACK_LENGTH
 from bundle.synthetic.scene import Pairs
 
 __all__ = ["select_observations", "wanted_lengths"]
 
 Array = NDArray[np.float64]
 
-_SHORTEST_TRACK = 2
-_FEWEST_OBSERVATIONS_PER_IMAGE = 4
+_REQUIRED_OBSERVATIONS = 4
 _OBSERVATIONS_PER_BRIDGE = 10
 # Less than this of the mean track length that was asked for is a failure.
 _ACCEPTED_SHARE = 0.75
@@ -24,11 +25,17 @@ _ACCEPTED_SHARE = 0.75
 def wanted_lengths(weights: Array, scale: float) -> NDArray[np.int64]:
     """Return whole track lengths, at least 2, of which the part beyond is weights * scale."""
     beyond = np.floor(weights * scale + 0.5)
-    return _SHORTEST_TRACK + np.minimum(beyond, 1e9).astype(np.int64)
+    return MIN_TRACK_LENGTH + np.minimum(beyond, 1e9).astype(np.int64)
 
 
 def select_observations(
-    pairs: Pairs, preference: Array, weights: Array, mean_length: float, num_images: int
+    pairs: Pairs,
+    preference: Array,
+    weights: Array,
+    mean_length: float,
+    num_images: int,
+    *,
+    may_be_shorter: bool = False,
 ) -> Pairs:
     """Choose the observations of every point among the images that could see it.
 
@@ -38,6 +45,7 @@ def select_observations(
         weights: (num_points,) how long each track wants to be beyond 2, relative to the others.
         mean_length: the mean track length to reach.
         num_images: number of images.
+        may_be_shorter: take a smaller mean where the images see no more.
 
     Returns:
         Pairs in which images that would have had few observations have as many as they can, up to
@@ -47,6 +55,11 @@ def select_observations(
         InputError: the images see too little in common.
     """
     lengths = _fit_lengths(pairs.counts, weights, mean_length)
+    if not may_be_shorter and lengths.mean() < _ACCEPTED_SHARE * mean_length:
+        raise InputError(
+            f"mean_track_length: expected at most {lengths.mean():.1f}, as many images see a point "
+            f"of this scene on average, found {mean_length:g}"
+        )
     by_preference = np.lexsort((preference, pairs.point))
     chosen = np.zeros(len(pairs), dtype=np.bool_)
     chosen[by_preference] = pairs.ranks < np.repeat(lengths, pairs.counts)
@@ -73,13 +86,7 @@ def _fit_lengths(
             low = middle
         else:
             high = middle
-    fitted = lengths(high)
-    if fitted.mean() < _ACCEPTED_SHARE * mean_length:
-        raise InputError(
-            f"mean_track_length: expected at most {fitted.mean():.1f}, as many images see a point "
-            f"of this scene on average, found {mean_length:g}"
-        )
-    return fitted
+    return lengths(high)
 
 
 def _fill_images(
@@ -118,10 +125,13 @@ def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_ima
 def _check_images(pairs: Pairs, chosen: NDArray[np.bool_], num_images: int) -> None:
     counts = np.bincount(pairs.image[chosen], minlength=num_images)
     poorest = int(np.argmin(counts))
-    if counts[poorest] < _FEWEST_OBSERVATIONS_PER_IMAGE:
+    if counts[poorest] < _REQUIRED_OBSERVATIONS:
+        seen = int(counts[poorest])
+        enough = math.ceil(len(pairs.counts) * (_REQUIRED_OBSERVATIONS + 1) / (seen + 1))
         raise InputError(
-            f"num_points: image {poorest + 1} sees {counts[poorest]} of {len(pairs.counts)} "
-            f"points; expected enough points for {_FEWEST_OBSERVATIONS_PER_IMAGE} in every image"
+            f"num_points: expected about {enough} or more, so that each image sees "
+            f"{_REQUIRED_OBSERVATIONS} points, found {len(pairs.counts)}, of which image "
+            f"{poorest + 1} sees {seen}"
         )
 
 

@@ -1,6 +1,8 @@
 #include "core/fused/eliminate/point_plan.h"
 
 #include <algorithm>
+#include <stdexcept>
+#include <string>
 #include <utility>
 
 #include "core/fused/eliminate/pair_numbers.h"
@@ -22,7 +24,9 @@ constexpr int64_t kChunksOfLargeProblem = 64;
 // Where blocks hardly repeat, as in photo collections, larger buffers pay beyond any cache: 1000
 // images with a million observations took 12.3 s of processor time with 4 MiB, 10.0 with 16 and
 // 8.9 with 32 (kMaxBufferBytes).
-constexpr int kMaxBlocks = 1 << 16;  // of a chunk: what its indices can tell apart
+// Of a chunk: as many numbers as 16 bits hold besides kDiagonal. A point with half as many is
+// spread over chunks of its own; any other fits a chunk that is not yet half full.
+constexpr int kMaxBlocks = 0xffff;
 
 /// Cuts the points of a plan into chunks.
 class Planner {
@@ -107,32 +111,39 @@ class Planner {
       if (work >= wanted || full || chunk.num_blocks() > kMaxBlocks / 2 || HasTooManyBlocks(p)) {
         break;
       }
-      AddPoint(p, 0, num_refined_[p], &chunk);
+      AddImages(p, &chunk);
+      for (int row = 0; row < num_refined_[p]; ++row) AddRow(p, row, &chunk);
     }
     EndChunk(p, &chunk);
     return p;
   }
 
-  /// One point in several chunks.
+  /// One point in several chunks, each of as many rows as the buffer has room for and 16 bits have
+  /// numbers.
   int AddRows(int point, int64_t most_blocks) {
     const int refined = num_refined_[point];
-    const auto rows = static_cast<int>(std::max<int64_t>(1, most_blocks / refined));
-    for (int row = 0; row < refined; row += rows) {
+    const int64_t most_rows = std::max<int64_t>(1, most_blocks / refined);
+    for (int row = 0; row < refined;) {
       Chunk chunk = StartChunk(point);
       chunk.first_row = row;
-      chunk.last_row = std::min(row + rows, refined);
-      AddPoint(point, chunk.first_row, chunk.last_row, &chunk);
+      AddImages(point, &chunk);
+      const auto has_room = [&] {
+        const auto new_pairs = std::min<int64_t>(refined - 1 - row, chunk.images.size());
+        return row - chunk.first_row < most_rows && chunk.num_blocks() + new_pairs <= kMaxBlocks;
+      };
+      do {
+        AddRow(point, row++, &chunk);
+      } while (row < refined && has_room());
+      chunk.last_row = row;
       EndChunk(point + 1, &chunk);
       SortChunk(&plan_.chunks.back());  // the next one writes the numbers of the same observations
     }
     return point + 1;
   }
 
-  /// Images by the slot of their first appearance for now, pairs by a number that SortChunk
-  /// replaces.
-  void AddPoint(int point, int first_row, int last_row, Chunk* chunk) {
-    const int64_t first = plan_.first[point];
-    for (int64_t k = first; k < plan_.first[point + 1]; ++k) {
+  /// Images by the slot of their first appearance for now; SortChunk replaces it.
+  void AddImages(int point, Chunk* chunk) {
+    for (int64_t k = plan_.first[point]; k < plan_.first[point + 1]; ++k) {
       int& slot = image_slot_[plan_.image[k]];
       if (slot < 0) {
         slot = static_cast<int>(chunk->images.size());
@@ -140,23 +151,30 @@ class Planner {
       }
       plan_.image_in_chunk[k] = static_cast<uint16_t>(slot);
     }
-    const int refined = num_refined_[point];
-    for (int i = first_row; i < last_row; ++i) {
-      const uint16_t a = plan_.image_in_chunk[first + i];
-      for (int j = i + 1; j < refined; ++j) {
-        const uint16_t b = plan_.image_in_chunk[first + j];
-        if (a == b) {
-          plan_.pair_block.push_back(kDiagonal);
-          continue;
-        }
-        const uint16_t number = pair_numbers_.Find(a, b, chunk->pairs.size());
-        if (number == chunk->pairs.size()) chunk->pairs.push_back({a, b});
-        plan_.pair_block.push_back(number);
+  }
+
+  /// The pairs of refined observation `row` with those behind it, by a number that SortChunk
+  /// replaces.
+  void AddRow(int point, int row, Chunk* chunk) {
+    const int64_t first = plan_.first[point];
+    const uint16_t a = plan_.image_in_chunk[first + row];
+    for (int j = row + 1; j < num_refined_[point]; ++j) {
+      const uint16_t b = plan_.image_in_chunk[first + j];
+      if (a == b) {
+        plan_.pair_block.push_back(kDiagonal);
+        continue;
       }
+      const uint16_t number = pair_numbers_.Find(a, b, chunk->pairs.size());
+      if (number == chunk->pairs.size()) chunk->pairs.push_back({a, b});
+      plan_.pair_block.push_back(number);
     }
   }
 
   void EndChunk(int last_point, Chunk* chunk) {
+    if (chunk->num_blocks() > kMaxBlocks) {
+      throw std::logic_error("a chunk of " + std::to_string(chunk->num_blocks()) +
+                             " blocks, which 16 bits do not number");
+    }
     chunk->last_point = last_point;
     for (const int image : chunk->images) image_slot_[image] = -1;
     plan_.chunks.push_back(std::move(*chunk));

@@ -66,8 +66,10 @@ struct PointPlan {
   int64_t num_observations() const { return static_cast<int64_t>(image.size()); }
 };
 
-/// As many observations as a point may have, so that 16 bits number the blocks of a chunk.
-inline constexpr int64_t kMaxTrackLength = 30000;
+/// The most observations of a point. Its images and one row of its pairs have to have numbers of 16
+/// bits, which would allow three times as many; but time and memory grow with its pairs: with
+/// 10,000 observations, 50 million, 100 MB and a second or two a step.
+inline constexpr int64_t kMaxTrackLength = 10000;
 
 /// Bytes that the blocks of a chunk take, about, where they are many.
 inline constexpr int64_t kMaxBufferBytes = 1 << 25;

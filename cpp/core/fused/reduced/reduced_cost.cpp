@@ -54,7 +54,7 @@ std::string FormatSeconds(double seconds) {
 
 std::string Describe(const ReducedCost& cost, double available_bytes) {
   if (cost.bytes > kShareOfMemory * available_bytes) return "needs " + FormatBytes(cost.bytes);
-  return "about " + FormatSeconds(cost.seconds);
+  return FormatSeconds(cost.seconds);
 }
 
 }  // namespace
@@ -99,8 +99,8 @@ ReducedChoice ChooseReducedSolver(const ReducedStructure& structure, const FillO
   };
   consider(LinearSolverType::kSparseSchur, costs.sparse);
   consider(LinearSolverType::kDenseSchur, costs.dense);
-  choice.reason = "The reduced camera system (" + std::to_string(structure.num_columns()) +
-                  " columns) is expected to take a step: dense " +
+  choice.reason = "Expected time per step of the reduced camera system (" +
+                  std::to_string(structure.num_columns()) + " columns): dense " +
                   Describe(costs.dense, available_bytes) + ", sparse " +
                   Describe(costs.sparse, available_bytes) + ", conjugate gradients " +
                   Describe(costs.iterative, available_bytes) + ".";

@@ -33,7 +33,7 @@ struct ReducedStructure {
   int num_columns() const { return offset.back(); }
   int block_size(int block) const { return offset[block + 1] - offset[block]; }
 
-  /// Where the value of entry e of block column j, row r and column c within the block, lies.
+  /// Offset of entry (r, c) of block e in block column j.
   int64_t ValueIndex(int j, int64_t e, int r, int c) const {
     return panel_begin[j] + static_cast<int64_t>(c) * panel_stride[j] + row_in_panel[e] + r;
   }

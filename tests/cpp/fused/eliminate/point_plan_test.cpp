@@ -119,33 +119,111 @@ TEST_F(PointPlanTest, IsSortedByTheImagesOfEachPoint) {
   }
 }
 
-TEST_F(PointPlanTest, NumbersTheBlocksOfItsChunks) {
-  const PointPlan plan = PlanPoints(problem_, *layout_, kBlockBytes, 4);
-  int next_point = 0;
+/// The blocks of pairs of observations [first_row, last_row) of a point that are not those of their
+/// images.
+int64_t CountWrongPairs(const PointPlan& plan, const Chunk& chunk, int point, int first_row,
+                        int last_row, int refined, int64_t next_pair) {
+  int64_t wrong = 0;
+  const int64_t first = plan.first[point];
+  const auto num_images = static_cast<int>(chunk.images.size());
+  for (int i = first_row; i < last_row; ++i) {
+    for (int j = i + 1; j < refined; ++j) {
+      const int block = plan.pair_block[next_pair++];
+      const int a = plan.image_in_chunk[first + i], b = plan.image_in_chunk[first + j];
+      if (a == b) {
+        wrong += block != a;
+      } else {
+        wrong += block < num_images || block >= chunk.num_blocks() ||
+                 chunk.pairs[block - num_images].first != a ||
+                 chunk.pairs[block - num_images].second != b;
+      }
+    }
+  }
+  return wrong;
+}
+
+/// Every pair of observations of a free point is in one chunk, with the block of its images.
+void ExpectNumbered(const PointPlan& plan, const ParameterLayout& layout) {
+  int next_point = 0, next_row = 0;
   int64_t next_pair = 0;
   for (const Chunk& chunk : plan.chunks) {
-    EXPECT_EQ(chunk.first_point, next_point);
-    EXPECT_EQ(chunk.first_pair, next_pair);
+    ASSERT_EQ(chunk.first_point, next_point);
+    ASSERT_EQ(chunk.first_row, next_row);
+    ASSERT_EQ(chunk.first_pair, next_pair);
     next_point = chunk.last_point;
-    const auto image_of = [&](int64_t k) { return chunk.images[plan.image_in_chunk[k]]; };
+    next_row = 0;
     for (int p = chunk.first_point; p < chunk.last_point; ++p) {
+      int refined = 0;
       for (int64_t i = plan.first[p]; i < plan.first[p + 1]; ++i) {
-        ASSERT_EQ(image_of(i), plan.image[i]);
-        for (int64_t j = i + 1; j < plan.first[p + 1] && p < plan.num_free_points; ++j) {
-          if (layout_->image_block(plan.image[j]) < 0) continue;
-          const int block = plan.pair_block[next_pair++];
-          const int pair = block - static_cast<int>(chunk.images.size());
-          const bool twice = plan.image[i] == plan.image[j];
-          ASSERT_EQ(pair < 0, twice);
-          EXPECT_EQ(twice ? block : chunk.pairs[pair].first, plan.image_in_chunk[i]);
-          EXPECT_EQ(twice ? block : chunk.pairs[pair].second, plan.image_in_chunk[j]);
-        }
+        ASSERT_EQ(chunk.images[plan.image_in_chunk[i]], plan.image[i]);
+        refined += p < plan.num_free_points && layout.image_block(plan.image[i]) >= 0;
       }
+      const int last_row = chunk.last_row > 0 ? chunk.last_row : refined;
+      ASSERT_LE(last_row, refined);
+      EXPECT_EQ(CountWrongPairs(plan, chunk, p, chunk.first_row, last_row, refined, next_pair), 0);
+      for (int i = chunk.first_row; i < last_row; ++i) next_pair += refined - 1 - i;
+      if (last_row == refined) continue;
+      next_point = p;
+      next_row = last_row;
     }
   }
   EXPECT_EQ(next_point, plan.num_points());
   EXPECT_EQ(next_pair, static_cast<int64_t>(plan.pair_block.size()));
 }
+
+TEST_F(PointPlanTest, NumbersTheBlocksOfItsChunks) {
+  ExpectNumbered(PlanPoints(problem_, *layout_, kBlockBytes, 4), *layout_);
+}
+
+/// `length` images that all see the first two points; three of them see another hundred. `repeat`:
+/// every so manieth observation is made twice; 0: none.
+testing::Scene LongTracks(int length, int repeat) {
+  testing::SceneOptions options;
+  options.num_images = length;
+  options.num_points = 102;
+  testing::Scene scene = testing::MakeScene(options);
+  if (repeat > 0) testing::RepeatObservations(repeat, &scene);
+  const testing::Scene all = scene;
+  scene.observation_image.clear();
+  scene.observation_point.clear();
+  scene.observation_xy.clear();
+  for (int64_t i = 0; i < all.num_observations(); ++i) {
+    const int image = all.observation_image[i], point = all.observation_point[i];
+    if (point >= 2 && (image + point) % (length / 3) != 0) continue;
+    scene.observation_image.push_back(image);
+    scene.observation_point.push_back(point);
+    scene.observation_xy.insert(scene.observation_xy.end(), all.observation_xy.begin() + 2 * i,
+                                all.observation_xy.begin() + 2 * i + 2);
+  }
+  return scene;
+}
+
+struct LongTrack {
+  int unknowns, length, repeat;
+};
+
+/// About the lengths at which as many rows as fit the buffer have more blocks than 16 bits number.
+class LongTrackTest : public ::testing::TestWithParam<LongTrack> {};
+
+TEST_P(LongTrackTest, HasNumbersForAllBlocksOfEachChunk) {
+  const testing::Scene scene = LongTracks(GetParam().length, GetParam().repeat);
+  const ProblemView problem = scene.View();
+  const ParameterLayout layout = PrepareSolve(problem, SolveOptions{}).layout;
+  const int width = (GetParam().unknowns + 3) / 4 * 4;
+  const int block_bytes = GetParam().unknowns * width * static_cast<int>(sizeof(double));
+  const PointPlan plan = PlanPoints(problem, layout, block_bytes, 2);
+  for (const Chunk& chunk : plan.chunks) EXPECT_LT(chunk.num_blocks(), 1 << 16);
+  ExpectNumbered(plan, layout);
+}
+
+INSTANTIATE_TEST_SUITE_P(Lengths, LongTrackTest,
+                         ::testing::Values(LongTrack{2, 255, 0}, LongTrack{2, 256, 0},
+                                           LongTrack{2, 361, 0}, LongTrack{2, 362, 0},
+                                           LongTrack{5, 373, 0}, LongTrack{6, 415, 0},
+                                           LongTrack{6, 416, 0}, LongTrack{6, 416, 3},
+                                           LongTrack{7, 537, 0}, LongTrack{7, 538, 0},
+                                           LongTrack{7, 538, 7}, LongTrack{8, 1335, 0},
+                                           LongTrack{8, 1336, 0}, LongTrack{24, 1400, 0}));
 
 }  // namespace
 }  // namespace bundle::fused

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bundle.summary import Summary
-from bundle.tables import plural
+from bundle.words import plural
 
 __all__ = ["sentence"]
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.problem import Problem
 from bundle.synthetic.intrinsics import Intrinsics, draw_intrinsics
@@ -21,6 +22,7 @@ from bundle.synthetic.scene import Pairs, Points, Scene
 from bundle.synthetic.street import Street
 from bundle.synthetic.tracks import select_observations, wanted_lengths
 from bundle.synthetic.visibility import pixels, visible_pairs
+from bundle.words import contents, plural
 
 __all__ = ["SyntheticScene", "synthesize"]
 
@@ -34,8 +36,8 @@ _SCENES: dict[str, Callable[[np.random.Generator, SceneOptions], Scene]] = {
 _MAX_ROUNDS = 12
 
 
-@dataclass(frozen=True, kw_only=True)
-class SyntheticScene:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SyntheticScene(Displayed):
     """A problem of which the solution is known.
 
     Attributes:
@@ -50,6 +52,13 @@ class SyntheticScene:
     ground_truth: Problem
     is_outlier: NDArray[np.bool_]
     options: SceneOptions
+
+    def _display(self) -> Display:
+        facts = (
+            ("contents", contents(self.problem)),
+            ("outliers", plural(int(self.is_outlier.sum()), "observation")),
+        )
+        return Display(title=f"SyntheticScene: {self.options!r}", facts=facts)
 
 
 def synthesize(options: SceneOptions | None = None, **changes: Any) -> SyntheticScene:
@@ -73,7 +82,7 @@ def synthesize(options: SceneOptions | None = None, **changes: Any) -> Synthetic
         >>> scene.ground_truth.num_images
         12
     """
-    options = _with_changes(options or SceneOptions(), changes)
+    options = SceneOptions.of(options, changes, "synthesize")
     # One independent stream a purpose: more noise leaves the structure as it is.
     layout, structure, measurement, start = (
         np.random.default_rng(seed) for seed in np.random.SeedSequence(options.seed).spawn(4)
@@ -93,14 +102,6 @@ def synthesize(options: SceneOptions | None = None, **changes: Any) -> Synthetic
         is_outlier=is_outlier,
         options=options,
     )
-
-
-def _with_changes(options: SceneOptions, changes: dict[str, Any]) -> SceneOptions:
-    known = options.asdict()
-    for name in changes:
-        if name not in known:
-            raise InputError(f"synthesize: expected one of {', '.join(known)}, found {name!r}")
-    return options.replace(**changes)
 
 
 def _observe(
@@ -128,7 +129,12 @@ def _observe(
     pairs = Pairs.concatenate([part[2] for part in parts])
     preference = scene.preference(rng, points, pairs)
     return points, select_observations(
-        pairs, preference, weights, options.mean_track_length, options.num_images
+        pairs,
+        preference,
+        weights,
+        options.wanted_track_length,
+        options.num_images,
+        may_be_shorter=options.mean_track_length == 0,
     )
 
 
@@ -148,7 +154,7 @@ def _draw_visible(
     """
     points = scene.draw_points(rng, count)
     weights = scene.draw_lengths(rng, len(points))
-    lengths = wanted_lengths(weights, options.mean_track_length - 2.0).astype(np.float64)
+    lengths = wanted_lengths(weights, options.wanted_track_length - 2.0).astype(np.float64)
     pairs = visible_pairs(rng, scene, cameras, points, lengths)
     visible = np.flatnonzero(pairs.counts >= 2)
     kept = np.sort(rng.permutation(visible)[:wanted])

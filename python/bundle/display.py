@@ -1,0 +1,71 @@
+"""How public objects show themselves: a few lines of text, and a table in a notebook."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Display", "Displayed"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Display:
+    """What an object shows.
+
+    Attributes:
+        title: the first line.
+        facts: (label, fact), one a line.
+        head: titles of a table, whose first column is text and the others are numbers.
+        rows: its cells.
+    """
+
+    title: str
+    facts: tuple[tuple[str, str], ...] = ()
+    head: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+
+    def text(self) -> str:
+        """Return lines of text."""
+        width = max((len(label) for label, _ in self.facts), default=0)
+        lines = [f"  {label:<{width}}  {fact}".rstrip() for label, fact in self.facts]
+        if self.rows:
+            table = (self.head, *self.rows)
+            widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+            for first, *others in table:
+                cells = [f"{first:<{widths[0]}}"]
+                cells += [f"{c:>{w}}" for c, w in zip(others, widths[1:], strict=True)]
+                lines.append(f"  {'  '.join(cells)}".rstrip())
+        return "\n".join([self.title, *lines])
+
+    def html(self) -> str:
+        """Return the same as HTML, with everything escaped."""
+        from html import escape  # its tables take a while to import
+
+        facts = "".join(
+            f'<tr><th style="text-align:left">{escape(label)}</th>'
+            f'<td style="text-align:left">{escape(fact)}</td></tr>'
+            for label, fact in self.facts
+        )
+        parts = [f"<b>{escape(self.title)}</b>"]
+        if facts:
+            parts.append(f"<table>{facts}</table>")
+        if self.rows:
+            head = "".join(f"<th>{escape(cell)}</th>" for cell in self.head)
+            rows = "".join(
+                f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>"
+                for row in self.rows
+            )
+            parts.append(f"<table><tr>{head}</tr>{rows}</table>")
+        return f"<div>{''.join(parts)}</div>"
+
+
+class Displayed:
+    """An object that shows itself by :meth:`_display`."""
+
+    def _display(self) -> Display:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return self._display().text()
+
+    def _repr_html_(self) -> str:
+        return self._display().html()

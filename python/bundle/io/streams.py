@@ -1,0 +1,37 @@
+"""Paths that are written into, never replaced: devices, pipes, descriptors of this process."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+__all__ = ["append", "is_stream"]
+
+_DESCRIPTOR = re.compile(r"/dev/(stdin|stdout|stderr|fd/\d+)|/proc/(self|thread-self|\d+)/fd/\d+")
+
+
+def is_stream(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a path is a device, a pipe or a descriptor such as /dev/stdout.
+
+    A descriptor is one even where it was redirected to a file: replacing that file would take it
+    from under what else is written there.
+    """
+    if _DESCRIPTOR.fullmatch(os.path.abspath(path)):  # noqa: PTH100 (links are not followed)
+        return True
+    target = Path(path)
+    return target.exists() and not target.is_file() and not target.is_dir()
+
+
+def append(path: str | os.PathLike[str], text: str) -> None:
+    """Write text into a stream, after what was written there before.
+
+    Raises:
+        OSError: the system refuses; it names the path.
+    """
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_APPEND)
+        with os.fdopen(descriptor, "w", encoding="utf-8", errors="replace") as stream:
+            stream.write(text)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from error

@@ -1,0 +1,71 @@
+"""How numbers and counts look in sentences, in a terminal, a notebook and a page alike."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+__all__ = ["Counts", "change", "contents", "format_name", "number", "pixels", "plural", "seconds"]
+
+
+def number(value: float) -> str:
+    """Return a magnitude in four significant digits; "-" where there is none."""
+    if not math.isfinite(value):
+        return "-"
+    if value == 0 or 1e-3 <= abs(value) < 1e6:
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
+    return f"{value:.3e}"
+
+
+def pixels(value: float) -> str:
+    """Return pixels to a ten-thousandth; "-" where there is none."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.4f}" if value < 1e6 else f"{value:.4e}"
+
+
+def seconds(value: float) -> str:
+    """Return a time to the millisecond; "-" where it was not measured (Ceres' -1)."""
+    return "-" if value < 0 or not math.isfinite(value) else f"{value:.3f}"
+
+
+def change(before: float, after: float) -> str:
+    """Return "40944.1 -> 22913", in six significant digits."""
+    return f"{before:.6g} -> {after:.6g}"
+
+
+def plural(count: int, singular: str, many: str | None = None, *, grouped: bool = False) -> str:
+    """Return "1 image", "2 images"; with ``grouped`` "1,200 images"."""
+    figure = f"{count:,}" if grouped else f"{count}"
+    return f"{figure} {singular if count == 1 else many or singular + 's'}"
+
+
+class Counts(Protocol):
+    """Whatever has the sizes of a problem."""
+
+    @property
+    def num_images(self) -> int:
+        """Number of images."""
+
+    @property
+    def num_cameras(self) -> int:
+        """Number of cameras."""
+
+    @property
+    def num_points(self) -> int:
+        """Number of points."""
+
+    @property
+    def num_observations(self) -> int:
+        """Number of observations."""
+
+
+def contents(of: Counts) -> str:
+    """Return "16 images, 1 camera, 22106 points, 83718 observations"."""
+    counts = (of.num_images, of.num_cameras, of.num_points, of.num_observations)
+    return ", ".join(map(plural, counts, ("image", "camera", "point", "observation")))
+
+
+def format_name(name: str) -> str:
+    """Return a format as people write it: "COLMAP", "BAL", "COLMAP text"."""
+    return name.replace("-", " ").replace("colmap", "COLMAP").replace("bal", "BAL")

@@ -1,0 +1,72 @@
+"""The images with the largest reprojection errors, by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bundle.problem import Problem
+from bundle.reprojection import reprojection_errors, resolve_cheirality
+
+__all__ = ["ImageError", "worst_images"]
+
+WORST = 5
+"""Images that are named."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageError:
+    """Reprojection errors of one image, in pixels, over its observations that count.
+
+    Attributes:
+        image_id: of the source.
+        name: of the image; "" where the source has none.
+        num_observations: that count.
+        rmse: sqrt(mean ||r||^2).
+        max: largest ||r||.
+    """
+
+    image_id: int
+    name: str
+    num_observations: int
+    rmse: float
+    max: float
+
+
+def worst_images(
+    problem: Problem, cheirality: str = "auto", *, most: int = WORST, num_threads: int = 0
+) -> tuple[ImageError, ...]:
+    """Return the images of largest RMSE, at most `most`, the worst first.
+
+    Args:
+        problem: at whose values the errors are taken.
+        cheirality: whether observations behind their camera count ("algebraic") or not ("zero").
+        most: images to return.
+        num_threads: 0 for all cores.
+
+    Raises:
+        InputError: an observed image has a camera model that is not supported.
+    """
+    errors, behind = reprojection_errors(problem, num_threads=num_threads)
+    counted = ~np.isnan(errors)
+    if resolve_cheirality(problem, cheirality) == "zero":
+        counted &= ~behind
+    image, errors = problem.observation_image[counted], errors[counted]
+    count = np.bincount(image, minlength=problem.num_images)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        rmse = np.sqrt(np.bincount(image, errors**2, problem.num_images) / count)
+    largest = np.zeros(problem.num_images)
+    np.maximum.at(largest, image, errors)
+    seen = np.flatnonzero(count)
+    worst = seen[np.argsort(-rmse[seen], kind="stable")][:most]
+    return tuple(
+        ImageError(
+            image_id=int(problem.image_ids[index]),
+            name=problem.image_names[index],
+            num_observations=int(count[index]),
+            rmse=float(rmse[index]),
+            max=float(largest[index]),
+        )
+        for index in worst
+    )

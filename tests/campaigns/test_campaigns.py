@@ -1,0 +1,47 @@
+"""A few rounds of each campaign; and that a campaign sees what is wrong."""
+
+import os
+import sys
+
+import pytest
+
+from tests.campaigns import degenerate, jobs, kills, mutants
+
+
+def misbehave(job):
+    """One way to be wrong per job."""
+    if job == "print":
+        print("stray", file=sys.stderr)
+    elif job == "abort":
+        os.abort()
+    elif job == "hang":
+        while True:
+            pass
+    elif job == "raise":
+        raise ValueError("not an InputError")
+    elif job == "two lines":
+        raise OSError("one\ntwo")
+    elif job == "nonsense":
+        raise AssertionError("usable and NaN")
+    return "fine"
+
+
+def test_what_goes_wrong_is_seen():
+    names = ["fine", "print", "abort", "hang", "raise", "two lines", "nonsense", "fine"]
+    outcomes = jobs.run(f"{__name__}:misbehave", names, timeout=2.0)
+    kinds = ["ok", "printed", "died", "died", "ValueError", "bad message", "nonsense", "ok"]
+    assert [outcome.kind for outcome in outcomes] == kinds
+    assert "8 jobs, 6 wrong" in jobs.summarise(outcomes)
+
+
+@pytest.mark.parametrize("campaign", [mutants.campaign, degenerate.campaign])
+def test_nothing_is_wrong(campaign):
+    outcomes = campaign(60)
+    assert [outcome for outcome in outcomes if not outcome.orderly] == []
+    assert {outcome.kind for outcome in outcomes} >= {"ok"}
+
+
+def test_kills_leave_the_old_or_the_new():
+    cases = kills.campaign(10, num_points=40)
+    assert [case.wrong for case in cases if case.wrong] == []
+    assert {case.counts["old"] + case.counts["new"] for case in cases} == {2}

@@ -1,0 +1,45 @@
+"""What a misspelt word is answered with: the nearest right one, and the command that has it."""
+
+from __future__ import annotations
+
+import pytest
+
+from bundle.cli.main import COMMANDS
+
+
+@pytest.mark.parametrize(
+    ("words", "suggested"),
+    [
+        (["refin", "MODEL"], ["refine"]),
+        (["Info", "MODEL"], ["info"]),
+        (["info", "--solver", "auto", "MODEL"], ["refine has --solver"]),
+        (["info", "MODEL", "--solver=auto"], ["refine has --solver"]),
+        (["info", "MODEL", "--max-iterations", "3"], ["refine and compare have --max-iterations"]),
+        (["info", "MODEL", "--loss-scael", "3"], ["refine has --loss-scale"]),
+        (["compare", "MODEL", "--solver", "auto"], ["mean --solvers"]),  # its own comes first
+        (["refine", "MODEL", "--outptu", "x"], ["mean --output"]),  # before what is missing
+        (["refine", "MODEL", "-o", "x", "--max_iterations", "3"], ["mean --max-iterations"]),
+        (["refine", "MODEL", "-o", "x", "--solver", "dense-shur"], ["mean dense-schur"]),
+        (["--versoin"], []),
+        (["info", "--zzz", "MODEL"], []),
+        (["convert", "MODEL", "b", "c"], ["'c'"[1:-1]]),
+    ],
+)
+def test_misspelt(run, model, words, suggested):
+    code, out, err = run(*(str(model) if word == "MODEL" else word for word in words))
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    for suggestion in suggested:
+        assert suggestion in err
+    assert suggested or ("mean" not in err and "has" not in err)
+
+
+def test_after_two_dashes_everything_is_a_name(run):
+    assert "--odd: No such file" in run("info", "--", "--odd").err
+
+
+def test_bundle_alone_prints_help(run):
+    code, out, err = run()
+    assert (code, err) == (0, "")
+    assert all(f"    {command} " in out for command in COMMANDS)

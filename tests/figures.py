@@ -1,0 +1,16 @@
+"""What a sentence or a table says in numbers, whatever its words are."""
+
+from __future__ import annotations
+
+import re
+
+
+def figures(text: str) -> list[str]:
+    """The numbers of a text, in order; those within names and words are left out."""
+    return re.findall(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])", text)
+
+
+def table(text: str) -> dict[str, list[str]]:
+    """First column to the others, of a table whose columns are two blanks apart."""
+    cells = (re.split(r" {2,}", line.strip()) for line in text.splitlines() if line.strip())
+    return {first: rest for first, *rest in cells}
