@@ -81,14 +81,14 @@ class FusedSolve {
     options_.num_threads = EffectiveNumThreads(options_.num_threads);
   }
 
-  /// At most, of a chunk's buffer: no more than the blocks of all pairs, in small problems.
+  /// At most, of a chunk's buffer: a block for each pair of images.
   double BufferBytes() const {
-    int64_t columns = 0;
+    double columns = 0;
     for (const CameraSideBlock& block : layout_.blocks())
-      columns = std::max<int64_t>(columns, block.size);
-    const auto observations = static_cast<double>(problem_.num_observations);
-    return std::min<double>(kMaxBufferBytes, sizeof(double) * observations * observations *
-                                                 static_cast<double>(columns * columns));
+      columns = std::max<double>(columns, block.size);
+    const double images = problem_.num_images;
+    return std::min<double>(kMaxBufferBytes,
+                            sizeof(double) * columns * columns * images * (images + 1) / 2);
   }
 
   /// Below a few hundred columns even the structure costs more than a dense factorisation.
