@@ -29,15 +29,16 @@
 namespace bundle {
 namespace {
 
-/// Expands the camera side once per evaluation. Looks for an interruption too: Ceres has no other
-/// moment within a step at which it can be left. From then on no cost can be evaluated, and it
-/// ends.
+/// Expands the camera side once per evaluation. Looks for an interruption before a candidate is
+/// evaluated: Ceres has no other moment within a step at which it can be left with the best state.
+/// From then on no cost can be evaluated, and the candidate is rejected.
 class UpdateCameraStates final : public ceres::EvaluationCallback {
  public:
   UpdateCameraStates(const double* state, CameraStates* states) : state_(state), states_(states) {}
 
-  void PrepareForEvaluation(bool /*evaluate_jacobians*/, bool new_evaluation_point) override {
-    if (InterruptionRequested()) abandoned_.store(true, std::memory_order_relaxed);
+  void PrepareForEvaluation(bool evaluate_jacobians, bool new_evaluation_point) override {
+    if (!evaluate_jacobians && InterruptionRequested())
+      abandoned_.store(true, std::memory_order_relaxed);
     if (new_evaluation_point) states_->Update(state_);
   }
 
@@ -58,8 +59,8 @@ class ReportProgress final : public ceres::IterationCallback {
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
     // An abandoned step is none to tell of.
     if (abandoned_) return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
-    if (!progress_) return ceres::SOLVER_CONTINUE;
-    if (progress_(ToRecord(iteration, fixed_cost_))) return ceres::SOLVER_CONTINUE;
+    const bool goes_on = !progress_ || progress_(ToRecord(iteration, fixed_cost_));
+    if (goes_on && !InterruptionRequested()) return ceres::SOLVER_CONTINUE;
     interrupted_ = true;
     return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
   }
@@ -99,8 +100,6 @@ class CeresSolve {
     ThrowIfInterrupted();
     ReportProgress report(progress, fixed_cost_, update_states_.abandoned());
     ceres_options.callbacks.push_back(&report);
-    // What an abandoned step leaves behind is not Ceres' idea of a solution.
-    ceres_options.update_state_every_iteration = true;
 
     const ProcessSettings settings(BlasThreads(ceres_options));
     const Stopwatch solve_time;
@@ -206,8 +205,6 @@ class CeresSolve {
 
   /// Makes a step that could not be evaluated one that was never tried.
   static void ForgetAbandonedStep(ceres::Solver::Summary* summary) {
-    // The first evaluation failed: there is no state to keep.
-    if (summary->iterations.empty()) throw Interrupted();
     const auto unfinished = [](const ceres::IterationSummary& iteration) {
       return iteration.iteration > 0 && !(iteration.cost < std::numeric_limits<double>::max());
     };

@@ -56,11 +56,11 @@ TEST(ChooseLinearSolver, TakesDenseFromAThirdOn) {
 }
 
 TEST(ChooseLinearSolver, IteratesOnWhatIsTooLargeToFactorise) {
-  // n^3 = 5e11, then n (4 d n)^2 with 4 d = 0.5
+  // n^3 = 5e11, then n (4 d n)^2 with d = (20 + 38) / 400
   EXPECT_EQ(Choose(Coupled(190), 7937), LinearSolverType::kDenseSchur);
   EXPECT_EQ(Choose(Coupled(190), 7938), LinearSolverType::kIterativeSchur);
-  EXPECT_EQ(Choose(Coupled(15), 12599), LinearSolverType::kSparseSchur);
-  EXPECT_EQ(Choose(Coupled(15), 12600), LinearSolverType::kIterativeSchur);
+  EXPECT_EQ(Choose(Coupled(19), 11412), LinearSolverType::kSparseSchur);
+  EXPECT_EQ(Choose(Coupled(19), 11413), LinearSolverType::kIterativeSchur);
 }
 
 TEST(ChooseLinearSolver, EliminatesNothingWithoutFreePoints) {
