@@ -40,7 +40,8 @@ PYTHON_MAY_IMPORT = {
     "options": {"errors", "option_fields"},
     "losses": {"_core", "arguments", "errors", "option_fields", "options"},
     "cameras": {"_core", "arguments", "errors", "option_fields"},
-    "problem": {"_core", "display", "errors", "words"},
+    "arrays": {"_core", "arguments", "errors"},
+    "problem": {"_core", "arrays", "cameras", "display", "errors", "option_fields", "words"},
     "words": set(),
     "display": set(),
     "tables": {"words"},
@@ -99,6 +100,7 @@ PYTHON_MAY_IMPORT = {
     "compare_defaults": set(),
     "comparison": {
         "_core",
+        "arrays",
         "arguments",
         "compare_defaults",
         "errors",
@@ -161,7 +163,7 @@ PYTHON_MAY_IMPORT = {
 PYTHON_MAY_IMPORT[""] = set(PYTHON_MAY_IMPORT) - {"report"} | {"_core"}
 # The command line stands above everything, and nothing imports it but __main__.
 PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
-PYTHON_MAY_IMPORT["__main__"] = {"cli"}
+PYTHON_MAY_IMPORT["__main__"] = {"address_space", "cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.

@@ -133,11 +133,3 @@ def test_no_observations():
     error = reprojection_error(problem)
     assert np.isnan(error.rmse)
     assert error.num_observations == 0
-
-
-def test_an_unknown_model_is_named_with_its_image():
-    problem = scenes.make_problem().replace(camera_models=["SIMPLE_RADIAL"] * 4 + ["MADE_UP"])
-    expected = "image 5: camera 5 has the camera model MADE_UP, which is not supported"
-    for call in (reprojection_errors, linearize, bundle.solve):
-        with pytest.raises(bundle.InputError, match=expected):
-            call(problem)

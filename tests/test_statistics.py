@@ -248,19 +248,6 @@ def test_cameras_that_no_image_uses():
     assert found["unused_cameras"].ids == (2, 3)
 
 
-def test_camera_model_that_is_not_supported():
-    problem = scene(3, kind="colmap", camera_models=("RADIAL", "MADE_UP", "MADE_UP"))
-    description = describe(problem)
-    assert description.reprojection_error is None
-    (found,) = description.suspicions
-    assert found.kind == "unsupported_camera_models"
-    assert found.ids == (1, 2)
-    assert "MADE_UP" in found.sentence
-    unknown = next(group for group in description.cameras if group.model == "MADE_UP")
-    assert unknown.focal is None
-    assert not unknown.supported
-
-
 def test_a_panorama_has_no_lens():
     problem = make_problem(model="EQUIRECTANGULAR")
     lens = lenses(problem)

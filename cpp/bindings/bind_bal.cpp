@@ -9,7 +9,7 @@
 #include <utility>
 #include <vector>
 
-#include "bindings/to_numpy.h"
+#include "bindings/immutable_array.h"
 #include "core/error.h"
 #include "core/io/bal_reader.h"
 #include "core/io/bal_writer.h"
@@ -47,12 +47,13 @@ py::tuple ReadBalFile(const std::filesystem::path& path) {
   const auto num_images = static_cast<py::ssize_t>(problem.cam_from_world.size() / 7);
   const auto num_points = static_cast<py::ssize_t>(problem.points.size() / 3);
   const auto num_observations = static_cast<py::ssize_t>(problem.observation_image.size());
-  return py::make_tuple(ToNumpy(std::move(problem.cam_from_world), {num_images, 7}),
-                        ToNumpy(std::move(problem.camera_params), {num_images, 5}),
-                        ToNumpy(std::move(problem.points), {num_points, 3}),
-                        ToNumpy(std::move(problem.observation_image), {num_observations}),
-                        ToNumpy(std::move(problem.observation_point), {num_observations}),
-                        ToNumpy(std::move(problem.observation_xy), {num_observations, 2}));
+  return py::make_tuple(ToImmutableNumpy(std::move(problem.cam_from_world), {num_images, 7}),
+                        ToImmutableNumpy(std::move(problem.rotations), {num_images, 3}),
+                        ToImmutableNumpy(std::move(problem.camera_params), {num_images, 5}),
+                        ToImmutableNumpy(std::move(problem.points), {num_points, 3}),
+                        ToImmutableNumpy(std::move(problem.observation_image), {num_observations}),
+                        ToImmutableNumpy(std::move(problem.observation_point), {num_observations}),
+                        ToImmutableNumpy(std::move(problem.observation_xy), {num_observations, 2}));
 }
 
 template <typename T>
@@ -78,7 +79,8 @@ Compression CompressionFromName(const std::string& name) {
 void WriteBalFile(const std::filesystem::path& path, const Array<double>& cam_from_world,
                   const Array<double>& camera_params, const Array<double>& points,
                   const Array<int32_t>& observation_image, const Array<int32_t>& observation_point,
-                  const Array<double>& observation_xy, const std::string& compression) {
+                  const Array<double>& observation_xy, const Array<double>& rotations,
+                  const Array<bool>& keeps_rotation, const std::string& compression) {
   BalView problem;
   problem.num_images = cam_from_world.shape(0);
   problem.num_points = points.shape(0);
@@ -91,6 +93,9 @@ void WriteBalFile(const std::filesystem::path& path, const Array<double>& cam_fr
   problem.observation_point =
       Checked(observation_point, "observation_point", problem.num_observations, 1);
   problem.observation_xy = Checked(observation_xy, "observation_xy", problem.num_observations, 2);
+  problem.rotations = Checked(rotations, "rotations", problem.num_images, 3);
+  problem.keeps_rotation = reinterpret_cast<const uint8_t*>(
+      Checked(keeps_rotation, "keeps_rotation", problem.num_images, 1));
   try {
     const py::gil_scoped_release release;
     WriteBal(problem, path, CompressionFromName(compression), CheckSignals);
@@ -106,5 +111,6 @@ void BindBal(py::module_& m) {
   m.def("read_bal", &bundle::ReadBalFile, py::arg("path"));
   m.def("write_bal", &bundle::WriteBalFile, py::arg("path"), py::arg("cam_from_world"),
         py::arg("camera_params"), py::arg("points"), py::arg("observation_image"),
-        py::arg("observation_point"), py::arg("observation_xy"), py::arg("compression"));
+        py::arg("observation_point"), py::arg("observation_xy"), py::arg("rotations"),
+        py::arg("keeps_rotation"), py::arg("compression"));
 }

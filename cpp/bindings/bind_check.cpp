@@ -131,7 +131,8 @@ py::array_t<double> ManifoldPlus(const PythonManifold& manifold, const Array& x,
   return ToNumpy(bundle::ManifoldPlus(ToSpec(manifold), ToVector(x), ToVector(delta)), {x.size()});
 }
 
-/// (analytic, reference, uncertainty, ceres: (n, 2, columns) each; counts, agrees, stable: (n,))
+/// (analytic, reference, uncertainty, ceres: (n, 2, columns) each; rounding, counts, agrees,
+/// stable: (n,))
 py::tuple CheckReprojections(const py::object& problem,
                              const py::array_t<int64_t, py::array::c_style>& observations,
                              const py::array_t<double, py::array::c_style>& offsets, bool algebraic,
@@ -140,6 +141,7 @@ py::tuple CheckReprojections(const py::object& problem,
   const py::ssize_t n = observations.size(), two = 2, columns = 6 + view.camera_params_stride + 3;
   const std::vector<py::ssize_t> shape = {n, two, columns};
   py::array_t<double> analytic(shape), reference(shape), uncertainty(shape), ceres(shape);
+  py::array_t<double> rounding(n);
   py::array_t<bool> counts(n), agrees(n), stable(n);
   const auto bytes = [](py::array_t<bool>& array) {
     return reinterpret_cast<uint8_t*>(array.mutable_data());
@@ -148,6 +150,7 @@ py::tuple CheckReprojections(const py::object& problem,
                                       reference.mutable_data(),
                                       uncertainty.mutable_data(),
                                       ceres.mutable_data(),
+                                      rounding.mutable_data(),
                                       bytes(counts),
                                       bytes(agrees),
                                       bytes(stable)};
@@ -160,7 +163,7 @@ py::tuple CheckReprojections(const py::object& problem,
         algebraic ? bundle::Cheirality::kAlgebraic : bundle::Cheirality::kZero, relative_precision,
         num_threads, out);
   }
-  return py::make_tuple(analytic, reference, uncertainty, ceres, counts, agrees, stable);
+  return py::make_tuple(analytic, reference, uncertainty, ceres, rounding, counts, agrees, stable);
 }
 
 /// SpotCheck of what a solve with these options has at the problem's values, its charts turned by

@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "bindings/to_numpy.h"
+#include "bindings/immutable_array.h"
 #include "core/io/colmap_checker.h"
 
 namespace py = pybind11;
@@ -23,10 +23,10 @@ py::tuple CheckModel(const std::string& folder) {
   ColmapObservations& observations = check.observations;
   const auto size = static_cast<py::ssize_t>(observations.image.size());
   return py::make_tuple(check.binary, check.names_with_spaces,
-                        ToNumpy(std::move(observations.image), {size}),
-                        ToNumpy(std::move(observations.point), {size}),
-                        ToNumpy(std::move(observations.keypoint), {size}),
-                        ToNumpy(std::move(observations.xy), {size, 2}));
+                        ToImmutableNumpy(std::move(observations.image), {size}),
+                        ToImmutableNumpy(std::move(observations.point), {size}),
+                        ToImmutableNumpy(std::move(observations.keypoint), {size}),
+                        ToImmutableNumpy(std::move(observations.xy), {size, 2}));
 }
 
 }  // namespace

@@ -1,7 +1,13 @@
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
+#include <string>
+#include <string_view>
+
+#include "bindings/immutable_array.h"
 #include "bindings/problem_from_python.h"
+#include "core/error.h"
+#include "core/io/printable.h"
 #include "core/problem/linearize.h"
 #include "core/problem/reprojection_errors.h"
 #include "core/problem/validate.h"
@@ -10,8 +16,30 @@ namespace py = pybind11;
 
 namespace {
 
+/// Checks that a name can be written into a file and a line of a report.
+void CheckImageName(int64_t image_id, const py::handle& name) {
+  const std::string place = "image_names: image " + std::to_string(image_id) + ": ";
+  if (!py::isinstance<py::str>(name)) {
+    throw bundle::InputError(place + "expected a string, found " +
+                             std::string(py::str(py::type::of(name).attr("__name__"))));
+  }
+  Py_ssize_t size = 0;
+  const char* text = PyUnicode_AsUTF8AndSize(name.ptr(), &size);
+  if (text == nullptr) PyErr_Clear();  // a surrogate, which UTF-8 cannot encode
+  const std::string_view bytes(text == nullptr ? "" : text, static_cast<size_t>(size));
+  if (text == nullptr || bundle::Printable(bytes) != bytes) {
+    const auto escaped = py::reinterpret_steal<py::str>(PyObject_ASCII(name.ptr()));
+    throw bundle::InputError(place + "expected a name in UTF-8 without control characters, found " +
+                             std::string(escaped));
+  }
+}
+
 void Validate(const py::object& problem) {
   const bundle::ProblemView view = ViewProblem(problem);
+  const py::object names = problem.attr("image_names");
+  for (int i = 0; i < view.num_images; ++i) {
+    CheckImageName(view.image_ids[i], names[py::int_(i)]);
+  }
   py::gil_scoped_release release;
   bundle::ValidateProblem(view);
 }
@@ -53,6 +81,8 @@ py::tuple Linearize(const py::object& problem, bool algebraic,
 
 void BindProblem(py::module_& m) {
   m.def("validate", &Validate, py::arg("problem"));
+  m.def("freeze", &Freeze, py::arg("array"));
+  m.def("is_immutable", &IsImmutable, py::arg("array"));
   m.def("reprojection_errors", &ReprojectionErrors, py::arg("problem"), py::arg("num_threads"));
   m.def("linearize", &Linearize, py::arg("problem"), py::arg("algebraic"),
         py::arg("rotation_offsets"));

@@ -9,9 +9,9 @@
 #include <utility>
 #include <vector>
 
+#include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
-#include "bindings/to_numpy.h"
 #include "core/backend/solve.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/error.h"
@@ -80,6 +80,7 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   d["factor_flops"] = s.factor.flops;
   d["factor_ordering"] = s.factor.ordering;
   d["symbolic_time_in_seconds"] = s.factor.symbolic_time_in_seconds;
+  d["origin"] = s.origin.empty() ? py::object(py::none()) : py::tuple(py::cast(s.origin));
   d["warnings"] = py::tuple(py::cast(s.warnings));
   return d;
 }
@@ -216,9 +217,10 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   py::dict result;
   const py::ssize_t num_images = view.num_images, num_cameras = view.num_cameras;
   const py::ssize_t num_points = view.num_points, stride = view.camera_params_stride;
-  result["cam_from_world"] = ToNumpy(std::move(output.cam_from_world), {num_images, 7});
-  result["camera_params"] = ToNumpy(std::move(output.camera_params), {num_cameras, stride});
-  result["points"] = ToNumpy(std::move(output.points), {num_points, 3});
+  result["cam_from_world"] = ToImmutableNumpy(std::move(output.cam_from_world), {num_images, 7});
+  result["camera_params"] =
+      ToImmutableNumpy(std::move(output.camera_params), {num_cameras, stride});
+  result["points"] = ToImmutableNumpy(std::move(output.points), {num_points, 3});
   result["summary"] = ToDict(output.summary);
   result["iterations"] = ToArrays(output.iterations);
   result["build_time_in_seconds"] = output.build_time_in_seconds;

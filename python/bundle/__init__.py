@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
-from bundle import address_space as address_space  # first: it looks whether the rest has room
-from bundle._core import __version__
-from bundle.cameras import camera_models, project
-from bundle.errors import InputError
-from bundle.headers import get_include
-from bundle.io import load, save
-from bundle.options import SolveOptions
-from bundle.problem import Problem
-from bundle.reprojection import ReprojectionError, reprojection_errors
-from bundle.result import Result
-from bundle.solver import solve
-from bundle.summary import Summary
-
+TYPE_CHECKING = False  # as of typing, whose import takes longer than all that is here
 if TYPE_CHECKING:
+    from typing import Any
+
     from bundle import html, losses, pictures
+    from bundle._core import __version__
+    from bundle.cameras import camera_models, project
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
+    from bundle.errors import InputError
+    from bundle.headers import get_include
     from bundle.inspection import (
         GraphInspection,
         Inspection,
@@ -29,7 +20,14 @@ if TYPE_CHECKING:
         inspect,
         inspect_graph,
     )
+    from bundle.io import load, save
+    from bundle.options import SolveOptions
+    from bundle.problem import Problem
+    from bundle.reprojection import ReprojectionError, reprojection_errors
+    from bundle.result import Result
+    from bundle.solver import solve
     from bundle.statistics import Description, describe
+    from bundle.summary import Summary
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
@@ -68,8 +66,12 @@ __all__ = [
 ]
 
 _DEFERRED = {
+    "_core": ("__version__",),
+    "cameras": ("camera_models", "project"),
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
+    "errors": ("InputError",),
+    "headers": ("get_include",),
     "inspection": (
         "GraphInspection",
         "Inspection",
@@ -77,21 +79,33 @@ _DEFERRED = {
         "inspect",
         "inspect_graph",
     ),
+    "io": ("load", "save"),
+    "options": ("SolveOptions",),
+    "problem": ("Problem",),
+    "reprojection": ("ReprojectionError", "reprojection_errors"),
+    "result": ("Result",),
+    "solver": ("solve",),
     "statistics": ("Description", "describe"),
+    "summary": ("Summary",),
     "synthetic": ("SceneOptions", "SyntheticScene", "synthesize"),
     "html": (),
     "losses": (),
     "pictures": (),
 }
-"""Packages that are imported when first asked for (PEP 562), with the names that they give."""
+"""Modules that are imported when first asked for (PEP 562), with the names that they give.
+
+The command line starts here, and its first act must be to take care of Ctrl-C.
+"""
 
 
 def __getattr__(name: str) -> Any:
-    for package, names in _DEFERRED.items():
-        if name == package and not names:
-            return importlib.import_module(f"bundle.{package}")
-        if name in names:
-            return getattr(importlib.import_module(f"bundle.{package}"), name)
+    for module, names in _DEFERRED.items():
+        if name == module or name in names:
+            import importlib
+
+            found = importlib.import_module(f"bundle.{module}")
+            value = globals()[name] = found if name == module else getattr(found, name)
+            return value
     raise AttributeError(f"module 'bundle' has no attribute {name!r}")
 
 

@@ -15,6 +15,8 @@ class InputError(ValueError): ...
 
 # bind_problem.cpp
 def validate(problem: Problem) -> None: ...
+def freeze(array: NDArray[Any]) -> NDArray[Any]: ...
+def is_immutable(array: NDArray[Any]) -> bool: ...
 def reprojection_errors(
     problem: Problem, num_threads: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
@@ -42,6 +44,7 @@ def read_bal(
     path: str | os.PathLike[str],
 ) -> tuple[
     NDArray[np.float64],  # cam_from_world (num_images, 7)
+    NDArray[np.float64],  # rotations (num_images, 3): the file's angle-axis
     NDArray[np.float64],  # camera_params (num_images, 5): f cx cy k1 k2
     NDArray[np.float64],  # points (num_points, 3)
     NDArray[np.int32],  # observation_image (num_observations,)
@@ -56,6 +59,8 @@ def write_bal(
     observation_image: NDArray[np.int32],
     observation_point: NDArray[np.int32],
     observation_xy: NDArray[np.float64],
+    rotations: NDArray[np.float64],
+    keeps_rotation: NDArray[np.bool_],
     compression: str,
 ) -> None: ...
 
@@ -135,6 +140,7 @@ def check_reprojections(
     NDArray[np.float64],  # reference
     NDArray[np.float64],  # uncertainty of the reference
     NDArray[np.float64],  # ceres::GradientChecker's numeric Jacobian
+    NDArray[np.float64],  # rounding (num_checked,): relative, of the derivatives by pose and point
     NDArray[np.bool_],  # counts (num_checked,)
     NDArray[np.bool_],  # agrees
     NDArray[np.bool_],  # stable

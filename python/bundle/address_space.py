@@ -6,9 +6,7 @@ ever. Nothing but the standard library is imported here, and nothing where there
 
 from __future__ import annotations
 
-import itertools
 import os
-import sys
 from pathlib import Path
 
 __all__ = ["LIBRARIES", "PYCOLMAP", "require"]
@@ -48,24 +46,6 @@ def require(what: str, sizes: tuple[float, float]) -> None:
             )
 
 
-def _start(what: str, sizes: tuple[float, float]) -> None:
-    """As :func:`require`; a command ends here in one line, before it can catch anything."""
-    try:
-        require(what, sizes)
-    except MemoryError as error:
-        if not _is_command():
-            raise
-        sys.stderr.write(f"error: not enough memory: {error}\n")
-        raise SystemExit(2) from None
-
-
-def _is_command() -> bool:
-    """Return whether this process is the command `bundle` or `python -m bundle`."""
-    if sys.argv and Path(sys.argv[0]).name == "bundle":
-        return True
-    return ("-m", "bundle") in itertools.pairwise(sys.orig_argv)
-
-
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 
@@ -76,6 +56,3 @@ def _pages(field: int) -> int:
         return int(Path("/proc/self/statm").read_text().split()[field])
     except OSError:
         return 0
-
-
-_start("bundle with its libraries", LIBRARIES)

@@ -9,11 +9,21 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError, brief
 
-__all__ = ["as_array", "check_function"]
+__all__ = ["as_array", "check_function", "real_numbers"]
 
 
 def as_array(name: str, value: Any) -> NDArray[np.float64]:
     """Return real numbers as a C-contiguous array of doubles; itself where it is one.
+
+    Raises:
+        InputError: complex, masked, ragged or no numbers; the message begins with the name.
+    """
+    with np.errstate(over="ignore"):  # of long doubles; infinity is for the caller to judge
+        return np.asarray(real_numbers(name, value), dtype=np.float64, order="C")
+
+
+def real_numbers(name: str, value: Any) -> NDArray[Any]:
+    """Return an array of real numbers as it is, anything else as one.
 
     Raises:
         InputError: complex, masked, ragged or no numbers; the message begins with the name.
@@ -27,8 +37,7 @@ def as_array(name: str, value: Any) -> NDArray[np.float64]:
     if given.dtype.kind not in "iuf" and given.size:
         found = brief(value) if given.ndim == 0 else f"an array of {given.dtype.name}"
         raise InputError(f"{name}: expected numbers, found {found}")
-    with np.errstate(over="ignore"):  # of long doubles; infinity is for the caller to judge
-        return np.asarray(given, dtype=np.float64, order="C")
+    return given
 
 
 def check_function(name: str, value: Any) -> None:

@@ -7,6 +7,7 @@ forward; the centre of the upper left pixel is (0.5, 0.5).
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self
@@ -15,8 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.arrays import filled, freeze, immutable
+from bundle.cameras import camera_models
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
+from bundle.option_fields import choice
 from bundle.words import contents, format_name
 
 if TYPE_CHECKING:
@@ -24,84 +28,120 @@ if TYPE_CHECKING:
 
 __all__ = ["Problem"]
 
+FORMATS = ("bal", "colmap", "memory")
+
+# Those without a default first: the others' defaults depend on how many there are.
 _DTYPES: dict[str, type] = {
     "cam_from_world": np.float64,
-    "image_ids": np.int64,
-    "image_camera": np.int32,
-    "camera_ids": np.int64,
     "camera_params": np.float64,
-    "camera_sizes": np.int64,
     "points": np.float64,
-    "point_ids": np.int64,
     "observation_image": np.int32,
     "observation_point": np.int32,
     "observation_xy": np.float64,
     "observation_keypoint": np.int32,
+    "image_ids": np.int64,
+    "image_camera": np.int32,
+    "camera_ids": np.int64,
+    "camera_sizes": np.int64,
+    "point_ids": np.int64,
 }
+
+# What has a default has one entry for each of these.
+_ONE_FOR_EACH = {
+    "image_ids": "num_images",
+    "image_camera": "num_images",
+    "camera_ids": "num_cameras",
+    "camera_sizes": "num_cameras",
+    "point_ids": "num_points",
+    "observation_keypoint": "num_observations",
+}
+
+
+def _by_default() -> Any:
+    """Return None, which stands for the default until the number of images is known."""
+    return None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Problem(Displayed):
     """A bundle adjustment problem.
 
-    Arrays are C-contiguous and read-only; an array of the right type is taken as it is, without a
-    copy, and made read-only through a view. Only registered images are in a problem: what a
-    reconstruction holds besides stays in ``source`` and is written back by ``bundle.save``.
+    Poses, camera models and parameters, points and observations have to be given; all else has a
+    default. Arrays are C-contiguous and nothing can write to them. An array is shared, not copied,
+    if its memory is as safe: the arrays of other problems are, those that NumPy makes are not.
+
+    Only registered images are in a problem: what a reconstruction holds besides stays in ``source``
+    and is written back by ``bundle.save``. To edit a problem, make another one with
+    ``dataclasses.replace`` or :meth:`replace`: ``bundle.save`` writes every edit or refuses it.
 
     Attributes:
         cam_from_world: (num_images, 7) pose of each image, qx qy qz qw tx ty tz, translation in the
             reconstruction's length unit. The quaternion need not be exactly normalised.
-        image_ids: (num_images,) ids in the source; BAL numbers from 0.
-        image_names: num_images names; "" where the source has none.
-        image_camera: (num_images,) index (not id) of each image's camera.
-        camera_ids: (num_cameras,) ids in the source.
-        camera_models: num_cameras COLMAP model names.
+        image_ids: (num_images,) ids in the source; from 0 by default, as in BAL.
+        image_names: num_images names; "" (the default) where the source has none.
+        image_camera: (num_images,) index (not id) of each image's camera. By default image i has
+            camera i, or all images have the only camera.
+        camera_ids: (num_cameras,) ids in the source; from 0 by default.
+        camera_models: num_cameras COLMAP model names; see ``bundle.camera_models()``.
         camera_params: (num_cameras, width) parameters in COLMAP's order (pixels for focal lengths
             and principal point), rows padded with zeros to the longest model.
-        camera_sizes: (num_cameras, 2) image width and height in pixels, 0 where unknown.
+        camera_sizes: (num_cameras, 2) image width and height in pixels, 0 (the default) where
+            unknown.
         points: (num_points, 3) world coordinates in the reconstruction's length unit.
-        point_ids: (num_points,) ids in the source.
-        observation_image: (num_observations,) image index of each observation.
-        observation_point: (num_observations,) point index of each observation.
-        observation_xy: (num_observations, 2) measured position in pixels.
+        point_ids: (num_points,) ids in the source; from 0 by default.
+        observation_image: (num_observations,) image index (not id) of each observation.
+        observation_point: (num_observations,) point index (not id) of each observation.
+        observation_xy: (num_observations, 2) measured position in pixels, the origin in the upper
+            left corner of the upper left pixel (BAL: in the principal point), x right, y down.
         observation_keypoint: (num_observations,) index of the observation among the keypoints of
-            its image in the source; -1 where the source has no keypoints.
-        format: "bal", "colmap" or "memory": where it came from. Decides the defaults of ``gauge``
-            and ``cheirality`` and what ``bundle.save`` writes when the path does not say.
-        source: what was read, kept so that writing back loses nothing (a pycolmap.Reconstruction
-            for COLMAP models). Never changed.
+            its image in the source; -1 (the default) where it is none of them.
+        format: "bal", "colmap" or "memory" (the default): where it came from. Decides the defaults
+            of ``gauge`` and ``cheirality`` and what ``bundle.save`` writes when the path does not
+            say.
+        source: what was read, kept so that writing back loses nothing: a pycolmap.Reconstruction
+            for COLMAP models, the rotations as they stood in the file for BAL, None (the default)
+            for problems from memory. Never changed.
 
     Raises:
-        InputError: an array has the wrong shape, holds a value that is not finite, an index out of
-            range, a repeated id, a zero quaternion or a focal length that is not positive. The
-            message names the image, camera, point or observation.
+        InputError: an array has the wrong shape or type, holds a value that is not finite, an index
+            out of range, a repeated id, a zero quaternion, a focal length that is not positive or a
+            negative size; a name cannot be printed; a camera model does not exist. The message
+            names the field, or the image, camera, point or observation.
     """
 
     cam_from_world: NDArray[np.float64]
-    image_ids: NDArray[np.int64]
-    image_names: tuple[str, ...]
-    image_camera: NDArray[np.int32]
-    camera_ids: NDArray[np.int64]
+    image_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    image_names: tuple[str, ...] = field(default_factory=_by_default)
+    image_camera: NDArray[np.int32] = field(default_factory=_by_default)
+    camera_ids: NDArray[np.int64] = field(default_factory=_by_default)
     camera_models: tuple[str, ...]
     camera_params: NDArray[np.float64]
-    camera_sizes: NDArray[np.int64]
+    camera_sizes: NDArray[np.int64] = field(default_factory=_by_default)
     points: NDArray[np.float64]
-    point_ids: NDArray[np.int64]
+    point_ids: NDArray[np.int64] = field(default_factory=_by_default)
     observation_image: NDArray[np.int32]
     observation_point: NDArray[np.int32]
     observation_xy: NDArray[np.float64]
-    observation_keypoint: NDArray[np.int32]
+    observation_keypoint: NDArray[np.int32] = field(default_factory=_by_default)
     format: str = "memory"
     source: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "format", choice("format", self.format, FORMATS))
         for name, dtype in _DTYPES.items():
-            array = _as_array(name, getattr(self, name), dtype).view()
-            array.flags.writeable = False
+            value = getattr(self, name)
+            array = _default(self, name) if value is None else immutable(name, value, dtype)
             object.__setattr__(self, name, array)
-        object.__setattr__(self, "image_names", tuple(self.image_names))
-        object.__setattr__(self, "camera_models", tuple(self.camera_models))
+        names = ("",) * self.num_images if self.image_names is None else self.image_names
+        object.__setattr__(self, "image_names", _names("image_names", names))
+        models = _names("camera_models", self.camera_models)
+        known = camera_models()
+        canonical = {
+            model: choice("camera_models", model, known) for model in dict.fromkeys(models)
+        }
+        object.__setattr__(self, "camera_models", tuple(canonical[model] for model in models))
         _core.validate(self)
+        _check_values(self)
 
     @property
     def num_images(self) -> int:
@@ -122,6 +162,46 @@ class Problem(Displayed):
     def num_observations(self) -> int:
         """Number of observations."""
         return len(self.observation_xy)
+
+    @property
+    def projection_centers(self) -> NDArray[np.float64]:
+        """(num_images, 3) position of each camera in the world, in its length unit: -R(q)^T t."""
+        axis, w = -self.cam_from_world[:, :3], self.cam_from_world[:, 3:4]
+        back = -self.cam_from_world[:, 4:]
+        # The conjugate turns back; v + 2 w (u x v) + 2 u x (u x v) for a quaternion of norm 1.
+        scale = 2 / (self.cam_from_world[:, :4] ** 2).sum(axis=1, keepdims=True)
+        cross = np.cross(axis, back)
+        centers: NDArray[np.float64] = back + scale * (w * cross + np.cross(axis, cross))
+        return centers
+
+    def check_padding(self) -> None:
+        """Raise an InputError for numbers beyond a camera's parameters, which no file can hold.
+
+        They are left over where a model with fewer parameters took another one's place.
+        """
+        models = camera_models()
+        lengths = np.array([len(models[name]) for name in self.camera_models], dtype=np.int64)
+        width = self.camera_params.shape[1]
+        beyond = (np.arange(width) >= lengths[:, None]) & (self.camera_params != 0)
+        if beyond.any():
+            camera, column = np.argwhere(beyond)[0]
+            raise InputError(
+                f"camera_params: camera {self.camera_ids[camera]}: expected zeros after the "
+                f"{lengths[camera]} parameters of {self.camera_models[camera]}, "
+                f"found {self.camera_params[camera, column]:g}"
+            )
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return dataclasses.replace(self, source=copy.deepcopy(self.source, memo))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        from bundle.io import problem_source
+
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return _unpacked, (type(self), fields | {"source": problem_source.packed(self.source)})
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some arrays replaced; the others are shared, not copied."""
@@ -160,13 +240,63 @@ class Problem(Displayed):
         )
 
 
-def _as_array(name: str, value: Any, dtype: type) -> NDArray[Any]:
-    """Return the value as a contiguous array of the type; itself where it is one already."""
+def _default(problem: Problem, name: str) -> NDArray[Any]:
+    """Return the default of an array; those that it depends on are there."""
+    if name not in _ONE_FOR_EACH:
+        raise InputError(f"{name}: expected numbers, found None")
+    count, dtype = getattr(problem, _ONE_FOR_EACH[name]), _DTYPES[name]
+    if name == "observation_keypoint":
+        return filled((count,), -1, dtype)
+    if name == "camera_sizes":
+        return filled((count, 2), 0, dtype)
+    if name == "image_camera" and problem.num_cameras != count:
+        if problem.num_cameras != 1:
+            raise InputError(
+                "image_camera: expected the index of each image's camera, as there are "
+                f"{count} images and {problem.num_cameras} cameras, found nothing"
+            )
+        return filled((count,), 0, dtype)
+    return freeze(np.arange(count, dtype=dtype))
+
+
+def _names(field_name: str, names: Any) -> tuple[str, ...]:
+    """Return names as a tuple of plain strings; whether they can be printed is checked later."""
+    if isinstance(names, (str, bytes)):
+        raise InputError(f"{field_name}: expected a sequence of strings, found a single one")
     try:
-        given = np.asarray(value)
-        array: NDArray[Any] = np.ascontiguousarray(given, dtype=dtype)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name}: expected numbers, found {type(value).__name__}") from None
-    if np.issubdtype(dtype, np.integer) and given.dtype != array.dtype and (given != array).any():
-        raise InputError(f"{name}: expected whole numbers of {array.dtype}, found others")
-    return array
+        found = tuple(names)
+    except TypeError:
+        raise InputError(
+            f"{field_name}: expected a sequence of strings, found {type(names).__name__}"
+        ) from None
+    for index, name in enumerate(found):
+        if not isinstance(name, str):
+            raise InputError(
+                f"{field_name}: expected strings, found {type(name).__name__} at index {index}"
+            )
+    return tuple(map(str, found))
+
+
+def _check_values(problem: Problem) -> None:
+    """Check what the core does not look at."""
+    negative = (problem.camera_sizes < 0).any(axis=1)
+    if negative.any():
+        camera = int(np.argmax(negative))
+        width, height = problem.camera_sizes[camera]
+        raise InputError(
+            f"camera_sizes: camera {problem.camera_ids[camera]}: expected a width and a height of "
+            f"at least 0, found {width} x {height}"
+        )
+    if problem.num_observations and problem.observation_keypoint.min() < -1:
+        observation = int(np.argmin(problem.observation_keypoint))
+        raise InputError(
+            f"observation_keypoint: observation {observation}: expected an index, or -1 for none, "
+            f"found {problem.observation_keypoint[observation]}"
+        )
+
+
+def _unpacked(cls: type[Problem], fields: dict[str, Any]) -> Problem:
+    """Return what was pickled, checked anew: the file may have changed."""
+    from bundle.io import problem_source
+
+    return cls(**fields | {"source": problem_source.unpacked(fields["source"])})

@@ -25,7 +25,9 @@ class Summary(Displayed):
     Beyond Ceres: ``backend_given`` and ``backend_used``, ``backend_choice`` and
     ``linear_solver_choice`` (why ``auto`` took them; "" when asked for), ``instruction_set`` (what
     the fused backend's kernels run on; "" for Ceres), ``warnings`` (sentences: a fallback, a gauge
-    that could not be held, ...), ``interrupted``. Costs are 1/2 sum rho(||r||^2), r in pixels.
+    that could not be held, ...), ``interrupted``, ``origin`` (x, y, z: the centre that a scene far
+    from its origin was solved about; None where it was solved as given).
+    Costs are 1/2 sum rho(||r||^2), r in pixels.
 
     What each step factorises (None, or "", where it factorises nothing or nobody can tell; blocks
     count as full, matrices by both triangles and the diagonal, the factor L by its lower triangle
@@ -108,6 +110,7 @@ class Summary(Displayed):
     factor_flops: float | None = None
     factor_ordering: str = ""
     symbolic_time_in_seconds: float | None = None
+    origin: tuple[float, float, float] | None = None
 
     def full_report(self) -> str:
         """Return everything in lines of text, in the order of Ceres' FullReport."""

@@ -95,7 +95,9 @@ class Columns:
         sizes = self._sizes(console, options)
         narrowest = [min(size.minimum, limit) for size in sizes]
         narrowest[0] = min(narrowest[0], limit // 2)
-        for group in _groups(narrowest, limit):
+        for position, group in enumerate(_groups(narrowest, limit)):
+            if position:
+                yield Text("")
             spare = limit - sum(narrowest[index] + GUTTER for index in group) + GUTTER
             widths = {}
             for index in group:

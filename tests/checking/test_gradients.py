@@ -108,13 +108,105 @@ def test_derivatives_near_zero_are_no_false_alarms():
     assert bundle.check_gradients(function, [[3.0, 0.1]])
 
 
-def test_a_residual_that_is_noise_is_not_called_correct():
-    rng = np.random.default_rng(0)
-
+def changing(draw):
     def function(blocks):
-        return blocks[0] + 1e-3 * rng.standard_normal(2), [np.eye(2)]
+        return blocks[0] + draw(), [np.eye(2)]
 
-    assert bundle.check_gradients(function, [[1.0, 2.0]]).kinds == {"undecided"}
+    return function
+
+
+def sometimes_nothing(rng):
+    return lambda: np.where(rng.random() < 0.5, np.nan, 0.0) * np.ones(2)
+
+
+def test_a_function_that_is_not_deterministic_is_called_so(capfd):
+    rng = np.random.default_rng(0)
+    for draw in (lambda: 1e-3 * rng.standard_normal(2), sometimes_nothing(rng)):
+        report = bundle.check_gradients(changing(draw), [[1.0, 2.0]])
+        assert report.kinds == {"unstable"}
+        assert len(report.findings) == 1
+        assert not report
+    captured = capfd.readouterr()
+    assert captured.out + captured.err == ""  # Ceres logs each residual that differs
+
+
+def test_sums_in_another_order_are_deterministic_enough():
+    rng = np.random.default_rng(0)
+    assert bundle.check_gradients(changing(lambda: 1e-13 * rng.random(2)), [[1.0, 2.0]])
+
+
+def test_a_rough_residual_is_not_called_correct():
+    def function(blocks):
+        return np.floor(1e6 * blocks[0]) / 1e6, [np.eye(1)]
+
+    report = bundle.check_gradients(function, [[1.0]])
+    assert report.kinds == {"undecided"}
+    assert report.num_undecided == report.num_checked == 10
+
+
+def scalar(value, derivative, x):
+    def function(blocks):
+        with np.errstate(all="ignore"):
+            y = blocks[0]
+            return value(y), [np.atleast_2d(derivative(y[0]))]
+
+    return bundle.check_gradients(function, [[x]], num_samples=1)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-12])
+def test_at_a_kink_any_slope_between_both_sides_is_undecided(distance):
+    def check(slope, bend=0.0):
+        return scalar(
+            lambda x: np.abs(x - distance) + bend * np.sin(x), lambda _: slope + bend, 0.0
+        )
+
+    for slope in (-1.0, 0.0, 1.0):
+        for bend in (0.0, 3.0):
+            report = check(slope, bend)
+            assert report.kinds == {"undecided"}
+            assert [(e.reason, e.count, e.places) for e in report.undecided] == [
+                ("rough", 1, ("sample 0",))
+            ]
+    assert "undecided" not in check(5.0).kinds
+
+
+@pytest.mark.parametrize("distance", [1e-3, 1e-6, 1e-9])
+def test_a_pole_beside_the_point(distance):
+    """1 / (x + d) with steps far above d looks as if its derivative were zero."""
+    exact = -1 / distance
+    report = scalar(lambda x: distance / (x + distance), lambda _: exact, 0.0)
+    assert report.kinds <= {"correct", "undecided"}
+    wrong = scalar(lambda x: distance / (x + distance), lambda _: -2 * exact, 0.0)
+    assert not wrong.kinds & {"correct", "undecided"}
+    assert wrong.worst[0].reference == pytest.approx(exact, rel=1e-6)
+
+
+def test_a_residual_without_value_on_one_side_is_undecided():
+    report = scalar(np.sqrt, lambda x: 0.5 / np.sqrt(x), 1e-13)
+    assert report.kinds == {"undecided"}
+    assert [entry.reason for entry in report.undecided] == ["no_value"]
+
+
+def test_a_few_undecided_samples_are_counted_and_no_error():
+    """A pole or a fold at one of the samples; a lie in the others is found all the same."""
+
+    def function(blocks, factor=1.0):
+        (x,) = blocks
+        return np.abs(x - 0.3), [factor * np.atleast_2d(np.sign(x[0] - 0.3))]
+
+    report = bundle.check_gradients(function, [[0.3]], num_samples=8)
+    assert report
+    assert report.num_undecided == 1
+    assert "7 samples; 1 undecided" in " ".join(str(report).split())
+    assert "factor" in bundle.check_gradients(lambda b: function(b, 1.5), [[0.3]]).kinds
+
+
+def test_single_precision_is_no_derivative_of_zero():
+    """A residual that stands still for small steps does not have the derivative zero there."""
+    report = scalar(lambda x: np.float32(3) * x.astype(np.float32), lambda _: 3.0, 0.7234)
+    assert report.kinds == {"undecided"}
+    off = scalar(lambda x: np.float32(3) * x.astype(np.float32), lambda _: 3.01, 0.7234)
+    assert off.worst[0].error > 1e-3
 
 
 def test_points_without_a_value_are_skipped():

@@ -8,8 +8,10 @@ import subprocess
 
 import pytest
 
+import bundle
 from tests.cli.conftest import command, environment
 from tests.comparison.conftest import unpredicted  # noqa: F401
+from tests.figures import figures
 
 pytestmark = pytest.mark.usefixtures("unpredicted")
 
@@ -22,9 +24,9 @@ def test_table_recommendation_and_command_line(run, model):
     for name in ("fused", "ceres"):
         for solver in ("DENSE", "SPARSE", "ITERATIVE"):
             assert f"{name} {solver}_SCHUR" in out
-    assert "recommended" in out
     assert f"bundle refine {model} -o OUTPUT" in out.replace(" \\\n    ", " ")
-    assert "6 of 6: ceres ITERATIVE_SCHUR, 1 thread ..." in err
+    assert "ceres ITERATIVE_SCHUR" in err.splitlines()[-1]
+    assert figures(err.splitlines()[-1]) == ["6", "6", "1"]  # the last of six, on one thread
     assert max(map(len, out.splitlines())) <= 100
 
 
@@ -42,7 +44,7 @@ def test_json_alone_on_standard_output(run, model):
     assert report["command"] == "compare"
     assert [one["outcome"] for one in report["runs"]] == ["DONE", "DONE"]
     assert report["inputs"][0]["path"] == str(model)
-    assert "1 of 2" in err
+    assert ["1", "2", "1"] in map(figures, err.splitlines())
 
 
 def test_quiet(run, model):
@@ -53,37 +55,39 @@ def test_quiet(run, model):
 def test_nothing_usable_is_1(run, model):
     code, out, _ = run("compare", model, *QUICK, "--solvers", "cgnr", "--backends", "fused")
     assert code == 1
-    assert "nothing: no method has a usable solution" in out
+    assert "bundle refine" not in out
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    "arguments",
     [
-        (("--solvers", "lu"), "--solvers: expected one of auto, dense_schur"),
-        (("--solvers", ","), "--solvers: expected at least one to compare, found none"),
-        (("--threads", "two"), "expected numbers such as 1,2, found 'two'"),
-        (("--memory-cap", "much"), "--memory-cap: expected a size such as 500MB"),
-        (("--timeout", "0"), "--timeout: expected more than 0 seconds, found 0"),
-        (("--timeout", "nan"), "--timeout: expected more than 0 seconds, found nan"),
-        (("--repeat", "0"), "--repeat: expected at least 1, found 0"),
-        (("--solver", "auto"), "unrecognized arguments: --solver"),
-        (("--loss-scale", "0"), "--loss-scale: expected more than 0"),
-        (("nothing.txt",), "nothing.txt: No such file"),
+        ("--solvers", "lu"),
+        ("--solvers", ","),
+        ("--threads", "two"),
+        ("--memory-cap", "much"),
+        ("--timeout", "0"),
+        ("--timeout", "nan"),
+        ("--repeat", "0"),
+        ("--solver=auto",),
+        ("--loss-scale", "-3"),
+        ("nothing.txt",),
     ],
 )
-def test_bad_usage_is_one_line_and_2(run, model, arguments, words):
+def test_bad_usage_is_one_line_and_2(run, model, arguments):
     code, out, err = run("compare", model, *arguments, "--quiet")
     assert code == 2
     assert out == ""
     assert err.startswith("error: ")
-    assert words in err
+    assert arguments[0] in err
+    assert arguments[-1] in err or arguments[-1] == ","
     assert err.count("\n") == 1
 
 
 def test_report_must_not_replace_an_input(run, model):
     code, _, err = run("compare", model, "--json", model)
     assert code == 2
-    assert "the report would replace" in err
+    assert str(model) in err
+    assert bundle.load(model).num_observations == 120
 
 
 def test_html_page(run, model, tmp_path):
@@ -109,5 +113,5 @@ def test_ctrl_c_ends_with_what_is_there(model, tmp_path):
     assert process.returncode == 1
     assert "Traceback" not in err
     assert "fused DENSE_SCHUR" in out
-    assert "recommended" in out
+    assert "bundle refine" in out
     assert "interrupted" in out

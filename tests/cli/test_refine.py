@@ -10,6 +10,7 @@ import bundle
 from bundle.options import SolveOptions
 from bundle.result import Result
 from bundle.summary import Summary
+from tests.figures import figures, table
 from tests.report import fakes
 from tests.scenes import scene
 
@@ -33,10 +34,10 @@ def test_refines_and_reports(run, model, tmp_path, backend):
     code, out, err = run("refine", model, "-o", output, "--backend", backend)
     assert code == 0
     assert backend.upper() in out
-    assert "Converged after" in out
-    assert "4 images, 4 cameras, 30 points, 120 observations" in out
-    assert f"{output} (BAL)" in out
-    assert "linear solver" in out
+    assert figures(out.splitlines()[1]) == ["4", "4", "30", "120"]
+    rows = table(out)
+    assert rows["output"] == [f"{output} (BAL)"]
+    assert rows["total"][-1] == "100.0 %"
     assert "\x1b" not in out + err
     lines = err.splitlines()
     assert lines[0] == f"reading {model} ..."
@@ -91,6 +92,40 @@ def test_json_against_the_contract(run, model, tmp_path, backend):
     assert report["output"] == {"path": str(tmp_path / "r.txt"), "format": "bal"}
 
 
+def test_intrinsics_before_and_after_and_the_worst_images(run, model, tmp_path, backend):
+    report_path, output = tmp_path / "report.json", tmp_path / "r.txt"
+    _, out, _ = run("refine", model, "-o", output, "--json", report_path, "--backend", backend)
+    report, rows = json.loads(report_path.read_text()), table(out)
+    first, last = bundle.load(model), bundle.load(output)
+    assert {change["camera_id"] for change in report["cameras"]} == {0, 1, 2, 3}
+    for change in report["cameras"]:
+        camera = list(first.camera_ids).index(change["camera_id"])
+        assert change["before"]["f"] == first.camera_params[camera, 0]
+        assert change["after"]["f"] == last.camera_params[camera, 0]
+        before, after = change["before"]["f"], change["after"]["f"]
+        shown = ["f", f"{before:.7g}", f"{after:.7g}", f"{after - before:+.3g}"]
+        assert rows[f"{change['camera_id']} RADIAL"] == shown
+    movements = [change["movement"] for change in report["cameras"]]
+    assert movements == sorted(movements, reverse=True)
+    for image in report["worst_images"]:
+        assert rows[f"image {image['image_id']}"][1] == f"{image['rmse']:.4f}"
+    worst = report["worst_images"][0]["rmse"]
+    assert worst >= report["reprojection_error"]["after"]["rmse"]
+
+
+def test_of_many_cameras_the_largest_movers_are_shown(run, tmp_path):
+    problem = scene(num_images=9)
+    bundle.save(problem, tmp_path / "many.txt")
+    report_path = tmp_path / "report.json"
+    arguments = ("-o", tmp_path / "r.txt", "--json", report_path)
+    _, out, _ = run("refine", tmp_path / "many.txt", *arguments)
+    changes = json.loads(report_path.read_text())["cameras"]
+    assert len(changes) == 9
+    labels = [f"{change['camera_id']} RADIAL" for change in changes]
+    assert [label for label in labels if label in table(out)] == labels[:5]
+    assert any(line.startswith("- ") and figures(line) == ["4"] for line in out.splitlines())
+
+
 def test_json_to_standard_output_is_all_there_is(spawn, model, tmp_path):
     code, out, err = spawn("refine", model, "-o", tmp_path / "r.txt", "--json", "-")
     assert code == 0
@@ -101,22 +136,17 @@ def test_json_to_standard_output_is_all_there_is(spawn, model, tmp_path):
 def test_quiet(run, model, tmp_path):
     code, out, err = run("refine", model, "-o", tmp_path / "r.txt", "--quiet")
     assert (code, err) == (0, "")
-    assert "Converged" in out
+    assert table(out)["output"]
 
 
 def test_auto_says_which_backend_and_why(run, model, tmp_path):
     _, out, _ = run("refine", model, "-o", tmp_path / "r.txt", "--quiet")
     assert "FUSED" in out
-    assert "The points are eliminated as they are linearised" in out
-    assert "back-substitution, residuals" in out
     _, out, _ = run("refine", model, "-o", tmp_path / "r.txt", "--quiet", "--solver", "dense-qr")
     assert "CERES" in out
-    assert "residual evaluation" in out
     words = " ".join(out.split())
-    assert (
-        "The fused backend expects auto, dense_schur, sparse_schur or iterative_schur and found "
-        "dense_qr (linear_solver_type)." in words
-    )
+    reason = words[words.index("CERES") :]
+    assert "dense_qr" in reason and "linear_solver_type" in reason  # why not the fused one
 
 
 def test_output_may_be_the_input(run, model):
@@ -130,7 +160,7 @@ def test_output_may_be_the_input(run, model):
 def test_no_iterations_only_evaluates(run, model, tmp_path):
     code, out, _ = run("refine", model, "-o", tmp_path / "r.txt", "--max-iterations", 0)
     assert code == 0
-    assert "Not converged after 0 steps" in out
+    assert figures(table(out)["outcome"][0])[0] == "0"
     kept, given = bundle.load(tmp_path / "r.txt"), bundle.load(model)
     np.testing.assert_allclose(kept.points, given.points, rtol=1e-15)
 
@@ -216,5 +246,5 @@ def test_hopeless_problem_ends_with_a_sentence(run, tmp_path):
     bundle.save(problem.replace(cam_from_world=poses), path)
     code, out, _ = run("refine", path, "-o", tmp_path / "r.txt", "--cheirality", "zero")
     assert code in (0, 1)
-    assert "120" in out
-    assert "outcome" in out
+    assert table(out)["behind camera"] == ["120", "120"]
+    assert table(out)["outcome"]

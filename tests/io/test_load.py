@@ -166,3 +166,11 @@ def test_a_bal_file_needs_no_pycolmap(tmp_path: Path) -> None:
     path.write_bytes(bal_text(*make_bal(3)))
     code = "import bundle, sys; bundle.load(sys.argv[1]); assert 'pycolmap' not in sys.modules"
     subprocess.run([sys.executable, "-c", code, str(path)], check=True)
+
+
+def test_check_target_refuses_edits_that_colmap_cannot_hold(tmp_path: Path, problem) -> None:
+    below = problem.replace(image_ids=[-1, 1, 2, 3])
+    for call in (bundle.io.check_target, bundle.save):
+        with pytest.raises(bundle.InputError, match=r"^image_ids: .* found -1$"):
+            call(below, tmp_path / "out", "colmap")
+    assert not (tmp_path / "out").exists()

@@ -142,14 +142,6 @@ def test_ids_that_colmap_cannot_hold(array: str, value: int, message: str) -> No
         problem.replace(**{array: ids}).to_pycolmap()
 
 
-def test_problem_that_is_not_of_its_source() -> None:
-    problem = Problem.from_pycolmap(synthesize(8))
-    ids = problem.point_ids.copy()
-    ids[-1] = 999
-    with pytest.raises(InputError, match="found point 999"):
-        problem.replace(point_ids=ids).to_pycolmap()
-
-
 def test_reconstruction_whose_references_do_not_resolve() -> None:
     source = synthesize(10)
     image = source.image(min(source.reg_image_ids()))
@@ -161,6 +153,10 @@ def test_reconstruction_whose_references_do_not_resolve() -> None:
     image.set_point3D_for_point2D(spare, min(source.points3D))
     with pytest.raises(InputError, match=rf"^point {min(source.points3D)}: .*found 6 and 7$"):
         Problem.from_pycolmap(source)
+    image.reset_point3D_for_point2D(spare)
+    source.point3D(min(source.points3D)).track.add_element(image.image_id, spare)
+    with pytest.raises(InputError, match=rf"^point {min(source.points3D)}: .*found 7 and 6$"):
+        Problem.from_pycolmap(source)
 
 
 def test_empty_reconstruction() -> None:
@@ -169,8 +165,22 @@ def test_empty_reconstruction() -> None:
     assert fields(problem.to_pycolmap()) == fields(pycolmap.Reconstruction())
 
 
-def test_a_camera_model_that_colmap_does_not_know_is_named() -> None:
-    problem = bal_like()
-    made_up = ["MADE_UP", *problem.camera_models[1:]]
-    with pytest.raises(InputError, match="expected a camera model of COLMAP, found 'MADE_UP'"):
-        problem.replace(camera_models=made_up).to_pycolmap()
+@pytest.mark.parametrize("element", [(1, 40), (777, 1), (1, 100_000)])
+def test_tracks_as_long_as_they_should_be_but_elsewhere(
+    element: tuple[int, int], capfd: pytest.CaptureFixture[str]
+) -> None:
+    source = synthesize(10)
+    point = source.point3D(3)
+    elements = [pycolmap.TrackElement(*element), *point.track.elements[1:]]
+    point.track = pycolmap.Track(elements)
+    found = f"found keypoint {element[1]} of image {element[0]}$"
+    with pytest.raises(InputError, match=f"^point 3: .*{found}"):
+        Problem.from_pycolmap(source)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_camera_with_too_few_parameters() -> None:
+    source = synthesize(10)
+    source.camera(2).params = [900.0, 512.0]
+    with pytest.raises(InputError, match=r"^camera 2: expected 4 parameters .*, found 2$"):
+        Problem.from_pycolmap(source)

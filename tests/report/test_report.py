@@ -15,6 +15,7 @@ from bundle.report.timing import WallTime
 from bundle.summary import solver_phases
 from bundle.tables import number, pixels, plural, render, seconds
 from bundle.termination import sentence
+from tests.figures import figures
 from tests.report import fakes
 
 WALL = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, total=2.0)
@@ -85,11 +86,11 @@ def test_breakdown_of_a_solve_that_took_no_time():
 
 def test_full_report_has_ceres_sections_in_ceres_order():
     report = fakes.summary(warnings=("Group 0 lost a block.",)).full_report()
-    order = ["parameter blocks", "trust region", "linear solver", "ordering", "initial", "final"]
-    order += ["successful steps", "preprocessor", "termination", "Group 0 lost a block."]
+    order = ["66510", "LEVENBERG_MARQUARDT", "DENSE_SCHUR", "22106, 16", "4.185659518e+06"]
+    order += ["1.803390348e+04", "0.250", "CONVERGENCE", "Group 0 lost a block."]
     positions = [report.index(words) for words in order]
     assert positions == sorted(positions)
-    assert rows(report)["residuals"] == ["167436", "167434"]
+    assert ["167436", "167434"] in rows(report).values()
     assert "4.167625615e+06" in report  # the change of cost
     assert "CONVERGENCE: Function tolerance reached." in report
     assert "preconditioner" not in report
@@ -112,9 +113,8 @@ def test_full_report_tells_of_the_factor():
 
 def test_report_of_a_refinement_tells_of_the_factor_where_there_is_one(problem):
     report = rows(render(*refinement("in", problem, fakes.result(problem), WALL, None, ())))
-    assert report["factor"] == [
-        "144 columns, natural order, 10440 nonzeros, 1.016e+06 flops, analysed in 0.000 s"
-    ]
+    assert figures(report["factor"][0]) == ["144", "10440", "1.016e+06", "0.000"]
+    assert "natural" in report["factor"][0]
     iterative = fakes.result(problem, summary=fakes.summary(**NO_FACTOR))
     assert "factor" not in rows(render(*refinement("in", problem, iterative, WALL, None, ())))
     said = json_report.refinement("in", problem, iterative, WALL, None)["summary"]
@@ -127,38 +127,45 @@ def test_full_report_names_the_preconditioner_of_an_iterative_solver():
     assert rows(report)["linear algebra"] == ["EIGEN", "EIGEN"]
 
 
-@pytest.mark.parametrize(
-    ("kind", "message", "words"),
-    [
-        ("CONVERGENCE", "Function tolerance reached. |cost_change|/cost: 1 <= 2", "the cost by no"),
-        (
-            "CONVERGENCE",
-            "Function tolerance reached. No non-constant parameter blocks found.",
-            "every parameter is held fixed",
-        ),
-        ("CONVERGENCE", "Gradient tolerance reached. Gradient max norm: 1", "the gradient"),
-        ("CONVERGENCE", "Parameter tolerance reached. Relative step_norm: 1", "the parameters"),
-        ("CONVERGENCE", "Minimum trust region radius reached. Trust", "shrank"),
-        ("NO_CONVERGENCE", "Maximum number of iterations reached. Number: 5", "limit of iteration"),
-        ("NO_CONVERGENCE", "Maximum solver time reached. Total: 5", "limit of time"),
-        ("FAILURE", "Number of consecutive invalid steps more than 5", "several steps in a row"),
-        ("FAILURE", "Residual and Jacobian evaluation failed.", "ceased to be finite"),
-        ("FAILURE", "Initial residual and Jacobian evaluation failed.", "at the start"),
-        ("FAILURE", "Linear solver failed due to unrecoverable", "linear solver gave up"),
-        ("FAILURE", "Something\nnew", "Something new"),
-    ],
-)
-def test_termination_in_plain_words(kind, message, words):
-    verdict = {"CONVERGENCE": "Converged", "NO_CONVERGENCE": "Not converged", "FAILURE": "Failed"}
-    said = sentence(fakes.summary(termination_type=kind, message=message), 5, 2)
-    assert said.startswith(f"{verdict[kind]} after 5 steps (2 rejected): ")
-    assert words in said
-    assert "\n" not in said
+# How Ceres ends, and what it says then.
+ENDS = [
+    {"termination_type": kind, "message": message}
+    for kind, message in [
+        ("CONVERGENCE", "Function tolerance reached. |cost_change|/cost: 1 <= 2"),
+        ("CONVERGENCE", "Function tolerance reached. No non-constant parameter blocks found."),
+        ("CONVERGENCE", "Gradient tolerance reached. Gradient max norm: 1"),
+        ("CONVERGENCE", "Parameter tolerance reached. Relative step_norm: 1"),
+        ("CONVERGENCE", "Minimum trust region radius reached. Trust"),
+        ("NO_CONVERGENCE", "Maximum number of iterations reached. Number: 5"),
+        ("NO_CONVERGENCE", "Maximum solver time reached. Total: 5"),
+        ("FAILURE", "Number of consecutive invalid steps more than 5"),
+        ("FAILURE", "Residual and Jacobian evaluation failed."),
+        ("FAILURE", "Initial residual and Jacobian evaluation failed."),
+        ("FAILURE", "Linear solver failed due to unrecoverable"),
+        ("FAILURE", "Something\nnew"),
+    ]
+]
+
+
+def test_every_end_has_a_sentence_of_its_own():
+    """One verdict a kind, one reason a message; golden/termination.txt has the words."""
+    said = [sentence(fakes.summary(**end), 5, 2) for end in ENDS]
+    assert len(set(said)) == len(ENDS)
+    assert all(figures(one)[:2] == ["5", "2"] and "\n" not in one for one in said)
+    verdicts = {
+        (end["termination_type"], one.split(":")[0]) for end, one in zip(ENDS, said, strict=True)
+    }
+    assert len(verdicts) == 3
+    # What Ceres says comes through only where it is not known.
+    raw = [" ".join(end["message"].split()) in one for end, one in zip(ENDS, said, strict=True)]
+    assert raw == [False] * 11 + [True]
 
 
 def test_interruption_comes_before_what_ceres_calls_it():
     interrupted = fakes.summary(interrupted=True, termination_type="USER_SUCCESS", message="User")
-    assert sentence(interrupted, 1) == "Interrupted after 1 step; the best state so far is kept."
+    said = sentence(interrupted, 1)
+    assert figures(said) == ["1"]
+    assert said.split()[0] not in {sentence(fakes.summary(**one), 1).split()[0] for one in ENDS}
 
 
 def test_report_of_a_refinement(problem):
@@ -174,9 +181,9 @@ def test_report_of_a_refinement(problem):
     assert table["load"] == ["0.250", "12.5 %"]
     assert table["everything else"] == ["0.375", "18.8 %"]
     assert table["linear solver"] == ["0.250", "25.0 %", "12.5 %"]
-    assert "after 2 steps (1 rejected)" in report
+    assert figures(table["outcome"][0])[:2] == ["2", "1"]  # steps, rejected
     assert "out.txt (BAL)" in report
-    assert "lost: image names" in report
+    assert "image names" in report
     assert max(map(len, report.splitlines())) <= 100
     assert report.isascii()
 
@@ -185,8 +192,9 @@ def test_report_says_when_the_ordering_was_not_used_as_given(problem):
     changed = fakes.summary(linear_solver_ordering_used=(22000, 16))
     solved = fakes.result(problem, summary=changed)
     report = render(*refinement("in", problem, solved, WALL, None, ()))
-    assert rows(report)["ordering"] == ["22000, 16 (given: 22106, 16); Schur structure 2,3,9"]
-    assert rows(report)["output"] == ["nothing was written"]
+    ordering = rows(report)["ordering"][0]
+    assert re.findall(r"\d+(?=[, );])", ordering)[:4] == ["22000", "16", "22106", "16"]
+    assert "out.txt" not in report
 
 
 def test_json_has_what_the_contract_lists(problem):

@@ -9,6 +9,7 @@
 #include "core/solve/memory.h"
 #include "core/solve/option_names.h"
 #include "core/solve/prepare.h"
+#include "core/solve/scene_frame.h"
 #include "core/solve/solver_checks.h"
 #include "core/stopwatch.h"
 
@@ -28,16 +29,25 @@ SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions optio
 
 }  // namespace
 
-SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
                   const ProgressCallback& progress) {
   const Stopwatch time;
-  RefuseTooLarge(problem);
+  RefuseTooLarge(given);
   if (HasMemoryLimit()) TakeBlasBuffers();
+  const SceneFrame given_frame(given);
+  const CenteredProblem centered(given, given_frame);
+  const ProblemView& problem = centered.view();
+  SolveOptions options = given_options;
   PreparedSolve prepared = PrepareSolve(problem, options);
+  FarPoints far = FindFarPoints(problem, prepared.layout,
+                                centered.is_moved() ? SceneFrame(problem) : given_frame);
+  options.parameter_tolerance *= far.norm_without;
+  if (!far.warning.empty()) prepared.warnings.push_back(std::move(far.warning));
   BackendChoice choice = ChooseBackend(problem, options, prepared.layout);
   SolveOutput output = choice.backend == Backend::kFused
                            ? fused::SolveWithFused(problem, options, std::move(prepared), progress)
                            : SolveWithCeresAsAsked(problem, options, std::move(prepared), progress);
+  centered.MoveBack(&output);
   output.summary.backend_given = UpperName(options.backend, kBackends);
   output.summary.backend_used = UpperName(choice.backend, kBackends);
   output.summary.backend_choice = std::move(choice.reason);

@@ -22,7 +22,8 @@ double FirstStep(double parameter) { return std::max(std::abs(parameter) / 16, k
 /// that its own size says nothing.
 std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
                                   const std::vector<const double*>& parameters) {
-  constexpr int kTrials = 6;
+  // A residual whose last digit is coarse moves in some of them only.
+  constexpr int kTrials = 16;
   constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
   const int n = cost.num_residuals();
   std::vector<double> at_start(n), values(n), noise(n);
@@ -98,6 +99,40 @@ class ColumnWriter {
   int next_ = 0;
 };
 
+/// A cost function whose residual at one point is that of its first evaluation there.
+/// GradientChecker logs every residual that differs between two calls.
+class SameResidual final : public ceres::CostFunction {
+ public:
+  SameResidual(const ceres::CostFunction& cost, const std::vector<const double*>& point)
+      : cost_(cost), point_(point) {
+    set_num_residuals(cost.num_residuals());
+    *mutable_parameter_block_sizes() = cost.parameter_block_sizes();
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
+    if (!cost_.Evaluate(parameters, residuals, jacobians)) return false;
+    if (!IsPoint(parameters)) return true;
+    if (first_.empty()) first_.assign(residuals, residuals + num_residuals());
+    std::copy(first_.begin(), first_.end(), residuals);
+    return true;
+  }
+
+ private:
+  bool IsPoint(double const* const* parameters) const {
+    for (size_t b = 0; b < point_.size(); ++b) {
+      if (!std::equal(point_[b], point_[b] + parameter_block_sizes()[b], parameters[b])) {
+        return false;
+      }
+    }
+    return true;
+  }
+
+  const ceres::CostFunction& cost_;
+  const std::vector<const double*>& point_;
+  mutable std::vector<double> first_;
+};
+
 }  // namespace
 
 int AmbientSize(const ceres::CostFunction& cost) {
@@ -116,14 +151,18 @@ int TangentSize(const ceres::CostFunction& cost, const Manifolds& manifolds) {
 
 ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& cost,
                                              const Manifolds& manifolds,
-                                             const std::vector<const double*>& parameters) {
+                                             const std::vector<const double*>& parameters,
+                                             const KnownScales& known) {
   ReferenceJacobians jacobians;
   const bool curved = std::any_of(manifolds.begin(), manifolds.end(),
                                   [](const ceres::Manifold* m) { return m != nullptr; });
-  const std::vector<double> noise = RoundingNoise(cost, parameters);
+  std::vector<double> noise = RoundingNoise(cost, parameters);
+  constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
+  for (double& value : noise) value += kEpsilon * known.minuend;
   ColumnWriter ambient(noise, AmbientSize(cost), &jacobians.ambient);
   ColumnWriter tangent(noise, curved ? TangentSize(cost, manifolds) : 0, &jacobians.tangent);
   MovablePoint point(cost, parameters);
+  size_t column = 0;
   for (size_t b = 0; b < parameters.size(); ++b) {
     const int size = cost.parameter_block_sizes()[b];
     std::vector<double> moved(parameters[b], parameters[b] + size);
@@ -132,8 +171,13 @@ ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& cost,
         moved[j] = parameters[b][j] + step;
         return point.Evaluate(b, moved.data(), residuals);
       };
-      ambient.Add(along_axis, FirstStep(parameters[b][j]));
-      if (curved && manifolds[b] == nullptr) tangent.Add(along_axis, FirstStep(parameters[b][j]));
+      double first_step = FirstStep(parameters[b][j]);
+      if (!known.largest_steps.empty()) {
+        first_step = std::min(first_step, known.largest_steps[column]);
+      }
+      ++column;
+      ambient.Add(along_axis, first_step);
+      if (curved && manifolds[b] == nullptr) tangent.Add(along_axis, first_step);
       moved[j] = parameters[b][j];
     }
     if (manifolds[b] == nullptr) continue;
@@ -155,8 +199,9 @@ ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& cost,
 GradientCheckerProbe RunGradientChecker(const ceres::CostFunction& cost, const Manifolds& manifolds,
                                         const std::vector<const double*>& parameters,
                                         double relative_precision) {
+  const SameResidual repeatable(cost, parameters);
   // A plain nullptr for the manifolds would be ambiguous in Ceres 2.1.
-  const ceres::GradientChecker checker(&cost, &manifolds, ceres::NumericDiffOptions());
+  const ceres::GradientChecker checker(&repeatable, &manifolds, ceres::NumericDiffOptions());
   ceres::GradientChecker::ProbeResults results;
   GradientCheckerProbe probe;
   probe.agrees = checker.Probe(parameters.data(), relative_precision, &results);

@@ -23,9 +23,18 @@ using Manifolds = std::vector<const ceres::Manifold*>;
 int AmbientSize(const ceres::CostFunction& cost);
 int TangentSize(const ceres::CostFunction& cost, const Manifolds& manifolds);
 
+/// What is known of a cost function beforehand.
+struct KnownScales {
+  /// Bounds of the first step of each ambient column, unless empty: the distance to a singularity.
+  std::vector<double> largest_steps;
+  /// Size of the numbers whose difference a residual is: it is rounded as they are.
+  double minuend = 0;
+};
+
 ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& cost,
                                              const Manifolds& manifolds,
-                                             const std::vector<const double*>& parameters);
+                                             const std::vector<const double*>& parameters,
+                                             const KnownScales& known = {});
 
 GradientCheckerProbe RunGradientChecker(const ceres::CostFunction& cost, const Manifolds& manifolds,
                                         const std::vector<const double*>& parameters,

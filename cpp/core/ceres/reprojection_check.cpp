@@ -54,7 +54,48 @@ class SingleObservation final : public ceres::CostFunction {
     return bundle::Counts(ProjectionOf(problem_.points), cheirality);
   }
 
+  /// L and delta, and what a unit of rotation moves the point by; see the header.
+  struct Surroundings {
+    double distance = 0, rounding = 0, lever = 0;
+  };
+
+  Surroundings surroundings() const {
+    states_.Update(state_.data());
+    const PoseState& pose = states_.pose(0);
+    double p[3], xy[2];
+    MatrixVector3(pose.rotation, problem_.points, p);
+    const double lever = Length(p);
+    for (int i = 0; i < 3; ++i) p[i] += pose.translation[i];
+    const double in_plane[3] = {p[0], p[1], 0};
+    const bool plane = problem_.camera_models[0]->project(states_.params(0), in_plane, xy, nullptr,
+                                                          nullptr) == Projection::kUndefined;
+    const double distance = plane ? std::abs(p[2]) : Length(p);
+    constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
+    return {distance, kEpsilon * (lever + Length(pose.translation)), lever};
+  }
+
+  /// Steps of each column: point, then what is free of the camera side; and the size of the pixels.
+  KnownScales Scales() const {
+    constexpr double kShare = 0.25;  // of the distance to the singularity
+    constexpr double kAny = std::numeric_limits<double>::infinity();
+    const Surroundings at = surroundings();
+    const double reach = kShare * at.distance;
+    std::vector<double> steps(3, reach);
+    for (int k = 0; k < block().size; ++k) {
+      const int column = block().columns[k];
+      const double turn = at.lever > 0 ? reach / at.lever : kAny;
+      steps.push_back(column < 3 ? turn : column < kPoseSize ? reach : kAny);
+    }
+    double residual[2];
+    const std::vector<const double*> at_start = start();
+    Evaluate(at_start.data(), residual, nullptr);
+    const double* measured = problem_.observation_xy;
+    return {steps, std::hypot(residual[0], residual[1]) + std::hypot(measured[0], measured[1])};
+  }
+
  private:
+  static double Length(const double* v) { return std::hypot(v[0], v[1], v[2]); }
+
   static SolveOptions RefineAll() {
     SolveOptions options;
     options.refine_principal_point = true;
@@ -170,12 +211,15 @@ void CheckReprojections(const ProblemView& problem, const int64_t* observations,
     }
     out.counts[i] = cost.Counts(cheirality) ? 1 : 0;
     out.agrees[i] = out.stable[i] = 1;
+    const SingleObservation::Surroundings at = cost.surroundings();
+    out.rounding[i] = at.rounding / at.distance;
     if (out.counts[i] == 0) return;
     const Columns columns(cost.block(), problem.camera_params_stride);
     std::vector<double> analytic;
     out.stable[i] = EvaluateJacobian(cost, &analytic) ? 1 : 0;
     columns.Scatter(analytic.data(), out.analytic + entries * i);
-    const NumericJacobian reference = DifferentiateByRichardson(cost, flat, cost.start()).ambient;
+    const NumericJacobian reference =
+        DifferentiateByRichardson(cost, flat, cost.start(), cost.Scales()).ambient;
     columns.Scatter(reference.values.data(), out.reference + entries * i);
     columns.Scatter(reference.uncertainty.data(), out.uncertainty + entries * i);
     const GradientCheckerProbe probe =

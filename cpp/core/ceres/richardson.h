@@ -14,6 +14,18 @@
 /// to the camera, a parameter near a singularity), until the estimate is small beside the
 /// derivative, and the estimate is returned, so that a comparison can subtract what the reference
 /// does not know.
+///
+/// A bound from one range of steps holds only where f is smooth on that range. Close to a pole, say
+/// 1 / (x + d) with steps h far above d, D(h) = 1 / (h^2 - d^2) looks as if it converged to zero.
+/// So what has settled is held against D at steps that are smaller by powers of 64:
+///
+/// - where they agree within what rounding leaves, the bound stands;
+/// - where finer steps settle on something else, that is the derivative;
+/// - where they settle on nothing, the bound grows by the disagreement.
+///
+/// A kink at the point itself leaves D(h) smooth. It shows in the half difference of the slopes on
+/// both sides, s(h) = |f(h) - 2 f(0) + f(-h)| / 2h, which falls with h for a smooth f and is
+/// constant at a kink. There any number within s of D is a slope of f, and the bound is at least s.
 
 #include <functional>
 

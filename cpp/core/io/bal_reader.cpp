@@ -64,6 +64,7 @@ class BalReader {
 
   void ReadCameras() {
     Reserve(&problem_.cam_from_world, num_cameras_, 7);
+    Reserve(&problem_.rotations, num_cameras_, 3);
     Reserve(&problem_.camera_params, num_cameras_, 5);
     for (int32_t i = 0; i < num_cameras_; ++i) {
       double pose[6];
@@ -71,6 +72,7 @@ class BalReader {
       for (int k = 3; k < 6; ++k) pose[k] = ReadDouble(IsFinite, "the translation", "camera", i);
       double cam_from_world[7];
       CamFromWorldFromBal(pose, cam_from_world);
+      problem_.rotations.insert(problem_.rotations.end(), pose, pose + 3);
       problem_.cam_from_world.insert(problem_.cam_from_world.end(), cam_from_world,
                                      cam_from_world + 7);
 

@@ -11,6 +11,7 @@ namespace bundle {
 /// reconstruction's length unit. Image i has camera i, whose model is RADIAL.
 struct BalProblem {
   std::vector<double> cam_from_world;  ///< num_images x 7: qx qy qz qw tx ty tz
+  std::vector<double> rotations;       ///< num_images x 3: the file's own angle-axis, radians
   std::vector<double> camera_params;   ///< num_images x 5: f cx cy k1 k2 with cx = cy = 0
   std::vector<double> points;          ///< num_points x 3
   std::vector<int32_t> observation_image;

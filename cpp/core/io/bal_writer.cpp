@@ -1,5 +1,6 @@
 #include "core/io/bal_writer.h"
 
+#include <algorithm>
 #include <charconv>
 #include <string>
 
@@ -56,6 +57,9 @@ void WriteCameras(const BalView& problem, NumberWriter* writer) {
   for (int64_t i = 0; i < problem.num_images; ++i) {
     double pose[6];
     BalFromCamFromWorld(problem.cam_from_world + 7 * i, pose);
+    if (problem.rotations != nullptr && problem.keeps_rotation[i] != 0) {
+      std::copy_n(problem.rotations + 3 * i, 3, pose);
+    }
     for (const double value : pose) writer->Write(value, '\n');
     const double* params = problem.camera_params + 5 * i;
     for (const int k : {0, 3, 4}) writer->Write(params[k], '\n');

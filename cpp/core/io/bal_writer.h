@@ -20,6 +20,10 @@ struct BalView {
   const int32_t* observation_image = nullptr;  ///< num_observations
   const int32_t* observation_point = nullptr;  ///< num_observations
   const double* observation_xy = nullptr;      ///< num_observations x 2
+  /// num_images x 3, may be null: angle-axis to write in place of the one that cam_from_world
+  /// gives, where keeps_rotation is set. The way over a quaternion costs the last bits.
+  const double* rotations = nullptr;
+  const uint8_t* keeps_rotation = nullptr;  ///< num_images; null only where rotations is
 };
 
 /// Writes a BAL file. Numbers are the shortest that read back as the same double. A principal point

@@ -88,6 +88,7 @@ struct SolveSummary {
   int64_t num_information_nonzeros = -1;  ///< of J^T J, all that is free
   FactorSummary factor;
   bool interrupted = false;
+  std::vector<double> origin;  ///< the centre that the scene was solved about; empty: as given
   std::vector<std::string> warnings;  ///< sentences
 };
 

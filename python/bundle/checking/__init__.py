@@ -4,7 +4,13 @@ from bundle.checking.classify import KINDS
 from bundle.checking.evidence import Finding
 from bundle.checking.gradients import check_gradients
 from bundle.checking.jacobians import check_jacobians
-from bundle.checking.report import GradientCheckerSummary, GradientReport, Offender, Verdict
+from bundle.checking.report import (
+    GradientCheckerSummary,
+    GradientReport,
+    Offender,
+    Undecided,
+    Verdict,
+)
 
 __all__ = [
     "KINDS",
@@ -12,6 +18,7 @@ __all__ = [
     "GradientCheckerSummary",
     "GradientReport",
     "Offender",
+    "Undecided",
     "Verdict",
     "check_gradients",
     "check_jacobians",

@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from bundle.checking.evidence import Finding
-from bundle.checking.report import GradientCheckerSummary, GradientReport, Offender, Verdict
+from bundle.checking.report import (
+    GradientCheckerSummary,
+    GradientReport,
+    Offender,
+    Undecided,
+    Verdict,
+)
 from bundle.checking.tally import EDGES, MOST_WORST, Tally, verdicts
+from bundle.tables import plural
 
-__all__ = ["CHECKER_PRECISION", "TOLERANCE", "make_report"]
+__all__ = ["CHECKER_PRECISION", "TOLERANCE", "make_report", "undecided_points"]
 
 TOLERANCE = 1e-7
 """Relative error from which on an entry is wrong."""
+
+REASONS = {
+    "camera_center": "too close to the camera's center: "
+    "the last digits of point and pose change the derivatives",
+    "rough": "a kink, a jump or noise there leaves no difference to compare with",
+    "no_value": "the residual has no finite value on both sides",
+}
+
+NAMED = 3
+"""Places that a sentence names."""
 
 CHECKER_PRECISION = 1e-6
 """What ceres::GradientChecker is asked for: its own differences are not better everywhere."""
@@ -30,10 +47,17 @@ def make_report(
     num_skipped: int,
     gradient_checker: GradientCheckerSummary,
     tolerance: float = TOLERANCE,
+    undecided: Sequence[Undecided] = (),
 ) -> GradientReport:
-    """Return the report; groups that the reference cannot decide become findings of their own."""
+    """Return the report.
+
+    Groups of parameters that the reference cannot decide become findings of their own, as does a
+    check in which no point could be decided.
+    """
     groups, parameters = verdicts(tallies)
     found = [*findings, *_undecided(groups)]
+    if not found and num_checked and sum(entry.count for entry in undecided) >= num_checked:
+        found.append(Finding("undecided", (), f"no {noun} could be decided"))
     histogram = sum((tally.histogram for tally in tallies), np.zeros(len(EDGES) - 1, np.int64))
     return GradientReport(
         ok=not found,
@@ -51,7 +75,29 @@ def make_report(
             for low, high, count in zip(EDGES[:-1], EDGES[1:], histogram, strict=True)
         ),
         gradient_checker=gradient_checker,
+        undecided=tuple(undecided),
     )
+
+
+def undecided_points(
+    noun: str, points: Mapping[str, Sequence[int]], place: Callable[[int], str]
+) -> list[Undecided]:
+    """Return an entry for each reason, the most frequent first.
+
+    Args:
+        noun: what a point is.
+        points: the numbers of the points, by reason.
+        place: names a point.
+    """
+    entries = []
+    for reason, found in sorted(points.items(), key=lambda item: -len(item[1])):
+        if not found:
+            continue
+        places = tuple(place(point) for point in found[:NAMED])
+        named = "; ".join(places) + ("; ..." if len(found) > NAMED else "")
+        sentence = f"{plural(len(found), noun)} undecided: {REASONS[reason]} ({named})"
+        entries.append(Undecided(reason, len(found), places, sentence))
+    return entries
 
 
 def _undecided(groups: Sequence[Verdict]) -> list[Finding]:

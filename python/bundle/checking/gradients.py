@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle import _core
 from bundle.arguments import as_array
-from bundle.checking.assemble import CHECKER_PRECISION, TOLERANCE, make_report
+from bundle.checking.assemble import (
+    CHECKER_PRECISION,
+    TOLERANCE,
+    make_report,
+    undecided_points,
+)
 from bundle.checking.classify import classify, float_precision, stale
 from bundle.checking.columns import Block, Column
 from bundle.checking.comparison import Array, Comparison
@@ -24,6 +30,9 @@ from bundle.errors import InputError, brief
 from bundle.option_fields import number
 
 __all__ = ["check_gradients"]
+
+SAME_RESIDUAL = 1e-9
+"""By how much of its largest entry a residual may differ between two calls at the same point."""
 
 _Probe = tuple[bool, Array | None, Array | None, str]
 
@@ -117,13 +126,18 @@ class _Check:
         finite = [bool(np.isfinite(residual).all()) for residual, _ in first]
         self.num_skipped = finite.count(False)
         self.samples = [blocks for blocks, valid in zip(samples, finite, strict=True) if valid]
+        self.residuals = [r for (r, _), valid in zip(first, finite, strict=True) if valid]
         self.jacobians = [j for (_, j), valid in zip(first, finite, strict=True) if valid]
 
     def run(self) -> GradientReport:
         """Compare with both references and report."""
         if not self.samples:
             return self._report([], [], [_no_value()], GradientCheckerSummary())
-        again = [self.user.evaluate(blocks)[1] for blocks in self.samples]
+        repeated_calls = [self.user.evaluate(blocks) for blocks in self.samples]
+        unstable = _unstable(self.residuals, [residual for residual, _ in repeated_calls])
+        if unstable is not None:
+            return self._report([], [], [unstable], GradientCheckerSummary())
+        again = [jacobian for _, jacobian in repeated_calls]
         references = [
             _core.richardson_jacobian(self.user.core, self.user.num_residuals, x, self.layout.core)
             for x in self.samples
@@ -148,7 +162,22 @@ class _Check:
                 tangent_doubts[projected],
             )
         tallies, findings = self._findings(space, repeated, tangent)
-        return self._report(tallies, projected, findings, self._summary(space, checker))
+        watched = space if self.ambient else tangent
+        numbers = range(len(space)) if self.ambient else projected
+        undecided = self._undecided(watched, numbers)
+        return self._report(tallies, projected, findings, self._summary(space, checker), undecided)
+
+    def _undecided(self, comparison: Comparison, samples: Sequence[int]) -> dict[str, list[int]]:
+        """Return the samples at which most entries have no good reference and none is wrong."""
+        found: dict[str, list[int]] = {"no_value": [], "rough": []}
+        for k, index in enumerate(samples):
+            doubt = comparison.doubt[k]
+            if (comparison.error[k] > self.tolerance).any() or (
+                (doubt <= self.tolerance).mean() >= 0.5
+            ):
+                continue
+            found["no_value" if np.isinf(doubt).any() else "rough"].append(index)
+        return found
 
     def _findings(
         self, space: Comparison, repeated: Comparison, tangent: Comparison
@@ -243,6 +272,7 @@ class _Check:
         projected: Sequence[int],
         findings: Sequence[Finding],
         summary: GradientCheckerSummary,
+        undecided: Mapping[str, Sequence[int]] = MappingProxyType({}),
     ) -> GradientReport:
         worst = [
             Offender(
@@ -268,11 +298,28 @@ class _Check:
             num_skipped=self.num_skipped,
             gradient_checker=summary,
             tolerance=self.tolerance,
+            undecided=undecided_points("sample", undecided, lambda k: f"sample {k}"),
         )
 
 
 def _no_value() -> Finding:
     return Finding("not_finite", (), "the residual is not a finite number at any sample")
+
+
+def _unstable(first: Sequence[Array], again: Sequence[Array]) -> Finding | None:
+    """Return a finding if two calls at one point differ by more than a sum's order explains."""
+    for k, (one, other) in enumerate(zip(first, again, strict=True)):
+        with np.errstate(invalid="ignore"):
+            same = np.abs(one - other) <= SAME_RESIDUAL * np.abs(one).max()
+        if not same.all():
+            row = int(np.flatnonzero(~same)[0])
+            return Finding(
+                "unstable",
+                (),
+                f"the function is not deterministic: two calls at sample {k} give residual {row} "
+                f"as {one[row]:.9g} and {other[row]:.9g}; nothing can be said of its Jacobians",
+            )
+    return None
 
 
 def _vagueness(findings: Sequence[Finding]) -> int:

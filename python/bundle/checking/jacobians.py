@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from bundle import _core
 from bundle.arguments import check_function
 from bundle.cameras import camera_models, param_kinds
-from bundle.checking.assemble import CHECKER_PRECISION, TOLERANCE, make_report
+from bundle.checking.assemble import (
+    CHECKER_PRECISION,
+    TOLERANCE,
+    make_report,
+    undecided_points,
+)
 from bundle.checking.classify import classify, float_precision
 from bundle.checking.columns import Block, Column
 from bundle.checking.comparison import Array, Comparison
@@ -29,6 +34,12 @@ __all__ = ["SAMPLES_PER_IMAGE", "check_jacobians"]
 
 SAMPLES_PER_IMAGE = 100
 CHUNK = 16384
+CENTER = 1e-3
+"""Relative rounding of the derivatives from which on they are not looked at."""
+ROUNDING_UNITS = 16
+"""Rounding errors that add up in a residual and its Jacobian."""
+CLOSE_UNITS = 1024
+"""Rounding errors that differences of a residual over a fraction of the depth multiply."""
 TURN = 0.3
 """Radians by which every other observation is checked away from the start of its chart."""
 
@@ -89,7 +100,9 @@ def check_jacobians(
     return check.report()
 
 
-_Answer = tuple[Array, Array, Array, Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]
+_Answer = tuple[
+    Array, Array, Array, Array, Array, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]
+]
 
 
 @dataclass(frozen=True)
@@ -142,11 +155,13 @@ class _Check:
         self.num_checked = self.num_skipped = 0
         self.probes = np.zeros(5, np.int64)
         self.unstable: list[int] = []
+        self.undecided: dict[str, list[int]] = {"camera_center": [], "rough": []}
 
     def add(self, observations: NDArray[np.int64], offsets: Array) -> None:
         """Check some observations."""
         answer = self._ask(self.problem, observations, offsets)
-        ceres, counts, agrees, stable = answer[3:]
+        ceres, rounding, counts, agrees, stable = answer[3:]
+        close = CLOSE_UNITS * rounding > self.settings.tolerance
         self.num_checked += int(counts.sum())
         self.num_skipped += int((~counts).sum())
         self.unstable += observations[~stable].tolist()
@@ -155,10 +170,25 @@ class _Check:
         for name in sorted({self.problem.camera_models[c] for c in np.unique(cameras)}):
             same = np.array([other == name for other in self.problem.camera_models])
             rows = np.flatnonzero(same[cameras] & counts)
+            hopeless = rows[rounding[rows] > CENTER]
+            rows = rows[rounding[rows] <= CENTER]
             if name not in self.models:
                 self.models[name] = _Model.make(name, self.settings.tolerance)
             model = self.models[name]
-            comparison = Comparison(*(matrix[rows][..., model.source] for matrix in answer[:3]))
+            analytic, reference, uncertainty = (
+                matrix[rows][..., model.source] for matrix in answer[:3]
+            )
+            uncertainty = uncertainty + _rounding_errors(reference, rounding[rows])
+            comparison = Comparison(analytic, reference, uncertainty)
+            decided = self._decide(comparison)
+            for reason, group in (
+                ("camera_center", np.append(hopeless, rows[~decided & close[rows]])),
+                ("rough", rows[~decided & ~close[rows]]),
+            ):
+                self.undecided[reason] += np.sort(observations[group]).tolist()
+            # Of a rough residual the entries are counted as undecided; a close point has no say.
+            kept = np.flatnonzero(decided | ~close[rows])
+            rows, comparison = rows[kept], comparison.take(kept)
             found = model.tally.add(comparison, observations[rows].astype(np.intp))
             for row in rows[found]:
                 model.offsets[int(observations[row])] = offsets[row]
@@ -201,7 +231,16 @@ class _Check:
             num_checked=self.num_checked,
             num_skipped=self.num_skipped,
             gradient_checker=GradientCheckerSummary(*map(int, self.probes)),
+            undecided=undecided_points("observation", self.undecided, self._place),
         )
+
+    def _decide(self, comparison: Comparison) -> NDArray[np.bool_]:
+        """Return at which points something is wrong or most entries are known to be correct."""
+        tolerance = self.settings.tolerance
+        wrong = (comparison.error > tolerance).any(axis=(1, 2))
+        known = (comparison.doubt <= tolerance).mean(axis=(1, 2)) > 0.5
+        decided: NDArray[np.bool_] = wrong | known
+        return decided
 
     def _ask(self, problem: Problem, observations: NDArray[np.int64], offsets: Array) -> _Answer:
         return _core.check_reprojections(
@@ -307,6 +346,23 @@ class _Check:
 
     def _image(self, image: int) -> str:
         return f"image {self.problem.image_names[image] or self.problem.image_ids[image]}"
+
+
+def _rounding_errors(jacobians: Array, rounding: Array) -> Array:
+    """Return what rounding may do to the entries (K, 2, N) of Jacobians.
+
+    Entries by rotation, translation and point are sums that may cancel: they are measured by the
+    largest column of their kind.
+
+    Args:
+        jacobians: (K, 2, N).
+        rounding: (K,) relative, of the derivatives by the point in its camera.
+    """
+    size = np.linalg.norm(jacobians, axis=1, keepdims=True)
+    for kind in (slice(0, 3), slice(3, 6), slice(-3, None)):
+        size[..., kind] = size[..., kind].max(axis=-1, keepdims=True)
+    errors: Array = ROUNDING_UNITS * rounding[:, None, None] * size
+    return errors
 
 
 def _choose(problem: Problem, samples_per_image: int | None, seed: int) -> NDArray[np.int64]:

@@ -18,6 +18,7 @@ __all__ = [
     "GradientCheckerSummary",
     "GradientReport",
     "Offender",
+    "Undecided",
     "Verdict",
     "explanation",
     "outcome",
@@ -76,6 +77,25 @@ class Offender:
 
 
 @dataclass(frozen=True)
+class Undecided:
+    """Points at which no reference is good enough to say anything.
+
+    Attributes:
+        reason: "camera_center" (the point is so close to the camera's centre that the rounding of
+            point and pose changes the derivatives), "rough" (a kink, a jump or noise), or
+            "no_value" (the residual has no value on both sides of the point).
+        count: how many.
+        places: the first few of them: "image IMG_17.jpg, point 12", "sample 3".
+        sentence: the same in words.
+    """
+
+    reason: str
+    count: int
+    places: tuple[str, ...]
+    sentence: str
+
+
+@dataclass(frozen=True)
 class GradientCheckerSummary:
     """How ceres::GradientChecker fared at the same points.
 
@@ -99,12 +119,13 @@ class GradientReport:
     """What a check found. True if nothing is wrong; printing it explains.
 
     Attributes:
-        ok: nothing is wrong, and something was checked.
+        ok: nothing is wrong, and not everything is undecided.
         subject: what was checked, in words.
         noun: what a point is: "sample", "observation".
         tolerance: relative error from which on an entry is wrong.
         num_checked: points (observations) checked.
         num_skipped: points left out: no finite residual there, or one that does not count.
+        undecided: points, out of those checked, of which nothing can be said, by reason.
         findings: what is wrong, worst first.
         groups: a verdict on each group of parameters.
         parameters: a verdict on each parameter.
@@ -125,6 +146,12 @@ class GradientReport:
     worst: tuple[Offender, ...]
     histogram: tuple[tuple[float, float, int], ...]
     gradient_checker: GradientCheckerSummary
+    undecided: tuple[Undecided, ...] = ()
+
+    @property
+    def num_undecided(self) -> int:
+        """Points checked of which nothing can be said."""
+        return sum(entry.count for entry in self.undecided)
 
     @property
     def kinds(self) -> frozenset[str]:
@@ -160,9 +187,10 @@ class GradientReport:
 def outcome(report: GradientReport) -> str:
     """Return the verdict in one sentence."""
     if report.ok and report.num_checked:
+        undecided = f"; {report.num_undecided} undecided" if report.num_undecided else ""
         return (
             f"Correct: all Jacobians agree with the reference to {report.tolerance:g} "
-            f"at {plural(report.num_checked, report.noun)}."
+            f"at {plural(report.num_checked - report.num_undecided, report.noun)}{undecided}."
         )
     if report.ok:
         return "Nothing to check."
@@ -177,6 +205,7 @@ def explanation(report: GradientReport) -> list[RenderableType]:
         facts([("checked", f"{report.subject}, {count}{skipped}")]),
         facts([("verdict", outcome(report))]),
         *notes((finding.sentence for finding in report.findings), style="red"),
+        *notes((entry.sentence for entry in report.undecided), style="yellow"),
     ]
     if not report.num_checked:
         return parts

@@ -8,10 +8,11 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from bundle.arrays import freeze
 from bundle.problem import Problem
 
 __all__ = ["restore", "store"]
@@ -35,8 +36,10 @@ def store(problem: Problem, folder: Path) -> None:
 
 def restore(folder: Path, mmap_mode: Literal["r"] | None = None) -> Problem:
     """Read it back; with mmap_mode "r" only what is touched takes memory."""
-    arrays = {
-        path.stem: np.load(path, mmap_mode=mmap_mode) for path in sorted(folder.glob("*.npy"))
+    # Nobody else writes to these files, so what is mapped need not be copied.
+    arrays: dict[str, Any] = {
+        path.stem: freeze(np.load(path, mmap_mode=mmap_mode))
+        for path in sorted(folder.glob("*.npy"))
     }
     return Problem(**arrays, **json.loads((folder / _REST).read_text()))
 

@@ -21,6 +21,7 @@ from bundle.io.model_files import (
     missing_model_files,
     models_below,
 )
+from bundle.io.problem_source import is_reconstruction
 from bundle.io.source import Source, as_path, as_problem, is_path
 from bundle.option_fields import choice
 from bundle.problem import Problem
@@ -160,11 +161,14 @@ def check_target(
         bal.check_refined(problem, refined, fixed_camera_ids)
         atomic.check_file(Path(path))
         return
-    if chosen == "colmap-text" and problem.source is not None:
-        with interrupts_deferred():
-            from bundle.io import colmap
-        colmap.check_text(problem)
     atomic.check_folder(Path(path))
+    with interrupts_deferred():
+        from bundle.io import write_back
+    write_back.check(problem)
+    if chosen == "colmap-text" and is_reconstruction(problem.source):
+        from bundle.io import colmap
+
+        colmap.check_text(problem)
 
 
 def _recover(path: str | os.PathLike[str]) -> None:

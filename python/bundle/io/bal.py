@@ -2,9 +2,9 @@
 
 A BAL camera is COLMAP's RADIAL model with principal point (0, 0), its frame turned by
 diag(1, -1, -1) and the image's y negated; ``cpp/core/io/bal_convention.h`` derives it. Reading and
-writing again gives every number back: focal lengths, distortion, points and observations bit by
-bit, rotations and translations to within 1e-12 relative. The one exception is a rotation by 2 pi or
-more, which comes back as the same rotation by an angle in [0, 2 pi).
+writing again gives every number back, bit by bit. The way from a rotation vector over the
+quaternion and back would cost its last bits, and whole turns: so a problem keeps the vectors of its
+file, and those whose quaternion did not change are written as they were.
 
 Format: https://grail.cs.washington.edu/projects/bal/
 """
@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from bundle import _core
 from bundle.cameras import param_kinds
 from bundle.errors import InputError, shown
+from bundle.io import problem_source
+from bundle.io.problem_source import BalSource
 from bundle.problem import Problem
 
 __all__ = ["check_refined", "load", "losses", "radial_params", "save"]
@@ -54,24 +56,17 @@ def load(path: Path) -> Problem:
             damaged compression path and byte.
         OSError: the file cannot be read.
     """
-    poses, params, points, observation_image, observation_point, xy = _core.read_bal(path)
-    cameras = np.arange(len(poses))
+    poses, rotations, params, points, image, point, xy = _core.read_bal(path)
     return Problem(
         cam_from_world=poses,
-        image_ids=cameras,
-        image_names=("",) * len(poses),
-        image_camera=cameras.astype(np.int32),
-        camera_ids=cameras,
         camera_models=("RADIAL",) * len(poses),
         camera_params=params,
-        camera_sizes=np.zeros((len(poses), 2), np.int64),
         points=points,
-        point_ids=np.arange(len(points)),
-        observation_image=observation_image,
-        observation_point=observation_point,
+        observation_image=image,
+        observation_point=point,
         observation_xy=xy,
-        observation_keypoint=np.full(len(xy), -1, np.int32),
         format="bal",
+        source=BalSource(rotations, poses),
     )
 
 
@@ -84,6 +79,7 @@ def save(problem: Problem, path: Path, compression: str = "") -> None:
         InputError: see ``radial_params``.
         OSError: the file cannot be written.
     """
+    rotations, keeps_rotation = _source_rotations(problem)
     _core.write_bal(
         path,
         problem.cam_from_world,
@@ -92,8 +88,23 @@ def save(problem: Problem, path: Path, compression: str = "") -> None:
         problem.observation_image,
         problem.observation_point,
         problem.observation_xy,
+        rotations,
+        keeps_rotation,
         compression,
     )
+
+
+def _source_rotations(problem: Problem) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the rotation of each image in the source, and whether the problem still has it."""
+    rotations = np.zeros((problem.num_images, 3))
+    keeps = np.zeros(problem.num_images, bool)
+    if isinstance(problem.source, BalSource):
+        ids = problem.image_ids  # of a BAL file they are positions
+        known = np.flatnonzero((ids >= 0) & (ids < len(problem.source.rotations)))
+        rotations[known] = problem.source.rotations[ids[known]]
+        before = problem.source.cam_from_world[ids[known], :4]
+        keeps[known] = (problem.cam_from_world[known, :4] == before).all(axis=1)
+    return rotations, keeps
 
 
 def radial_params(problem: Problem) -> NDArray[np.float64]:
@@ -119,6 +130,7 @@ def radial_params(problem: Problem) -> NDArray[np.float64]:
         params[images, 0] = focal[:, 0]
         for column, parameter in enumerate(layout.principal_point + layout.distortion, start=1):
             params[images, column] = source[:, parameter]
+    problem.check_padding()
     return params
 
 
@@ -175,6 +187,7 @@ def losses(problem: Problem) -> tuple[str, ...]:
         )
         if not np.array_equal(ids, np.arange(len(ids)))
     ]
+    beside = problem_source.beside_the_problem(problem.source)
     found = (
         (models, f"Cameras of model {', '.join(models)} come back as RADIAL."),
         (
@@ -193,9 +206,10 @@ def losses(problem: Problem) -> tuple[str, ...]:
             (problem.observation_keypoint >= 0).any(),
             "Keypoint indices, and keypoints without a point, are left out.",
         ),
-        (
-            problem.source is not None,
-            "Point colours, rigs, frames and images without a pose are left out.",
-        ),
+        (beside, f"{_listed(beside)} are left out.".capitalize()),
     )
     return tuple(sentence for applies, sentence in found if applies)
+
+
+def _listed(names: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))

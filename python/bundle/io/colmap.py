@@ -7,17 +7,20 @@ says where an error is.
 
 from __future__ import annotations
 
-import errno
 import math
 import os
 from pathlib import Path
 
+import numpy as np
 import pycolmap
 
 from bundle import _core
 from bundle.errors import InputError
+from bundle.io import written
 from bundle.io.model_files import missing_model_files
-from bundle.io.reconstruction import Observations, from_pycolmap, problem_of, to_pycolmap
+from bundle.io.observation_edits import ObservationEdits
+from bundle.io.reconstruction import Observations, baseline_of, from_pycolmap, problem_of
+from bundle.io.write_back import to_pycolmap, write_back
 from bundle.problem import Problem
 
 __all__ = ["check_text", "from_pycolmap", "is_model", "load", "save", "to_pycolmap"]
@@ -79,7 +82,7 @@ def save(problem: Problem, folder: Path, binary: bool = True) -> tuple[str, ...]
         OSError: the files could not be written, or not whole.
         InputError: COLMAP cannot represent the problem.
     """
-    reconstruction = to_pycolmap(problem)
+    reconstruction, edits = write_back(problem)
     if not binary:
         _make_fit_for_text(reconstruction)
     try:
@@ -88,9 +91,9 @@ def save(problem: Problem, folder: Path, binary: bool = True) -> tuple[str, ...]
         else:
             reconstruction.write_text(folder)
     except (ValueError, RuntimeError) as error:
-        raise OSError(errno.EIO, f"cannot be written: {_first_line(error)}", str(folder)) from None
+        raise written.failure(folder, f"cannot be written: {_first_line(error)}") from None
     _check_written(folder, problem)
-    return _losses(reconstruction, binary)
+    return _losses(problem, edits, binary)
 
 
 def _first_line(error: Exception) -> str:
@@ -107,7 +110,7 @@ def check_text(problem: Problem) -> None:
     Raises:
         InputError: an image of a COLMAP model has no name. Others get one when they are written.
     """
-    if problem.source is not None and not all(problem.image_names):
+    if isinstance(problem.source, pycolmap.Reconstruction) and not all(problem.image_names):
         raise InputError(_nameless(int(problem.image_ids[problem.image_names.index("")])))
 
 
@@ -128,21 +131,34 @@ def _check_written(folder: Path, problem: Problem) -> None:
     try:
         _core.check_colmap_model(os.fsencode(folder))
     except InputError as error:
-        raise OSError(errno.EIO, f"not written whole: {error}", str(folder)) from None
+        raise written.failure(folder, f"not written whole: {error}") from None
+    cut = written.check_text_files(folder)
+    if cut is not None:
+        raise written.failure(folder, f"not written whole: {cut}")
 
 
-def _losses(reconstruction: pycolmap.Reconstruction, binary: bool) -> tuple[str, ...]:
+def _losses(problem: Problem, edits: ObservationEdits, binary: bool) -> tuple[str, ...]:
     losses = []
-    unregistered = reconstruction.num_images() - reconstruction.num_reg_images()
-    if unregistered:
+    if isinstance(problem.source, pycolmap.Reconstruction):
+        registered = set(problem.source.reg_image_ids()) | set(problem.image_ids.tolist())
+        unregistered = len(set(problem.source.images) - registered)
+        if unregistered:
+            losses.append(
+                f"Images without a pose are not written ({unregistered} of "
+                f"{problem.num_images + unregistered}): COLMAP's files hold registered images only."
+            )
+        new_points = len(np.setdiff1d(problem.point_ids, baseline_of(problem.source).point_ids))
+        if new_points:
+            losses.append(f"{new_points} points are not in the source and get no colour.")
+    if edits.num_renumbered:
         losses.append(
-            f"Images without a pose are not written ({unregistered} of "
-            f"{reconstruction.num_images()}): COLMAP's files hold registered images only."
+            f"{edits.num_renumbered} keypoints get another index: of images that are not in a "
+            "source, only the observed keypoints are known."
         )
-    spaces = [i for i in reconstruction.reg_image_ids() if " " in reconstruction.image(i).name]
+    spaces = sum(" " in name for name in problem.image_names)
     if spaces and not binary:
         losses.append(
-            f"{len(spaces)} image names have spaces: they are in the text files, but COLMAP reads "
+            f"{spaces} image names have spaces: they are in the text files, but COLMAP reads "
             "only their first word back."
         )
     return tuple(losses)

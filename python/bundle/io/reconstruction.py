@@ -1,4 +1,4 @@
-"""Between :class:`bundle.Problem` and ``pycolmap.Reconstruction``, in memory.
+"""From ``pycolmap.Reconstruction`` to :class:`bundle.Problem`; ``write_back`` goes the other way.
 
 A rig of one camera has ``rig_from_world = cam_from_world``, so a pose is read from the image and
 written to its frame. Setting a pose, parameters or a point in pycolmap keeps every bit; what a
@@ -9,19 +9,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from operator import attrgetter
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from bundle.cameras import camera_models
 from bundle.errors import InputError
+from bundle.io.observation_edits import Baseline
 from bundle.problem import Problem
 
-__all__ = ["Observations", "from_pycolmap", "problem_of", "to_pycolmap"]
+__all__ = ["Observations", "baseline_of", "from_pycolmap", "problem_of"]
 
-# COLMAP keeps the largest 32-bit number for "no image", and we hold point ids as signed numbers.
-MAX_ID = 2**32 - 2
-MAX_POINT_ID = 2**63 - 1
+MAX_POINT_ID = 2**63 - 1  # we hold them as signed numbers
 
 
 def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
@@ -47,17 +48,18 @@ def problem_of(
     points = sorted(reconstruction.points3D.items())
     camera_index = {camera.camera_id: index for index, camera in enumerate(cameras)}
     point_ids = _ids_of_points([point_id for point_id, _ in points])
+    image_ids = np.array([image.image_id for image in images], np.int64)
     if observations is None:
         observations = _observations(images, point_ids)
-        _check_tracks(points, observations)
-    return Problem(
+        _check_tracks(reconstruction, points, image_ids, observations)
+    problem = Problem(
         cam_from_world=np.array([_pose(image) for image in images]).reshape(-1, 7),
-        image_ids=np.array([image.image_id for image in images], np.int64),
+        image_ids=image_ids,
         image_names=tuple(_name(image) for image in images),
         image_camera=np.array([camera_index[image.camera_id] for image in images], np.int32),
         camera_ids=np.array([camera.camera_id for camera in cameras], np.int64),
         camera_models=tuple(camera.model.name for camera in cameras),
-        camera_params=_padded([camera.params for camera in cameras]),
+        camera_params=_padded([_params(camera) for camera in cameras]),
         camera_sizes=np.array([_size(camera) for camera in cameras], np.int64).reshape(-1, 2),
         points=np.array([point.xyz for _, point in points]).reshape(-1, 3),
         point_ids=point_ids,
@@ -68,6 +70,44 @@ def problem_of(
         format="colmap",
         source=reconstruction,
     )
+    _baselines[reconstruction] = Baseline(
+        problem.image_ids,
+        problem.point_ids,
+        problem.observation_image,
+        problem.observation_point,
+        problem.observation_keypoint,
+        problem.observation_xy,
+    )
+    return problem
+
+
+# What finding the observations again would take seconds for, while the reconstruction is in use.
+_baselines: WeakKeyDictionary[pycolmap.Reconstruction, Baseline] = WeakKeyDictionary()
+
+
+def baseline_of(reconstruction: pycolmap.Reconstruction) -> Baseline:
+    """Return what a problem made of this reconstruction has, found again only if it is not known.
+
+    Raises:
+        InputError: see :func:`from_pycolmap`.
+    """
+    known = _baselines.get(reconstruction)
+    counts = (
+        reconstruction.num_reg_images(),
+        reconstruction.num_points3D(),
+        reconstruction.compute_num_observations(),
+    )
+    # A source never changes, but nobody is kept from changing it.
+    if known and counts == (len(known.image_ids), len(known.point_ids), len(known.image)):
+        return known
+    _check_rigs(reconstruction)
+    images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
+    points = sorted(reconstruction.points3D.items())
+    point_ids = _ids_of_points([point_id for point_id, _ in points])
+    found = _observations(images, point_ids)
+    image_ids = np.array([image.image_id for image in images], np.int64)
+    _check_tracks(reconstruction, points, image_ids, found)
+    return Baseline(image_ids, point_ids, found.image, found.point, found.keypoint, found.xy)
 
 
 def _check_rigs(reconstruction: pycolmap.Reconstruction) -> None:
@@ -113,6 +153,17 @@ def _size(camera: pycolmap.Camera) -> tuple[int, int]:
             f"found {camera.width} x {camera.height}"
         )
     return camera.width, camera.height
+
+
+def _params(camera: pycolmap.Camera) -> NDArray[np.float64]:
+    # A model that does not exist is for Problem to refuse.
+    expected = len(camera_models().get(camera.model.name, camera.params))
+    if len(camera.params) != expected:
+        raise InputError(
+            f"camera {camera.camera_id}: expected {expected} parameters of {camera.model.name}, "
+            f"found {len(camera.params)}"
+        )
+    return camera.params
 
 
 def _padded(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -162,10 +213,15 @@ def _observations(images: list[pycolmap.Image], point_ids: NDArray[np.int64]) ->
     return Observations(image_index[order], point[order], keypoint[order], xy[order])
 
 
-def _check_tracks(points: list[tuple[int, pycolmap.Point3D]], observations: Observations) -> None:
-    """Check that each point has as many track elements as registered images observe it.
+def _check_tracks(
+    reconstruction: pycolmap.Reconstruction,
+    points: list[tuple[int, pycolmap.Point3D]],
+    image_ids: NDArray[np.int64],
+    observations: Observations,
+) -> None:
+    """Check that tracks and the keypoints of registered images refer to each other.
 
-    Otherwise pycolmap could not compute its error: an element without a posed image.
+    Otherwise pycolmap could not compute the errors of points, and what it writes would not load.
     """
     length = np.fromiter((point.track.length() for _, point in points), np.int64, len(points))
     observed = np.bincount(observations.point, minlength=len(points))
@@ -175,122 +231,30 @@ def _check_tracks(points: list[tuple[int, pycolmap.Point3D]], observations: Obse
             f"point {points[bad][0]}: expected as many track elements as keypoints of registered "
             f"images that refer to it, found {length[bad]} and {observed[bad]}"
         )
-
-
-def to_pycolmap(problem: Problem) -> pycolmap.Reconstruction:
-    """Return a reconstruction: a copy of the source with the numbers of this problem in it.
-
-    Poses, camera parameters and points are those of the problem, the errors of the points are
-    computed anew, all else (names, colours, tracks, rigs, keypoints without a point, images without
-    a pose) is the source's. A problem that did not come from COLMAP gives a new reconstruction:
-    the same ids, a trivial rig a camera and a trivial frame an image, and as keypoints of an image
-    its observations in the order of the problem.
-
-    Raises:
-        InputError: the problem has a camera, image or point that its source has not, or an id that
-            COLMAP cannot hold.
-    """
-    if isinstance(problem.source, pycolmap.Reconstruction):
-        reconstruction = pycolmap.Reconstruction(problem.source)
-        _replace_numbers(reconstruction, problem)
-    else:
-        reconstruction = _new_reconstruction(problem)
-    reconstruction.update_point_3d_errors()
-    return reconstruction
-
-
-def _replace_numbers(reconstruction: pycolmap.Reconstruction, problem: Problem) -> None:
-    camera_ids = problem.camera_ids.tolist()
-    image_ids = problem.image_ids.tolist()
-    point_ids = problem.point_ids.tolist()
-    _check_known("camera", camera_ids, set(reconstruction.cameras))
-    _check_known("image", image_ids, set(reconstruction.reg_image_ids()))
-    _check_known("point", point_ids, reconstruction.point3D_ids())
-    for camera_id, params in zip(camera_ids, problem.camera_params, strict=True):
-        camera = reconstruction.camera(camera_id)
-        camera.params = params[: len(camera.params)].tolist()
-    for image_id, pose in zip(image_ids, problem.cam_from_world, strict=True):
-        frame = reconstruction.frame(reconstruction.image(image_id).frame_id)
-        frame.rig_from_world = _rigid3d(pose)
-    points = reconstruction.points3D
-    for point_id, xyz in zip(point_ids, problem.points, strict=True):
-        points[point_id].xyz = xyz
-
-
-def _check_known(kind: str, ids: list[int], known: set[int]) -> None:
-    unknown = set(ids) - known
-    if unknown:
-        raise InputError(
-            f"expected {kind}s of the source of the problem, found {kind} {min(unknown)}"
-        )
-
-
-def _rigid3d(pose: NDArray[np.float64]) -> pycolmap.Rigid3d:
-    return pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:4]), pose[4:])
-
-
-def _new_reconstruction(problem: Problem) -> pycolmap.Reconstruction:
-    _check_range("camera", problem.camera_ids, MAX_ID)
-    _check_range("image", problem.image_ids, MAX_ID)
-    _check_range("point", problem.point_ids, MAX_POINT_ID)
-    reconstruction = pycolmap.Reconstruction()
-    _add_cameras(reconstruction, problem)
-    keypoint = _add_images(reconstruction, problem)
-    _add_points(reconstruction, problem, keypoint)
-    return reconstruction
-
-
-def _check_range(kind: str, ids: NDArray[np.int64], largest: int) -> None:
-    outside = (ids < 0) | (ids > largest)
-    if outside.any():
-        raise InputError(f"expected {kind} ids from 0 to {largest}, found {ids[outside][0]}")
-
-
-def _add_cameras(reconstruction: pycolmap.Reconstruction, problem: Problem) -> None:
-    for index, camera_id in enumerate(problem.camera_ids.tolist()):
-        width, height = problem.camera_sizes[index].tolist()
-        model = pycolmap.CameraModelId.__members__.get(problem.camera_models[index])
-        if model is None:
-            raise InputError(
-                f"camera {camera_id}: expected a camera model of COLMAP, "
-                f"found {problem.camera_models[index]!r}"
+    if _is_valid(reconstruction):
+        return
+    ends = np.cumsum(observed)
+    for (point_id, point), start, end in zip(points, ends - observed, ends, strict=True):
+        referring = set(
+            zip(
+                image_ids[observations.image[start:end]].tolist(),
+                observations.keypoint[start:end].tolist(),
+                strict=True,
             )
-        camera = pycolmap.Camera.create_from_model_id(camera_id, model, 1.0, width, height)
-        camera.params = problem.camera_params[index, : len(camera.params)].tolist()
-        reconstruction.add_camera_with_trivial_rig(camera)
-
-
-def _add_images(reconstruction: pycolmap.Reconstruction, problem: Problem) -> NDArray[np.int64]:
-    """Add the images with their observations as keypoints; return each observation's keypoint."""
-    order = np.argsort(problem.observation_image, kind="stable")
-    counts = np.bincount(problem.observation_image, minlength=problem.num_images)
-    starts = np.cumsum(counts) - counts
-    keypoint = np.empty(problem.num_observations, np.int64)
-    keypoint[order] = np.arange(problem.num_observations) - np.repeat(starts, counts)
-    for index, image_id in enumerate(problem.image_ids.tolist()):
-        observations = order[starts[index] : starts[index] + counts[index]]
-        image = pycolmap.Image(
-            name=problem.image_names[index] or f"image_{image_id:06d}",
-            keypoints=problem.observation_xy[observations],
-            camera_id=int(problem.camera_ids[problem.image_camera[index]]),
-            image_id=image_id,
         )
-        pose = _rigid3d(problem.cam_from_world[index])
-        reconstruction.add_image_with_trivial_frame(image, pose)
-    return keypoint
+        for element in point.track.elements:
+            if (element.image_id, element.point2D_idx) not in referring:
+                raise InputError(
+                    f"point {point_id}: expected keypoints that refer to it in its track, found "
+                    f"keypoint {element.point2D_idx} of image {element.image_id}"
+                )
 
 
-def _add_points(
-    reconstruction: pycolmap.Reconstruction, problem: Problem, keypoint: NDArray[np.int64]
-) -> None:
-    order = np.argsort(problem.observation_point, kind="stable")
-    ends = np.cumsum(np.bincount(problem.observation_point, minlength=problem.num_points)).tolist()
-    image_ids = problem.image_ids[problem.observation_image[order]].tolist()
-    keypoints = keypoint[order].tolist()
-    start = 0
-    for point_id, xyz, end in zip(problem.point_ids.tolist(), problem.points, ends, strict=True):
-        track = pycolmap.Track()
-        for image_id, index in zip(image_ids[start:end], keypoints[start:end], strict=True):
-            track.add_element(image_id, index)
-        reconstruction.add_point3D_with_id(point_id, pycolmap.Point3D(xyz=xyz, track=track))
-        start = end
+def _is_valid(reconstruction: pycolmap.Reconstruction) -> bool:
+    """Ask pycolmap, which is fast, without the lines that it logs of what it finds."""
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = 3  # fatal errors only
+    try:
+        return bool(reconstruction.is_valid())
+    finally:
+        pycolmap.logging.minloglevel = level

@@ -128,13 +128,12 @@ def _costs(inspection: Inspection) -> Columns:
         chosen = inspection.recommended >= 0 and name == _best(inspection).name
         rows.append(
             (
-                name,
+                f"{name} <" if chosen else name,
                 *_cost(ours),
                 *_cost(theirs),
-                "<" if chosen else "",
             )
         )
-    head = ("method", "fused: memory", "per step", "Ceres: memory", "per step", "")
+    head = ("method", "fused: memory", "fused: per step", "Ceres: memory", "Ceres: per step")
     return columns(head, rows)
 
 
