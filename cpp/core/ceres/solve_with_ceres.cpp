@@ -4,6 +4,7 @@
 #include <atomic>
 #include <limits>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
 
@@ -50,6 +51,23 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
   std::atomic<bool> abandoned_{false};
 };
 
+/// Remembers in which iterations other observations counted at the candidate than at the state.
+class RecordChanges final : public ceres::IterationCallback {
+ public:
+  explicit RecordChanges(HoldingWatch* watch) : watch_(watch) {}
+
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
+    if (watch_->has_changed.exchange(false)) iterations_.insert(iteration.iteration);
+    return ceres::SOLVER_CONTINUE;
+  }
+
+  const std::set<int>& iterations() const { return iterations_; }
+
+ private:
+  HoldingWatch* watch_;
+  std::set<int> iterations_;
+};
+
 class ReportProgress final : public ceres::IterationCallback {
  public:
   ReportProgress(const ProgressCallback& progress, double fixed_cost,
@@ -86,7 +104,8 @@ class CeresSolve {
         points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
         state_(layout_.InitialState(problem)),
         update_states_(state_.data(), &states_),
-        context_{problem_, layout_, states_, options.cheirality, &update_states_.abandoned()},
+        context_{problem_,           layout_, states_,
+                 options.cheirality, &watch_, &update_states_.abandoned()},
         loss_(MakeLoss(options.loss, options.loss_scale)) {}
 
   SolveOutput Run(const ProgressCallback& progress) {
@@ -99,6 +118,7 @@ class CeresSolve {
     ceres_options.num_threads = CountStartableThreads(ceres_options.num_threads);
     ThrowIfInterrupted();
     ReportProgress report(progress, fixed_cost_, update_states_.abandoned());
+    ceres_options.callbacks.push_back(&record_changes_);
     ceres_options.callbacks.push_back(&report);
 
     const ProcessSettings settings(BlasThreads(ceres_options));
@@ -227,12 +247,15 @@ class CeresSolve {
                                               summary.linear_solver_type_used);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
       output->iterations.push_back(ToRecord(iteration, fixed_cost_));
+      output->iterations.back().changes_what_counts =
+          record_changes_.iterations().count(iteration.iteration) > 0;
     }
     states_.Update(state_.data());
     output->cam_from_world = states_.CamFromWorld();
     output->camera_params = states_.camera_params();
     output->points = std::move(points_);
-    FinishSolve(problem_, layout_, states_, options_, std::move(warnings_), output);
+    FinishSolve(problem_, layout_, states_, options_, std::move(warnings_), watch_.num_held.load(),
+                output);
   }
 
   double* PointData(int point) { return points_.data() + 3 * static_cast<int64_t>(point); }
@@ -243,6 +266,8 @@ class CeresSolve {
   std::string linear_solver_choice_;
   ParameterLayout layout_;
   CameraStates states_;
+  HoldingWatch watch_;
+  RecordChanges record_changes_{&watch_};
   std::vector<double> points_;
   std::vector<double> state_;
   UpdateCameraStates update_states_;

@@ -60,7 +60,8 @@ class FusedSolve {
     output.summary.factor = std::move(factor_);
     output.iterations = std::move(minimum.iterations);
     for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
-    FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings_), &output);
+    FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings_),
+                schur_->num_held(), &output);
     return output;
   }
 

@@ -6,6 +6,7 @@
 #include "core/solve/block_patterns.h"
 #include "core/solve/check_solution.h"
 #include "core/solve/convergence_watch.h"
+#include "core/solve/lost_observations.h"
 #include "core/solve/plausibility.h"
 
 namespace bundle {
@@ -28,7 +29,7 @@ void FailIfNotFinite(SolveOutput* output) {
 
 void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,
-                 std::vector<std::string> warnings, SolveOutput* output) {
+                 std::vector<std::string> warnings, int64_t num_held, SolveOutput* output) {
   SolveSummary& summary = output->summary;
   summary.warnings = std::move(warnings);
   FailIfNotFinite(output);
@@ -42,7 +43,9 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
   }
   warn(WatchConvergence(output->iterations));
   warn(CheckSolution(problem, layout, states, output->points, options.cheirality));
-  RejectImpossibleSolution(problem, output);
+  const bool is_rejected = RejectImpossibleSolution(problem, output);
+  if (num_held > 0 && !is_rejected)
+    JudgeLostObservations(problem, layout, options, num_held, output);
 }
 
 }  // namespace bundle

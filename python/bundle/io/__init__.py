@@ -29,6 +29,7 @@ from bundle.problem import Problem
 __all__ = [
     "FORMATS",
     "Source",
+    "as_path",
     "as_problem",
     "check_target",
     "is_path",

@@ -115,6 +115,7 @@ class TrustRegion {
     Candidate& candidate = step.candidate;
     if (!std::isfinite(candidate.cost)) candidate.cost = kNoCost;
     record_.step_norm = candidate.step_norm;
+    record_.changes_what_counts = candidate.changes_what_counts;
     record_.cost_change = x_cost_ - candidate.cost;
     if (ParameterToleranceReached() || FunctionToleranceReached()) return false;
 
