@@ -32,6 +32,7 @@ CORE_MAY_INCLUDE = {
 
 # Modules and packages directly in python/bundle.
 PYTHON_MAY_IMPORT = {
+    "address_space": set(),
     "errors": {"_core"},
     "headers": set(),
     "arguments": {"errors"},
@@ -61,7 +62,7 @@ PYTHON_MAY_IMPORT = {
         "worst_images",
     },
     "camera_changes": {"cameras", "result"},
-    "io": {"_core", "arguments", "cameras", "errors", "option_fields", "problem"},
+    "io": {"_core", "address_space", "arguments", "cameras", "errors", "option_fields", "problem"},
     "statistics": {
         "components",
         "cameras",
@@ -185,7 +186,7 @@ PYTHON_MAY_IMPORT = {
 PYTHON_MAY_IMPORT[""] = set(PYTHON_MAY_IMPORT) - {"report"} | {"_core"}
 # The command line stands above everything, and nothing imports it but __main__.
 PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
-PYTHON_MAY_IMPORT["__main__"] = {"cli"}
+PYTHON_MAY_IMPORT["__main__"] = {"address_space", "cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.

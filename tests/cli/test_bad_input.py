@@ -199,7 +199,8 @@ def test_disk_that_fills_while_the_report_is_written(model, to_file):
 
 
 def test_out_of_memory_and_interruption_are_one_line():
-    assert describe_error(MemoryError()) == "out of memory"
+    assert describe_error(MemoryError()) == "not enough memory"
+    assert describe_error(MemoryError("3 MB")) == "not enough memory: 3 MB"
     assert describe_error(KeyboardInterrupt()) == "interrupted; nothing was written"
 
 

@@ -21,6 +21,7 @@ class ReprojectionCost final : public ceres::CostFunction {
     pose_ = &context.states.pose(image);
     params_ = context.states.params(camera);
     cheirality_ = context.cheirality;
+    abandoned_ = context.abandoned;
     watch_ = context.watch;
     measurement_ = problem.observation_xy + 2 * observation;
 
@@ -40,6 +41,7 @@ class ReprojectionCost final : public ceres::CostFunction {
 
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
+    if (abandoned_ != nullptr && abandoned_->load(std::memory_order_relaxed)) return false;
     const double* point = fixed_point_ != nullptr ? fixed_point_ : parameters[0];
     if (jacobians == nullptr) {
       const bool in_front = EvaluateReprojection<Model, kParams>(
@@ -108,6 +110,7 @@ class ReprojectionCost final : public ceres::CostFunction {
   int8_t num_blocks_ = 0;
   mutable bool counted_ = true;  ///< at the last state
   Cheirality cheirality_;
+  const std::atomic<bool>* abandoned_ = nullptr;
 };
 
 }  // namespace

@@ -25,6 +25,8 @@ struct ReprojectionContext {
   const CameraStates& states;
   Cheirality cheirality;
   HoldingWatch* watch = nullptr;  ///< nullptr: what does not count is zero, and nothing is held
+  /// Where it is true, costs cannot be evaluated any more, so that Ceres ends. Not read if null.
+  const std::atomic<bool>* abandoned = nullptr;
 };
 
 /// The residual of one observation as Ceres sees it. Its parameter blocks are, in this order and as

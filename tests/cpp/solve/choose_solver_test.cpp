@@ -1,6 +1,10 @@
 #include "core/solve/choose_solver.h"
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
+
+#include <cstdint>
+#include <fstream>
 
 #include "core/solve/prepare.h"
 #include "support/scene.h"
@@ -8,46 +12,78 @@
 namespace bundle {
 namespace {
 
-/// Asks about `columns` columns on the camera side, of whose block pairs `density` says how many
-/// are not zero: points that are each in one of `num_pieces` pieces of `images` images.
-SolverChoice ChooseFor(int64_t columns, int num_pieces, int images) {
+constexpr int kImages = 20;
+
+/// Twenty images, of which `num_pairs` share a point.
+testing::Scene Coupled(int num_pairs) {
   testing::SceneOptions options;
-  options.num_images = images;
+  options.num_images = kImages;
+  options.num_points = num_pairs;
   testing::Scene scene = testing::MakeScene(options);
-  for (int k = 1; k < num_pieces; ++k) {
-    testing::Scene piece = testing::MakeScene(options);
-    for (auto* ids : {&piece.image_ids, &piece.camera_ids, &piece.point_ids}) {
-      for (int64_t& id : *ids) id += 10'000 * k;
+  scene.observation_image.clear();
+  scene.observation_point.clear();
+  int point = 0;
+  for (int gap = 1; gap < kImages; ++gap) {
+    for (int i = 0; i + gap < kImages && point < num_pairs; ++i, ++point) {
+      for (const int image : {i, i + gap}) {
+        scene.observation_image.push_back(image);
+        scene.observation_point.push_back(point);
+      }
     }
-    testing::Append(piece, &scene);
   }
+  scene.observation_xy.assign(2 * scene.observation_image.size(), 100.0);
+  return scene;
+}
+
+/// What is chosen with as many columns as stated.
+LinearSolverType Choose(const testing::Scene& scene, int64_t columns, int64_t free_points = 1) {
   const ProblemView problem = scene.View();
-  SolveOptions solve_options;
-  solve_options.gauge = Gauge::kNone;
-  const ParameterLayout layout = PrepareSolve(problem, solve_options).layout;
-  EXPECT_NEAR(CountSchurDensity(problem, layout), 1.0 / num_pieces, 1e-12);
-  ProblemShape shape = ShapeOf(layout, 2 * problem.num_observations);
+  const PreparedSolve prepared = PrepareSolve(problem, SolveOptions());
+  ProblemShape shape = ShapeOf(prepared.layout, 2 * problem.num_observations);
   shape.num_camera_columns = columns;
-  return ChooseLinearSolver(problem, layout, shape);
+  shape.num_free_points = free_points;
+  return ChooseLinearSolver(problem, prepared.layout, shape).type;
 }
 
-TEST(ChooseSolver, ASmallSystemIsDenseUpToAThousandColumns) {
-  EXPECT_EQ(ChooseFor(1000, 5, 2).type, LinearSolverType::kDenseSchur);
-  EXPECT_EQ(ChooseFor(1001, 5, 2).type, LinearSolverType::kSparseSchur);
+TEST(ChooseLinearSolver, TakesDenseForSmallSystems) {
+  EXPECT_EQ(Choose(Coupled(20), 1000), LinearSolverType::kDenseSchur);
+  EXPECT_EQ(Choose(Coupled(20), 1001), LinearSolverType::kSparseSchur);
 }
 
-TEST(ChooseSolver, ALargeSystemIsDenseFromAThirdOnWithASmallMargin) {
-  EXPECT_EQ(ChooseFor(1200, 2, 2).type, LinearSolverType::kDenseSchur);   // half of it full
-  EXPECT_EQ(ChooseFor(1200, 3, 2).type, LinearSolverType::kSparseSchur);  // a third
+TEST(ChooseLinearSolver, TakesDenseFromAThirdOn) {
+  EXPECT_EQ(Choose(Coupled(60), 2000), LinearSolverType::kDenseSchur);   // (20 + 120) / 400 full
+  EXPECT_EQ(Choose(Coupled(59), 2000), LinearSolverType::kSparseSchur);  // (20 + 118) / 400
 }
 
-TEST(ChooseSolver, IteratesBeyondHalfATrillionMultiplyAdds) {
-  // n^3 where a factor fills up, which it does from a quarter on: 7937^3 = 5.0e11.
-  EXPECT_EQ(ChooseFor(7937, 3, 2).type, LinearSolverType::kSparseSchur);
-  EXPECT_EQ(ChooseFor(7938, 3, 2).type, LinearSolverType::kIterativeSchur);
-  // n (4 d n)^2 where it stays sparse.
-  EXPECT_EQ(ChooseFor(12500, 8, 2).type, LinearSolverType::kSparseSchur);    // 4.88e11
-  EXPECT_EQ(ChooseFor(12700, 8, 2).type, LinearSolverType::kIterativeSchur);  // 5.12e11
+TEST(ChooseLinearSolver, IteratesOnWhatIsTooLargeToFactorise) {
+  // n^3 = 5e11, then n (4 d n)^2 with d = (20 + 38) / 400
+  EXPECT_EQ(Choose(Coupled(190), 7937), LinearSolverType::kDenseSchur);
+  EXPECT_EQ(Choose(Coupled(190), 7938), LinearSolverType::kIterativeSchur);
+  EXPECT_EQ(Choose(Coupled(19), 11412), LinearSolverType::kSparseSchur);
+  EXPECT_EQ(Choose(Coupled(19), 11413), LinearSolverType::kIterativeSchur);
+}
+
+TEST(ChooseLinearSolver, EliminatesNothingWithoutFreePoints) {
+  EXPECT_EQ(Choose(Coupled(20), 100, 0), LinearSolverType::kSparseNormalCholesky);
+}
+
+// 7000 columns are 392 MB.
+TEST(ChooseLinearSolver, LeavesHalfOfTheMemoryFree) {
+  const testing::Scene scene = Coupled(190);
+  const auto choose = [&](double left) {
+    double pages = 0;
+    std::ifstream("/proc/self/statm") >> pages;
+    rlimit before{};
+    getrlimit(RLIMIT_AS, &before);
+    rlimit limit = before;
+    limit.rlim_cur = static_cast<rlim_t>(4096 * pages + left);
+    setrlimit(RLIMIT_AS, &limit);
+    const LinearSolverType type = Choose(scene, 7000);
+    setrlimit(RLIMIT_AS, &before);
+    return type;
+  };
+  EXPECT_EQ(choose(700e6), LinearSolverType::kSparseSchur);
+  EXPECT_EQ(choose(900e6), LinearSolverType::kDenseSchur);
 }
 
 }  // namespace

@@ -13,6 +13,7 @@
 #include "core/fused/eliminate/similarities.h"
 #include "core/fused/eliminate/state_records.h"
 #include "core/fused/thread_pool.h"
+#include "core/interruption.h"
 #include "core/parallel_for.h"
 
 namespace bundle::fused {
@@ -76,6 +77,7 @@ class SchurProblem::Impl {
     std::vector<ChunkSum> parts(plan_.chunks.size());
     ForChunks(
         [&](int c, int thread) {
+          ThrowIfInterrupted();
           ChunkSum& sum = sums_.Begin(c, thread);
           StateRecords x = x_->records();
           if (first && plan_.chunks[c].first_row == 0) x.sink = x_->held.Collect(c);
@@ -237,14 +239,24 @@ class SchurProblem::Impl {
   }
 
   /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
-  /// finish(thread) on each thread after its last.
+  /// finish(thread) on each thread after its last. Where one throws, the others end at their next
+  /// chunk.
   template <typename Visit, typename Finish>
   void ForChunks(const Visit& visit, const Finish& finish) {
     const auto count = static_cast<int>(plan_.chunks.size());
     std::atomic<int> next{0};
     pool_.Run([&](int thread) {
-      for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) visit(c, thread);
-      finish(thread);
+      try {
+        for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) {
+          visit(c, thread);
+        }
+        finish(thread);
+      } catch (const OrderedSums::Abandoned&) {  // the other thread's exception counts
+      } catch (...) {
+        next.store(count);
+        sums_.Abandon();
+        throw;
+      }
     });
   }
 
