@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -12,7 +13,8 @@ namespace bundle {
 /// What every backend starts from.
 struct PreparedSolve {
   ParameterLayout layout;
-  std::vector<std::string> warnings;  ///< sentences for the user
+  std::vector<std::string> warnings;   ///< sentences for the user
+  std::vector<int64_t> track_lengths;  ///< observations of each point
 };
 
 /// Decides what is free and how it is laid out. The problem is valid (validate.h).

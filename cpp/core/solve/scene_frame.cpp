@@ -17,8 +17,11 @@ double Median(std::vector<double>* values) {
   return *middle;
 }
 
+/// std::hypot is slow: it is for numbers whose squares leave the range of doubles.
 double Distance(const double* a, const double* b) {
-  return std::hypot(std::hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]);
+  const double d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+  const double squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+  return squared > 1e-280 && squared < 1e280 ? std::sqrt(squared) : std::hypot(d[0], d[1], d[2]);
 }
 
 double SquaredNorm(const double* begin, int64_t count) {
@@ -48,9 +51,12 @@ SceneFrame::SceneFrame(const ProblemView& problem) {
     for (int j = 0; j < 3; ++j) centers[j].push_back(-backwards[j]);
   }
   for (int j = 0; j < 3; ++j) center[j] = Median(&centers[j]);
-  distances.reserve(problem.num_points);
+  constexpr int64_t kSample = 4096;
+  const int64_t stride = std::max<int64_t>(1, problem.num_points / kSample);
   for (int64_t p = 0; p < problem.num_points; ++p) {
-    distances.push_back(DistanceTo(problem.points + 3 * p));
+    const double distance = DistanceTo(problem.points + 3 * p);
+    reach = std::max(reach, distance);
+    if (p % stride == 0) distances.push_back(distance);
   }
   size = Median(&distances);
 }
@@ -107,7 +113,7 @@ void CenteredProblem::MoveBack(SolveOutput* output) const {
 FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layout,
                         const SceneFrame& frame) {
   FarPoints result;
-  if (!(frame.size > 0)) return result;
+  if (!(frame.size > 0) || !(frame.reach > kFarPoint * frame.size)) return result;
   const std::vector<double> cameras = layout.InitialState(problem);
   double near_squared = SquaredNorm(cameras.data(), static_cast<int64_t>(cameras.size()));
   double far_squared = 0, farthest = 0;

@@ -17,7 +17,7 @@
 /// the tolerance is multiplied by ||x without them|| / ||x||.
 ///
 /// The centre is the median of the images' projection centres, coordinate by coordinate; the size
-/// is the median distance of the points from it.
+/// is the median distance of some thousand points from it.
 
 #include <string>
 #include <vector>
@@ -33,7 +33,8 @@ inline constexpr double kFarPoint = 1000;
 
 struct SceneFrame {
   double center[3] = {};
-  double size = 0;  ///< 0 without images or points
+  double size = 0;   ///< 0 without images or points
+  double reach = 0;  ///< distance of the farthest point
 
   explicit SceneFrame(const ProblemView& problem);
 
