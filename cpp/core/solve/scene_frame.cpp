@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <numeric>
 #include <sstream>
 
 #include "core/geometry/rotation.h"
@@ -15,6 +16,16 @@ double Median(std::vector<double>* values) {
   const auto middle = values->begin() + static_cast<std::ptrdiff_t>(values->size() / 2);
   std::nth_element(values->begin(), middle, values->end());
   return *middle;
+}
+
+/// Of COLMAP's Reconstruction::Normalize: all of three values or fewer.
+double TrimmedMean(std::vector<double>* values) {
+  const auto last = static_cast<double>(values->size() - 1);
+  const bool few = values->size() <= 3;
+  std::sort(values->begin(), values->end());
+  const auto begin = values->begin() + static_cast<std::ptrdiff_t>(few ? 0 : 0.1 * last);
+  const auto end = values->begin() + static_cast<std::ptrdiff_t>(few ? last : 0.9 * last) + 1;
+  return std::accumulate(begin, end, 0.0) / static_cast<double>(end - begin);
 }
 
 double Distance(const double* a, const double* b) {
@@ -53,6 +64,9 @@ SceneFrame::SceneFrame(const ProblemView& problem) {
     distances.push_back(DistanceTo(problem.points + 3 * p));
   }
   size = Median(&distances);
+  double mean[3];
+  for (int j = 0; j < 3; ++j) mean[j] = TrimmedMean(&centers[j]);
+  if (DistanceTo(mean) < kFarOrigin * size) std::copy_n(mean, 3, center);
 }
 
 double SceneFrame::DistanceTo(const double* point) const { return Distance(point, center); }
@@ -101,7 +115,7 @@ void CenteredProblem::MoveBack(SolveOutput* output) const {
   sentence << "The scene lies " << frame_.DistanceTo(kOrigin)
            << " units from the origin and measures " << frame_.size
            << ": it was solved about its centre.";
-  output->summary.warnings.push_back(sentence.str());
+  Warn(WarningKind::kFarOrigin, sentence.str(), &output->summary.warnings);
 }
 
 FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layout,

@@ -16,8 +16,12 @@
 /// Points more than kFarPoint sizes away from the centre stay in the problem, but not in the norm:
 /// the tolerance is multiplied by ||x without them|| / ||x||.
 ///
-/// The centre is the median of the images' projection centres, coordinate by coordinate; the size
-/// is the median distance of the points from it.
+/// The centre is the one that COLMAP's normalisation puts at the origin: per coordinate, the mean
+/// of the images' projection centres between their 10th and 90th percentile. Damping depends on
+/// where the origin is, and with it how many steps a slow valley takes until the function tolerance
+/// stops the solve: a COLMAP model that was moved gets the steps back that it had before. The size
+/// is the median distance of the points from the median of the projection centres, which is the
+/// centre where more than a tenth of the images stand far away.
 
 #include <string>
 #include <vector>
