@@ -44,7 +44,7 @@ SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
                                 centered.is_moved() ? SceneFrame(problem) : given_frame);
   options.parameter_tolerance *= far.norm_without;
   Warn(WarningKind::kFarPoints, std::move(far.warning), &prepared.warnings);
-  BackendChoice choice = ChooseBackend(problem, options, prepared.layout);
+  BackendChoice choice = ChooseBackend(options, prepared);
   SolveOutput output = choice.backend == Backend::kFused
                            ? fused::SolveWithFused(problem, options, std::move(prepared), progress)
                            : SolveWithCeresAsAsked(problem, options, std::move(prepared), progress);

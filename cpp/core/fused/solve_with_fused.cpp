@@ -35,7 +35,8 @@ class FusedSolve {
       : problem_(problem),
         options_(options),
         warnings_(std::move(prepared.warnings)),
-        layout_(std::move(prepared.layout)) {}
+        layout_(std::move(prepared.layout)),
+        track_lengths_(std::move(prepared.track_lengths)) {}
 
   SolveOutput Run(const ProgressCallback& progress) {
     const Stopwatch total;
@@ -73,7 +74,8 @@ class FusedSolve {
     Warn(WarningKind::kPreconditionerNotUsed, FindIdlePreconditioner(options_), &warnings_);
     RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
     working_bytes_ = PredictFusedWorkingBytes(
-        problem_, layout_, EffectiveNumThreads(options_.num_threads), BufferBytes());
+        layout_, track_lengths_, EffectiveNumThreads(options_.num_threads), BufferBytes());
+    track_lengths_ = {};
     RefuseTooMuchMemory(working_bytes_);
     if (options_.preconditioner_type == PreconditionerType::kAuto) {
       options_.preconditioner_type = PreconditionerType::kTwoLevel;
@@ -102,7 +104,9 @@ class FusedSolve {
       FindSparseStructure();
       // A choice that is to be the same for any number of threads must not know it.
       const int num_threads = options_.deterministic ? 1 : options_.num_threads;
-      choice = ChooseReducedSolver(structure_, ordering_, num_threads, AvailableMemoryBytes());
+      const auto columns = static_cast<double>(shape.num_camera_columns);
+      const double available = AvailableMemoryFor(sizeof(double) * columns * columns);
+      choice = ChooseReducedSolver(structure_, ordering_, num_threads, available);
     }
     options_.linear_solver_type = choice.type;
     linear_solver_choice_ = std::move(choice.reason);
@@ -188,9 +192,10 @@ class FusedSolve {
   std::vector<Warning> warnings_;
   std::string linear_solver_choice_;
   ParameterLayout layout_;
-  ReducedStructure structure_;  ///< until the problem has it
-  FillOrdering ordering_;       ///< of the sparse structure
-  double working_bytes_ = 0;    ///< beside the system
+  std::vector<int64_t> track_lengths_;  ///< until the memory is predicted
+  ReducedStructure structure_;          ///< until the problem has it
+  FillOrdering ordering_;               ///< of the sparse structure
+  double working_bytes_ = 0;            ///< beside the system
   std::unique_ptr<ReducedSolver> solver_;
   std::unique_ptr<SchurProblem> schur_;
   FactorSummary factor_;

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "core/problem/reprojection_errors.h"
+#include "core/problem/tracks.h"
 #include "core/solve/free_parameters.h"
 #include "core/solve/gauge.h"
 #include "core/solve/plausibility.h"
@@ -15,8 +16,10 @@ PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& optio
   std::vector<Warning> warnings;
   Warn(WarningKind::kGaugeNotHeld, FixGauge(problem, options.gauge, &free), &warnings);
   ParameterLayout layout(problem, std::move(free));
-  Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout), &warnings);
-  return {std::move(layout), std::move(warnings)};
+  std::vector<int64_t> track_lengths = TrackLengths(problem);
+  Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),
+       &warnings);
+  return {std::move(layout), std::move(warnings), std::move(track_lengths)};
 }
 
 }  // namespace bundle

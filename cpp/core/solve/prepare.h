@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "core/problem/problem_view.h"
@@ -13,6 +14,7 @@ namespace bundle {
 struct PreparedSolve {
   ParameterLayout layout;
   std::vector<Warning> warnings;
+  std::vector<int64_t> track_lengths;  ///< observations of each point
 };
 
 /// Decides what is free and how it is laid out. The problem is valid (validate.h).
