@@ -42,6 +42,7 @@ PYTHON_MAY_IMPORT = {
     "cameras": {"_core", "arguments", "errors", "option_fields"},
     "arrays": {"_core", "arguments", "errors"},
     "problem": {"_core", "arrays", "cameras", "display", "errors", "option_fields", "words"},
+    "warning_kinds": set(),
     "words": set(),
     "components": set(),
     "display": set(),

@@ -77,17 +77,18 @@ class Columns:
     """A table without frames: columns of text, then numbers flush right.
 
     Where it is wider than the terminal, text wraps between words. Where that is not enough, columns
-    move below, each group of them behind the first column: nothing is cut.
+    move below, each group of them behind the `keys` first columns: nothing is cut.
     """
 
     def __init__(
-        self, head: Sequence[str], rows: Iterable[Sequence[RenderableType]], left: int
+        self, head: Sequence[str], rows: Iterable[Sequence[RenderableType]], left: int, keys: int
     ) -> None:
         self.head = tuple(map(Text, head))
         self.rows = [
             tuple(Text(cell) if isinstance(cell, str) else cell for cell in row) for row in rows
         ]
         self._left = left
+        self._keys = keys
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield as many tables as the width asks for."""
@@ -95,7 +96,7 @@ class Columns:
         sizes = self._sizes(console, options)
         narrowest = [min(size.minimum, limit) for size in sizes]
         narrowest[0] = min(narrowest[0], limit // 2)
-        for position, group in enumerate(_groups(narrowest, limit)):
+        for position, group in enumerate(_groups(narrowest, limit, self._keys)):
             if position:
                 yield Text("")
             spare = limit - sum(narrowest[index] + GUTTER for index in group) + GUTTER
@@ -130,26 +131,30 @@ class Columns:
         return table
 
 
-def _groups(widths: Sequence[int], limit: int) -> list[list[int]]:
-    """Return the columns of each table, the first column in every one."""
-    groups, used = [[0]], widths[0]
-    for index, width in enumerate(widths[1:], 1):
-        if used + GUTTER + width > limit and len(groups[-1]) > 1:
-            groups.append([0])
-            used = widths[0]
+def _groups(widths: Sequence[int], limit: int, keys: int) -> list[list[int]]:
+    """Return the columns of each table, the `keys` first columns in every one."""
+    first = list(range(keys))
+    keys_width = sum(widths[:keys]) + GUTTER * (keys - 1)
+    groups, used = [[*first]], keys_width
+    for index, width in enumerate(widths[keys:], keys):
+        if used + GUTTER + width > limit and len(groups[-1]) > keys:
+            groups.append([*first])
+            used = keys_width
         groups[-1].append(index)
         used += GUTTER + width
     return groups
 
 
 def columns(
-    head: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, left: int = 1
+    head: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, left: int = 1, keys: int = 1
 ) -> Columns:
     """Return a table of `left` columns of text, then numbers; see :class:`Columns`.
 
+    The `keys` first columns say what a row is about.
+
     A row whose first cell starts with "total" stands out.
     """
-    return Columns(head, rows, left)
+    return Columns(head, rows, left, keys)
 
 
 class Bar:
