@@ -95,10 +95,12 @@ PYTHON_MAY_IMPORT = {
         "result",
         "summary",
     },
+    "check_defaults": set(),
     "checking": {
         "_core",
         "arguments",
         "cameras",
+        "check_defaults",
         "display",
         "errors",
         "io",
