@@ -146,7 +146,7 @@ def test_honest_problems_however_hard_are_not_suspected(batch, backend):
 
 
 def suspicions(result):
-    return [warning for warning in result.summary.warnings if "bundle check" in warning]
+    return [kind for kind in result.summary.warning_kinds if kind.startswith("suspicious_")]
 
 
 REAL_OPTIONS = [
