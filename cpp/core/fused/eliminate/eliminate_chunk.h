@@ -29,7 +29,8 @@ inline constexpr int kMaxColumns = (kPoseSize + kMaxCameraParams + 3) / 4 * 4;
 /// Doubles of a record beyond two rows of the camera side: (a, r) of each row.
 inline constexpr int kRecordTail = 8;
 
-/// Records of a strip: [row 0 | row 1 | a_0 r_0 | a_1 r_1] an observation.
+/// Records of a strip: [row 0 | row 1 | a_0 r_0 | a_1 r_1] an observation, the rows as wide as the
+/// image's group and the rest where the widest has it.
 class StripRecords {
  public:
   StripRecords(const Terms& terms, double* memory)
@@ -61,7 +62,8 @@ inline double LinearizeBatch(const Terms& terms, const StateRecords& x, const St
     residuals.ChainPose(state, row, d_pose);
     residuals.ChainPoint(state, row, d_point);
     const Pack* const d_params = residuals.d_params + row * group.num_params;
-    for (int j = 0; j < terms.num_columns; j += 4) {
+    const int width = group.width;
+    for (int j = 0; j < width; j += 4) {
       const Pack* quad[4];
       for (int k = 0; k < 4; ++k) {
         const int column = j + k < group.num_columns ? group.columns[j + k] : -1;
@@ -69,7 +71,7 @@ inline double LinearizeBatch(const Terms& terms, const StateRecords& x, const St
                   : column < kPoseSize ? d_pose + column
                                        : d_params + (column - kPoseSize);
       }
-      ScatterRecords(quad, out, row * terms.num_columns + j);
+      ScatterRecords(quad, out, row * width + j);
     }
     const Pack* const tail[4] = {d_point, d_point + 1, d_point + 2, residuals.r + row};
     ScatterRecords(tail, out, 2 * terms.num_columns + 4 * row);
@@ -77,7 +79,28 @@ inline double LinearizeBatch(const Terms& terms, const StateRecords& x, const St
   return 0.5 * Sum(residuals.rho, batch.count);
 }
 
-/// Adds what points add, once their blocks are factorised.
+/// block -= t^T times the two rows of `right`, for one width of these.
+using SubtractFunction = void (*)(const double* t, int width, const double* right, bool upper,
+                                  int num_rows, double* block);
+
+template <int kQuads>
+inline void SubtractProduct(const double* t, int width, const double* right, bool upper,
+                            int num_rows, double* block) {
+  const RightFactor<kQuads> factor(right);
+  if (upper) {
+    factor.SubtractUpper(t, num_rows, block);
+  } else {
+    factor.SubtractAll(t, width, num_rows, block);
+  }
+}
+
+/// Of each number of quads from 1 on.
+inline constexpr SubtractFunction kSubtractProduct[] = {&SubtractProduct<1>, &SubtractProduct<2>,
+                                                        &SubtractProduct<3>, &SubtractProduct<4>,
+                                                        &SubtractProduct<5>, &SubtractProduct<6>};
+
+/// Adds what points add, once their blocks are factorised. `kQuads`: of every image's rows; 0:
+/// those of its group.
 template <int kQuads>
 class Elimination {
  public:
@@ -85,7 +108,7 @@ class Elimination {
       : terms_(terms),
         records_(records),
         sum_(*sum),
-        block_size_(static_cast<int64_t>(terms.num_rows) * kColumns) {}
+        block_size_(static_cast<int64_t>(terms.num_rows) * terms.num_columns) {}
 
   /// The point's observations are [begin, end) of the plan and have records from `slot` on; rows
   /// [first_row, last_row) of its refined ones are wanted, all if last_row is 0. `block` is nullptr
@@ -93,6 +116,7 @@ class Elimination {
   const uint16_t* Add(int64_t slot, int64_t begin, int64_t end, int first_row, int last_row,
                       const PointBlock* block, const uint16_t* pair_block) {
     image_ = terms_.plan->image_in_chunk.data() + begin;
+    world_image_ = terms_.plan->image.data() + begin;
     WhitenRows(slot, static_cast<int>(end - begin), block);
     while (end > begin && terms_.image_refined[terms_.plan->image.data()[end - 1]] == 0) --end;
     const auto refined = static_cast<int>(end - begin);
@@ -106,6 +130,22 @@ class Elimination {
 
  private:
   static constexpr int kColumns = 4 * kQuads;
+
+  const ModelGroup& GroupOf(int i) const {
+    return terms_.groups[terms_.image_group[world_image_[i]]];
+  }
+  int WidthOf(int i) const {
+    if constexpr (kQuads > 0) return kColumns;
+    return GroupOf(i).width;
+  }
+  int RowsOf(int i) const {
+    if constexpr (kQuads > 0) return terms_.num_rows;
+    return GroupOf(i).num_columns;
+  }
+  double* Block(int block) const {
+    if constexpr (kQuads > 0) return sum_.blocks + block * block_size_;
+    return sum_.blocks + sum_.block_begin[block];
+  }
 
   /// Each tail (a, r) of a record becomes (y, r).
   void WhitenRows(int64_t slot, int count, const PointBlock* block) const {
@@ -122,7 +162,7 @@ class Elimination {
 
   void AddDiagonal(int64_t slot, int i, const PointBlock* block) {
     const double* const rows = records_.Of(slot + i);
-    const double *y_0 = rows + 2 * kColumns, *y_1 = y_0 + 4;
+    const double *y_0 = records_.Tail(slot + i), *y_1 = y_0 + 4;
     const double r[2] = {y_0[3], y_1[3]};
     double reduced[2] = {r[0], r[1]};
     if (block != nullptr) {
@@ -131,42 +171,46 @@ class Elimination {
       reduced[0] -= Dot3(y_0, h);
       reduced[1] -= Dot3(y_1, h);
     }
-    UpdateVectors<kQuads>(
-        rows, r, reduced,
-        sum_.vectors + static_cast<int64_t>(image_[i]) * ChunkSum::kVectors * kColumns);
+    UpdateVectors(
+        rows, WidthOf(i), r, reduced,
+        sum_.vectors + static_cast<int64_t>(image_[i]) * ChunkSum::kVectors * terms_.num_columns);
     const double cross = Dot3(y_0, y_1);
     const double middle[4] = {Dot3(y_0, y_0) - 1, cross, cross, Dot3(y_1, y_1) - 1};
-    Subtract(rows, middle, rows, true, sum_.blocks + image_[i] * block_size_);
+    Subtract(i, rows, middle, i, rows, true, Block(image_[i]));
     if (sum_.camera_diagonal == nullptr) return;
     constexpr double kMinusIdentity[4] = {-1, 0, 0, -1};
-    Subtract(rows, kMinusIdentity, rows, true, sum_.camera_diagonal + image_[i] * block_size_);
+    Subtract(i, rows, kMinusIdentity, i, rows, true,
+             sum_.camera_diagonal +
+                 image_[i] * static_cast<int64_t>(terms_.num_rows) * terms_.num_columns);
   }
 
   void AddPair(int64_t slot, int i, int j, uint16_t block) {
     const double* const rows = records_.Of(slot + i);
     const double* const other = records_.Of(slot + j);
-    const double *y_0 = rows + 2 * kColumns, *y_1 = y_0 + 4;
-    const double *z_0 = other + 2 * kColumns, *z_1 = z_0 + 4;
+    const double *y_0 = records_.Tail(slot + i), *y_1 = y_0 + 4;
+    const double *z_0 = records_.Tail(slot + j), *z_1 = z_0 + 4;
     const double middle[4] = {Dot3(y_0, z_0), Dot3(y_0, z_1), Dot3(y_1, z_0), Dot3(y_1, z_1)};
-    double* const target = sum_.blocks + block * block_size_;
+    double* const target = Block(block);
     const bool same_image = image_[i] == image_[j];
-    Subtract(rows, middle, other, same_image, target);
+    Subtract(i, rows, middle, j, other, same_image, target);
     if (!same_image) return;
     // An image that sees the point twice: its diagonal block has the pair in both orders.
     const double transposed[4] = {middle[0], middle[2], middle[1], middle[3]};
-    Subtract(other, transposed, rows, true, target);
+    Subtract(j, other, transposed, i, rows, true, target);
   }
 
-  /// target -= left^T middle right, for the two rows of each.
-  void Subtract(const double* left, const double middle[4], const double* right, bool upper,
-                double* target) const {
-    double t[2 * kColumns];
-    MiddleProduct<kQuads>(left, middle, t);
-    const RightFactor<kQuads> factor(right);
-    if (upper) {
-      factor.SubtractUpper(t, terms_.num_rows, target);
+  /// target -= left^T middle right, for the two rows of observations i and j of the point.
+  void Subtract(int i, const double* left, const double middle[4], int j, const double* right,
+                bool upper, double* target) const {
+    const int width = WidthOf(i);
+    if constexpr (kQuads > 0) {
+      double t[2 * kColumns];
+      MiddleProduct(left, width, middle, t);
+      SubtractProduct<kQuads>(t, width, right, upper, terms_.num_rows, target);
     } else {
-      factor.SubtractAll(t, terms_.num_rows, target);
+      double t[2 * kMaxColumns];
+      MiddleProduct(left, width, middle, t);
+      kSubtractProduct[WidthOf(j) / 4 - 1](t, width, right, upper, RowsOf(i), target);
     }
   }
 
@@ -174,7 +218,8 @@ class Elimination {
   const StripRecords& records_;
   ChunkSum& sum_;
   const int64_t block_size_;
-  const uint16_t* image_ = nullptr;
+  const uint16_t* image_ = nullptr;       ///< in the chunk, of the point's observations
+  const int32_t* world_image_ = nullptr;  ///< in the problem
 };
 
 template <int kQuads>
@@ -226,7 +271,9 @@ inline EliminateFunction EliminateFor(int num_columns) {
 
 inline void Eliminate(const Terms& terms, const StateRecords& x, const Chunk& chunk, double damping,
                       bool first, double* squared_scale, double* memory, ChunkSum* sum) {
-  EliminateFor(terms.num_columns)(terms, x, chunk, damping, first, squared_scale, memory, sum);
+  const EliminateFunction eliminate =
+      terms.mixed ? &EliminateChunk<0> : EliminateFor(terms.num_columns);
+  eliminate(terms, x, chunk, damping, first, squared_scale, memory, sum);
 }
 
 }  // namespace bundle::fused::BUNDLE_ISA

@@ -17,6 +17,24 @@ uint32_t ColumnBits(const ParameterLayout& layout, int block) {
 
 }  // namespace
 
+bool ModelGroups::mixed() const {
+  for (const ModelGroup& group : groups) {
+    if (group.width != num_columns()) return true;
+  }
+  return false;
+}
+
+int ModelGroups::block_size() const {
+  if (!mixed()) return num_rows * num_columns();
+  int64_t rows = 0, columns = 0;
+  for (const uint8_t g : image_group) {
+    rows += groups[g].num_columns;
+    columns += groups[g].width;
+  }
+  const auto images = static_cast<int64_t>(image_group.size());
+  return static_cast<int>(std::max<int64_t>(1, rows * columns / (images * images)));
+}
+
 ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layout) {
   ModelGroups result;
   std::vector<int> group_of_model(kNumCameraModels, -1);
@@ -48,6 +66,7 @@ ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layou
     for (int8_t j = 0; j < kPoseSize + kMaxCameraParams; ++j) {
       if (bits[g] >> j & 1u) group.columns[group.num_columns++] = j;
     }
+    group.width = std::max(4, (group.num_columns + 3) / 4 * 4);
     result.num_rows = std::max(result.num_rows, group.num_columns);
   }
   return result;

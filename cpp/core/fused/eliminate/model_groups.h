@@ -18,8 +18,9 @@ struct ModelGroups {
 
   /// Columns of a record.
   int num_columns() const { return (num_rows + 3) / 4 * 4; }
-  /// Doubles of the block of two images.
-  int block_size() const { return num_rows * num_columns(); }
+  bool mixed() const;
+  /// Doubles of the block of two images, on average.
+  int block_size() const;
 };
 
 /// A group for each camera model in use. Images of models that we do not know are in the first; no

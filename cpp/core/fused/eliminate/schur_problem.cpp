@@ -210,6 +210,7 @@ class SchurProblem::Impl {
     terms.image_refined = groups_.image_refined.data();
     terms.num_columns = groups_.num_columns();
     terms.num_rows = groups_.num_rows;
+    terms.mixed = groups_.mixed();
     terms.cheirality = options.cheirality;
     terms.loss = options.loss;
     terms.loss_scale = options.loss_scale;
