@@ -93,6 +93,21 @@ def test_every_flag_of_the_command_line_is_understood():
                     kind(**{spelling: 1})
 
 
+@pytest.mark.parametrize(
+    "spelling", ["function-tolerance", "FUNCTION_TOLERANCE", "Function-Tolerance_"]
+)
+def test_another_spelling_of_a_name_is_answered_with_that_alone(spelling):
+    with pytest.raises(bundle.InputError, match=r"; did you mean function_tolerance\?$"):
+        bundle.SolveOptions(**{spelling: 1})
+
+
+def test_no_noise_of_what_is_not_there_is_no_mistake():
+    options = bundle.SceneOptions(camera_model="PINHOLE", distortion_noise=0.0)
+    assert options.distortion_noise == 0
+    with pytest.raises(bundle.InputError, match=r"^distortion_noise: expected with camera_model="):
+        bundle.SceneOptions(camera_model="PINHOLE", distortion_noise=0.1)
+
+
 def test_a_keyword_like_nothing_is_answered_with_all():
     with pytest.raises(bundle.InputError) as caught:
         bundle.solve(scenes.make_problem(num_images=2), xyzzy=1)

@@ -32,6 +32,7 @@ CORE_MAY_INCLUDE = {
 
 # Modules and packages directly in python/bundle.
 PYTHON_MAY_IMPORT = {
+    "address_space": set(),
     "errors": {"_core"},
     "headers": set(),
     "arguments": {"errors"},
@@ -42,6 +43,7 @@ PYTHON_MAY_IMPORT = {
     "arrays": {"_core", "arguments", "errors"},
     "problem": {"_core", "arrays", "cameras", "display", "errors", "option_fields", "words"},
     "words": set(),
+    "components": set(),
     "display": set(),
     "tables": {"words"},
     "summary": {"display", "tables", "words"},
@@ -60,8 +62,9 @@ PYTHON_MAY_IMPORT = {
         "worst_images",
     },
     "camera_changes": {"cameras", "result"},
-    "io": {"_core", "cameras", "errors", "option_fields", "problem"},
+    "io": {"_core", "address_space", "arguments", "cameras", "errors", "option_fields", "problem"},
     "statistics": {
+        "components",
         "cameras",
         "display",
         "errors",
@@ -71,7 +74,15 @@ PYTHON_MAY_IMPORT = {
         "words",
         "worst_images",
     },
-    "synthetic": {"cameras", "display", "errors", "option_fields", "problem", "words"},
+    "synthetic": {
+        "cameras",
+        "components",
+        "display",
+        "errors",
+        "option_fields",
+        "problem",
+        "words",
+    },
     "solver": {
         "_core",
         "arguments",
@@ -96,7 +107,7 @@ PYTHON_MAY_IMPORT = {
         "tables",
         "words",
     },
-    "compare_defaults": set(),
+    "compare_defaults": {"memory_sizes"},
     "comparison": {
         "_core",
         "arrays",
@@ -116,6 +127,7 @@ PYTHON_MAY_IMPORT = {
         "words",
     },
     "inspection": {
+        "arguments",
         "display",
         "words",
         "_core",
@@ -127,8 +139,20 @@ PYTHON_MAY_IMPORT = {
         "problem",
         "solver",
     },
-    "pictures": {"_core", "comparison", "errors", "options", "problem", "solver", "statistics"},
+    "pictures": {
+        "_core",
+        "arguments",
+        "comparison",
+        "errors",
+        "option_fields",
+        "options",
+        "problem",
+        "solver",
+        "statistics",
+    },
     "html": {
+        "arguments",
+        "errors",
         "comparison",
         "inspection",
         "io",
@@ -162,7 +186,7 @@ PYTHON_MAY_IMPORT = {
 PYTHON_MAY_IMPORT[""] = set(PYTHON_MAY_IMPORT) - {"report"} | {"_core"}
 # The command line stands above everything, and nothing imports it but __main__.
 PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
-PYTHON_MAY_IMPORT["__main__"] = {"cli"}
+PYTHON_MAY_IMPORT["__main__"] = {"address_space", "cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.

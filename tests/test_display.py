@@ -7,6 +7,8 @@ import pytest
 import bundle
 from bundle.comparison import Method
 from bundle.display import Display
+from bundle.report.compare import compared
+from bundle.tables import render
 from tests import scenes
 from tests.comparison.fakes import comparison, done, failed
 
@@ -121,3 +123,10 @@ def test_columns_of_text_are_aligned():
         "  short             1",
         "  a longer one  22222",
     ]
+
+
+def test_a_comparison_that_was_interrupted_at_once_prints_no_nan():
+    never = failed(DENSE, outcome="not_run", message="the comparison was interrupted before")
+    stopped = comparison(never, interrupted=True)
+    assert "nan" not in repr(stopped).lower()
+    assert "nan" not in render(*compared(stopped)).lower()

@@ -4,8 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bundle
+from bundle import _core
 from bundle.statistics import covisibility as covisibility_module
 from bundle.statistics import describe
 from bundle.statistics.covisibility import components, covisibility
@@ -159,13 +161,54 @@ def test_pieces_without_common_points():
     assert "(of 3, 1 images)" in found["disconnected"].sentence
 
 
-def test_duplicates_are_counted_beyond_the_first():
+def test_repeated_observations_are_counted_beyond_the_first_and_no_fault():
     problem = scene()
     index = np.concatenate([np.arange(120), [5, 5, 40]])
-    found = kinds(observe(problem, index))
-    assert set(found) == {"duplicate_observations"}
-    assert found["duplicate_observations"].count == 3
-    assert found["duplicate_observations"].ids == (0, 1)
+    description = describe(observe(problem, index))
+    assert description.num_repeated_observations == 3
+    assert description.suspicions == ()
+    assert describe(problem).num_repeated_observations == 0
+
+
+def test_depths_against_rotation_matrices():
+    problem = random_graph(3)
+    poses = problem.cam_from_world.copy()
+    poses[:, :4] = np.random.default_rng(0).standard_normal((len(poses), 4))
+    problem = problem.replace(cam_from_world=poses)
+    depths = [
+        (Rotation.from_quat(poses[i, :4].copy()).as_matrix() @ problem.points[p] + poses[i, 4:])[2]
+        for i, p in zip(problem.observation_image, problem.observation_point, strict=True)
+    ]
+    found = describe(problem).depths
+    expected = np.quantile(depths, [0, 0.05, 0.5, 0.95, 1])
+    assert [found.min, found.p5, found.median, found.p95, found.max] == pytest.approx(expected)
+    assert found.num_behind == sum(depth <= 0 for depth in depths)
+
+
+@pytest.mark.parametrize(("share", "is_collapsed"), [(0.9e-4, True), (1.1e-4, False)])
+def test_points_collapsed_onto_a_camera(share, is_collapsed):
+    problem = scene()
+    median = describe(problem).depths.median
+    chosen = np.flatnonzero(problem.observation_image == 1)[:3]
+    points, poses = problem.points.copy(), problem.cam_from_world
+    rotation = Rotation.from_quat(poses[1, :4].copy())
+    at = rotation.inv().apply([0.0, 0.0, share * median] - poses[1, 4:])
+    points[problem.observation_point[chosen]] = at
+    description = describe(problem.replace(points=points))
+    found = {suspicion.kind: suspicion for suspicion in description.suspicions}
+    assert ("collapsed_points" in found) == is_collapsed
+    if is_collapsed:
+        assert found["collapsed_points"].count == 3
+        assert found["collapsed_points"].of == "point"
+        assert description.depths.num_collapsed == 3
+
+
+def test_errors_are_computed_once(monkeypatch):
+    calls = []
+    original = _core.reprojection_errors
+    monkeypatch.setattr(_core, "reprojection_errors", lambda *a: calls.append(0) or original(*a))
+    describe(scene())
+    assert len(calls) == 1
 
 
 def test_behind_the_camera():

@@ -97,7 +97,7 @@ std::string AutoChoice(const Ints& sizes, const Int64s& column_begin, const Ints
 
 void BindInspection(py::module_& m) {
   m.attr("MAX_TRACK_LENGTH") = bundle::fused::kMaxTrackLength;
-  m.def("available_memory", &bundle::AvailableMemoryBytes);
+  m.def("available_memory", [] { return bundle::AvailableMemoryBytes(); });
   m.def("parameter_blocks", &ParameterBlocks, py::arg("problem"), py::arg("options"));
   m.def("panel_values", &PanelValues, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),
         py::arg("order"));

@@ -3,6 +3,7 @@
 #include <pybind11/stl.h>
 
 #include <functional>
+#include <optional>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -14,6 +15,7 @@
 #include "core/backend/solve.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/error.h"
+#include "core/interruption.h"
 #include "core/parallel_for.h"
 #include "core/solve/convergence_watch.h"
 
@@ -133,50 +135,84 @@ std::string WatchConvergence(const py::dict& iterations) {
   return bundle::WatchConvergence(records);
 }
 
-/// Tells Python of each iteration and looks for Ctrl-C. An exception of the callback stops the
-/// solve and is kept; KeyboardInterrupt only stops it.
+/// Tells Python of each iteration and looks for Ctrl-C. KeyboardInterrupt stops the solve, whether
+/// a signal raised it or the callback, in which a signal may have done so. Any other exception, of
+/// the callback or of a signal handler, stops it too and is kept: the first comes out in the end.
 class PythonProgress {
  public:
-  explicit PythonProgress(py::object callback) : callback_(std::move(callback)) {}
-
-  bool operator()(const bundle::IterationRecord& record) {
-    const py::gil_scoped_acquire acquire;
-    try {
-      if (PyErr_CheckSignals() != 0) throw py::error_already_set();
-      if (!callback_.is_none()) callback_(ToDict(record));
-      return true;
-    } catch (py::error_already_set& error) {
-      if (!error.matches(PyExc_KeyboardInterrupt)) {
-        error.restore();
-        PyErr_Fetch(&type_, &value_, &traceback_);
-      }
-      return false;
-    }
+  explicit PythonProgress(py::object callback) : callback_(std::move(callback)) {
+    const py::module_ threading = py::module_::import("threading");
+    sees_signals_ = threading.attr("current_thread")().is(threading.attr("main_thread")());
   }
 
-  /// Raises what the callback raised. With the GIL.
+  /// True if the solve is to go on. The callback sees the iteration even where Ctrl-C came first.
+  bool operator()(const bundle::IterationRecord& record) {
+    const py::gil_scoped_acquire acquire;
+    if (!callback_.is_none()) {
+      Guard([&] { callback_(ToDict(record)); });
+    }
+    LookForSignals();
+    return !stopped_;
+  }
+
+  /// True if the solve is to stop within an iteration.
+  bool IsInterrupted() {
+    if (!sees_signals_) return stopped_;  // and no need to wait for the GIL
+    const py::gil_scoped_acquire acquire;
+    LookForSignals();
+    return stopped_;
+  }
+
+  /// Raises what was kept. With the GIL.
   void Rethrow() {
-    if (type_ == nullptr) return;
-    PyErr_Restore(type_, value_, traceback_);
-    throw py::error_already_set();
+    if (kept_) throw py::error_already_set(*kept_);
   }
 
  private:
+  void LookForSignals() {
+    Guard([] {
+      if (PyErr_CheckSignals() != 0) throw py::error_already_set();
+    });
+  }
+
+  template <typename Function>
+  void Guard(const Function& function) {
+    try {
+      function();
+    } catch (const py::error_already_set& error) {
+      stopped_ = true;
+      if (!kept_ && !error.matches(PyExc_KeyboardInterrupt)) kept_ = error;
+    }
+  }
+
   py::object callback_;
-  PyObject* type_ = nullptr;
-  PyObject* value_ = nullptr;
-  PyObject* traceback_ = nullptr;
+  bool sees_signals_ = false;  ///< as Python handles them on its main thread alone
+  bool stopped_ = false;
+  std::optional<py::error_already_set> kept_;
 };
+
+/// Throws what the solver throws, unless Python raised something before.
+bundle::SolveOutput SolveWatched(const bundle::ProblemView& view,
+                                 const bundle::SolveOptions& options, PythonProgress* report) {
+  try {
+    const py::gil_scoped_release release;
+    const bundle::InterruptionScope scope([report] { return report->IsInterrupted(); });
+    return bundle::Solve(view, options, std::ref(*report));
+  } catch (const bundle::Interrupted&) {  // with nothing to show for it yet
+    report->Rethrow();
+    PyErr_SetNone(PyExc_KeyboardInterrupt);
+    throw py::error_already_set();
+  } catch (...) {
+    report->Rethrow();
+    throw;
+  }
+}
 
 py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress) {
   const bundle::ProblemView view = ViewProblem(problem);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   PythonProgress report(progress);
-  bundle::SolveOutput output;
-  {
-    const py::gil_scoped_release release;
-    output = bundle::Solve(view, solve_options, std::ref(report));
-  }
+  bundle::SolveOutput output = SolveWatched(view, solve_options, &report);
   report.Rethrow();
   py::dict result;
   const py::ssize_t num_images = view.num_images, num_cameras = view.num_cameras;

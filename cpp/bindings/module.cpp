@@ -14,6 +14,7 @@ void BindSolve(py::module_& m);
 void BindCheck(py::module_& m);
 void BindInspection(py::module_& m);
 void BindSymbolic(py::module_& m);
+void BindProcess(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of bundle. Private: use the Python package.";
@@ -28,4 +29,5 @@ PYBIND11_MODULE(_core, m) {
   BindCheck(m);
   BindInspection(m);
   BindSymbolic(m);
+  BindProcess(m);
 }

@@ -14,6 +14,11 @@ class ScopedBlasThreads {
   ScopedBlasThreads& operator=(const ScopedBlasThreads&) = delete;
 };
 
+/// Makes OpenBLAS take its buffers now, 128 MiB per thread: where it cannot have one it tries for
+/// ever. Where there is room for one only, OpenBLAS has one thread from then on. Throws
+/// std::bad_alloc.
+void TakeBlasBuffers();
+
 /// Columns of a dense matrix from which on its factorisation is worth OpenBLAS' threads.
 inline constexpr int kColumnsWorthBlasThreads = 1000;
 

@@ -2,12 +2,18 @@
 
 import sys
 
+from bundle import address_space
 from bundle.cli import startup
 
 
 def run() -> int:
     """Run the command that the process was started with; return its exit code."""
     startup.begin()
+    try:
+        address_space.require("bundle with its libraries", address_space.LIBRARIES)
+    except MemoryError as error:
+        sys.stderr.write(f"error: not enough memory: {error}\n")
+        return 2
     from bundle.cli.main import main
 
     return main()

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError, brief
 
-__all__ = ["as_array", "check_function", "real_numbers"]
+__all__ = [
+    "as_array",
+    "as_flag",
+    "as_integers",
+    "check_function",
+    "check_type",
+    "real_numbers",
+]
 
 
 def as_array(name: str, value: Any) -> NDArray[np.float64]:
@@ -48,3 +55,49 @@ def check_function(name: str, value: Any) -> None:
     """
     if value is not None and not callable(value):
         raise InputError(f"{name}: expected a function, found {brief(value)}")
+
+
+def as_integers(argument: str, values: Any) -> NDArray[np.int64]:
+    """Return an array of integers of any shape; nothing at all has shape (0,).
+
+    Raises:
+        InputError: these are no integers of 64 bits; the message begins with the argument.
+    """
+    try:
+        array = np.asarray(values if isinstance(values, np.ndarray) else list(values))
+    except Exception:  # whatever the user's objects raise while they are looked at
+        raise InputError(
+            f"{argument}: expected an array of integers, found {brief(values)}"
+        ) from None
+    if isinstance(values, np.ma.MaskedArray):
+        raise InputError(f"{argument}: expected an array without a mask, found a masked one")
+    if array.size == 0:
+        return np.zeros(array.shape, np.int64)
+    if array.dtype.kind not in "iu":
+        raise InputError(
+            f"{argument}: expected integers, found {array.dtype} {brief(array.flat[0])}"
+        )
+    if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
+        raise InputError(f"{argument}: expected integers below 2^63, found {array.max()}")
+    return array.astype(np.int64)
+
+
+def as_flag(name: str, value: Any) -> bool:
+    """Return True or False.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{name}: expected True or False, found {brief(value)}")
+    return bool(value)
+
+
+def check_type(name: str, value: Any, kind: type) -> None:
+    """Refuse what is no instance of a class.
+
+    Raises:
+        InputError: that.
+    """
+    if not isinstance(value, kind):
+        raise InputError(f"{name}: expected a {kind.__name__}, found {brief(value)}")

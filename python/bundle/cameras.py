@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
-from bundle.arguments import as_array
+from bundle.arguments import as_array, as_flag
 from bundle.errors import InputError
 from bundle.option_fields import choice
 
@@ -95,6 +95,7 @@ def project(
     """
     expected = _params(model)
     model = choice("camera model", model, _MODELS)
+    jacobians = as_flag("jacobians", jacobians)
     param_array = as_array("params", params)
     if param_array.shape != (len(expected),):
         names = ", ".join(param.name for param in expected)

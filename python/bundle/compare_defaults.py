@@ -5,6 +5,8 @@ The command line reads this for its flags and its help, without the import of ``
 
 from __future__ import annotations
 
+from bundle.memory_sizes import SHARE_OF_FREE_MEMORY
+
 __all__ = [
     "BACKENDS",
     "COMPARED",
@@ -27,8 +29,6 @@ REPEAT = 3
 """Runs of each method."""
 TIMEOUT = 60.0
 """Seconds after which a solve is stopped."""
-SHARE_OF_FREE_MEMORY = 0.9
-"""Of the memory that is free at the start, what a solve may take."""
 SECONDS_NOT_REPEATED = 10.0
 """A run that took this long is not repeated: its spread is small."""
 

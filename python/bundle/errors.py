@@ -6,9 +6,9 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from bundle._core import InputError
+from bundle._core import InputError, end_in_one_line
 
-__all__ = ["InputError", "brief", "check_keywords", "nearest", "shown"]
+__all__ = ["InputError", "brief", "check_keywords", "end_in_one_line", "nearest", "shown"]
 
 InputError.__doc__ = """Input that cannot be used: one line with place, expected and found."""
 

@@ -7,7 +7,10 @@ import re
 
 from bundle.errors import InputError
 
-__all__ = ["format_size", "parse_size"]
+__all__ = ["SHARE_OF_FREE_MEMORY", "format_size", "parse_size"]
+
+SHARE_OF_FREE_MEMORY = 0.9
+"""Of the memory that is free, what a solve may take."""
 
 _UNITS = {"": 1, "B": 1}
 for _power, _letter in enumerate("KMGT", start=1):

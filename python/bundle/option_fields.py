@@ -75,8 +75,10 @@ def option(
 class Options:
     """What option classes have in common: checks, copies, and a repr of what was changed."""
 
-    def __new__(cls, **given: Any) -> Self:
+    def __new__(cls, *args: Any, **given: Any) -> Self:
         """Refuse unknown options with a suggestion, before ``__init__`` raises a TypeError."""
+        if args:
+            raise InputError(f"{cls.__name__}: expected options by name, found {brief(args[0])}")
         check_keywords(cls.__name__, given, spellings(cls))
         return super().__new__(cls)
 

@@ -49,6 +49,18 @@ REFINABLE = ("poses", "points", "focal", "principal_point", "extra")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
 
+GRAPH_ORDERINGS = (
+    "natural",
+    "reverse",
+    "landmarks_first",
+    "minimum_degree",
+    "amd",
+    "colamd",
+    "metis",
+    "nesdis",
+)
+"""Orders in which `inspect_graph` eliminates the variables of a graph."""
+
 
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -177,8 +189,9 @@ class SolveOptions(Options):
     cheirality: str = option(
         "auto",
         "--cheirality",
-        "residual of an observation behind its camera: zero (COLMAP) or algebraic (BAL); "
-        "auto: the convention of the input's format",
+        "residual of an observation behind its camera at the start: zero (COLMAP; one that goes "
+        "behind later costs more than in front) or algebraic (BAL); auto: the convention of the "
+        "input's format",
         choices=CHEIRALITIES,
     )
 
@@ -197,8 +210,9 @@ def _names(value: Any) -> tuple[str, ...]:
         raise InputError(
             f"refine: expected names out of {', '.join(REFINABLE)}, found {brief(value)}"
         ) from None
-    words = [name.strip() if isinstance(name, str) else name for name in given]
-    chosen = {choice("refine", name, REFINABLE) for name in words if name != ""}
+    words = (name.strip() if isinstance(name, str) else name for name in given)
+    named = (word for word in words if not isinstance(word, str) or word)
+    chosen = {choice("refine", word, REFINABLE) for word in named}
     return tuple(name for name in REFINABLE if name in chosen)
 
 

@@ -22,6 +22,7 @@ __all__ = [
     "reprojection_error",
     "reprojection_errors",
     "resolve_cheirality",
+    "summarize_errors",
 ]
 
 
@@ -109,8 +110,18 @@ def reprojection_error(
         InputError: an observed image has a camera model that is not supported.
     """
     errors, behind = reprojection_errors(problem, num_threads=num_threads)
+    return summarize_errors(errors, behind, resolve_cheirality(problem, cheirality))
+
+
+def summarize_errors(
+    errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
+) -> ReprojectionError:
+    """Return the statistics of what `reprojection_errors` returns, which is reordered.
+
+    `cheirality` is "algebraic" or "zero".
+    """
     counted = ~np.isnan(errors)
-    if resolve_cheirality(problem, cheirality) == "zero":
+    if cheirality == "zero":
         counted &= ~behind
     if not counted.all():
         errors = errors[counted]

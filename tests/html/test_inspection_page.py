@@ -242,3 +242,18 @@ def test_edges_of_images_are_points_in_common():
     assert set(edges) == {
         (a, b) for a, b in itertools.combinations(range(9), 2) if seen[a] & seen[b]
     }
+
+
+def test_the_recommended_one_leads_even_if_another_claims_to_be_faster(written):
+    one = method("SPARSE_SCHUR amd", "FUSED", time_per_step_in_seconds=0.2)
+    faster = method("DENSE_SCHUR natural", "FUSED", time_per_step_in_seconds=0.1)
+    _, page = written(inspection=dataclasses.replace(INSPECTION, methods=(faster, one)))
+    rows = [row[0] for row in page.rows if row[0] in ("fused " + one.name, "fused " + faster.name)]
+    assert rows == ["fused " + one.name, "fused " + faster.name]
+
+
+def test_backend_and_preconditioner_are_in_the_command(written):
+    best = method("ITERATIVE_SCHUR cluster_jacobi", "CERES")
+    _, page = written(inspection=dataclasses.replace(INSPECTION, methods=(best,), recommended=0))
+    for words in ("--solver iterative-schur", "--preconditioner cluster-jacobi", "--backend ceres"):
+        assert words in page.text

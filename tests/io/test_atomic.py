@@ -50,8 +50,12 @@ def test_mode_is_the_users_and_stays(tmp_path: Path) -> None:
         os.umask(previous)
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
     path.chmod(0o604)
-    with atomic.replace_file(path):
-        pass
+    previous = os.umask(0o077)
+    try:
+        with atomic.replace_file(path):
+            pass
+    finally:
+        os.umask(previous)
     assert stat.S_IMODE(path.stat().st_mode) == 0o604
 
 

@@ -1,11 +1,13 @@
 """Whole folders change places in one step, and nothing in them is lost."""
 
 import os
+import stat
 from pathlib import Path
 
 import pytest
 
 from bundle.io import atomic, exchange
+from bundle.io.temporary import temporary_folder
 from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 
 
@@ -44,11 +46,14 @@ def test_files_beside_the_model_stay_the_same_files(path: Path, exchanged: list[
     (path / "link").symlink_to("images")
     (path / "dangling").symlink_to("nowhere")
     (path / "images" / "empty").mkdir()
+    write_tree(path, {"backup/cameras.bin": "another model"})
     os.mkfifo(path / "pipe")
     inodes = {name: (path / name).stat().st_ino for name in FOREIGN}
+    path.chmod(0o2751)
     times = (path / "images").stat().st_mtime_ns
     replace(path)
     assert exchanged == [path]
+    assert stat.S_IMODE(path.stat().st_mode) == 0o2751
     assert inodes == {name: (path / name).stat().st_ino for name in FOREIGN}
     assert all((path / name).stat().st_nlink == 1 for name in FOREIGN)
     assert (path / "link").readlink() == Path("images")
@@ -58,7 +63,7 @@ def test_files_beside_the_model_stay_the_same_files(path: Path, exchanged: list[
     assert (path / "images").stat().st_mtime_ns == times
     (path / "link").unlink()
     (path / "pipe").unlink()
-    assert_replaced(path)
+    assert_replaced(path, {"backup/cameras.bin": "another model"})
 
 
 def test_files_that_come_meanwhile_are_kept(
@@ -119,6 +124,16 @@ def test_where_links_fail_files_are_replaced_one_by_one(
     replace(path)
     assert calls == 1
     assert path.stat().st_ino == inode
+    assert_replaced(path)
+
+
+def test_the_temporary_of_another_process_stays_where_it_is(path: Path) -> None:
+    """A folder in which another process is at work is not exchanged under its feet."""
+    inode = path.stat().st_ino
+    with temporary_folder(path) as other:
+        replace(path)
+        assert path.stat().st_ino == inode
+        assert other.path.is_dir()
     assert_replaced(path)
 
 

@@ -7,8 +7,10 @@ import pytest
 
 from bundle.io import atomic, exchange
 from tests.io.kills import killed_before
-from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
+from tests.io.trees import FOREIGN as BESIDE
+from tests.io.trees import NEW_MODEL, OLD_MODEL, tree, write_tree
 
+FOREIGN = BESIDE | {"backup/cameras.txt": "of another model"}
 NEW = {"same": {k: v.upper() for k, v in OLD_MODEL.items() if k != "rigs.txt"}, "other": NEW_MODEL}
 
 

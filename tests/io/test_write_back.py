@@ -172,3 +172,26 @@ def test_a_source_that_was_changed_after_all(problem: Problem) -> None:
 def test_a_source_with_rigs_of_several_sensors_is_refused(problem: Problem) -> None:
     with pytest.raises(ValueError, match="only single-sensor rigs"):
         problem.replace(source=synthesize(9, num_cameras_per_rig=3)).to_pycolmap()
+
+
+def test_a_keypoint_without_a_point_gets_one_at_another_place(problem: Problem) -> None:
+    image_id = int(problem.image_ids[2])
+    keypoints = problem.source.image(image_id).points2D
+    free = next(k for k, keypoint in enumerate(keypoints) if not keypoint.has_point3D())
+    result = problem.replace(
+        observation_image=np.append(problem.observation_image, 2),
+        observation_point=np.append(problem.observation_point, 7),
+        observation_xy=np.vstack([problem.observation_xy, [1, 2]]),
+        observation_keypoint=np.append(problem.observation_keypoint, free),
+    ).to_pycolmap()
+    keypoint = result.image(image_id).points2D[free]
+    assert (keypoint.point3D_id, keypoint.xy.tolist()) == (problem.point_ids[7], [1, 2])
+
+
+def test_new_images_put_keypoints_that_are_given_before_the_others() -> None:
+    problem = bal_like()
+    keypoint = np.full(problem.num_observations, -1)
+    given = np.flatnonzero(problem.observation_image == 1)[[5, 2]]
+    keypoint[given] = [0, 1]
+    points = problem.replace(observation_keypoint=keypoint).to_pycolmap().image(1).points2D
+    assert [point.xy.tolist() for point in points[:2]] == problem.observation_xy[given].tolist()

@@ -1,5 +1,8 @@
 """Progress, Ctrl-C, exceptions of callbacks, the GIL."""
 
+import _thread
+import functools
+import operator
 import signal
 import threading
 import time
@@ -38,12 +41,62 @@ def test_ctrl_c_keeps_the_best_state(solve):
     assert not solve(problem).summary.interrupted
 
 
-def test_what_a_callback_raises_comes_out(solve):
-    def fail(_):
-        raise RuntimeError("from the callback")
+@pytest.mark.parametrize("last", [0, 3])
+def test_what_a_callback_raises_comes_out(solve, last):
+    def fail(record):
+        if record["iteration"] == last:
+            raise RuntimeError("from the callback")
 
     with pytest.raises(RuntimeError, match="from the callback"):
-        solve(scenes.make_problem(), progress=fail)
+        solve(scenes.make_problem(), progress=fail, max_num_iterations=last, **LONG)
+
+
+def test_ctrl_c_does_not_hide_what_a_callback_raises(solve):
+    """Both at once: no bytecode runs between the signal and the exception of adding None."""
+    progress = functools.partial(sum, map(operator.call, [_thread.interrupt_main]))
+    with pytest.raises(TypeError, match="unsupported operand"):
+        solve(scenes.make_problem(), progress=progress, **LONG)
+
+
+def test_keyboard_interrupt_of_a_callback_is_ctrl_c(solve):
+    def stop(record):
+        if record["iteration"] == 2:
+            raise KeyboardInterrupt
+
+    result = solve(scenes.make_problem(perturbation=0.05), progress=stop, **LONG)
+    assert result.summary.interrupted
+    assert result.iterations["iteration"].tolist() == [0, 1, 2]
+
+
+def test_what_a_signal_handler_raises_comes_out(solve):
+    def expire(*_):
+        raise TimeoutError("too late")
+
+    previous = signal.signal(signal.SIGALRM, expire)
+    try:
+        with pytest.raises(TimeoutError, match="too late"):
+            solve(
+                scenes.make_problem(perturbation=0.05),
+                progress=lambda _: signal.raise_signal(signal.SIGALRM),
+                **LONG,
+            )
+    finally:
+        signal.signal(signal.SIGALRM, previous)
+
+
+def test_ctrl_c_is_seen_between_two_calls_of_the_callback(solve):
+    problem = scenes.make_problem(num_images=30, num_points=2000, track=8, perturbation=0.05)
+    timers = []
+
+    def interrupt_soon(record):
+        if record["iteration"] == 1:
+            timers.append(threading.Timer(1e-3, _thread.interrupt_main))
+            timers[0].start()
+
+    summary = solve(problem, progress=interrupt_soon, **LONG).summary
+    assert summary.interrupted
+    assert summary.termination_type == "USER_SUCCESS"
+    timers[0].join()
 
 
 def test_other_threads_run_while_a_solve_runs(solve):

@@ -3,11 +3,14 @@
 #include <utility>
 
 #include "core/backend/choose_backend.h"
+#include "core/blas_threads.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/fused/solve_with_fused.h"
+#include "core/solve/memory.h"
 #include "core/solve/option_names.h"
 #include "core/solve/prepare.h"
 #include "core/solve/scene_frame.h"
+#include "core/solve/solver_checks.h"
 #include "core/stopwatch.h"
 
 namespace bundle {
@@ -29,6 +32,8 @@ SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions optio
 SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
                   const ProgressCallback& progress) {
   const Stopwatch time;
+  RefuseTooLarge(given);
+  if (HasMemoryLimit()) TakeBlasBuffers();
   const SceneFrame given_frame(given);
   const CenteredProblem centered(given, given_frame);
   const ProblemView& problem = centered.view();

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "core/cameras/registry.h"
+#include "core/residuals/held_residual.h"
 #include "core/residuals/reprojection.h"
 
 namespace bundle {
@@ -20,8 +21,9 @@ class ReprojectionCost final : public ceres::CostFunction {
     pose_ = &context.states.pose(image);
     params_ = context.states.params(camera);
     cheirality_ = context.cheirality;
-    measurement_[0] = problem.observation_xy[2 * observation];
-    measurement_[1] = problem.observation_xy[2 * observation + 1];
+    abandoned_ = context.abandoned;
+    watch_ = context.watch;
+    measurement_ = problem.observation_xy + 2 * observation;
 
     set_num_residuals(2);
     if (layout.point_is_free(point)) {
@@ -39,15 +41,18 @@ class ReprojectionCost final : public ceres::CostFunction {
 
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
+    if (abandoned_ != nullptr && abandoned_->load(std::memory_order_relaxed)) return false;
     const double* point = fixed_point_ != nullptr ? fixed_point_ : parameters[0];
     if (jacobians == nullptr) {
-      EvaluateReprojection<Model, kParams>(*pose_, params_, point, measurement_, cheirality_,
-                                           residuals, nullptr);
+      const bool in_front = EvaluateReprojection<Model, kParams>(
+          *pose_, params_, point, measurement_, cheirality_, residuals, nullptr);
+      if (watch_ != nullptr) AtCandidate(in_front, residuals);
       return true;
     }
     ReprojectionJacobian<kParams> jacobian;
-    EvaluateReprojection<Model>(*pose_, params_, point, measurement_, cheirality_, residuals,
-                                &jacobian);
+    const bool in_front = EvaluateReprojection<Model>(*pose_, params_, point, measurement_,
+                                                      cheirality_, residuals, &jacobian);
+    if (watch_ != nullptr) AtState(in_front, residuals, &jacobian);
     if (fixed_point_ == nullptr) {
       if (jacobians[0] != nullptr) std::copy_n(jacobian.point, 6, jacobians[0]);
       ++jacobians;
@@ -60,6 +65,29 @@ class ReprojectionCost final : public ceres::CostFunction {
 
  private:
   static constexpr int kParams = kNumParams<Model>;
+
+  void AtCandidate(bool in_front, double* residual) const {
+    const bool counts = CountsAfterState(in_front, residual);
+    if (!counts) std::copy_n(held_, 2, residual);
+    if (counts != counted_) watch_->has_changed.store(true, std::memory_order_relaxed);
+  }
+
+  void AtState(bool in_front, double* residual, ReprojectionJacobian<kParams>* jacobian) const {
+    const bool counts = CountsAfterState(in_front, residual);
+    if (counts != counted_) watch_->num_held.fetch_add(counts ? -1 : 1);
+    counted_ = counts;
+    if (counts) {
+      for (int i = 0; i < 2; ++i) held_[i] = kHeldFactor * residual[i];
+    } else {
+      std::copy_n(held_, 2, residual);
+      *jacobian = {};
+    }
+  }
+
+  bool CountsAfterState(bool in_front, const double* r) const {
+    if (!in_front || counted_) return in_front;
+    return r[0] * r[0] + r[1] * r[1] <= held_[0] * held_[0] + held_[1] * held_[1];
+  }
 
   static void Gather(const ReprojectionJacobian<kParams>& jacobian, const CameraSideBlock& block,
                      double* out) {
@@ -75,10 +103,14 @@ class ReprojectionCost final : public ceres::CostFunction {
   const PoseState* pose_;
   const double* params_;
   const double* fixed_point_ = nullptr;
-  double measurement_[2];
+  const double* measurement_;
   const CameraSideBlock* blocks_[2] = {};
-  int num_blocks_ = 0;
+  HoldingWatch* watch_;
+  mutable double held_[2] = {0, 0};  ///< what is held if the observation stops counting, or is held
+  int8_t num_blocks_ = 0;
+  mutable bool counted_ = true;  ///< at the last state
   Cheirality cheirality_;
+  const std::atomic<bool>* abandoned_ = nullptr;
 };
 
 }  // namespace

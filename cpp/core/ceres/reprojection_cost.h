@@ -1,5 +1,7 @@
 #pragma once
 
+#include <atomic>
+#include <cstdint>
 #include <memory>
 
 #include "core/ceres/ceres_version.h"
@@ -9,12 +11,22 @@
 
 namespace bundle {
 
+/// What the reprojection costs of a solve tell of the residuals that observations hold.
+struct HoldingWatch {
+  std::atomic<int64_t> num_held{0};  ///< at the last state
+  /// Since this was last set to false, others counted at a candidate than at the state before.
+  std::atomic<bool> has_changed{false};
+};
+
 /// What all reprojection costs of a solve share. Outlives them.
 struct ReprojectionContext {
   const ProblemView& problem;
   const ParameterLayout& layout;
   const CameraStates& states;
   Cheirality cheirality;
+  HoldingWatch* watch = nullptr;  ///< nullptr: what does not count is zero, and nothing is held
+  /// Where it is true, costs cannot be evaluated any more, so that Ceres ends. Not read if null.
+  const std::atomic<bool>* abandoned = nullptr;
 };
 
 /// The residual of one observation as Ceres sees it. Its parameter blocks are, in this order and as
@@ -22,6 +34,10 @@ struct ReprojectionContext {
 ///
 /// The camera side is read from `context.states`, not from the parameters: an EvaluationCallback
 /// keeps the two equal. The model is one of the registry's and known.
+///
+/// An observation that does not count has the residual that it holds (residuals/held_residual.h),
+/// which depends on the states of the solve. Ceres' trust region asks for derivatives at these
+/// only, and for the residual alone at candidates.
 std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
                                                           int64_t observation);
 

@@ -1,7 +1,10 @@
 #include "core/ceres/solve_with_ceres.h"
 
 #include <algorithm>
+#include <atomic>
+#include <limits>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
 
@@ -13,9 +16,12 @@
 #include "core/ceres/reprojection_cost.h"
 #include "core/ceres/summarize.h"
 #include "core/ceres/translate_options.h"
+#include "core/interruption.h"
+#include "core/parallel_for.h"
 #include "core/solve/camera_states.h"
 #include "core/solve/choose_solver.h"
 #include "core/solve/finish.h"
+#include "core/solve/memory.h"
 #include "core/solve/parameter_layout.h"
 #include "core/solve/problem_shape.h"
 #include "core/solve/solver_checks.h"
@@ -24,27 +30,55 @@
 namespace bundle {
 namespace {
 
-/// Expands the camera side once an evaluation.
+/// Expands the camera side once per evaluation. Looks for an interruption before a candidate is
+/// evaluated: Ceres has no other moment within a step at which it can be left with the best state.
+/// From then on no cost can be evaluated, and the candidate is rejected.
 class UpdateCameraStates final : public ceres::EvaluationCallback {
  public:
   UpdateCameraStates(const double* state, CameraStates* states) : state_(state), states_(states) {}
 
-  void PrepareForEvaluation(bool /*evaluate_jacobians*/, bool new_evaluation_point) override {
+  void PrepareForEvaluation(bool evaluate_jacobians, bool new_evaluation_point) override {
+    if (!evaluate_jacobians && InterruptionRequested())
+      abandoned_.store(true, std::memory_order_relaxed);
     if (new_evaluation_point) states_->Update(state_);
   }
+
+  const std::atomic<bool>& abandoned() const { return abandoned_; }
 
  private:
   const double* state_;
   CameraStates* states_;
+  std::atomic<bool> abandoned_{false};
+};
+
+/// Remembers in which iterations other observations counted at the candidate than at the state.
+class RecordChanges final : public ceres::IterationCallback {
+ public:
+  explicit RecordChanges(HoldingWatch* watch) : watch_(watch) {}
+
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
+    if (watch_->has_changed.exchange(false)) iterations_.insert(iteration.iteration);
+    return ceres::SOLVER_CONTINUE;
+  }
+
+  const std::set<int>& iterations() const { return iterations_; }
+
+ private:
+  HoldingWatch* watch_;
+  std::set<int> iterations_;
 };
 
 class ReportProgress final : public ceres::IterationCallback {
  public:
-  ReportProgress(const ProgressCallback& progress, double fixed_cost)
-      : progress_(progress), fixed_cost_(fixed_cost) {}
+  ReportProgress(const ProgressCallback& progress, double fixed_cost,
+                 const std::atomic<bool>& abandoned)
+      : progress_(progress), fixed_cost_(fixed_cost), abandoned_(abandoned) {}
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
-    if (progress_(ToRecord(iteration, fixed_cost_))) return ceres::SOLVER_CONTINUE;
+    // An abandoned step is none to tell of.
+    if (abandoned_) return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
+    const bool goes_on = !progress_ || progress_(ToRecord(iteration, fixed_cost_));
+    if (goes_on && !InterruptionRequested()) return ceres::SOLVER_CONTINUE;
     interrupted_ = true;
     return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
   }
@@ -54,6 +88,7 @@ class ReportProgress final : public ceres::IterationCallback {
  private:
   const ProgressCallback& progress_;
   const double fixed_cost_;
+  const std::atomic<bool>& abandoned_;
   bool interrupted_ = false;
 };
 
@@ -66,26 +101,35 @@ class CeresSolve {
         warnings_(std::move(prepared.warnings)),
         layout_(std::move(prepared.layout)),
         states_(problem, layout_),
-        context_{problem_, layout_, states_, options.cheirality},
         points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
         state_(layout_.InitialState(problem)),
         update_states_(state_.data(), &states_),
+        context_{problem_,           layout_, states_,
+                 options.cheirality, &watch_, &update_states_.abandoned()},
         loss_(MakeLoss(options.loss, options.loss_scale)) {}
 
   SolveOutput Run(const ProgressCallback& progress) {
+    RefuseTooMuchMemory(PredictCeresWorkingBytes(
+        ShapeOf(layout_, 2 * static_cast<int64_t>(problem_.num_observations))));
     BuildProblem();
+    ThrowIfInterrupted();
     ceres::Solver::Options ceres_options = ChooseSolver();
-    ReportProgress report(progress, fixed_cost_);
-    if (progress) ceres_options.callbacks.push_back(&report);
+    // Ceres would not start otherwise where the system has no more threads.
+    ceres_options.num_threads = CountStartableThreads(ceres_options.num_threads);
+    ThrowIfInterrupted();
+    ReportProgress report(progress, fixed_cost_, update_states_.abandoned());
+    ceres_options.callbacks.push_back(&record_changes_);
+    ceres_options.callbacks.push_back(&report);
 
     const ProcessSettings settings(BlasThreads(ceres_options));
     const Stopwatch solve_time;
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, ceres_problem_.get(), &summary);
+    if (update_states_.abandoned()) ForgetAbandonedStep(&summary);
     SolveOutput output;
     output.solve_time_in_seconds = solve_time.seconds();
     output.summary = Summarize(summary, fixed_cost_);
-    output.summary.interrupted = report.interrupted();
+    output.summary.interrupted = report.interrupted() || update_states_.abandoned();
     Collect(summary, &output);
     return output;
   }
@@ -179,6 +223,23 @@ class CeresSolve {
     return factorises && large ? options.num_threads : 1;
   }
 
+  /// Makes a step that could not be evaluated one that was never tried.
+  static void ForgetAbandonedStep(ceres::Solver::Summary* summary) {
+    const auto unfinished = [](const ceres::IterationSummary& iteration) {
+      return iteration.iteration > 0 && !(iteration.cost < std::numeric_limits<double>::max());
+    };
+    if (unfinished(summary->iterations.back())) {
+      summary->iterations.pop_back();
+      --summary->num_unsuccessful_steps;
+    }
+    summary->termination_type = ceres::USER_SUCCESS;
+    summary->message = "User callback returned SOLVER_TERMINATE_SUCCESSFULLY.";
+    summary->final_cost = summary->initial_cost;
+    for (const ceres::IterationSummary& iteration : summary->iterations) {
+      summary->final_cost = std::min(summary->final_cost, iteration.cost);
+    }
+  }
+
   void Collect(const ceres::Solver::Summary& summary, SolveOutput* output) {
     output->summary.linear_solver_choice = std::move(linear_solver_choice_);
     for (std::string& fallback : FindFallbacks(summary)) warnings_.push_back(std::move(fallback));
@@ -186,12 +247,15 @@ class CeresSolve {
                                               summary.linear_solver_type_used);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
       output->iterations.push_back(ToRecord(iteration, fixed_cost_));
+      output->iterations.back().changes_what_counts =
+          record_changes_.iterations().count(iteration.iteration) > 0;
     }
     states_.Update(state_.data());
     output->cam_from_world = states_.CamFromWorld();
     output->camera_params = states_.camera_params();
     output->points = std::move(points_);
-    FinishSolve(problem_, layout_, states_, options_, std::move(warnings_), output);
+    FinishSolve(problem_, layout_, states_, options_, std::move(warnings_), watch_.num_held.load(),
+                output);
   }
 
   double* PointData(int point) { return points_.data() + 3 * static_cast<int64_t>(point); }
@@ -202,10 +266,12 @@ class CeresSolve {
   std::string linear_solver_choice_;
   ParameterLayout layout_;
   CameraStates states_;
-  ReprojectionContext context_;
+  HoldingWatch watch_;
+  RecordChanges record_changes_{&watch_};
   std::vector<double> points_;
   std::vector<double> state_;
   UpdateCameraStates update_states_;
+  ReprojectionContext context_;
   std::unique_ptr<ceres::LossFunction> loss_;
   std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
   std::unique_ptr<ceres::Problem> ceres_problem_;

@@ -1,10 +1,13 @@
 #include "core/fused/solve_with_fused.h"
 
+#include <algorithm>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "core/fused/eliminate/point_plan.h"
 #include "core/fused/eliminate/schur_problem.h"
 #include "core/fused/minimize/trust_region.h"
 #include "core/fused/reduced/fill_ordering.h"
@@ -12,6 +15,7 @@
 #include "core/fused/reduced/reduced_solver.h"
 #include "core/fused/reduced/reduced_system.h"
 #include "core/fused/summarize.h"
+#include "core/interruption.h"
 #include "core/parallel_for.h"
 #include "core/solve/coupled_blocks.h"
 #include "core/solve/finish.h"
@@ -56,7 +60,8 @@ class FusedSolve {
     output.summary.factor = std::move(factor_);
     output.iterations = std::move(minimum.iterations);
     for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
-    FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings_), &output);
+    FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings_),
+                schur_->num_held(), &output);
     return output;
   }
 
@@ -68,10 +73,23 @@ class FusedSolve {
     std::string idle = FindIdlePreconditioner(options_);
     if (!idle.empty()) warnings_.push_back(std::move(idle));
     RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
+    working_bytes_ = PredictFusedWorkingBytes(
+        problem_, layout_, EffectiveNumThreads(options_.num_threads), BufferBytes());
+    RefuseTooMuchMemory(working_bytes_);
     if (options_.preconditioner_type == PreconditionerType::kAuto) {
       options_.preconditioner_type = PreconditionerType::kTwoLevel;
     }
     options_.num_threads = EffectiveNumThreads(options_.num_threads);
+  }
+
+  /// At most, of a chunk's buffer: a block for each pair of images.
+  double BufferBytes() const {
+    double columns = 0;
+    for (const CameraSideBlock& block : layout_.blocks())
+      columns = std::max<double>(columns, block.size);
+    const double images = problem_.num_images;
+    return std::min<double>(kMaxBufferBytes,
+                            sizeof(double) * columns * columns * images * (images + 1) / 2);
   }
 
   /// Below a few hundred columns even the structure costs more than a dense factorisation.
@@ -98,6 +116,7 @@ class FusedSolve {
   }
 
   void FindSparseStructure() {
+    ThrowIfInterrupted();
     const Stopwatch symbolic;
     structure_ =
         SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_, options_.num_threads));
@@ -117,12 +136,15 @@ class FusedSolve {
       layout_.Reorder(ordering_.order);
       structure_ = Reorder(structure_, ordering_.order);
     }
+    ThrowIfInterrupted();
     const Stopwatch symbolic;
     solver_ = MakeSolver();
     symbolic_time_ += symbolic.seconds();
     SummarizeFactor();
     RefuseTooMuchMemory(options_.linear_solver_type,
-                        sizeof(double) * static_cast<double>(structure_.num_values));
+                        sizeof(double) * static_cast<double>(structure_.num_values),
+                        working_bytes_);
+    ThrowIfInterrupted();
     schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure_),
                                             solver_.get());
   }
@@ -170,6 +192,7 @@ class FusedSolve {
   ParameterLayout layout_;
   ReducedStructure structure_;  ///< until the problem has it
   FillOrdering ordering_;       ///< of the sparse structure
+  double working_bytes_ = 0;    ///< beside the system
   std::unique_ptr<ReducedSolver> solver_;
   std::unique_ptr<SchurProblem> schur_;
   FactorSummary factor_;

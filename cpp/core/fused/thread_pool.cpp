@@ -1,6 +1,9 @@
 #include "core/fused/thread_pool.h"
 
+#include <algorithm>
 #include <chrono>
+#include <new>
+#include <system_error>
 
 namespace bundle::fused {
 namespace {
@@ -27,8 +30,13 @@ void SpinWait::Once() {
 }
 
 ThreadPool::ThreadPool(int num_threads) {
-  for (int thread = 1; thread < num_threads; ++thread) {
-    workers_.emplace_back([this, thread] { WorkerLoop(thread); });
+  try {
+    workers_.reserve(std::max(0, num_threads - 1));
+    for (int thread = 1; thread < num_threads; ++thread) {
+      workers_.emplace_back([this, thread] { WorkerLoop(thread); });
+    }
+  } catch (const std::system_error&) {  // the system has no more threads
+  } catch (const std::bad_alloc&) {     // or no memory for one
   }
 }
 
@@ -51,8 +59,17 @@ void ThreadPool::Run(const std::function<void(int thread)>& work) {
     }
     wake_.notify_all();
   }
-  work(0);
+  Work(work, 0);
   for (SpinWait wait; unfinished_.load(std::memory_order_acquire) > 0;) wait.Once();
+  first_exception_.Rethrow();
+}
+
+void ThreadPool::Work(const std::function<void(int thread)>& work, int thread) {
+  try {
+    work(thread);
+  } catch (...) {
+    first_exception_.Keep();
+  }
 }
 
 void ThreadPool::WorkerLoop(int thread) {
@@ -70,7 +87,7 @@ void ThreadPool::WorkerLoop(int thread) {
     }
     if (generation < 0) return;
     seen = generation;
-    (*work_)(thread);
+    Work(*work_, thread);
     unfinished_.fetch_sub(1, std::memory_order_release);
   }
 }

@@ -67,7 +67,8 @@ void WriteCameras(const BalView& problem, NumberWriter* writer) {
 }
 
 void WritePoints(const BalView& problem, NumberWriter* writer) {
-  for (int64_t i = 0; i < 3 * problem.num_points; ++i) writer->Write(problem.points[i], '\n');
+  for (int64_t i = 0; i < 3 * int64_t{problem.num_points}; ++i)
+    writer->Write(problem.points[i], '\n');
 }
 
 }  // namespace

@@ -66,7 +66,12 @@ void OutputFile::Write(std::string_view block) {
   }
   while (streams_.size() > std::max(1u, std::thread::hardware_concurrency())) FinishOldestStream();
   const auto compress = compression_ == Compression::kGzip ? CompressGzip : CompressBzip2;
-  streams_.push_back(std::async(std::launch::async, compress, std::string(block)));
+  std::string content(block);
+  try {
+    streams_.push_back(std::async(std::launch::async, compress, content));
+  } catch (const std::system_error&) {  // the system has no more threads
+    streams_.push_back(std::async(std::launch::deferred, compress, std::move(content)));
+  }
 }
 
 void OutputFile::Close() {

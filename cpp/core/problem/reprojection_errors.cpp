@@ -41,12 +41,12 @@ void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, doub
                                uint8_t* behind) {
   CheckCameraModelsKnown(problem);
   std::vector<double> rotations(9 * static_cast<size_t>(problem.num_images));
-  for (int i = 0; i < problem.num_images; ++i) {
+  for (int64_t i = 0; i < problem.num_images; ++i) {
     QuaternionToRotation(problem.cam_from_world + 7 * i, &rotations[9 * i]);
   }
   ParallelFor(problem.num_observations, num_threads, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
-      const int image = problem.observation_image[i];
+      const int64_t image = problem.observation_image[i];
       const int camera = problem.image_camera[image];
       const double* translation = problem.cam_from_world + 7 * image + 4;
       double point[3], xy[2];

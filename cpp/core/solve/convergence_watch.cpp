@@ -62,7 +62,7 @@ std::vector<Step> StepsOf(const std::vector<IterationRecord>& iterations) {
     const IterationRecord& record = iterations[k];
     const double q = record.relative_decrease;
     const bool known = std::isfinite(q) && q != 0 && std::isfinite(record.cost_change) &&
-                       record.cost_change / q > 0;
+                       record.cost_change / q > 0 && !record.changes_what_counts;
     steps.push_back({record.iteration, record.step_is_successful, record.cost, record.cost_change,
                      known ? record.cost_change / q : std::numeric_limits<double>::quiet_NaN(), q,
                      iterations[k - 1].trust_region_radius, record.step_norm,

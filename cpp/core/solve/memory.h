@@ -3,7 +3,9 @@
 #include <cstdint>
 #include <string>
 
+#include "core/problem/problem_view.h"
 #include "core/solve/options.h"
+#include "core/solve/parameter_layout.h"
 #include "core/solve/problem_shape.h"
 
 namespace bundle {
@@ -14,9 +16,24 @@ namespace bundle {
 double PredictDenseMatrixBytes(LinearSolverType solver, const ProblemShape& shape,
                                bool cameras_eliminated);
 
-/// Bytes of memory that a process may still take before the machine runs out; a huge number where
-/// that cannot be told.
-double AvailableMemoryBytes();
+/// Bytes of memory that this process may still take: the least of what the machine has, what the
+/// control groups of the process leave (versions 1 and 2, with pages of files that can be dropped)
+/// and what the limits on address space and data segment leave (ulimit -v and -d). A huge number
+/// where nothing of that can be told. `root` stands before the paths in /proc and /sys.
+double AvailableMemoryBytes(const std::string& root = "");
+
+/// True if the address space or the data segment of this process has a limit.
+bool HasMemoryLimit();
+
+/// Bytes of what the fused backend keeps beside S or its factor: the sorted observations, the
+/// numbers of their pairs, two states with what belongs to each, and chunk buffers of
+/// `num_threads` threads of at most `buffer_bytes`.
+double PredictFusedWorkingBytes(const ProblemView& problem, const ParameterLayout& layout,
+                                int num_threads, double buffer_bytes);
+
+/// Bytes of Ceres' objects for observations and points, and of the Jacobian, as measured
+/// (bundle/inspection/memory.py).
+double PredictCeresWorkingBytes(const ProblemShape& shape);
 
 /// "1.4 GB": powers of 1000 and three digits, as python/bundle/memory_sizes.py writes them.
 std::string FormatBytes(double bytes);

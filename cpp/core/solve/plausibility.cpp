@@ -27,13 +27,14 @@ std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayou
          std::to_string(problem.point_ids[first]) + ".";
 }
 
-void RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
+bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
   ProblemView refined = problem;
   refined.cam_from_world = output->cam_from_world.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
   try {
     ValidateProblem(refined);
+    return false;
   } catch (const InputError& error) {
     const auto restore = [](const double* from, std::vector<double>* to) {
       to->assign(from, from + to->size());
@@ -44,6 +45,7 @@ void RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
     output->summary.is_solution_usable = false;
     output->summary.warnings.push_back(std::string("The solution is invalid (") + error.what() +
                                        ") and was discarded.");
+    return true;
   }
 }
 

@@ -14,8 +14,8 @@ std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayou
 
 /// If the solver left something that is no reconstruction (a focal length that is not positive, a
 /// number that is not finite), puts the problem's own values back, marks the solution as not usable
-/// and says why in the warnings.
-void RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output);
+/// and says why in the warnings. Returns true if so.
+bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output);
 
 /// One sentence that names the first observation whose squared residual is not finite at the
 /// problem's own values; "" if there is none.

@@ -9,7 +9,9 @@
 
 namespace bundle {
 
-/// Called after each iteration; false stops the solve, which then keeps the best state.
+/// Called after each iteration; false stops the solve, which then keeps the best state. So does an
+/// InterruptionScope, within an iteration; before the first evaluation is complete there is nothing
+/// to keep, and Interrupted is thrown.
 using ProgressCallback = std::function<bool(const IterationRecord&)>;
 
 struct SolveOutput {

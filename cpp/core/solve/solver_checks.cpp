@@ -1,18 +1,27 @@
 #include "core/solve/solver_checks.h"
 
+#include <limits>
+
 #include "core/error.h"
+#include "core/residuals/reprojection.h"
 #include "core/solve/memory.h"
 #include "core/solve/option_names.h"
 
 namespace bundle {
 namespace {
 
-void Refuse(LinearSolverType type, double bytes, const char* what, const char* instead) {
+/// The free memory where `bytes` are more than nine tenths of it; else -1.
+double AvailableIfTooLittle(double bytes) {
   // Asking the system takes as long as a step of a small problem.
   constexpr double kFitsAnywhere = 1 << 20;
-  if (bytes < kFitsAnywhere) return;
+  if (bytes < kFitsAnywhere) return -1;
   const double available = AvailableMemoryBytes();
-  if (bytes <= 0.9 * available) return;
+  return FitsIntoMemory(bytes, available) ? -1 : available;
+}
+
+void Refuse(LinearSolverType type, double bytes, const char* what, const char* instead) {
+  const double available = AvailableIfTooLittle(bytes);
+  if (available < 0) return;
   throw InputError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) + " needs " +
                    FormatBytes(bytes) + " for its " + what + ", of which this machine has " +
                    FormatBytes(available) + " free; use " + instead);
@@ -57,8 +66,38 @@ void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
          "sparse_schur or iterative_schur");
 }
 
-void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes) {
-  Refuse(type, factor_bytes, "factor", "iterative_schur");
+bool FitsIntoMemory(double bytes, double available) { return bytes <= 0.9 * available; }
+
+void RefuseTooLarge(const ProblemView& problem) {
+  constexpr int64_t kMost = std::numeric_limits<int>::max();
+  const auto refuse = [](const char* what, int64_t most, int64_t found) {
+    throw InputError(std::string(what) + ": expected at most " + std::to_string(most) +
+                     " in one solve, found " + std::to_string(found));
+  };
+  if (problem.num_observations > kMost / 2) {
+    refuse("observation_xy", kMost / 2, problem.num_observations);  // two residuals each
+  }
+  // Three parameters each, and up to so many per image and camera.
+  const int64_t camera_side =
+      int64_t{kPoseSize} * problem.num_images +
+      int64_t{kMaxCameraParams} * (int64_t{problem.num_images} + problem.num_cameras);
+  if (camera_side > kMost)
+    refuse("cam_from_world", kMost / (kPoseSize + 2 * kMaxCameraParams), problem.num_images);
+  const int64_t most_points = (kMost - camera_side) / 3;
+  if (problem.num_points > most_points) refuse("points", most_points, problem.num_points);
+}
+
+void RefuseTooMuchMemory(double working_bytes) {
+  const double available = AvailableIfTooLittle(working_bytes);
+  if (available < 0) return;
+  throw InputError("not enough memory: the observations and points take " +
+                   FormatBytes(working_bytes) + " within a solve, of which this machine has " +
+                   FormatBytes(available) + " free");
+}
+
+void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes) {
+  Refuse(type, factor_bytes + working_bytes,
+         working_bytes > 0 ? "factor, observations and points" : "factor", "iterative_schur");
 }
 
 }  // namespace bundle

@@ -22,10 +22,20 @@ std::string FindIdlePreconditioner(const SolveOptions& options);
 /// One sentence if an elimination ordering was asked for of a linear solver that has none; else "".
 std::string FindIdleOrdering(const SolveOptions& options);
 
+/// True if `bytes` leave a tenth of the available memory to everything else.
+bool FitsIntoMemory(double bytes, double available);
+
 /// Throws InputError if the dense matrices of a solver do not fit into the free memory.
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape, bool cameras_eliminated);
 
-/// The same for a sparse solver whose factor takes so many bytes.
-void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes);
+/// The same for a solver whose matrix takes so many bytes, beside those of observations and points.
+void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes = 0);
+
+/// The same for what any solver of a backend keeps of the observations and points.
+void RefuseTooMuchMemory(double working_bytes);
+
+/// Throws InputError if there are more residuals or parameters than an int counts: Ceres numbers
+/// them so, and so do the reports of both backends.
+void RefuseTooLarge(const ProblemView& problem);
 
 }  // namespace bundle

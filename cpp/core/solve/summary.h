@@ -22,6 +22,11 @@ struct IterationRecord {
   bool step_is_successful = false;
   double iteration_time_in_seconds = 0;
   double cumulative_time_in_seconds = 0;
+
+  // Beyond Ceres, and not reported.
+  /// The step makes observations count that did not, or the reverse: what the model promised is no
+  /// measure of it.
+  bool changes_what_counts = false;
 };
 
 /// The matrix that each step factorises, and its Cholesky factor L. Matrices count both triangles

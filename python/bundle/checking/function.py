@@ -57,6 +57,8 @@ class UserFunction:
             raise InputError(
                 f"function: expected a list of Jacobians, found {type(jacobians).__name__}"
             )
+        if isinstance(jacobians, np.ndarray) and jacobians.ndim == 0:
+            raise InputError("function: expected a list of Jacobians, found a single number")
         return residual, list(jacobians)
 
     @staticmethod

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle import _core
-from bundle.arguments import as_array
+from bundle.arguments import as_array, as_flag
 from bundle.checking.assemble import (
     CHECKER_PRECISION,
     TOLERANCE,
@@ -84,7 +84,8 @@ def check_gradients(
     """
     if not callable(function):
         raise InputError(f"function: expected a function, found {brief(function)}")
-    if isinstance(blocks, str | bytes | Mapping) or not isinstance(blocks, Iterable):
+    single = isinstance(blocks, np.ndarray) and blocks.ndim == 0
+    if isinstance(blocks, str | bytes | Mapping) or not isinstance(blocks, Iterable) or single:
         raise InputError(f"blocks: expected a list of arrays, found {brief(blocks)}")
     start = [as_array("blocks", block).reshape(-1).copy() for block in blocks]
     if not start or not all(len(block) for block in start):
@@ -94,6 +95,7 @@ def check_gradients(
             raise InputError(f"blocks: expected finite numbers, found others in block {b}")
     num_samples = number("num_samples", num_samples, minimum=1, whole=True)
     radius = number("radius", radius, minimum=0)
+    ambient = as_flag("ambient", ambient)
     seed = number("seed", seed, minimum=0, maximum=math.inf, whole=True)
     tolerance = number("tolerance", tolerance, above=0)
     layout = Layout.make(start, manifolds, names)

@@ -230,7 +230,7 @@ def _verdicts(verdicts: Sequence[Verdict], title: str = "parameters") -> Columns
         )
         for verdict in verdicts
     ]
-    head = (title, "verdict", "largest error", "entries", "wrong", "undecided")
+    head = (title, "verdict", "max error", "entries", "wrong", "undecided")
     return columns(head, rows, left=2)
 
 

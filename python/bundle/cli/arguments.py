@@ -12,7 +12,7 @@ from bundle.cli.suggestions import unknown_command, unknown_value
 from bundle.errors import InputError, shown
 from bundle.io import FORMATS
 
-__all__ = ["Parser", "add_common_arguments", "add_input", "add_output"]
+__all__ = ["Parser", "a_path", "add_common_arguments", "add_input", "add_output"]
 
 
 class _Formatter(argparse.HelpFormatter):
@@ -67,11 +67,23 @@ class Parser(argparse.ArgumentParser):
         raise argparse.ArgumentError(action, unknown_value(str(value), map(str, action.choices)))
 
 
+def a_path(text: str) -> str:
+    """Return the path; the type of every argument that is one.
+
+    Raises:
+        argparse.ArgumentTypeError: it is empty.
+    """
+    if not text.strip():
+        raise argparse.ArgumentTypeError("expected a path, found an empty one")
+    return text
+
+
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that every command has."""
     parser.add_argument(
         "--json",
         metavar="FILE",
+        type=a_path,
         help="also write a report for programs; -: to standard output, and nothing else there",
     )
     parser.add_argument(
@@ -87,6 +99,7 @@ def add_input(
         name,
         metavar="INPUT",
         nargs=nargs,
+        type=a_path,
         help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text); "
         "told by its content",
     )
@@ -97,6 +110,7 @@ def add_output(parser: argparse.ArgumentParser, *names: str, **settings: Any) ->
     parser.add_argument(
         *names,
         metavar="OUTPUT",
+        type=a_path,
         help="what to write, which may be INPUT; NAME.txt, .txt.gz and .txt.bz2 are BAL files, "
         "NAME/ and folders that exist COLMAP models, other names take INPUT's format",
         **settings,

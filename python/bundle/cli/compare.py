@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from bundle import compare_defaults as defaults
+from bundle.cli.arguments import a_path
 from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, options_given
 from bundle.errors import InputError
@@ -29,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "inputs",
         metavar="INPUT",
+        type=a_path,
         nargs="+",
         help="BAL files (plain, .gz or .bz2) and folders of COLMAP models; several give "
         "performance profiles as well",
@@ -89,7 +91,7 @@ def _add_limits(group: argparse._ArgumentGroup) -> None:
         "1 MB is 1,000,000 bytes "
         f"(default: {100 * defaults.SHARE_OF_FREE_MEMORY:g} %% of what is free at the start)",
     )
-    group.add_argument("--html", metavar="FILE", help="also write a page with plots")
+    group.add_argument("--html", metavar="FILE", type=a_path, help="also write a page with plots")
 
 
 def run(arguments: argparse.Namespace) -> int:

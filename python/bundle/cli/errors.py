@@ -12,6 +12,7 @@ code  meaning
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,6 +27,9 @@ __all__ = [
     "describe_error",
     "is_interruption",
 ]
+
+# How the dynamic loader says so.
+_LACKS_MEMORY = re.compile("failed to map segment|cannot allocate memory", re.IGNORECASE)
 
 EXIT_DONE = 0
 EXIT_NO_SOLUTION = 1
@@ -62,7 +66,9 @@ def _line(error: BaseException) -> str | None:
     if isinstance(error, OSError):
         return _one_line(_os_error(error))
     if isinstance(error, MemoryError):
-        return "out of memory"
+        return _one_line(f"not enough memory: {error}" if str(error) else "not enough memory")
+    if isinstance(error, ImportError) and _LACKS_MEMORY.search(str(error)):
+        return _one_line(f"not enough memory to load a library: {error}")
     return None
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from time import perf_counter
 from typing import TYPE_CHECKING
 
+from bundle.cli.arguments import a_path
 from bundle.cli.errors import EXIT_DONE
 from bundle.cli.option_flags import add_options, naming_flags, options_given
-from bundle.options import SolveOptions
+from bundle.options import GRAPH_ORDERINGS, SolveOptions
 
 if TYPE_CHECKING:
     from bundle.inspection import GraphInspection
@@ -27,16 +29,6 @@ OPTIONS = (
     "fixed_point_ids",
     "gauge",
 )
-GRAPH_ORDERINGS = (
-    "natural",
-    "reverse",
-    "landmarks-first",
-    "minimum-degree",
-    "amd",
-    "colamd",
-    "metis",
-    "nesdis",
-)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,12 +37,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "input",
         metavar="INPUT",
+        type=a_path,
         nargs="?",
         help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text); "
         "told by its content",
     )
     parser.add_argument(
-        "--html", metavar="FILE", help="also write a page with pictures, which needs no network"
+        "--html",
+        metavar="FILE",
+        type=a_path,
+        help="also write a page with pictures, which needs no network",
     )
     parser.add_argument(
         "--recalibrate",
@@ -59,17 +55,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(parser, SolveOptions, "what is refined", OPTIONS)
     group = parser.add_argument_group("a graph in place of a problem")
+    orderings = [name.replace("_", "-") for name in GRAPH_ORDERINGS]
     group.add_argument(
         "--graph",
         metavar="FILE",
+        type=a_path,
         help="eliminate a small graph step by step: an edge a line, two names; # begins a comment",
     )
     group.add_argument(
         "--ordering",
         metavar="ORDERING",
         type=lambda text: text.lower().replace("_", "-"),
-        choices=GRAPH_ORDERINGS,
-        help=f"of the graph: one of {', '.join(GRAPH_ORDERINGS)} (default: natural)",
+        choices=orderings,
+        help=f"of the graph: one of {', '.join(orderings)} (default: natural)",
     )
     group.add_argument(
         "--landmarks",
@@ -97,6 +95,11 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.json, source)
     check_json(arguments.html, source, *([arguments.json] if arguments.json else []))
     if arguments.graph is not None:
+        for field in dataclasses.fields(SolveOptions):
+            if getattr(arguments, field.name, None) is not None:
+                raise InputError(f"{field.metadata['flag']}: expected with INPUT only")
+        if arguments.recalibrate:
+            raise InputError("--recalibrate: expected with INPUT only")
         return _inspect_graph(arguments)
     for flag in ("ordering", "landmarks", "block_size"):
         if getattr(arguments, flag) is not None:

@@ -24,6 +24,7 @@ from bundle.cli.errors import (
 )
 from bundle.cli.streams import complain, open_missing_streams, release_broken_streams
 from bundle.cli.suggestions import unknown_flag
+from bundle.errors import end_in_one_line
 from bundle.io import atomic
 
 __all__ = ["main"]
@@ -35,6 +36,7 @@ COMMANDS = ("info", "inspect", "refine", "compare", "check", "convert", "synth")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; ``bundle.cli.errors`` has them all."""
     open_missing_streams()
+    end_in_one_line()
     with atomic.recording() as written, _noting_recoveries():
         try:
             code = _run(sys.argv[1:] if argv is None else list(argv))

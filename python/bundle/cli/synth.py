@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.cli.arguments import a_path
 from bundle.cli.errors import EXIT_DONE
 from bundle.cli.option_flags import add_options, naming_flags, options_given
 from bundle.errors import InputError, shown
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "output",
         metavar="OUTPUT",
+        type=a_path,
         help="where the start goes: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
         "folders of COLMAP models",
     )
@@ -44,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ground-truth",
         metavar="PATH",
+        type=a_path,
         help="where the true solution goes, with the same observations (default: beside OUTPUT, "
         "OUTPUT_ground_truth)",
     )

@@ -10,6 +10,7 @@ from bundle import _core
 from bundle.compare_defaults import BACKENDS, ORDERINGS, PRECONDITIONERS, SOLVERS, THREADS
 from bundle.comparison.method import Method
 from bundle.errors import InputError, brief
+from bundle.option_fields import number
 from bundle.options import SolveOptions
 
 __all__ = ["expand"]
@@ -36,7 +37,7 @@ def expand(
         "linear_solver_type": _listed("solvers", solvers),
         "linear_solver_ordering": _listed("orderings", orderings),
         "preconditioner_type": _listed("preconditioners", preconditioners),
-        "num_threads": _listed("threads", threads),
+        "num_threads": _capped(_listed("threads", threads)),
     }
     for name, values in given.items():
         if not values:
@@ -56,13 +57,19 @@ def _listed(argument: str, values: Any) -> tuple[Any, ...]:
         raise InputError(f"{argument}: expected a list, found {brief(values)}") from None
 
 
+def _capped(threads: tuple[Any, ...]) -> tuple[int, ...]:
+    """Return thread counts as a solve takes them, each once: at most the cores, 0 for all."""
+    cores = _core.hardware_threads()
+    checked = (number("num_threads", count, whole=True, minimum=0) for count in threads)
+    return tuple(dict.fromkeys(min(count or cores, cores) for count in checked))
+
+
 def _method(options: SolveOptions) -> Method:
     options = options.without_idle()
-    cores = _core.hardware_threads()
     return Method(
         backend=options.backend,
         linear_solver_type=options.linear_solver_type,
         linear_solver_ordering=options.linear_solver_ordering,
         preconditioner_type=options.preconditioner_type,
-        num_threads=min(options.num_threads or cores, cores),
+        num_threads=options.num_threads,
     )

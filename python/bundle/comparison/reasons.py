@@ -9,6 +9,7 @@ import numpy as np
 
 from bundle.comparison.method import ITERATIVE, Method
 from bundle.comparison.result import Comparison, Prediction, Run
+from bundle.words import duration, plural
 
 __all__ = ["reason_on_many", "reason_on_one"]
 
@@ -26,7 +27,7 @@ def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> s
     structure = _structure(winner, runs)
     begin = f"{method.name}: {structure}; " if structure else f"{method.name}: "
     total = winner.total_time_in_seconds
-    words = [f"the solve takes {_seconds(total)}"]
+    words = [f"the solve takes {duration(total)}"]
     rivals = _rivals(winner, runs)
     slower = [rival for rival in rivals if rival.is_usable]
     if slower:
@@ -48,7 +49,7 @@ def reason_on_many(method: Method, ratios: Sequence[Mapping[Method, float]]) -> 
     """
     own = [row[method] for row in ratios if method in row]
     fastest = sum(ratio == 1 for ratio in own)
-    words = f"{method.name}: the fastest on {fastest} of {len(ratios)} problems"
+    words = f"{method.name}: the fastest on {fastest} of {plural(len(ratios), 'problem')}"
     if max(own) > 1:
         words += f", at worst {_times(max(own))} the fastest"
     if len(own) < len(ratios):
@@ -156,7 +157,3 @@ def _told_apart(winner: Method, rival: Method) -> str:
 
 def _times(ratio: float) -> str:
     return f"{ratio:.2f} times" if ratio < 9.95 else f"{ratio:.0f} times"
-
-
-def _seconds(value: float) -> str:
-    return f"{1e3 * value:.3g} ms" if value < 0.9995 else f"{value:.3g} s"

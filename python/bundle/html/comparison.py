@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 import os
 from html import escape
-from pathlib import Path
 
+from bundle.arguments import check_type
 from bundle.comparison import GAPS, Comparison, Run
 from bundle.html.charts import Curve, curves, stacked_bars
 from bundle.html.numbers import amount_if_any, counted, seconds
 from bundle.html.page import tag, write_page
 from bundle.html.scale import Scale, linear, logarithmic
 from bundle.html.table import Notes, convention, table
+from bundle.io import as_path
 from bundle.memory_sizes import format_size
 from bundle.pictures.series import cost_curve, labels, profile_curve, styles
 
@@ -26,13 +27,14 @@ def write_comparison(comparison: Comparison, path: str | os.PathLike[str]) -> No
         InputError: the path is a folder, or its parent is none.
         OSError: the file cannot be written.
     """
+    check_type("comparison", comparison, Comparison)
     sections = [_scope(comparison), _recommendation(comparison)]
     for problem in range(len(comparison.problems)):
         sections += [_problem(comparison, problem)]
     sections.append(_profiles(comparison))
     count = len(comparison.problems)
     name = comparison.problems[0].name if count == 1 else f"{count} problems"
-    write_page(Path(path), f"Solvers compared: {name}", sections)
+    write_page(as_path(path), f"Solvers compared: {name}", sections)
 
 
 def _scope(comparison: Comparison) -> str:

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from bundle.arguments import check_type
 from bundle.comparison.command_line import recommended_command
+from bundle.errors import InputError
 from bundle.html.charts import bars
 from bundle.html.elimination import MOST_VARIABLES, elimination_data, elimination_section
 from bundle.html.graph import column_counts, write_graph
@@ -17,6 +19,7 @@ from bundle.html.page import tag, write_page
 from bundle.html.subgraph import image_graph
 from bundle.html.table import Notes, convention, table
 from bundle.inspection import GraphInspection, Inspection, MethodInspection, inspect_graph
+from bundle.io import as_path
 from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.pictures.covisibility import covisibility_graph
@@ -60,13 +63,23 @@ def write_inspection(
         InputError: the path is a folder, or its parent is none.
         OSError: the file cannot be written.
     """
+    path = as_path(path)
+    if problem is not None:
+        check_type("problem", problem, Problem)
+    options = SolveOptions.of(options, {}, "options")
     if isinstance(inspection, Inspection):
         title = f"What solving {name} costs" if name else "What solving costs"
-        _write_problem(inspection, Path(path), title, problem, options or SolveOptions(), name)
+        _write_problem(inspection, path, title, problem, options, name)
     elif isinstance(inspection, GraphInspection):
         write_graph(_with_rivals(inspection), path)
     else:
-        write_graph(inspection, path)
+        listed = isinstance(inspection, list | tuple)
+        graphs: list[GraphInspection] = [*inspection] if listed else [inspection]  # type: ignore[list-item]
+        for graph in graphs:
+            check_type("inspection", graph, GraphInspection)
+        if not graphs:
+            raise InputError("inspection: expected at least one GraphInspection, found none")
+        write_graph(graphs, path)
 
 
 def _with_rivals(graph: GraphInspection) -> list[GraphInspection]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.arguments import as_integers
 from bundle.errors import InputError, brief
 
 __all__ = ["as_block_sizes", "as_edges", "as_names", "as_tracks", "as_variables"]
@@ -17,30 +18,9 @@ MOST_VARIABLES = 2**31 - 2
 MOST_SCALARS_A_BLOCK = 2**31 - 1
 
 
-def _as_integers(argument: str, values: Any) -> NDArray[np.int64]:
-    """Return an array of integers of whatever shape; nothing at all has shape (0,)."""
-    try:
-        array = np.asarray(values if isinstance(values, np.ndarray) else list(values))
-    except Exception:  # whatever the user's objects raise while they are looked at
-        raise InputError(
-            f"{argument}: expected an array of integers, found {brief(values)}"
-        ) from None
-    if isinstance(values, np.ma.MaskedArray):
-        raise InputError(f"{argument}: expected an array without a mask, found a masked one")
-    if array.size == 0:
-        return np.zeros(array.shape, np.int64)
-    if array.dtype.kind not in "iu":
-        raise InputError(
-            f"{argument}: expected integers, found {array.dtype} {brief(array.flat[0])}"
-        )
-    if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
-        raise InputError(f"{argument}: expected integers below 2^63, found {array.max()}")
-    return array.astype(np.int64)
-
-
 def as_edges(edges: Any) -> NDArray[np.int64]:
     """Return the edges as (num_edges, 2); refuse loops."""
-    pairs = _as_integers("edges", edges)
+    pairs = as_integers("edges", edges)
     if pairs.size == 0:
         return np.zeros((0, 2), np.int64)
     if pairs.ndim != 2 or pairs.shape[1] != 2:
@@ -57,7 +37,10 @@ def as_names(
     names: Sequence[str] | None, pairs: NDArray[np.int64], num_variables: int | None
 ) -> tuple[str, ...]:
     """Return a name for each variable, as many as there are."""
-    if names is not None and not isinstance(names, str | list | tuple | np.ndarray):
+    listed = isinstance(names, str | list | tuple) or (
+        isinstance(names, np.ndarray) and names.ndim == 1
+    )
+    if names is not None and not listed:
         raise InputError(f"names: expected a list of names, found {brief(names)}")
     if num_variables is None:
         num_variables = len(names) if names is not None else int(pairs.max(initial=-1)) + 1
@@ -80,7 +63,7 @@ def as_variables(
     argument: str, values: Iterable[Any] | NDArray[np.int64], num_variables: int
 ) -> NDArray[np.int64]:
     """Return numbers of variables; refuse those that do not exist."""
-    variables = _as_integers(argument, values)
+    variables = as_integers(argument, values)
     wrong = variables[(variables < 0) | (variables >= num_variables)]
     if len(wrong):
         expected = f"variables 0 to {num_variables - 1}" if num_variables else "no variables"
@@ -91,7 +74,7 @@ def as_variables(
 def as_block_sizes(block_size: int | Sequence[int], num_variables: int) -> NDArray[np.int32]:
     """Return the scalars of each variable."""
     one = isinstance(block_size, int | np.integer)
-    sizes = _as_integers("block_size", [block_size] if one else block_size)
+    sizes = as_integers("block_size", [block_size] if one else block_size)
     if one:
         sizes = np.full(num_variables, sizes[0])
     if sizes.shape != (num_variables,):
@@ -106,7 +89,7 @@ def as_block_sizes(block_size: int | Sequence[int], num_variables: int) -> NDArr
 
 def as_tracks(track_lengths: Iterable[int], num_cameras: int) -> NDArray[np.int64]:
     """Return track lengths of points, each at most one observation a camera."""
-    tracks = _as_integers("track_lengths", track_lengths)
+    tracks = as_integers("track_lengths", track_lengths)
     wrong = tracks[(tracks < 0) | (tracks > num_cameras)]
     if len(wrong):
         raise InputError(f"track_lengths: expected 0 to {num_cameras}, found {wrong[0]}")

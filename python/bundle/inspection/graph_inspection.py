@@ -10,25 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.arguments import as_flag
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.inspection.elimination import EliminationStep, eliminate, minimum_degree_order
 from bundle.inspection.graph_arguments import as_block_sizes, as_edges, as_names, as_variables
 from bundle.option_fields import choice
+from bundle.options import GRAPH_ORDERINGS
 from bundle.words import plural
 
 __all__ = ["GRAPH_ORDERINGS", "GraphInspection", "inspect_graph"]
-
-GRAPH_ORDERINGS = (
-    "natural",
-    "reverse",
-    "landmarks_first",
-    "minimum_degree",
-    "amd",
-    "colamd",
-    "metis",
-    "nesdis",
-)
 
 # Steps are recorded unasked where they look at no more pairs of neighbours than this: in about a
 # second, for some hundred variables or thousands with little fill.
@@ -160,7 +151,9 @@ def inspect_graph(
 
     counts = _core.count_factor(*pattern, order)
     below: NDArray[np.int64] = counts["blocks_below"]
-    if record_steps is None:
+    if record_steps is not None:
+        record_steps = as_flag("record_steps", record_steps)
+    else:
         record_steps = int((below * below).sum()) <= 2 * MOST_PAIRS_TO_RECORD
     edge_list = tuple((a, b) for a, b in pairs.tolist())
     ordered, block_sizes = tuple(order.tolist()), tuple(sizes.tolist())

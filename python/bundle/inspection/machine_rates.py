@@ -20,9 +20,13 @@ from pathlib import Path
 
 from bundle import _core
 from bundle.inspection.calibrate import calibrate
+from bundle.inspection.plausibility import implausible
 from bundle.inspection.rates import FactorRate, Rates
 
 __all__ = ["cache_path", "machine_rates"]
+
+ATTEMPTS = 3
+"""Calibrations before rates are used that cannot be right, and not kept."""
 
 
 def machine_rates(num_threads: int, *, recalibrate: bool = False) -> Rates:
@@ -30,10 +34,22 @@ def machine_rates(num_threads: int, *, recalibrate: bool = False) -> Rates:
     path = cache_path(num_threads)
     rates = None if recalibrate else _read(path)
     if rates is None:
-        rates = calibrate(num_threads)
+        rates = _measure(num_threads)
+        if implausible(rates):  # good enough for this once
+            return rates
         with contextlib.suppress(OSError):  # without a place to keep them they are measured again
             _write(path, rates)
     return rates
+
+
+def _measure(num_threads: int) -> Rates:
+    """Calibrate until the rates are plausible; return the least implausible of ATTEMPTS."""
+    attempts: list[Rates] = []
+    while len(attempts) < ATTEMPTS:
+        attempts.append(calibrate(num_threads))
+        if not implausible(attempts[-1]):
+            return attempts[-1]
+    return min(attempts, key=lambda rates: len(implausible(rates)))
 
 
 def cache_path(num_threads: int) -> Path:
@@ -48,6 +64,7 @@ def cache_path(num_threads: int) -> Path:
         platform.node(),
         platform.machine(),
         _processor(),
+        _blas(),
         os.environ.get("BUNDLE_INSTRUCTION_SET", ""),
         _core.hardware_threads(),
         [field.name for field in dataclasses.fields(Rates)],
@@ -56,12 +73,30 @@ def cache_path(num_threads: int) -> Path:
     return base / "bundle" / f"rates-{digest}-{num_threads}.json"
 
 
-def _processor() -> str:
+def _processor() -> tuple[str, ...]:
+    """Return the model and its instruction sets, of which a virtual machine may hide some."""
     try:
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
     except OSError:
-        return platform.processor()
-    return next((line for line in lines if line.startswith("model name")), "")
+        return (platform.processor(),)
+    heads = ("model name", "flags", "Features")
+    return tuple(next((line for line in lines if line.startswith(head)), "") for head in heads)
+
+
+def _blas() -> tuple[str, ...]:
+    """Return the BLAS libraries that are loaded, with sizes and dates, and what selects kernels."""
+    choice = os.environ.get("OPENBLAS_CORETYPE", "")
+    try:
+        maps = Path("/proc/self/maps").read_text(errors="replace").splitlines()
+    except OSError:
+        return (choice,)
+    found = set()
+    for path in {line.split(maxsplit=5)[5] for line in maps if len(line.split(maxsplit=5)) == 6}:
+        if "blas" in Path(path).name.lower():
+            with contextlib.suppress(OSError):
+                status = Path(path).stat()
+                found.add(f"{path} {status.st_size} {int(status.st_mtime)}")
+    return (choice, *sorted(found))
 
 
 def _read(path: Path) -> Rates | None:
@@ -79,7 +114,7 @@ def _read(path: Path) -> Rates | None:
         sound = all(math.isfinite(number) and number >= 0 for number in numbers)
     except (OSError, ValueError, TypeError, KeyError):
         return None
-    return rates if sound else None
+    return rates if sound and not implausible(rates) else None
 
 
 def _write(path: Path, rates: Rates) -> None:

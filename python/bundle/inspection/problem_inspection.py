@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from bundle import _core
+from bundle.arguments import as_flag
 from bundle.errors import InputError
 from bundle.inspection.counts import Counted, Counter
 from bundle.inspection.machine_rates import machine_rates
@@ -21,14 +22,12 @@ from bundle.inspection.step_time import (
     products_per_step,
 )
 from bundle.io import Source, as_problem
+from bundle.memory_sizes import SHARE_OF_FREE_MEMORY
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.solver import resolve_defaults
 
-__all__ = ["SHARE_OF_MEMORY", "inspect"]
-
-SHARE_OF_MEMORY = 0.9
-"""Of the memory that is free, how much a method may take."""
+__all__ = ["inspect"]
 
 
 def inspect(
@@ -56,6 +55,7 @@ def inspect(
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
+    recalibrate = as_flag("recalibrate", recalibrate)
     chosen = resolve_defaults(problem, SolveOptions.of(options, changes, "inspect"))
     pattern = find_pattern(problem, chosen)
     rates = machine_rates(chosen.num_threads, recalibrate=recalibrate)
@@ -120,7 +120,7 @@ class _Inspector:
         count = counted.factor if counted else None
         memory, time = self._predict(method, counted)
         bytes_needed = total(memory)
-        fits = bytes_needed <= SHARE_OF_MEMORY * self.available_memory
+        fits = bytes_needed <= SHARE_OF_FREE_MEMORY * self.available_memory
         makes_reduced = method.linear_solver_type != "SPARSE_NORMAL_CHOLESKY"
         return MethodInspection(
             name=method.name,

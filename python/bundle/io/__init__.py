@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Collection
 from pathlib import Path
 
+from bundle import address_space
 from bundle.errors import InputError, brief, shown
 from bundle.io import atomic, bal
 from bundle.io.interrupts import interrupts_deferred
@@ -28,6 +29,7 @@ from bundle.problem import Problem
 __all__ = [
     "FORMATS",
     "Source",
+    "as_path",
     "as_problem",
     "check_target",
     "is_path",
@@ -56,6 +58,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
     _recover(path)
     if path.is_dir():
         _check_model(path)
+        address_space.require("pycolmap", address_space.PYCOLMAP)
         with interrupts_deferred():  # pycolmap takes a while to import, and knows no interruption
             from bundle.io import colmap
         return colmap.load(path)

@@ -154,7 +154,7 @@ def check_refined(
         moving = (*(layout.focal if len(layout.focal) > 1 else ()), *layout.zero)
         free = sorted({kinds[parameter] for parameter in moving} & set(refined))
         if free and problem.camera_ids[camera] not in fixed_camera_ids:
-            expected = f"expected one that stays so while {' and '.join(free)} are refined"
+            expected = f"expected {' and '.join(free)} not to be refined"
             raise _unsupported(problem, image, expected)
 
 

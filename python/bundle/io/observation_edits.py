@@ -87,7 +87,7 @@ def find_edits(problem: Problem, baseline: Baseline, num_keypoints: _Indices) ->
     found = np.searchsorted(keys, image << 32 | baseline.keypoint)
     hit = np.append(keys, -1)[found] == (image << 32 | baseline.keypoint)
     twin = np.append(observations, 0)[found]
-    stays = hit & (image >= 0)
+    stays = hit.copy()
     stays[stays] = problem.observation_point[twin[stays]] == point[stays]
 
     twins = twin[stays]
@@ -97,13 +97,12 @@ def find_edits(problem: Problem, baseline: Baseline, num_keypoints: _Indices) ->
     is_moved[twins] = (problem.observation_xy[twins] != baseline.xy[stays]).any(axis=1)
     keypoint = _numbered(problem, capacity)
     given = problem.observation_keypoint >= 0
-    appended = np.flatnonzero(~given & (capacity >= 0))
     return ObservationEdits(
         keypoint=keypoint,
         detached=np.flatnonzero(~stays & (point >= 0)),
         attached=np.flatnonzero(is_new),
         moved=np.flatnonzero(is_moved),
-        appended=appended[np.argsort(keypoint[appended], kind="stable")],
+        appended=np.flatnonzero(~given & (capacity >= 0)),
         num_renumbered=int((given & (keypoint != problem.observation_keypoint)).sum()),
     )
 

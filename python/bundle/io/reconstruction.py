@@ -15,6 +15,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from bundle.arguments import check_type
 from bundle.cameras import camera_models
 from bundle.errors import InputError
 from bundle.io.observation_edits import Baseline
@@ -32,6 +33,7 @@ def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
         InputError: a rig has several sensors or a frame several images; keypoints and tracks do not
             match; a value that :class:`bundle.Problem` refuses.
     """
+    check_type("reconstruction", reconstruction, pycolmap.Reconstruction)
     return problem_of(pycolmap.Reconstruction(reconstruction))
 
 

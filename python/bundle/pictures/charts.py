@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bundle.arguments import check_type
 from bundle.comparison import Comparison
 from bundle.pictures.series import cost_curve, labels, profile_curve, styles
 
@@ -43,6 +44,7 @@ def draw_flops(ax: Axes, flops: Mapping[str, float], *, impossible: Collection[s
         flops: of each method, by its name; what is NaN or 0 has no bar.
         impossible: names of methods that do not fit in memory: they are hatched.
     """
+    check_type("flops", flops, Mapping)
     values = np.array([*flops.values()], float)
     values[~(values > 0)] = np.nan
     lowest, highest = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
@@ -70,6 +72,7 @@ def draw_column_counts(ax: Axes, counts: Mapping[str, ArrayLike]) -> None:
 
     Profiles may have any number of bins; each is drawn over the whole width of L.
     """
+    check_type("counts", counts, Mapping)
     for index, (name, profile) in enumerate(counts.items()):
         values = np.asarray(profile, float)
         place = np.linspace(0.0, 1.0, len(values) + 1)
@@ -90,6 +93,7 @@ def draw_column_counts(ax: Axes, counts: Mapping[str, ArrayLike]) -> None:
 
 def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
     """Draw the distance of each run's cost to the best against time, both logarithmic."""
+    check_type("comparison", comparison, Comparison)
     names, looks = labels(comparison.methods), styles(comparison.methods)
     for index, run in enumerate(comparison.runs):
         times, gaps = cost_curve(comparison, index)
@@ -114,6 +118,7 @@ def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -
 
 def draw_breakdown(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
     """Draw where the time of each run went, as stacked bars, the fastest on top."""
+    check_type("comparison", comparison, Comparison)
     names = labels(comparison.methods)
     runs = [run for run in comparison.runs_of(problem) if run.is_usable]
     runs.sort(key=lambda run: run.total_time_in_seconds)
@@ -137,6 +142,7 @@ def draw_performance_profile(ax: Axes, comparison: Comparison, gap: float = 1e-3
     A problem is solved when the cost is within ``gap`` of the best. Nothing is drawn where the
     comparison has no profiles for the gap, which takes several problems.
     """
+    check_type("comparison", comparison, Comparison)
     names, looks = labels(comparison.methods), styles(comparison.methods)
     profiles = [profile for profile in comparison.profiles if profile.gap == gap]
     largest = max((ratio for one in profiles for ratio in one.ratios), default=1.0)

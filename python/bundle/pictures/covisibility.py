@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.arguments import check_type
+from bundle.option_fields import number
 from bundle.problem import Problem
 from bundle.statistics.covisibility import shared_points
 
@@ -45,6 +47,8 @@ def covisibility_graph(problem: Problem, max_edges: int = 4000) -> CovisibilityG
     Where there are more pairs than ``max_edges``, the three strongest edges of each image stay, and
     of the others the strongest as far as they fit.
     """
+    check_type("problem", problem, Problem)
+    max_edges = number("max_edges", max_edges, whole=True, minimum=0)
     low, high, count = shared_points(problem)
     chosen = np.arange(len(count))
     if len(count) > max_edges:
@@ -52,7 +56,7 @@ def covisibility_graph(problem: Problem, max_edges: int = 4000) -> CovisibilityG
         chosen = np.lexsort((-count, rank))[:max_edges]
     chosen = chosen[np.argsort(count[chosen], kind="stable")]
     edges = np.stack([low[chosen], high[chosen]], axis=1)
-    return CovisibilityGraph(_plane(_centres(problem)), edges, count[chosen], len(count))
+    return CovisibilityGraph(_plane(problem.projection_centers), edges, count[chosen], len(count))
 
 
 def draw_covisibility(ax: Axes, problem: Problem, max_edges: int = 4000) -> None:
@@ -91,16 +95,6 @@ def within_view(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     margin = (high - low).max()
     clipped: NDArray[np.float64] = np.clip(positions, low - margin, high + margin)
     return clipped
-
-
-def _centres(problem: Problem) -> NDArray[np.float64]:
-    """Return -R^T t of each image."""
-    quaternion, translation = problem.cam_from_world[:, :4], problem.cam_from_world[:, 4:]
-    unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
-    vector, scalar = -unit[:, :3], unit[:, 3:]
-    twice = 2.0 * np.cross(vector, -translation)
-    centres: NDArray[np.float64] = -translation + scalar * twice + np.cross(vector, twice)
-    return centres
 
 
 def _plane(centres: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from bundle.errors import InputError
+from bundle.option_fields import number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,6 +31,10 @@ def figure(
             "pictures: expected Matplotlib, found none; install it with pip install "
             "'bundle[pictures]'"
         ) from None
+    num_rows = number("num_rows", num_rows, whole=True, minimum=1, maximum=100)
+    num_columns = number("num_columns", num_columns, whole=True, minimum=1, maximum=100)
+    width = number("width", width, above=0, maximum=1000)
+    height = number("height", height, above=0, maximum=1000)
     made = Figure(figsize=(num_columns * width, num_rows * height), layout="constrained")
     made.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
     return made, made.subplots(num_rows, num_columns, squeeze=False)

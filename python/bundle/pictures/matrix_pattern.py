@@ -10,7 +10,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.errors import InputError
+from bundle.arguments import as_integers
+from bundle.errors import InputError, brief
+from bundle.option_fields import number
 
 __all__ = ["MatrixPattern"]
 
@@ -34,7 +36,7 @@ class MatrixPattern:
 
     def __post_init__(self) -> None:
         for name in ("sizes", "column_begin", "rows"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), np.int64))
+            object.__setattr__(self, name, _row(name, getattr(self, name)))
         begin, rows = self.column_begin, self.rows
         if len(begin) != len(self.sizes) + 1 or begin[0] != 0 or begin[-1] != len(rows):
             raise InputError(
@@ -47,7 +49,16 @@ class MatrixPattern:
     @classmethod
     def from_edges(cls, num_blocks: int, edges: ArrayLike, sizes: Sequence[int] | int = 1) -> Self:
         """Return the pattern of a graph: its edges and the diagonal; edges may repeat."""
-        pairs = np.sort(np.asarray(edges, np.int64).reshape(-1, 2), axis=1)
+        num_blocks = number("num_blocks", num_blocks, whole=True, minimum=0)
+        pairs = as_integers("edges", edges)
+        if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
+            raise InputError(f"edges: expected shape (num_edges, 2), found {pairs.shape}")
+        pairs = np.sort(pairs.reshape(-1, 2), axis=1)
+        if pairs.size and not 0 <= pairs.min() <= pairs.max() < num_blocks:
+            raise InputError(
+                f"edges: expected blocks 0 to {num_blocks - 1}, "
+                f"found {pairs.min()} to {pairs.max()}"
+            )
         diagonal = np.arange(num_blocks)
         code = np.unique(
             np.concatenate([pairs[:, 0] * num_blocks + pairs[:, 1], diagonal * (num_blocks + 1)])
@@ -81,7 +92,7 @@ class MatrixPattern:
         """Return the pattern with block ``order[k]`` in place k."""
         if order is None:
             return self
-        wanted = np.asarray(order, np.int64)
+        wanted = as_integers("order", order)
         if not np.array_equal(np.sort(wanted), np.arange(self.num_blocks)):
             raise InputError(
                 f"order: expected each of {self.num_blocks} blocks once, found {len(wanted)} "
@@ -98,4 +109,18 @@ class MatrixPattern:
     @classmethod
     def of(cls, triple: Any) -> MatrixPattern:
         """Return a pattern from (sizes, column_begin, rows), itself where it is one already."""
-        return triple if isinstance(triple, MatrixPattern) else cls(*triple)
+        if isinstance(triple, MatrixPattern):
+            return triple
+        if not isinstance(triple, tuple | list) or len(triple) != 3:
+            raise InputError(
+                "pattern: expected a MatrixPattern or (sizes, column_begin, rows), "
+                f"found {brief(triple)}"
+            )
+        return cls(*triple)
+
+
+def _row(name: str, values: Any) -> NDArray[np.int64]:
+    row = as_integers(name, values)
+    if row.ndim != 1:
+        raise InputError(f"{name}: expected integers in one row, found shape {row.shape}")
+    return row

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.arguments import check_type
+from bundle.option_fields import choice
 from bundle.options import SolveOptions
 from bundle.pictures.matrix_pattern import MatrixPattern
 from bundle.problem import Problem
@@ -23,7 +25,8 @@ def reduced_pattern(problem: Problem, options: SolveOptions | None = None) -> Ma
     Raises:
         InputError: the options make no sense for the problem.
     """
-    return MatrixPattern.of(_core.reduced_pattern(problem, _given(problem, options)))
+    given = _given(problem, options)
+    return MatrixPattern.of(_core.reduced_pattern(problem, given))
 
 
 def information_pattern(problem: Problem, options: SolveOptions | None = None) -> MatrixPattern:
@@ -32,7 +35,8 @@ def information_pattern(problem: Problem, options: SolveOptions | None = None) -
     Raises:
         InputError: the options make no sense for the problem.
     """
-    return MatrixPattern.of(_core.full_pattern(problem, _given(problem, options)))
+    given = _given(problem, options)
+    return MatrixPattern.of(_core.full_pattern(problem, given))
 
 
 def order_blocks(pattern: MatrixPattern, ordering: str) -> NDArray[np.int32]:
@@ -41,13 +45,15 @@ def order_blocks(pattern: MatrixPattern, ordering: str) -> NDArray[np.int32]:
     Raises:
         InputError: there is no method of that name.
     """
+    check_type("pattern", pattern, MatrixPattern)
     return _core.order_blocks(
         pattern.sizes.astype(np.int32),
         pattern.column_begin,
         pattern.rows.astype(np.int32),
-        ordering,
+        choice("ordering", ordering, ORDERINGS),
     )
 
 
 def _given(problem: Problem, options: SolveOptions | None) -> dict[str, object]:
-    return resolve_defaults(problem, options or SolveOptions()).asdict()
+    check_type("problem", problem, Problem)
+    return resolve_defaults(problem, SolveOptions.of(options, {}, "options")).asdict()

@@ -57,7 +57,7 @@ def _problem(comparison: Comparison, index: int, problem: ComparedProblem) -> li
             [
                 ("input", f"{shown(problem.name)} ({format_name(problem.format)})"),
                 ("", contents(problem)),
-                ("best cost", f"{comparison.best_cost(index):.9e}"),
+                ("best cost", _cost(comparison.best_cost(index))),
             ]
         )
     ]
@@ -223,3 +223,8 @@ class _Names:
     def words(self, method: Method) -> str:
         """Return a method within a sentence."""
         return f"{method.name}, {method.threads}" if self._with_threads else method.name
+
+
+def _cost(value: float) -> str:
+    """Return a cost in ten digits; "-" where no run has one."""
+    return f"{value:.9e}" if math.isfinite(value) else "-"

@@ -11,6 +11,7 @@ from bundle.errors import shown
 from bundle.problem import Problem
 from bundle.report.refine import worst_table
 from bundle.statistics import CameraGroup, Covisibility, Description, Distribution
+from bundle.statistics.depths import COLLAPSED
 from bundle.tables import Bar, Columns, columns, facts, format_name, notes, number, pixels, plural
 from bundle.words import contents
 
@@ -34,7 +35,9 @@ def information(path: str, problem: Problem, description: Description) -> list[R
         _histogram("obs. per image", "images", description.observations_per_image),
         "",
         facts([("covisibility", _covisibility(description.covisibility))]),
+        facts([("depth", _depths(description))]),
         facts([("error now", _error(description))]),
+        *_repeated(description),
         "",
         *worst_table(description.worst_images, "worst images"),
         facts([("looks wrong", "" if wrong else "nothing found")]),
@@ -97,6 +100,23 @@ def _covisibility(graph: Covisibility) -> str:
         f"an image shares points with {number(mean)} others on average; {pieces}; "
         f"{100.0 * graph.schur_fill:.1f} % of the reduced camera matrix is filled"
     )
+
+
+def _depths(description: Description) -> str:
+    depths = description.depths
+    if np.isnan(depths.median):
+        return "there are no observations"
+    return (
+        f"median {number(depths.median)}, 5th to 95th percentile {number(depths.p5)} to "
+        f"{number(depths.p95)}, min {depths.min:.3g}, max {depths.max:.3g}; "
+        f"{depths.num_behind} behind, {depths.num_collapsed} below {COLLAPSED:g} of the median"
+    )
+
+
+def _repeated(description: Description) -> list[RenderableType]:
+    count = description.num_repeated_observations
+    words = f"{plural(count, 'repeated observation')} (a track visits the same image twice)"
+    return [facts([("tracks", words)])] if count else []
 
 
 def _error(description: Description) -> str:

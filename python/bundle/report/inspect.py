@@ -16,7 +16,7 @@ from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report import json
 from bundle.tables import Columns, CommandLine, columns, facts, format_name, notes, number
-from bundle.words import contents
+from bundle.words import contents, duration, plural
 
 __all__ = ["CONVENTION", "as_json", "inspected"]
 
@@ -85,7 +85,7 @@ def as_json(
 def _unknowns(inspection: Inspection) -> str:
     method = inspection.methods[0]
     return (
-        f"{method.num_unknowns}: {inspection.num_free_points} points, and "
+        f"{method.num_unknowns}: {plural(inspection.num_free_points, 'point')}, and "
         f"{inspection.num_camera_columns} in {inspection.num_camera_blocks} blocks of cameras"
     )
 
@@ -143,7 +143,7 @@ def _cost(method: MethodInspection | None) -> tuple[str, str]:
     memory = format_size(method.memory_in_bytes)
     if not method.fits_in_memory:
         return f"{memory} !", "-"
-    time = _time(method.time_per_step_in_seconds)
+    time = duration(method.time_per_step_in_seconds)
     return memory, time if method.is_taken else f"({time})"
 
 
@@ -162,8 +162,8 @@ def _remarks(inspection: Inspection) -> list[str]:
         'and those under "CHOLMOD\'s" its own sum of (c + 1)^2; fill is in pairs of blocks; the '
         "height is that of the elimination tree, in blocks; the fullest column of L has as many "
         "entries below the diagonal.",
-        f"Times are for {inspection.num_threads} threads, by this machine's measured rates; memory "
-        f"is the peak beyond the problem, of {free} free.",
+        f"Times are for {plural(inspection.num_threads, 'thread')}, by this machine's measured "
+        f"rates; memory is the peak beyond the problem, of {free} free.",
     ]
     if any(not method.fits_in_memory for method in inspection.methods):
         remarks.append("! does not fit into the memory that is free.")
@@ -205,9 +205,3 @@ def _disagreement(inspection: Inspection) -> list[str]:
         f"`--solver auto` would take {inspection.auto_choice}: it goes by the rates of a fixed "
         "machine. `bundle compare` measures who is right."
     ]
-
-
-def _time(seconds: float) -> str:
-    if seconds < 0.9995:
-        return f"{1e3 * seconds:.3g} ms"
-    return f"{seconds:.3g} s" if seconds < 1e4 else f"{seconds:.1e} s"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.components import component_roots
 from bundle.problem import Problem
 
 __all__ = ["Covisibility", "components", "covisibility", "shared_points"]
@@ -80,22 +81,10 @@ def components(
 ) -> tuple[NDArray[np.int64], tuple[int, ...]]:
     """Return the component of each image (-1: no observation) and the sizes, largest first.
 
-    Observations come sorted by point. Every image starts as its own tree; in each round the root of
-    every tree hooks onto the smallest root that a common point reaches, then all paths are
-    compressed (Shiloach and Vishkin 1982), which ends after about log(num_images) rounds.
+    Observations come sorted by point.
     """
-    root = np.arange(num_images)
     starts = np.flatnonzero(np.diff(points, prepend=-1))
-    lengths = np.diff(starts, append=len(points))
-    while len(images):
-        reached = np.repeat(np.minimum.reduceat(root[images], starts), lengths)
-        hooked = root.copy()
-        np.minimum.at(hooked, root[images], reached)
-        while not np.array_equal(hooked, shorter := hooked[hooked]):
-            hooked = shorter
-        if np.array_equal(hooked, root):
-            break
-        root = hooked
+    root = component_roots(images, starts, num_images)
     observed = np.zeros(num_images, bool)
     observed[images] = True
     component = np.full(num_images, -1)

@@ -12,11 +12,17 @@ from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.io import Source, as_problem
 from bundle.problem import Problem
-from bundle.reprojection import ReprojectionError, reprojection_error, reprojection_errors
+from bundle.reprojection import (
+    ReprojectionError,
+    reprojection_errors,
+    resolve_cheirality,
+    summarize_errors,
+)
 from bundle.statistics.covisibility import Covisibility, covisibility
-from bundle.statistics.suspicions import Suspicion, suspicions
+from bundle.statistics.depths import Depths, depths_of_observations, summarize
+from bundle.statistics.suspicions import Suspicion, count_repeated, suspicions
 from bundle.words import number, pixels, plural
-from bundle.worst_images import ImageError, worst_images
+from bundle.worst_images import ImageError, worst_of_errors
 
 __all__ = ["CameraGroup", "Description", "Distribution", "describe"]
 
@@ -44,7 +50,7 @@ class CameraGroup:
         model: COLMAP's name.
         num_cameras: cameras of this model.
         num_images: images that use one of them.
-        images_per_camera: least and most images that share one of them.
+        images_per_camera: min and max number of images that share one of them.
         focal: smallest and largest focal length in pixels; None for a model bundle does not know.
         supported: whether bundle can refine this model.
     """
@@ -67,6 +73,9 @@ class Description(Displayed):
         observations_per_image: observations per image.
         covisibility: which images see common points.
         reprojection_error: pixels, at the problem's values; None where a camera model is unknown.
+        depths: of observed points before their cameras, in the reconstruction's length unit.
+        num_repeated_observations: those whose track visited the same image before; COLMAP makes
+            such tracks, and they are no fault.
         worst_images: those with the largest errors; empty where a camera model is unknown.
         suspicions: what looks wrong, gravest first.
     """
@@ -76,6 +85,8 @@ class Description(Displayed):
     observations_per_image: Distribution
     covisibility: Covisibility
     reprojection_error: ReprojectionError | None
+    depths: Depths
+    num_repeated_observations: int
     worst_images: tuple[ImageError, ...]
     suspicions: tuple[Suspicion, ...]
 
@@ -110,12 +121,14 @@ def describe(problem: Source) -> Description:
     """
     problem = as_problem(problem)
     graph = covisibility(problem)
+    depths = depths_of_observations(problem)
     errors: NDArray[np.float64] | None
     try:
         errors, behind = reprojection_errors(problem)
-        error = reprojection_error(problem)
+        error = summarize_errors(errors.copy(), behind, resolve_cheirality(problem, "auto"))
+        worst = worst_of_errors(problem, errors, behind)
     except InputError:  # an unsupported camera model, which `suspicions` names
-        errors, error = None, None
+        errors, error, worst = None, None, ()
         behind = np.zeros(problem.num_observations, bool)
     return Description(
         cameras=_camera_groups(problem),
@@ -125,8 +138,10 @@ def describe(problem: Source) -> Description:
         ),
         covisibility=graph,
         reprojection_error=error,
-        worst_images=worst_images(problem) if error is not None else (),
-        suspicions=suspicions(problem, graph, errors, behind),
+        depths=summarize(depths),
+        num_repeated_observations=count_repeated(problem),
+        worst_images=worst,
+        suspicions=suspicions(problem, graph, errors, behind, depths),
     )
 
 

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from bundle.cameras import camera_models
 from bundle.problem import Problem
 from bundle.statistics.covisibility import Covisibility
+from bundle.statistics.depths import COLLAPSED, collapsed_observations
 from bundle.statistics.lenses import Lens, lenses
+from bundle.words import plural
 
-__all__ = ["Suspicion", "suspicions"]
+__all__ = ["Suspicion", "count_repeated", "suspicions"]
 
 FEW_OBSERVATIONS = 10
 """An image with fewer observations hardly holds its pose."""
@@ -54,6 +56,7 @@ def suspicions(
     graph: Covisibility,
     errors: NDArray[np.float64] | None,
     behind: NDArray[np.bool_],
+    depths: NDArray[np.float64],
 ) -> tuple[Suspicion, ...]:
     """Return what looks wrong, gravest first.
 
@@ -62,6 +65,7 @@ def suspicions(
         graph: its covisibility.
         errors: (num_observations,) reprojection errors in pixels; None where they do not exist.
         behind: (num_observations,) whether the point is behind the camera.
+        depths: (num_observations,) of the points before their cameras.
     """
     return (
         *_empty(problem),
@@ -69,6 +73,7 @@ def suspicions(
         *_images(problem, graph),
         *_lenses(problem, lenses(problem)),
         *_quaternions(problem),
+        *_collapsed(problem, depths),
         *_observations(problem, errors, behind),
         *_points(problem),
         *_positions(problem),
@@ -187,8 +192,6 @@ def _observations(
     xy = problem.observation_xy
     outside = np.any(((xy < 0) | (xy > size)) & (size > 0), axis=1)
     checks.append(("observations_outside_image", np.asarray(outside), lies, "outside the image"))
-    repeat = "the image and point of another observation"
-    checks.append(("duplicate_observations", _duplicates(problem), has, repeat))
     for kind, mask, verbs, what in checks:
         if mask.any():
             images = problem.image_ids[np.unique(problem.observation_image[mask])]
@@ -203,14 +206,26 @@ def _gross(errors: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
     return limit, errors > limit
 
 
-def _duplicates(problem: Problem) -> NDArray[np.bool_]:
-    """Return which observations have the image and point of an earlier one."""
+def count_repeated(problem: Problem) -> int:
+    """Return how many observations have the image and point of an earlier one."""
     size = max(problem.num_images, 1)
     code = problem.observation_point.astype(np.int64) * size + problem.observation_image
-    order = np.argsort(code, kind="stable")
-    repeated = np.empty(len(code), bool)
-    repeated[order] = np.diff(code[order], prepend=-1) == 0
-    return repeated
+    return len(code) - len(np.unique(code))
+
+
+def _collapsed(problem: Problem, depths: NDArray[np.float64]) -> Iterator[Suspicion]:
+    mask = collapsed_observations(problem, depths)
+    if mask.any():
+        points = problem.point_ids[np.unique(problem.observation_point[mask])]
+        images = len(np.unique(problem.observation_image[mask]))
+        yield _suspicion(
+            "collapsed_points",
+            "point",
+            points,
+            ("point has", "points have"),
+            f"collapsed onto cameras: {plural(int(mask.sum()), 'observation')} in "
+            f"{plural(images, 'image')} with a depth below {COLLAPSED:g} of the median",
+        )
 
 
 def _points(problem: Problem) -> Iterator[Suspicion]:

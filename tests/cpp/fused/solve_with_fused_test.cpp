@@ -9,8 +9,11 @@
 
 #include "core/backend/solve.h"
 #include "core/error.h"
+#include "core/interruption.h"
 #include "core/solve/option_names.h"
 #include "support/checked_solve.h"
+#include "support/cost.h"
+#include "support/no_threads.h"
 #include "support/scene.h"
 #include "support/ugly_scenes.h"
 
@@ -206,6 +209,84 @@ TEST(SolveWithFused, ProgressCanStopIt) {
   EXPECT_EQ(calls, 3);
   EXPECT_TRUE(output.summary.interrupted);
   EXPECT_EQ(output.iterations.size(), 3u);
+}
+
+/// Wherever they look for it.
+TEST(SolveWithFused, LeavesAStepThatIsInterruptedAsCeresDoes) {
+  SceneOptions scene_options;
+  scene_options.num_images = 8;
+  scene_options.num_points = 60;
+  const Scene scene = MakeScene(scene_options);
+  const ProblemView problem = scene.View();
+  for (const Backend backend : {Backend::kFused, Backend::kCeres}) {
+    for (const LinearSolverType type : kSolvers) {
+      SolveOptions options = Options(type);
+      options.backend = backend;
+      const SolveOutput whole = Solve(problem, options, nullptr);
+      int num_interrupted = 0;
+      for (int look = 1; look < 60; ++look) {
+        SCOPED_TRACE(::testing::Message() << UpperName(backend, kBackends) << " "
+                                          << UpperName(type, kLinearSolverTypes) << " " << look);
+        int asked = 0;
+        const InterruptionScope scope([&] { return ++asked > look; }, {});
+        SolveOutput output;
+        try {
+          output = Solve(problem, options, nullptr);
+        } catch (const Interrupted&) {
+          continue;  // in the first evaluation
+        }
+        const SolveSummary& summary = output.summary;
+        if (!summary.interrupted) continue;  // at its end
+        ++num_interrupted;
+        EXPECT_EQ(summary.termination_type, "USER_SUCCESS");
+        EXPECT_TRUE(summary.is_solution_usable);
+        double least = summary.initial_cost;
+        for (size_t i = 0; i < output.iterations.size(); ++i) {
+          EXPECT_NEAR(output.iterations[i].cost, whole.iterations[i].cost,
+                      1e-9 * whole.iterations[i].cost);
+          least = std::min(least, output.iterations[i].cost);
+        }
+        EXPECT_EQ(summary.final_cost, least);
+        EXPECT_EQ(summary.num_successful_steps + summary.num_unsuccessful_steps,
+                  static_cast<int>(output.iterations.size()));
+        Scene solved = scene;
+        solved.cam_from_world = output.cam_from_world;
+        solved.camera_params = output.camera_params;
+        solved.points = output.points;
+        EXPECT_NEAR(static_cast<double>(testing::ProblemCost(solved.View(), options)), least,
+                    1e-9 * least);
+      }
+      EXPECT_GT(num_interrupted, 5);
+    }
+  }
+}
+
+TEST(SolveWithFused, ThrowsWhereItIsInterruptedBeforeTheFirstEvaluationAsCeresDoes) {
+  const Scene scene = MakeScene(SceneOptions());
+  const ProblemView problem = scene.View();
+  for (const Backend backend : {Backend::kFused, Backend::kCeres}) {
+    SolveOptions options = Options();
+    options.backend = backend;
+    const InterruptionScope scope([] { return true; });
+    EXPECT_THROW(Solve(problem, options, nullptr), Interrupted);
+  }
+}
+
+TEST(SolveWithFused, NeedsNoSecondThreadAndCeresNeither) {
+  const Scene scene = MakeScene(SceneOptions());
+  const ProblemView problem = scene.View();
+  for (const Backend backend : {Backend::kFused, Backend::kCeres}) {
+    for (const LinearSolverType type : kSolvers) {
+      SolveOptions options = Options(type);
+      options.backend = backend;
+      options.num_threads = 4;
+      const SolveOutput expected = Solve(problem, options, nullptr);
+      const testing::NoThreads none;
+      const SolveOutput found = Solve(problem, options, nullptr);
+      EXPECT_NEAR(found.summary.final_cost, expected.summary.final_cost,
+                  1e-6 * expected.summary.final_cost);
+    }
+  }
 }
 
 }  // namespace

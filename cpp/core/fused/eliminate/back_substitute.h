@@ -24,7 +24,7 @@ inline void LinearizeAlong(const Terms& terms, const StateRecords& x, const Stri
                            const Batch& batch, const StepRecords& step, const StepRecords* other,
                            double* records) {
   const LaneState state(terms, x, batch, true);
-  const LaneResiduals residuals(terms, state, batch, true);
+  const LaneResiduals residuals(terms, x, state, batch, true);
   double* out[kLanes];
   double discarded[kStepRecord];
   for (int lane = 0; lane < kLanes; ++lane) {
@@ -58,7 +58,7 @@ inline double CandidateCost(const Terms& terms, const StateRecords& x, const Str
   double cost = 0;
   VisitBatches(terms, strip, [&](const Batch& batch) {
     const LaneState state(terms, x, batch, false);
-    cost += Sum(LaneResiduals(terms, state, batch, false).rho, batch.count);
+    cost += Sum(LaneResiduals(terms, x, state, batch, false).rho, batch.count);
   });
   return 0.5 * cost;
 }

@@ -49,7 +49,7 @@ class StripRecords {
 inline double LinearizeBatch(const Terms& terms, const StateRecords& x, const Strip& strip,
                              const Batch& batch, const StripRecords& records) {
   const LaneState state(terms, x, batch, true);
-  const LaneResiduals residuals(terms, state, batch, true);
+  const LaneResiduals residuals(terms, x, state, batch, true);
   double* out[kLanes];
   double discarded[2 * kMaxColumns + kRecordTail];
   for (int lane = 0; lane < kLanes; ++lane) {

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 
+#include "core/fused/eliminate/held_residuals.h"
 #include "core/fused/eliminate/point_plan.h"
 #include "core/solve/options.h"
 
@@ -45,6 +46,12 @@ struct StateRecords {
   const double* images = nullptr;
   int stride = 0;  ///< of `images`; a multiple of 4
   const double* points = nullptr;
+  const StateRecords* before = nullptr;  ///< of a candidate: the state that the step starts from
+  /// Observations that hold a residual at this state, of a candidate at the state before;
+  /// ascending.
+  const HeldResidual* held = nullptr;
+  int64_t num_held = 0;
+  HeldSink sink;  ///< of those at a candidate, or at the start
 };
 
 /// What a chunk adds to the normal equations, in units of its images and blocks.

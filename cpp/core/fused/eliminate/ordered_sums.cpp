@@ -7,13 +7,6 @@
 #include "core/fused/huge_pages.h"
 
 namespace bundle::fused {
-namespace {
-
-void WaitFor(const std::atomic<int>& value, int wanted) {
-  for (SpinWait wait; value.load(std::memory_order_acquire) != wanted;) wait.Once();
-}
-
-}  // namespace
 
 OrderedSums::OrderedSums(const Terms& terms, const ReducedStructure& structure,
                          const Assembler& assembler, int num_images, int num_threads,
@@ -24,7 +17,7 @@ OrderedSums::OrderedSums(const Terms& terms, const ReducedStructure& structure,
       wants_camera_diagonal_(wants_camera_diagonal),
       waiting_(num_threads),
       last_added_(num_images) {
-  // All memory now: nothing may fail once threads wait for each other.
+  // All memory now, so that no pass ends half way.
   size_t images = 0, blocks = 0, mixed_doubles = 0;
   std::vector<int64_t> block_begin;
   for (const Chunk& chunk : terms.plan->chunks) {
@@ -86,6 +79,8 @@ void OrderedSums::Clear(ThreadPool* pool) {
   }
   for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
   num_added_.store(0, std::memory_order_relaxed);
+  abandoned_.store(false, std::memory_order_relaxed);
+  for (Waiting& waiting : waiting_) waiting.count = 0;  // what an abandoned pass left
 }
 
 void OrderedSums::FreeSystem() { std::vector<double>().swap(sums_.system.values); }
@@ -125,6 +120,12 @@ void OrderedSums::End(int thread) {
 
 void OrderedSums::Flush(int thread) {
   while (!waiting_[thread].IsEmpty()) AddOldest(&waiting_[thread]);
+}
+
+void OrderedSums::WaitFor(const std::atomic<int>& value, int wanted) const {
+  for (SpinWait wait; value.load(std::memory_order_acquire) != wanted; wait.Once()) {
+    if (abandoned_.load(std::memory_order_acquire)) throw Abandoned();
+  }
 }
 
 void OrderedSums::AddOldest(Waiting* waiting) {

@@ -31,6 +31,12 @@ class OrderedSums {
   /// Adds what a thread still keeps, after its last chunk.
   void Flush(int thread);
 
+  /// Thrown by the above where they would wait for a chunk that never comes.
+  struct Abandoned {};
+
+  /// A thread will not end its chunk: the others do not wait for it. Until Clear.
+  void Abandon() { abandoned_.store(true, std::memory_order_release); }
+
   CameraSums& sums() { return sums_; }
 
   /// Frees S, until Clear.
@@ -67,6 +73,7 @@ class OrderedSums {
 
   void MakeSystem();
   void AddOldest(Waiting* waiting);
+  void WaitFor(const std::atomic<int>& value, int wanted) const;
 
   const Terms& terms_;
   const ReducedStructure& structure_;
@@ -77,6 +84,7 @@ class OrderedSums {
   std::vector<Waiting> waiting_;              ///< of each thread
   std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
   std::atomic<int> num_added_{0};             ///< chunks
+  std::atomic<bool> abandoned_{false};
 };
 
 }  // namespace bundle::fused

@@ -23,8 +23,7 @@ constexpr int64_t kChunksOfSmallProblem = 8;
 constexpr int64_t kChunksOfLargeProblem = 64;
 // Where blocks hardly repeat, as in photo collections, larger buffers pay beyond any cache: 1000
 // images with a million observations took 12.3 s of processor time with 4 MiB, 10.0 with 16 and
-// 8.9 with 32.
-constexpr int64_t kBufferBytes = 1 << 25;
+// 8.9 with 32 (kMaxBufferBytes).
 // Of a chunk: as many numbers as 16 bits hold besides kDiagonal. A point with half as many is
 // spread over chunks of its own; any other fits a chunk that is not yet half full.
 constexpr int kMaxBlocks = 0xffff;
@@ -57,7 +56,7 @@ class Planner {
 
   void CutIntoChunks(int block_bytes) {
     const int64_t wanted = ChunkSize();
-    const int64_t most_blocks = kBufferBytes / block_bytes;
+    const int64_t most_blocks = kMaxBufferBytes / block_bytes;
     plan_.image_in_chunk.resize(plan_.num_observations());
     plan_.pair_block.reserve(CountPairs());
     image_slot_.assign(images_.rank.size(), -1);

@@ -71,6 +71,9 @@ struct PointPlan {
 /// 10,000 observations, 50 million, 100 MB and a second or two a step.
 inline constexpr int64_t kMaxTrackLength = 10000;
 
+/// Bytes that the blocks of a chunk take, about, where they are many.
+inline constexpr int64_t kMaxBufferBytes = 1 << 25;
+
 /// The most observations of one point.
 int64_t LongestTrack(const ProblemView& problem);
 

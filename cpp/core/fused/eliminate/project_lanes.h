@@ -18,7 +18,7 @@ namespace bundle::fused::BUNDLE_ISA {
 /// parameters (2 x number of them). Says which lanes count; outputs of the others are zero.
 using ProjectLanes = void (*)(const CameraModel& model, const Pack* params, const Pack* point,
                               const Pack* measurement, Cheirality cheirality, Pack* residual,
-                              Pack* d_point, Pack* d_params);
+                              Pack* d_point, Pack* d_params, Mask* counts);
 
 inline void ZeroUncounted(const Mask& counts, Pack* values, int size) {
   for (int i = 0; i < size; ++i) values[i] = Select(counts, values[i], 0.0);
@@ -48,7 +48,7 @@ struct PerspectiveLanes {
 template <typename Model>
 void ProjectPerspective(const CameraModel&, const Pack* params, const Pack* point,
                         const Pack* measurement, Cheirality cheirality, Pack* residual,
-                        Pack* d_point, Pack* d_params) {
+                        Pack* d_point, Pack* d_params, Mask* counts) {
   using Distortion = typename Model::Distortion;
   const PerspectiveLanes rays(point, cheirality);
   Pack uv[2], d_uv[4], d_k[2 * Distortion::kNumParams + 1], xy[2];
@@ -61,6 +61,7 @@ void ProjectPerspective(const CameraModel&, const Pack* params, const Pack* poin
     Model::ChainPoint(params, rays, d_uv, d_point);
     Model::ChainParams(params, uv, d_k, d_params);
   }
+  *counts = rays.counts;
   if (All(rays.counts)) return;
   ZeroUncounted(rays.counts, residual, 2);
   if (!derive) return;
@@ -70,7 +71,7 @@ void ProjectPerspective(const CameraModel&, const Pack* params, const Pack* poin
 
 inline void ProjectLaneByLane(const CameraModel& model, const Pack* params, const Pack* point,
                               const Pack* measurement, Cheirality cheirality, Pack* residual,
-                              Pack* d_point, Pack* d_params) {
+                              Pack* d_point, Pack* d_params, Mask* lanes_count) {
   const int count = model.num_params;
   for (int lane = 0; lane < kLanes; ++lane) {
     double theta[kMaxCameraParams], p[3], xy[2], m[2], r[2] = {};
@@ -83,6 +84,7 @@ inline void ProjectLaneByLane(const CameraModel& model, const Pack* params, cons
         model.project(theta, p, xy, derive ? by_point : nullptr, derive ? by_params : nullptr);
     const bool counts = projection == Projection::kValid ||
                         (projection == Projection::kBehind && cheirality == Cheirality::kAlgebraic);
+    lanes_count->bits[lane] = counts ? -1 : 0;
     if (counts) model.difference(theta, xy, m, r);
     for (int i = 0; i < 2; ++i) residual[i].v[lane] = r[i];
     if (!derive) continue;

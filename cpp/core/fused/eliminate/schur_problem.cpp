@@ -13,6 +13,7 @@
 #include "core/fused/eliminate/similarities.h"
 #include "core/fused/eliminate/state_records.h"
 #include "core/fused/thread_pool.h"
+#include "core/interruption.h"
 #include "core/parallel_for.h"
 
 namespace bundle::fused {
@@ -76,13 +77,17 @@ class SchurProblem::Impl {
     std::vector<ChunkSum> parts(plan_.chunks.size());
     ForChunks(
         [&](int c, int thread) {
+          ThrowIfInterrupted();
           ChunkSum& sum = sums_.Begin(c, thread);
-          kernels_.eliminate(terms_, x_->records(), plan_.chunks[c], damping, first,
-                             squared_scale_.data(), Memory(thread), &sum);
+          StateRecords x = x_->records();
+          if (first && plan_.chunks[c].first_row == 0) x.sink = x_->held.Collect(c);
+          kernels_.eliminate(terms_, x, plan_.chunks[c], damping, first, squared_scale_.data(),
+                             Memory(thread), &sum);
           parts[c] = sum;
           sums_.End(thread);
         },
         [&](int thread) { sums_.Flush(thread); });
+    if (first) x_->held.Merge();
     for (const ChunkSum& part : parts) {
       result.cost += part.cost;
       gradient_squared += part.gradient_squared;
@@ -123,10 +128,11 @@ class SchurProblem::Impl {
     step_.Set(newton_, x_->cameras());
     MoveCameras(newton_);
     std::vector<CandidateSum> parts(plan_.chunks.size());
+    const StateRecords x = x_->records();
     ForChunks([&](int c, int thread) {
-      kernels_.try_newton(terms_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
-                          step_.records(), candidate_->records(), candidate_->points.data(),
-                          Memory(thread), &parts[c]);
+      kernels_.try_newton(terms_, x, plan_.chunks[c], damping_, squared_scale_.data(),
+                          step_.records(), candidate_->CandidateRecords(x, c),
+                          candidate_->points.data(), Memory(thread), &parts[c]);
     });
     return Finish(newton_, Total(parts));
   }
@@ -166,9 +172,10 @@ class SchurProblem::Impl {
     for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
     MoveCameras(step);
     std::vector<CandidateSum> parts(plan_.chunks.size());
+    const StateRecords x = x_->records();
     ForChunks([&](int c, int) {
       MovePoints(plan_.chunks[c], a, b, &parts[c]);
-      parts[c].cost = kernels_.cost(terms_, candidate_->records(), plan_.chunks[c]);
+      parts[c].cost = kernels_.cost(terms_, candidate_->CandidateRecords(x, c), plan_.chunks[c]);
     });
     CandidateSum total = Total(parts);
     const DirectionProducts& d = products_;
@@ -187,6 +194,7 @@ class SchurProblem::Impl {
   double state_norm() const { return state_norm_; }
   int64_t num_observations() const { return plan_.num_observations(); }
   double fixed_cost() const { return fixed_cost_; }
+  int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
   const char* instruction_set() const { return kernels_.name; }
   const CameraStates& cameras() const { return x_->cameras(); }
 
@@ -232,14 +240,24 @@ class SchurProblem::Impl {
   }
 
   /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
-  /// finish(thread) on each thread after its last.
+  /// finish(thread) on each thread after its last. Where one throws, the others end at their next
+  /// chunk.
   template <typename Visit, typename Finish>
   void ForChunks(const Visit& visit, const Finish& finish) {
     const auto count = static_cast<int>(plan_.chunks.size());
     std::atomic<int> next{0};
     pool_.Run([&](int thread) {
-      for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) visit(c, thread);
-      finish(thread);
+      try {
+        for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) {
+          visit(c, thread);
+        }
+        finish(thread);
+      } catch (const OrderedSums::Abandoned&) {  // the other thread's exception counts
+      } catch (...) {
+        next.store(count);
+        sums_.Abandon();
+        throw;
+      }
     });
   }
 
@@ -298,7 +316,9 @@ class SchurProblem::Impl {
   Candidate Finish(const std::vector<double>& step, const CandidateSum& sum) {
     candidate_norm_ =
         std::sqrt(Dot(candidate_->camera_side, candidate_->camera_side) + sum.state_squared);
+    candidate_->held.Merge();
     Candidate result;
+    result.changes_what_counts = !candidate_->held.HasSameObservations(x_->held);
     result.model_cost_change = sum.model_cost_change;
     result.step_norm = std::sqrt(Dot(step, step) + sum.step_squared);
     result.cost = sum.cost;
@@ -361,6 +381,7 @@ void SchurProblem::FreeSystem() { impl_->FreeSystem(); }
 double SchurProblem::StateNorm() const { return impl_->state_norm(); }
 int64_t SchurProblem::num_active_observations() const { return impl_->num_observations(); }
 double SchurProblem::fixed_cost() const { return impl_->fixed_cost(); }
+int64_t SchurProblem::num_held() const { return impl_->num_held(); }
 const char* SchurProblem::instruction_set() const { return impl_->instruction_set(); }
 const CameraStates& SchurProblem::cameras() const { return impl_->cameras(); }
 std::vector<double> SchurProblem::Points() const { return impl_->Points(); }

@@ -37,6 +37,9 @@ class SchurProblem final : public LeastSquares {
   /// "avx512".
   const char* instruction_set() const;
 
+  /// Observations that do not count at the state but hold a residual (residuals/held_residual.h).
+  int64_t num_held() const;
+
   /// Frees S, which can be most of its memory, after the last linearisation.
   void FreeSystem();
 

@@ -14,6 +14,7 @@ int RoundedParams(const ProblemView& problem) {
 
 State::State(const ProblemView& problem, const ParameterLayout& layout, const PointPlan& plan)
     : camera_side(layout.InitialState(problem)),
+      held(plan.chunks.size()),
       problem_(problem),
       cameras_(problem, layout),
       stride_(StateRecords::kParams + RoundedParams(problem)) {
@@ -24,6 +25,25 @@ State::State(const ProblemView& problem, const ParameterLayout& layout, const Po
   }
   images_.resize(static_cast<int64_t>(problem.num_images) * stride_);
   Update();
+}
+
+StateRecords State::records() const {
+  StateRecords records;
+  records.images = images_.data();
+  records.stride = stride_;
+  records.points = points.data();
+  records.held = held.all().data();
+  records.num_held = static_cast<int64_t>(held.all().size());
+  return records;
+}
+
+StateRecords State::CandidateRecords(const StateRecords& before, int chunk) {
+  StateRecords records = before;
+  records.before = &before;
+  records.images = images_.data();
+  records.points = points.data();
+  records.sink = held.Collect(chunk);
+  return records;
 }
 
 void State::Update() {

@@ -4,6 +4,7 @@
 
 #include <vector>
 
+#include "core/fused/eliminate/held_residuals.h"
 #include "core/fused/eliminate/kernels.h"
 #include "core/problem/problem_view.h"
 #include "core/solve/camera_states.h"
@@ -18,11 +19,14 @@ class State {
 
   /// Expands `camera_side`, after it changed.
   void Update();
-  StateRecords records() const { return {images_.data(), stride_, points.data()}; }
+  StateRecords records() const;
+  /// Of a candidate for the state after `before`, for a pass over one chunk that fills `held`.
+  StateRecords CandidateRecords(const StateRecords& before, int chunk);
   const CameraStates& cameras() const { return cameras_; }
 
   std::vector<double> camera_side;
   std::vector<double> points;  ///< three a point of the plan
+  HeldResiduals held;
 
  private:
   const ProblemView& problem_;

@@ -11,6 +11,7 @@
 #include "core/fused/eliminate/kernels.h"
 #include "core/fused/eliminate/loss_lanes.h"
 #include "core/fused/eliminate/project_lanes.h"
+#include "core/residuals/held_residual.h"
 
 namespace bundle::fused::BUNDLE_ISA {
 
@@ -105,6 +106,22 @@ struct LaneState {
   }
 };
 
+/// True if the observation is in x.held, which fills in `held`.
+inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* held) {
+  int64_t first = 0, last = x.num_held;
+  while (first < last) {
+    const int64_t middle = first + (last - first) / 2;
+    if (x.held[middle].observation < observation) {
+      first = middle + 1;
+    } else {
+      last = middle;
+    }
+  }
+  if (first == x.num_held || x.held[first].observation != observation) return false;
+  *held = x.held[first];
+  return true;
+}
+
 /// Residuals of a batch and how they change, corrected for the loss.
 struct LaneResiduals {
   Pack r[2];
@@ -112,22 +129,51 @@ struct LaneResiduals {
   Pack d_camera_point[2 * 3];
   Pack d_params[2 * kMaxCameraParams];
 
-  LaneResiduals(const Terms& terms, const LaneState& state, const Batch& batch, bool derive) {
+  LaneResiduals(const Terms& terms, const StateRecords& x, const LaneState& state,
+                const Batch& batch, bool derive) {
     const double* const xy = terms.plan->xy.data();
     Pack measurement[2];
     for (int lane = 0; lane < kLanes; ++lane) {
       for (int i = 0; i < 2; ++i) measurement[i].v[lane] = xy[2 * batch.observation[lane] + i];
     }
     const int model = batch.group->model;
+    Mask counts;
     kProjectLanes[model](AllCameraModels()[model], state.params, state.camera_point, measurement,
                          terms.cheirality, r, derive ? d_camera_point : nullptr,
-                         derive ? d_params : nullptr);
+                         derive ? d_params : nullptr, &counts);
+    if (!All(counts) || x.num_held > 0) Hold(terms, x, batch, counts, derive);
     const LossLanes loss = EvaluateLoss(terms.loss, terms.loss_scale, r[0] * r[0] + r[1] * r[1]);
     rho = loss.rho;
     if (!derive || terms.loss == LossType::kTrivial) return;
     for (Pack& value : r) value *= loss.weight;
     for (Pack& value : d_camera_point) value *= loss.weight;
     for (int i = 0; i < 2 * batch.group->num_params; ++i) d_params[i] *= loss.weight;
+  }
+
+  /// Gives lanes that hold a residual (residuals/held_residual.h) that residual and no derivatives.
+  /// Out of line, as it is hardly ever called.
+  __attribute__((noinline, cold)) void Hold(const Terms& terms, const StateRecords& x,
+                                            const Batch& batch, const Mask& counts, bool derive) {
+    const bool is_candidate = x.before != nullptr;
+    for (int lane = 0; lane < batch.count; ++lane) {
+      const int64_t observation = batch.observation[lane];
+      HeldResidual held = {observation, {0, 0}};
+      const bool was_held = FindHeld(x, observation, &held);
+      if (counts.bits[lane] != 0) {
+        if (!was_held) continue;
+        const double own = r[0].v[lane] * r[0].v[lane] + r[1].v[lane] * r[1].v[lane];
+        const double* const h = held.residual;
+        if (is_candidate && own <= h[0] * h[0] + h[1] * h[1]) continue;
+      } else if (is_candidate && !was_held) {
+        const LaneState state(terms, *x.before, batch, false);
+        const LaneResiduals before(terms, *x.before, state, batch, false);
+        for (int i = 0; i < 2; ++i) held.residual[i] = kHeldFactor * before.r[i].v[lane];
+      }
+      for (int i = 0; i < 2; ++i) r[i].v[lane] = held.residual[i];
+      for (int i = 0; i < 6 && derive; ++i) d_camera_point[i].v[lane] = 0;
+      for (int i = 0; i < 2 * batch.group->num_params && derive; ++i) d_params[i].v[lane] = 0;
+      if (x.sink.add != nullptr) x.sink.add(x.sink.list, held);
+    }
   }
 
   /// Row of the derivative by the world point: a^T R.

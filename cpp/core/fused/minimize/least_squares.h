@@ -44,6 +44,8 @@ struct Candidate {
   double model_cost_change = 0;  ///< -(J d)^T (r + J d / 2) for the step d
   double step_norm = 0;          ///< ||d||
   double cost = 0;               ///< f(x + d); not finite where a residual is not
+  /// Other residuals than at x count, so that the model is of another function.
+  bool changes_what_counts = false;
 };
 
 class LeastSquares {

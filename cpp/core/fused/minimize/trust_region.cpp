@@ -23,6 +23,7 @@
 
 #include "core/fused/minimize/counted.h"
 #include "core/fused/minimize/strategy.h"
+#include "core/interruption.h"
 
 namespace bundle::fused {
 namespace {
@@ -79,12 +80,21 @@ class TrustRegion {
     record_.iteration_time_in_seconds = SecondsSince(iteration_start_);
     record_.cumulative_time_in_seconds = SecondsSince(start_);
     minimum_.iterations.push_back(record_);
-    return !Interrupted() && !MaxNumIterationsReached() && !GradientToleranceReached() &&
+    return !StoppedByUser() && !MaxNumIterationsReached() && !GradientToleranceReached() &&
            !MinRadiusReached();
   }
 
   /// Tries a step; true if there is an iteration to record.
   bool Iterate() {
+    try {
+      return TryStep();
+    } catch (const Interrupted&) {  // before a step was taken: x is the best state
+      minimum_.interrupted = true;
+      return TerminateByUser();
+    }
+  }
+
+  bool TryStep() {
     iteration_start_ = Clock::now();
     const IterationRecord& previous = minimum_.iterations.back();
     record_ = IterationRecord();
@@ -105,6 +115,7 @@ class TrustRegion {
     Candidate& candidate = step.candidate;
     if (!std::isfinite(candidate.cost)) candidate.cost = kNoCost;
     record_.step_norm = candidate.step_norm;
+    record_.changes_what_counts = candidate.changes_what_counts;
     record_.cost_change = x_cost_ - candidate.cost;
     if (ParameterToleranceReached() || FunctionToleranceReached()) return false;
 
@@ -130,13 +141,19 @@ class TrustRegion {
   bool HandleSuccessfulStep(const Candidate& candidate) {
     problem_.Accept();
     strategy_->StepAccepted(record_.relative_decrease);
-    if (!LinearizeAtX()) {
-      problem_.Accept();
-      return Terminate("FAILURE", "Residual and Jacobian evaluation failed.");
+    record_.cost = candidate.cost;
+    record_.step_is_successful = true;
+    try {
+      if (!LinearizeAtX()) {
+        problem_.Accept();
+        return Terminate("FAILURE", "Residual and Jacobian evaluation failed.");
+      }
+    } catch (const Interrupted&) {  // the step stays; its record has the gradient of before
+      minimum_.interrupted = true;
+      return true;
     }
     current_cost_ = candidate.cost;
     has_succeeded_ = true;
-    record_.step_is_successful = true;
     return true;
   }
 
@@ -154,11 +171,16 @@ class TrustRegion {
     return (current_cost_ - candidate.cost) / candidate.model_cost_change;
   }
 
-  bool Interrupted() {
-    minimum_.interrupted = progress_ && !progress_(record_);
+  bool StoppedByUser() {
+    const bool stopped = progress_ && !progress_(record_);
+    minimum_.interrupted = minimum_.interrupted || stopped;
     if (!minimum_.interrupted) return false;
-    Terminate("USER_SUCCESS", "User callback returned SOLVER_TERMINATE_SUCCESSFULLY.");
+    TerminateByUser();
     return true;
+  }
+
+  bool TerminateByUser() {
+    return Terminate("USER_SUCCESS", "User callback returned SOLVER_TERMINATE_SUCCESSFULLY.");
   }
 
   bool MaxNumIterationsReached() {

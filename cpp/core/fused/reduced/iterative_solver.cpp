@@ -31,6 +31,7 @@
 #include "core/fused/reduced/preconditioners.h"
 #include "core/fused/reduced/reduced_solver.h"
 #include "core/fused/reduced/symmetric_product.h"
+#include "core/interruption.h"
 
 namespace bundle::fused {
 namespace {
@@ -86,6 +87,7 @@ class IterativeSolver final : public ReducedSolver {
     double last_rho = 1;
     double last_model = 0;
     for (int i = 1;; ++i) {
+      ThrowIfInterrupted();
       if (IsZero(r_)) return {Status::kSuccess, i, "Convergence. |r| = 0."};
       preconditioner_->Multiply(r_.data(), z_.data());
       const double rho = Dot(r_, z_);

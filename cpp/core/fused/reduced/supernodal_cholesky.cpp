@@ -18,6 +18,7 @@
 #include <utility>
 
 #include "core/fused/reduced/lapack.h"
+#include "core/interruption.h"
 
 namespace bundle::fused {
 namespace {
@@ -111,6 +112,7 @@ void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int
                                        double* values) {
   constexpr char kPlain = 'N', kTransposed = 'T';
   constexpr double kMinusOne = -1, kZero = 0, kOne = 1;
+  ThrowIfInterrupted();
   FindRuns(by, first_row);
   const int top = supernodes_.row_in_panel[first_row];
   const int width = Width(by), stride = supernodes_.height[by], rows = stride - top;

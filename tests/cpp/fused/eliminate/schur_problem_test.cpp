@@ -4,7 +4,10 @@
 
 #include <vector>
 
+#include "core/interruption.h"
+#include "fused/eliminate/capturing_solver.h"
 #include "fused/eliminate/schur_comparison.h"
+#include "support/no_threads.h"
 #include "support/scene.h"
 
 namespace bundle::fused {
@@ -147,6 +150,44 @@ TEST(SchurProblem, LongTracksAndManyChunks) {
       comparison.Check(1e-3);
     }
   }
+}
+
+/// Threads that wait for a chunk that never comes end as well, and the next pass starts anew.
+TEST(SchurProblem, CanBeInterruptedAndGoesOn) {
+  SceneOptions scene_options;
+  scene_options.num_images = 40;
+  scene_options.num_points = 200;
+  for (const int images_per_camera : {1, 40}) {
+    scene_options.images_per_camera = images_per_camera;
+    const Scene scene = MakeScene(scene_options);
+    const ProblemView problem = scene.View();
+    SolveOptions options = Options();
+    options.num_threads = 4;
+    const PreparedSolve prepared = PrepareSolve(problem, options);
+    std::vector<int> sizes;
+    for (const CameraSideBlock& block : prepared.layout.blocks()) sizes.push_back(block.size);
+    const ReducedStructure structure = DenseStructure(sizes);
+    CapturingSolver solver(structure);
+    SchurProblem schur(problem, prepared.layout, options, structure, &solver);
+    const Linearization expected = schur.Linearize(1e-4);
+    ASSERT_TRUE(expected.is_finite);
+    for (int i = 0; i < 20; ++i) {
+      {
+        const InterruptionScope scope([] { return true; });
+        EXPECT_THROW(schur.Linearize(1e-4), Interrupted);
+      }
+      const Linearization again = schur.Linearize(1e-4);
+      EXPECT_EQ(again.cost, expected.cost);
+      EXPECT_EQ(again.gradient_norm, expected.gradient_norm);
+    }
+  }
+}
+
+TEST(SchurProblem, NeedsNoSecondThread) {
+  const Scene scene = MakeScene(SmallScene());
+  const testing::NoThreads none;
+  Comparison comparison(scene, Options());
+  CheckAlongTheWay(&comparison);
 }
 
 }  // namespace

@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/interruption.h"
 #include "fused/minimize/ceres_oracle.h"
 #include "fused/minimize/classic_functions.h"
 #include "fused/minimize/dense_problem.h"
@@ -289,6 +290,75 @@ TEST(TrustRegion, GivesUpAtOnceWhereNothingHelps) {
               "Linear solver failed due to unrecoverable non-numeric causes. no memory");
     EXPECT_EQ(minimum.iterations.size(), 1u);
   }
+}
+
+/// Throws Interrupted in one of its passes.
+class InterruptedProblem final : public LeastSquares {
+ public:
+  InterruptedProblem(LeastSquares* problem, int linearization, int newton)
+      : problem_(problem), linearization_(linearization), newton_(newton) {}
+
+  Linearization Linearize(double damping) override {
+    if (--linearization_ == 0) throw Interrupted();
+    return problem_->Linearize(damping);
+  }
+  NewtonResult SolveNewton(double eta) override {
+    if (--newton_ == 0) throw Interrupted();
+    return problem_->SolveNewton(eta);
+  }
+  Candidate TryNewton() override { return problem_->TryNewton(); }
+  DirectionProducts Products() override { return problem_->Products(); }
+  Candidate TryCombination(double a, double b) override { return problem_->TryCombination(a, b); }
+  void Accept() override { problem_->Accept(); }
+  double StateNorm() const override { return problem_->StateNorm(); }
+
+ private:
+  LeastSquares* problem_;
+  int linearization_, newton_;
+};
+
+TEST(TrustRegion, KeepsTheBestStateWhereItIsInterruptedWithinAStep) {
+  for (const TrustRegionStrategy strategy : kStrategies) {
+    SolveOptions options = Endless(strategy);
+    options.max_num_iterations = 3;
+    DenseProblem whole(Powell());
+    const Minimum expected = Minimize(options, nullptr, &whole);
+    ASSERT_EQ(expected.num_successful_steps, 4);
+
+    DenseProblem in_solve(Powell());
+    InterruptedProblem first(&in_solve, 0, 4);
+    options.max_num_iterations = 100;
+    int num_reported = 0;
+    const auto count = [&](const IterationRecord&) { return ++num_reported > 0; };
+    const Minimum left = Minimize(options, count, &first);
+    EXPECT_EQ(left.termination_type, "USER_SUCCESS");
+    EXPECT_TRUE(left.interrupted);
+    EXPECT_EQ(left.iterations.size(), 4u);
+    EXPECT_EQ(num_reported, 4);
+    EXPECT_EQ(left.iterations.back().cost, expected.iterations.back().cost);
+    EXPECT_EQ(in_solve.x(), whole.x());
+    if (strategy != TrustRegionStrategy::kLevenbergMarquardt) continue;
+
+    // The step is taken when its linearisation is left.
+    DenseProblem in_pass(Powell());
+    InterruptedProblem second(&in_pass, 4, 0);
+    num_reported = 0;
+    const Minimum taken = Minimize(options, count, &second);
+    EXPECT_EQ(taken.termination_type, "USER_SUCCESS");
+    EXPECT_TRUE(taken.interrupted);
+    EXPECT_EQ(taken.num_successful_steps, 4);
+    EXPECT_EQ(num_reported, 4);
+    EXPECT_TRUE(taken.iterations.back().step_is_successful);
+    EXPECT_NEAR(taken.iterations.back().cost, expected.iterations.back().cost,
+                1e-12 * expected.iterations.back().cost);
+    EXPECT_EQ(in_pass.x(), whole.x());
+  }
+}
+
+TEST(TrustRegion, HasNothingToKeepBeforeTheFirstLinearization) {
+  DenseProblem problem(Powell());
+  InterruptedProblem interrupted(&problem, 1, 0);
+  EXPECT_THROW(Minimize(Endless(), nullptr, &interrupted), Interrupted);
 }
 
 }  // namespace

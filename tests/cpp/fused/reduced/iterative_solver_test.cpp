@@ -11,6 +11,7 @@
 
 #include "core/fused/reduced/reduced_solver.h"
 #include "core/fused/reduced/symmetric_product.h"
+#include "core/interruption.h"
 #include "fused/reduced/random_system.h"
 
 namespace bundle::fused {
@@ -176,6 +177,59 @@ TEST(IterativeSolver, NeedsNoIterationWithoutARightSide) {
   VectorXd x = VectorXd::Ones(12);
   EXPECT_EQ(solver->Solve(&stored, system.scale, 0.1, x.data()).num_iterations, 0);
   EXPECT_TRUE(x.isZero());
+}
+
+/// What the solver does with the identity as preconditioner, operation by operation, so that not a
+/// bit may differ; the residual is computed from x in every `period`-th iteration.
+std::vector<double> IterateInTheSameOrder(const RandomSystem& system,
+                                          const ReducedStructure& structure, int num_iterations,
+                                          int period) {
+  using Vector = std::vector<double>;
+  const auto dot = [](const Vector& a, const Vector& b) {
+    return std::inner_product(a.begin(), a.end(), b.begin(), 0.0);
+  };
+  const ReducedSystem stored = Store(system, structure);
+  SymmetricProduct product(structure, 1);
+  const size_t n = stored.rhs.size();
+  Vector x(n), r = stored.rhs, z(n), p(n), q(n);
+  double last_rho = 1;
+  for (int i = 1; i <= num_iterations; ++i) {
+    for (size_t k = 0; k < n; ++k) z[k] = system.scale[k] * system.scale[k] * r[k];
+    const double rho = dot(r, z);
+    for (size_t k = 0; k < n; ++k) p[k] = z[k] + (i == 1 ? 0 : rho / last_rho * p[k]);
+    last_rho = rho;
+    product.Multiply(stored.values, p.data(), q.data());
+    const double alpha = rho / dot(p, q);
+    for (size_t k = 0; k < n; ++k) x[k] += alpha * p[k];
+    if (i % period == 0) product.Multiply(stored.values, x.data(), z.data());
+    for (size_t k = 0; k < n; ++k) {
+      r[k] = i % period == 0 ? stored.rhs[k] - z[k] : r[k] - alpha * q[k];
+    }
+  }
+  return x;
+}
+
+TEST(IterativeSolver, ComputesTheResidualAfreshEveryTenthTime) {
+  const RandomSystem system = MakeRandomSystem(RandomSizes(40, 5), 0.3, 5);
+  const ReducedStructure structure = SparseStructure(system.sizes, system.columns);
+  const auto solver = MakeIterativeSolver(structure, PreconditionerType::kIdentity, 1);
+  ReducedSystem stored = Store(system, structure);
+  std::vector<double> x(system.num_columns());
+  const int num_iterations = solver->Solve(&stored, system.scale, 1e-12, x.data()).num_iterations;
+  ASSERT_GT(num_iterations, 20);
+  EXPECT_EQ(x, IterateInTheSameOrder(system, structure, num_iterations, 10));
+  EXPECT_NE(x, IterateInTheSameOrder(system, structure, num_iterations, 9));
+  EXPECT_NE(x, IterateInTheSameOrder(system, structure, num_iterations, 1000));
+}
+
+TEST(IterativeSolver, IsLeftBetweenIterations) {
+  const RandomSystem system = MakeRandomSystem({6, 6}, 1, 1);
+  const ReducedStructure structure = SparseStructure(system.sizes, system.columns);
+  const auto solver = MakeIterativeSolver(structure, PreconditionerType::kIdentity, 1);
+  ReducedSystem stored = Store(system, structure);
+  std::vector<double> x(12);
+  const InterruptionScope scope([] { return true; });
+  EXPECT_THROW(solver->Solve(&stored, system.scale, 0.1, x.data()), Interrupted);
 }
 
 TEST(IterativeSolver, StopsAtAResidualOfZero) {

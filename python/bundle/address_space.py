@@ -1,0 +1,58 @@
+"""Whether a limit of memory leaves room for the libraries, asked before they are loaded.
+
+Under `ulimit -v` or `ulimit -d`, OpenBLAS and others end the process as they are loaded, or try for
+ever. Nothing but the standard library is imported here, and nothing where there is no limit.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+__all__ = ["LIBRARIES", "PYCOLMAP", "require"]
+
+# Measured with 2 cores, and some to spare: numpy, the core and their threads; then pycolmap. Each
+# further core takes a stack and an arena of the heap.
+LIBRARIES = (420e6, 300e6)
+"""Bytes of address space and of data that importing bundle takes."""
+
+PYCOLMAP = (330e6, 100e6)
+"""The same for pycolmap."""
+
+_PER_CORE = 80e6
+_MEASURED_CORES = 2
+
+
+def require(what: str, sizes: tuple[float, float]) -> None:
+    """Raise MemoryError if the limits of this process leave less than ``sizes`` for ``what``.
+
+    ``sizes``: bytes of address space and of data.
+    """
+    try:
+        import resource
+    except ImportError:  # no such limits here
+        return
+    kinds = ((resource.RLIMIT_AS, 0, "ulimit -v"), (resource.RLIMIT_DATA, 5, "ulimit -d"))
+    for (kind, field, option), size in zip(kinds, sizes, strict=True):
+        limit = resource.getrlimit(kind)[0]
+        if limit == resource.RLIM_INFINITY:
+            continue
+        needed = size + _PER_CORE * max(0, _cores() - _MEASURED_CORES)
+        left = limit - _pages(field) * resource.getpagesize()
+        if left < needed:
+            raise MemoryError(
+                f"{what} takes about {needed / 1e6:.0f} MB, of which the limit ({option}) leaves "
+                f"{max(left, 0) / 1e6:.0f} MB"
+            )
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+
+
+def _pages(field: int) -> int:
+    """Return a field of /proc/self/statm: 0 all pages, 5 data and stack; 0 where there is none."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[field])
+    except OSError:
+        return 0

@@ -1,0 +1,38 @@
+"""Connected components of the graph of images and points: who is joined by observations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["component_roots"]
+
+
+def component_roots(
+    images: NDArray[Any], starts: NDArray[np.int64], num_images: int
+) -> NDArray[np.int64]:
+    """Return for each image the smallest image of its component, (num_images,).
+
+    Every image starts as its own tree. In each round the root of every tree hooks onto the smallest
+    root that a common point reaches, then all paths are compressed (Shiloach and Vishkin 1982),
+    which ends after about log(num_images) rounds, even for long chains.
+
+    Args:
+        images: (num_observations,) image of each observation, sorted by point.
+        starts: where the observations of each point that has any begin.
+        num_images: number of images; one without observations is its own component.
+    """
+    root = np.arange(num_images)
+    lengths = np.diff(starts, append=len(images))
+    while len(images):
+        reached = np.repeat(np.minimum.reduceat(root[images], starts), lengths)
+        hooked = root.copy()
+        np.minimum.at(hooked, root[images], reached)
+        while not np.array_equal(hooked, shorter := hooked[hooked]):
+            hooked = shorter
+        if np.array_equal(hooked, root):
+            break
+        root = hooked
+    return root

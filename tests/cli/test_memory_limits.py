@@ -1,0 +1,86 @@
+"""Under limits of memory a command does its work or ends in one line, whatever fails first.
+
+A limit of address space makes whatever asks for memory next fail: the loader, OpenBLAS, a thread's
+stack, an array. The campaign of the limits in between is too long for every day; these are limits
+at which one thing after the other failed badly.
+"""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import bundle
+from tests.cli.conftest import command, environment
+from tests.scenes import make_problem
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits as Linux has them")
+
+MB = 10**6
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A BAL file and a COLMAP model."""
+    folder = tmp_path_factory.mktemp("limits")
+    paths = {"bal": folder / "scene.txt", "colmap": folder / "model"}
+    scene = bundle.synthesize(num_images=12, num_points=300, camera_model="RADIAL", seed=1).problem
+    bundle.save(scene, paths["bal"])
+    bundle.save(make_problem(), paths["colmap"])
+    return paths
+
+
+def run(kind: int, limit: int, *arguments: Any) -> tuple[int, str]:
+    def set_limit() -> None:
+        resource.setrlimit(kind, (limit, limit))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+    done = subprocess.run(
+        command(*arguments), env=environment(), capture_output=True, text=True, timeout=60,
+        check=False, preexec_fn=set_limit,
+    )  # fmt: skip
+    return done.returncode, done.stderr
+
+
+def expect_work_or_one_line(code: int, error: str) -> None:
+    if code == 0:
+        assert error == ""
+        return
+    assert code == 2, (code, error)
+    assert error.startswith("error: not enough memory"), error
+    assert error.count("\n") == 1, error
+
+
+@pytest.mark.parametrize(
+    ("kind", "limit"),
+    [(resource.RLIMIT_AS, 1000 * MB), (resource.RLIMIT_DATA, 600 * MB)],
+)
+def test_a_generous_limit_changes_nothing(
+    inputs: dict[str, Path], tmp_path: Path, kind: int, limit: int
+) -> None:
+    for name, path in inputs.items():
+        code, error = run(kind, limit, "refine", path, "-o", tmp_path / name, "--quiet")
+        assert (code, error) == (0, "")
+
+
+@pytest.mark.parametrize("limit", [60, 110, 250, 350, 450, 500, 560, 620])
+def test_an_address_space_that_is_too_small_ends_in_one_line(
+    inputs: dict[str, Path], tmp_path: Path, limit: int
+) -> None:
+    name = "colmap" if limit > 400 else "bal"
+    backend = "fused" if limit % 100 else "ceres"
+    arguments = ("refine", inputs[name], "-o", tmp_path / "out", "--quiet", "--backend", backend)
+    expect_work_or_one_line(*run(resource.RLIMIT_AS, limit * MB, *arguments))
+
+
+@pytest.mark.parametrize("limit", [20, 150, 250, 320, 400])
+def test_a_data_segment_that_is_too_small_ends_in_one_line(
+    inputs: dict[str, Path], tmp_path: Path, limit: int
+) -> None:
+    arguments = ("refine", inputs["bal"], "-o", tmp_path / "out", "--quiet")
+    expect_work_or_one_line(*run(resource.RLIMIT_DATA, limit * MB, *arguments))
