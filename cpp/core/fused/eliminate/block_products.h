@@ -32,10 +32,10 @@ struct RightFactor {
     }
   }
 
-  /// block -= t_0 row_0^T + t_1 row_1^T, for `num_rows` entries of t = (t_0, t_1), each of `width`.
-  void SubtractAll(const double* t, int width, int num_rows, double* block) const {
+  /// block -= t_0 row_0^T + t_1 row_1^T, for `num_rows` entries of t = (t_0, t_1).
+  void SubtractAll(const double* t, int num_rows, double* block) const {
     for (int i = 0; i < num_rows; ++i) {
-      SubtractRow<0>(t[i], t[width + i], block + i * 4 * kQuads);
+      SubtractRow<0>(t[i], t[4 * kQuads + i], block + i * 4 * kQuads);
     }
   }
 
@@ -52,24 +52,28 @@ struct RightFactor {
 };
 
 /// t = (row_0 m[0][0] + row_1 m[1][0], row_0 m[0][1] + row_1 m[1][1])
-inline void MiddleProduct(const double* rows, int width, const double m[4], double* t) {
-  for (int j = 0; j < width; j += 4) {
-    const Quad row_0 = LoadQuad(rows + j), row_1 = LoadQuad(rows + width + j);
-    StoreQuad(row_0 * m[0] + row_1 * m[2], t + j);
-    StoreQuad(row_0 * m[1] + row_1 * m[3], t + width + j);
+template <int kQuads>
+inline void MiddleProduct(const double* rows, const double m[4], double* t) {
+  constexpr int kColumns = 4 * kQuads;
+  for (int q = 0; q < kQuads; ++q) {
+    const Quad row_0 = LoadQuad(rows + 4 * q), row_1 = LoadQuad(rows + kColumns + 4 * q);
+    StoreQuad(row_0 * m[0] + row_1 * m[2], t + 4 * q);
+    StoreQuad(row_0 * m[1] + row_1 * m[3], t + kColumns + 4 * q);
   }
 }
 
 /// What one observation adds to the vectors of its image: J_c^T r, J_c^T (r - Y h), ||J e_j||^2.
-inline void UpdateVectors(const double* rows, int width, const double r[2], const double reduced[2],
+template <int kQuads>
+inline void UpdateVectors(const double* rows, const double r[2], const double reduced[2],
                           double* vectors) {
-  for (int j = 0; j < width; j += 4) {
-    const Quad row_0 = LoadQuad(rows + j), row_1 = LoadQuad(rows + width + j);
-    double* at = vectors + j;
+  constexpr int kColumns = 4 * kQuads;
+  for (int q = 0; q < kQuads; ++q) {
+    const Quad row_0 = LoadQuad(rows + 4 * q), row_1 = LoadQuad(rows + kColumns + 4 * q);
+    double* at = vectors + 4 * q;
     StoreQuad(LoadQuad(at) + row_0 * r[0] + row_1 * r[1], at);
-    at += width;
+    at += kColumns;
     StoreQuad(LoadQuad(at) + row_0 * reduced[0] + row_1 * reduced[1], at);
-    at += width;
+    at += kColumns;
     StoreQuad(LoadQuad(at) + row_0 * row_0 + row_1 * row_1, at);
   }
 }

@@ -140,7 +140,7 @@ struct LaneResiduals {
     Mask counts;
     kProjectLanes[model](AllCameraModels()[model], state.params, state.camera_point, measurement,
                          terms.cheirality, r, derive ? d_camera_point : nullptr,
-                         derive ? d_params : nullptr, &counts);
+                         derive ? d_params : nullptr, &counts, batch.count);
     if (!All(counts) || x.num_held > 0) Hold(terms, x, batch, counts, derive);
     const LossLanes loss = EvaluateLoss(terms.loss, terms.loss_scale, r[0] * r[0] + r[1] * r[1]);
     rho = loss.rho;
