@@ -15,6 +15,9 @@ CPP_SOURCES = $(shell find cpp python/bundle examples tests -name '*.h' -o -name
 BUILD := build/release
 SANITIZE_BUILD := build/sanitize
 SANITIZERS := address,undefined,float-cast-overflow
+# Runs a GoogleTest program once per core, each with its share of the tests.
+SHARDED = seq 0 $$(($$(nproc) - 1)) | UBSAN_OPTIONS=print_stacktrace=1 GTEST_TOTAL_SHARDS=$$(nproc) \
+  xargs -P 0 -I {} env GTEST_SHARD_INDEX={}
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test sanitize lint format docs bench clean
@@ -44,10 +47,10 @@ sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBeh
 	  -DBUNDLE_PYTHON=OFF -DBUNDLE_CPP_TESTS=ON -DBUNDLE_SANITIZE=$(SANITIZERS) \
 	  -DCMAKE_BUILD_TYPE=Sanitize -DCMAKE_CXX_FLAGS_SANITIZE="-O1 -g1"
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(SANITIZE_BUILD) --target bundle_tests
-	UBSAN_OPTIONS=print_stacktrace=1 $(SANITIZE_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
+	$(SHARDED) $(SANITIZE_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
 	for set in baseline avx2; do \
-	  BUNDLE_INSTRUCTION_SET=$$set UBSAN_OPTIONS=print_stacktrace=1 \
-	    $(SANITIZE_BUILD)/tests/cpp/bundle_tests --gtest_brief=1 --gtest_filter='*Schur*:*Fused*' || exit 1; \
+	  $(SHARDED) BUNDLE_INSTRUCTION_SET=$$set $(SANITIZE_BUILD)/tests/cpp/bundle_tests \
+	    --gtest_brief=1 --gtest_filter='*Schur*:*Fused*' || exit 1; \
 	done
 
 lint: $(READY)  ## check format, style, types and compiler warnings

@@ -13,6 +13,10 @@ import bundle
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 
+# Workers of pytest-xdist have it; reports take it for the width of a terminal.
+os.environ.pop("COLUMNS", None)
+
+
 @pytest.fixture(scope="session")
 def bundle_data() -> Path:
     """The folder of real data: environment variable BUNDLE_DATA, or ../shared/data.

@@ -22,22 +22,6 @@ SHOWN_PIXELS = 40.0  # half the width of the plots of residuals
 COLOUR_LIMITS = (0.3, 100.0)  # pixels, on a log scale
 
 
-def projection_centers(problem: bundle.Problem) -> NDArray[np.float64]:
-    """Return the (num_images, 3) camera centres -R^T t."""
-    x, y, z, w = problem.cam_from_world[:, :4].T
-    rotations = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    centers: NDArray[np.float64] = -np.einsum(
-        "jin,nj->ni", rotations, problem.cam_from_world[:, 4:]
-    )
-    return centers
-
-
 def median_errors(problem: bundle.Problem) -> NDArray[np.float64]:
     """Return the median reprojection error per point, in pixels."""
     errors, _ = reprojection_errors(problem)
@@ -50,7 +34,7 @@ def median_errors(problem: bundle.Problem) -> NDArray[np.float64]:
 
 def draw_from_above(axis: Any, problem: bundle.Problem, title: str) -> Any:
     """Draw points in the colour of their error, and cameras; return the coloured points."""
-    centers = projection_centers(problem)
+    centers = problem.projection_centers
     flat = np.argsort(np.ptp(centers, axis=0))[1:]  # the two axes along which the cameras spread
     first, second = sorted(flat)
     axis.plot(centers[:, first], centers[:, second], "-", color="0.6", linewidth=0.7, zorder=1)

@@ -59,7 +59,7 @@ def render(*renderables: RenderableType, width: int = WIDEST) -> str:
         file=file, width=width, markup=False, emoji=False, highlight=False, color_system=None
     )
     for renderable in renderables:
-        plain.print(renderable)
+        plain.print(renderable, crop=False)
     return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
 
 

@@ -78,6 +78,15 @@ def test_what_is_not_a_number_has_no_projection(model):
     assert not valid[2:].any()
 
 
+@pytest.mark.parametrize("model", MODELS)
+def test_what_has_no_projection_has_no_derivatives(model):
+    points = np.array([[0.1, 0.2, np.nan], [0.1, 0.2, 1.0]])
+    found = bundle.project(model, PARAMS[model], points, jacobians=True)
+    for derivatives in (found.d_point, found.d_params):
+        assert np.isnan(derivatives[0]).all()
+        assert np.isfinite(derivatives[1]).all()
+
+
 def test_wrong_arguments_are_named():
     with pytest.raises(bundle.InputError, match=r"expected 3 parameters \(f, cx, cy\)"):
         bundle.project("SIMPLE_PINHOLE", [1.0, 2.0], np.zeros((1, 3)))

@@ -99,7 +99,7 @@ def test_jacobians_agree_with_70_digits(model, record_property):
             pairs.append(((result.d_point[n], d_point), (result.d_params[n], d_params)))
             beyond += points[n, 2] < 0
     worst, column = worst_of(model, pairs)
-    record_property("worst_relative_error", worst)
+    record_property("worst_relative_error", float(worst))
     print(f"{model}: {worst:.1e} ({column}) over {len(pairs)} points, {beyond} of them behind")
     assert len(pairs) > 40
     assert beyond > 5

@@ -33,7 +33,7 @@ def test_pixels_and_validity_agree_with_pycolmap(model, record_property):
         sharp = seen & (bound < TOLERANCE).all(axis=1)
         worst = max(worst, error[sharp].max())
         strict, total = strict + sharp.sum(), total + seen.sum()
-    record_property("worst_difference_px", worst)
+    record_property("worst_difference_px", float(worst))
     print(f"{model}: {worst:.1e} px over {strict} of {total} points; looser for the others")
     assert worst <= TOLERANCE
     assert strict > 0.6 * total

@@ -56,7 +56,7 @@ def test_same_start_and_same_end_as_pycolmap(solve, model, record_property):
     )
     expected = adjust(reconstruction, FUNCTION_TOLERANCE, MAX_ITERATIONS)
     difference = result.summary.final_cost / expected.final_cost - 1
-    record_property("relative_difference_of_final_cost", difference)
+    record_property("relative_difference_of_final_cost", float(difference))
     print(f"{model}: {difference:+.1e} of {expected.final_cost:.6g}")
     assert result.summary.initial_cost == pytest.approx(expected.initial_cost, rel=1e-9)
     assert result.summary.final_cost < 0.5 * result.summary.initial_cost

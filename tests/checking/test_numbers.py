@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.checking.columns import Column
 from bundle.checking.comparison import Comparison
+from bundle.checking.evidence import Evidence
+from bundle.checking.tally import Tally
 
 
 @pytest.mark.parametrize(
@@ -40,5 +43,23 @@ def test_small_entries_are_measured_by_a_thousandth_of_the_usual_size():
 
 def test_what_the_reference_does_not_know_is_no_error():
     found = comparison([2.0, 2.0, 2.0], [0.4, 0.1, 0.1], [0.1, 0.2, np.inf])
+    assert found.deviation.ravel() == pytest.approx([0.2, 0.05, 0.0])
     assert found.doubt.ravel() == pytest.approx([0.05, 0.1, np.inf])
     assert found.error.ravel() == pytest.approx([0.15, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("doubt", "is_explained"), [(0.05, True), (0.2, False)])
+def test_a_guess_explains_only_what_stands_clear_of_the_doubt(doubt, is_explained):
+    points = np.ones((3, 1))
+    wrong = comparison([1.0, 1.0, 1.0], [0.5, 0.5, 0.5], [doubt, doubt, doubt])
+    evidence = Evidence(wrong, [Column("x", "x")], [], points, lambda *_: None, [0])
+    assert evidence.explains(np.full((3, 1, 1), 1.5), [0]) == is_explained
+
+
+def test_an_entry_is_wrong_or_undecided_but_not_both():
+    tally = Tally([Column("x", "x")], tolerance=0.01)
+    # Right; wrong beyond its doubt; within its doubt; without a reference.
+    tally.add(comparison([1.0] * 4, [0, 0.5, 0.1, 0.5], [0, 0.1, 0.2, np.inf]), np.arange(4))
+    assert tally.num_entries.tolist() == [4]
+    assert tally.num_wrong.tolist() == [1]
+    assert tally.num_undecided.tolist() == [2]

@@ -27,7 +27,8 @@ def test_table_recommendation_and_command_line(run, model):
     assert f"bundle refine {model} -o OUTPUT" in out.replace(" \\\n    ", " ")
     assert "ceres ITERATIVE_SCHUR" in err.splitlines()[-1]
     assert figures(err.splitlines()[-1]) == ["6", "6", "1"]  # the last of six, on one thread
-    assert max(map(len, out.splitlines())) <= 100
+    report = out[: out.index("bundle refine")]  # a path in the command may be longer
+    assert max(map(len, report.splitlines())) <= 100
 
 
 def test_recommended_command_runs(run, model, tmp_path):

@@ -174,5 +174,5 @@ def test_bad_problems_are_refused_before_anything_runs(tmp_path):
         compare([PROBLEM, empty])
     with pytest.raises(OSError, match="nothing-here"):
         compare(tmp_path / "nothing-here")
-    with pytest.raises(InputError, match="found 0, 60 and 0"):
+    with pytest.raises(InputError, match="repeat: expected at least 1, found 0"):
         compare(PROBLEM, repeat=0)

@@ -98,11 +98,13 @@ def test_least_predicted_time_that_fits_is_foreseen():
     assert foresee(PROBLEM, OPTIONS, (SPARSE, CERES), predictions) == CERES
     predictions[DENSE] = prediction(time_per_step_in_seconds=2.0, memory_in_bytes=9e6)
     assert foresee(PROBLEM, OPTIONS, methods, predictions, 8_500_000) == CERES
+    assert foresee(PROBLEM, OPTIONS, methods, predictions, 9_000_000) == DENSE
 
 
 def test_without_predictions_auto_is_asked():
     one, ceres = (dataclasses.replace(method, num_threads=1) for method in (DENSE, CERES))
     assert taken_by_auto(PROBLEM, OPTIONS, 1) == one
     assert foresee(PROBLEM, OPTIONS, (ceres, one), {}) == one
+    assert foresee(PROBLEM, OPTIONS, (one, DENSE, ceres), {}) == DENSE  # with the most threads
     assert foresee(PROBLEM, OPTIONS, (ceres,), {}) is None
     assert taken_by_auto(PROBLEM, OPTIONS.replace(fixed_image_ids=(99,)), 1) is None

@@ -162,3 +162,14 @@ def test_a_run_that_did_not_end_has_a_trace_too():
     assert run.time_to(3.0) == 1.5
     assert math.isnan(run.time_to(2.0))
     assert not Method(backend="auto", linear_solver_type="auto", num_threads=1).is_iterative
+
+
+def test_the_start_is_a_state_and_takes_no_time():
+    run = done(DENSE, total=2.0)  # from a cost of 400
+    assert run.time_to(400.0) == 0.0
+    assert run.time_to(399.0) == 1.0
+
+
+def test_a_best_cost_of_zero_is_measured_in_costs():
+    compared = comparison(done(DENSE, cost=0.0), done(SPARSE, cost=0.25))
+    assert [compared.gap(run) for run in compared.runs] == [0.0, 0.25]

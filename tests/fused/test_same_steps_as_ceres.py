@@ -87,7 +87,7 @@ def options_of(row):
         "preconditioner_type": preconditioner,
         "trust_region_strategy_type": row["trust region"],
         "loss": row["loss"],
-        "loss_scale": 5.0,
+        "loss_scale": 1.0 if row["loss"] == "trivial" else 5.0,
         "gauge": row["gauge"],
         "cheirality": row["cheirality"],
         "max_num_iterations": 25,

@@ -115,6 +115,9 @@ def test_rates_must_fit_each_other():
     for threaded in (slow, fast):
         off = dataclasses.replace(rates, dense_threaded=threaded)
         assert implausible(off) == ("dense_threaded",)
+    for share in (0.6, 1.0, 2.9):
+        threaded = FactorRate(flops_per_second=share * 1e10, seconds_per_entry=0.0)
+        assert implausible(dataclasses.replace(rates, dense_threaded=threaded)) == ()
     off = dataclasses.replace(rates, fused_observation=9e-5)
     assert implausible(off) == ("ceres_evaluation",)
 

@@ -294,3 +294,15 @@ def test_a_mounted_file_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(atomic, "mount_points", lambda: frozenset({tmp_path / "out.txt"}))
     with pytest.raises(bundle.InputError, match="mount point"):
         atomic.check_file(tmp_path / "out.txt")
+
+
+def test_a_file_that_its_owner_may_only_write_is_replaced_and_stays_so(tmp_path):
+    path = tmp_path / "file"
+    path.write_text("old")
+    path.chmod(0o200)
+    with atomic.replace_file(path) as temporary:
+        assert stat.S_IMODE(temporary.stat().st_mode) & 0o600 == 0o600
+        temporary.write_text("new")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o200
+    path.chmod(0o600)
+    assert path.read_text() == "new"

@@ -162,7 +162,7 @@ def test_orders_are_found_by_their_names():
 
 def test_empty_matrix_is_drawn_empty(tmp_path: Path):
     made, ax = axis()
-    pictures.spy(ax, (np.empty(0), np.zeros(1), np.empty(0)))
+    pictures.spy(ax, (np.empty(0, int), np.zeros(1, int), np.empty(0, int)))
     made.savefig(tmp_path / "empty.png")
 
 

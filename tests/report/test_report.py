@@ -8,8 +8,10 @@ import re
 import numpy as np
 import pytest
 
+from bundle.camera_changes import CameraChange
 from bundle.problem import Problem
 from bundle.report import json as json_report
+from bundle.report import refine
 from bundle.report.refine import refinement
 from bundle.report.timing import WallTime
 from bundle.summary import solver_phases
@@ -293,3 +295,15 @@ def test_the_fused_backend_is_named_and_so_is_what_it_does():
     assert report["why this backend"] == ["It is the faster one."]
     assert report["instruction set"] == ["avx2+fma", "avx2+fma"]
     assert "instruction set" not in fakes.CONVERGED.full_report()
+
+
+@pytest.mark.parametrize(("count", "folded"), [(5, False), (6, True)])
+def test_five_changed_cameras_are_shown_and_the_others_counted(count, folded):
+    changes = [
+        CameraChange(camera_id=i, model="M", before={"f": 1.0}, after={"f": 2.0}, movement=1.0)
+        for i in range(count)
+    ]
+    text = render(*refine._cameras(changes), width=80)
+    assert text.count(" M ") == 5
+    assert ("1 other camera" in text) == folded
+    assert ("other camera" in text) == folded

@@ -118,11 +118,13 @@ def hard_options(rng):
         ("dogleg", "dense_schur"),
         ("subspace_dogleg", "dense_qr"),
     ][rng.integers(6)]
+    loss = str(rng.choice(["trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey"]))
+    scale = float(rng.choice([0.2, 1, 5]))
     return {
         "trust_region_strategy_type": strategy,
         "linear_solver_type": solver,
-        "loss": str(rng.choice(["trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey"])),
-        "loss_scale": float(rng.choice([0.2, 1, 5])),
+        "loss": loss,
+        "loss_scale": 1.0 if loss == "trivial" else scale,
         "function_tolerance": float(rng.choice([1e-6, 1e-12, 0.0])),
         "gauge": str(rng.choice(["none", "two_cameras", "three_points"])),
         "cheirality": str(rng.choice(["zero", "algebraic"])),

@@ -59,6 +59,8 @@ def test_ids_are_sorted_and_unique():
         ("function_tolerance", -1e-9, "function_tolerance: expected at least 0"),
         ("num_threads", -1, "num_threads: expected at least 0, found -1"),
         ("fixed_image_ids", ["a"], "fixed_image_ids: expected whole numbers, found"),
+        ("fixed_image_ids", [2**63], "fixed_image_ids: expected ids below 2\\^63, found"),
+        ("fixed_point_ids", [-(2**63) - 1], "fixed_point_ids: expected ids below 2\\^63, found"),
     ],
 )
 def test_values_out_of_range_are_named(name, value, message):

@@ -87,7 +87,8 @@ def test_every_strategy_and_ordering_reaches_the_same_minimum(solve, backend, st
 @pytest.mark.parametrize("scale", [0.5, 2.0])
 def test_losses_cost_what_their_formulas_say(solve, loss, scale):
     problem = scenes.make_problem(seed=4, perturbation=2e-3)
-    result = solve(problem, loss=loss, loss_scale=scale, max_num_iterations=5)
+    scaled = {} if loss == "trivial" else {"loss_scale": scale}
+    result = solve(problem, loss=loss, **scaled, max_num_iterations=5)
     assert result.summary.initial_cost == pytest.approx(cost(problem, loss, scale), rel=1e-10)
     assert result.summary.final_cost == pytest.approx(cost(result.problem, loss, scale), rel=1e-10)
     assert result.summary.final_cost < result.summary.initial_cost

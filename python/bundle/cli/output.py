@@ -73,6 +73,6 @@ def show(*renderables: RenderableType) -> None:
     """Print to standard output, in colour if it is a terminal."""
     screen = console(sys.stdout)
     if screen.is_terminal:
-        screen.print(*renderables, sep="\n")
+        screen.print(*renderables, sep="\n", crop=False)  # a long word of a command stays whole
     else:
         print_out(render(*renderables, width=screen.width))
