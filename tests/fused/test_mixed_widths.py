@@ -31,6 +31,22 @@ def test_images_of_different_widths_take_the_steps_of_ceres(wide):
     np.testing.assert_allclose(fused, ceres, rtol=1e-9)
 
 
+def test_points_that_are_spread_over_several_chunks():
+    """So many pairs that a chunk has some rows of one point only."""
+    problem = with_full_opencv(scenes.make_problem(num_images=280, num_points=6), range(0, 280, 30))
+    fused, ceres = (
+        bundle.solve(
+            problem,
+            backend=backend,
+            linear_solver_type="dense_schur",
+            max_num_iterations=2,
+            refine=["points", "focal", "extra"],
+        ).iterations["cost"]
+        for backend in ("fused", "ceres")
+    )
+    np.testing.assert_allclose(fused, ceres, rtol=1e-9)
+
+
 def test_their_blocks_precondition_conjugate_gradients():
     problem = with_full_opencv(scenes.make_problem(num_images=6, num_points=60), [2])
     iterative, dense = (

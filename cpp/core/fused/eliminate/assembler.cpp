@@ -9,7 +9,7 @@ constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way 
 
 /// Of the rows of an image's Jacobian, and of the blocks whose second image it is.
 int WidthOf(const Terms& terms, int image) {
-  return terms.mixed ? terms.groups[terms.image_group[image]].width : terms.num_columns;
+  return terms.mixed ? 4 * terms.image_quads[image] : terms.num_columns;
 }
 
 }  // namespace

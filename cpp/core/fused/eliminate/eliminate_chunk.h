@@ -15,7 +15,7 @@ inline double LinearizeBatch(const Terms& terms, const StateRecords& x, const St
   const LaneState state(terms, x, batch, true);
   const LaneResiduals residuals(terms, x, state, batch, true);
   double* out[kLanes];
-  double discarded[2 * kMaxColumns + kRecordTail];
+  double discarded[2 * kMaxColumns + kRecordHead];
   for (int lane = 0; lane < kLanes; ++lane) {
     out[lane] = lane < batch.count ? records.Of(batch.observation[lane] - strip.begin) : discarded;
   }
@@ -26,7 +26,7 @@ inline double LinearizeBatch(const Terms& terms, const StateRecords& x, const St
     residuals.ChainPose(state, row, d_pose);
     residuals.ChainPoint(state, row, d_point);
     const Pack* const d_params = residuals.d_params + row * group.num_params;
-    const int width = group.width;
+    const int width = 4 * group.num_quads;
     for (int j = 0; j < width; j += 4) {
       const Pack* quad[4];
       for (int k = 0; k < 4; ++k) {
@@ -35,10 +35,10 @@ inline double LinearizeBatch(const Terms& terms, const StateRecords& x, const St
                   : column < kPoseSize ? d_pose + column
                                        : d_params + (column - kPoseSize);
       }
-      ScatterRecords(quad, out, row * width + j);
+      ScatterRecords(quad, out, kRecordHead + row * width + j);
     }
-    const Pack* const tail[4] = {d_point, d_point + 1, d_point + 2, residuals.r + row};
-    ScatterRecords(tail, out, 2 * terms.num_columns + 4 * row);
+    const Pack* const head[4] = {d_point, d_point + 1, d_point + 2, residuals.r + row};
+    ScatterRecords(head, out, 4 * row);
   }
   return 0.5 * Sum(residuals.rho, batch.count);
 }
@@ -58,7 +58,7 @@ void EliminateChunk(const Terms& terms, const StateRecords& x, const Chunk& chun
     VisitBatches(terms, strip, [&](const Batch& batch) {
       cost += LinearizeBatch(terms, x, strip, batch, records);
     });
-    FormPointBlocks(terms, strip, records.Tail(0), records.stride(), damping, first, squared_scale,
+    FormPointBlocks(terms, strip, records.Of(0), records.stride(), damping, first, squared_scale,
                     blocks);
     if (counts) sum->cost += cost;
     for (int p = strip.first; p < strip.last; ++p) {

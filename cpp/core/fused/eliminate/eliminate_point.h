@@ -25,31 +25,31 @@
 namespace bundle::fused::BUNDLE_ISA {
 
 inline constexpr int kMaxColumns = (kPoseSize + kMaxCameraParams + 3) / 4 * 4;
-/// Doubles of a record beyond two rows of the camera side: (a, r) of each row.
-inline constexpr int kRecordTail = 8;
+/// Doubles of a record ahead of the two rows of the camera side: (a, r) of each row.
+inline constexpr int kRecordHead = 8;
 
-/// Records of a strip: [row 0 | row 1 | a_0 r_0 | a_1 r_1] an observation, the rows as wide as the
-/// image's group and the rest where the widest has it.
+/// Records of a strip: [a_0 r_0 | a_1 r_1 | row 0 | row 1] an observation, the rows as wide as
+/// those of the image's group, each record as long as the widest.
 class StripRecords {
  public:
   StripRecords(const Terms& terms, double* memory)
-      : columns_(terms.num_columns), stride_(2 * terms.num_columns + kRecordTail), data_(memory) {}
+      : stride_(kRecordHead + 2 * terms.num_columns), data_(memory) {}
 
   int stride() const { return stride_; }
   double* Of(int64_t slot) const { return data_ + slot * stride_; }
-  double* Tail(int64_t slot) const { return Of(slot) + 2 * columns_; }
+  const double* Rows(int64_t slot) const { return Of(slot) + kRecordHead; }
 
  private:
-  int columns_, stride_;
+  int stride_;
   double* data_;
 };
 
-/// Each tail (a, r) of a point's records becomes (y, r).
+/// Each head (a, r) of a point's records becomes (y, r).
 inline void WhitenRows(const StripRecords& records, int64_t slot, int count,
                        const PointBlock* block) {
   for (int i = 0; i < count; ++i) {
-    double* const tail = records.Tail(slot + i);
-    for (double* at = tail; at < tail + kRecordTail; at += 4) {
+    double* const head = records.Of(slot + i);
+    for (double* at = head; at < head + kRecordHead; at += 4) {
       Quad y = {};
       if (block != nullptr) y = block->Whiten(LoadQuad(at));
       y[3] = at[3];
@@ -64,7 +64,7 @@ inline int CountRefined(const Terms& terms, int64_t begin, int64_t end) {
   return static_cast<int>(end - begin);
 }
 
-/// block -= t_0 row_0^T + t_1 row_1^T, for records of each number of quads from 1 on.
+/// block -= t_0 row_0^T + t_1 row_1^T, for `num_rows` entries of t = (t_0, t_1).
 using SubtractRows = void (*)(const double* t_0, const double* t_1, int num_rows,
                               const double* rows, double* block);
 
@@ -77,12 +77,13 @@ void SubtractRowsOf(const double* t_0, const double* t_1, int num_rows, const do
   }
 }
 
+/// By the quads of the rows less one.
 inline constexpr SubtractRows kSubtractRows[] = {&SubtractRowsOf<1>, &SubtractRowsOf<2>,
                                                  &SubtractRowsOf<3>, &SubtractRowsOf<4>,
                                                  &SubtractRowsOf<5>, &SubtractRowsOf<6>};
 
-/// Adds what points add, once their blocks are factorised. `kQuads`: of every image's rows, or of
-/// the first image's where widths are mixed.
+/// Adds what points add, once their blocks are factorised. `kQuads`: of every image's rows; where
+/// widths are mixed, of the first image's of each block.
 template <int kQuads, bool kMixed = false>
 class Elimination {
  public:
@@ -91,7 +92,6 @@ class Elimination {
         records_(records),
         sum_(*sum),
         num_columns_(kMixed ? terms.num_columns : kColumns),
-        num_rows_(terms.num_rows),
         block_size_(static_cast<int64_t>(terms.num_rows) * num_columns_) {}
 
   /// The point's observations are [begin, end) of the plan and have records from `slot` on; rows
@@ -99,30 +99,31 @@ class Elimination {
   /// for a fixed point. Returns where the pairs of the next point begin.
   const uint16_t* Add(int64_t slot, int64_t begin, int64_t end, int first_row, int last_row,
                       const PointBlock* block, const uint16_t* pair_block) {
-    image_ = terms_.plan->image_in_chunk.data() + begin;
     WhitenRows(records_, slot, static_cast<int>(end - begin), block);
     const int refined = CountRefined(terms_, begin, end);
-    for (int i = first_row; i < (last_row > 0 ? last_row : refined); ++i) {
-      AddDiagonal(slot, i, block);
-      if (block == nullptr) continue;
-      for (int j = i + 1; j < refined; ++j) AddPair(slot, i, j, *pair_block++);
-    }
-    return pair_block;
+    return AddRows<false>(slot, begin, refined, first_row, last_row > 0 ? last_row : refined, block,
+                          pair_block);
   }
 
-  /// Observation i of such a point alone, whose rows are white already, and its pairs.
-  const uint16_t* AddRow(int64_t slot, int64_t begin, int refined, int i, const PointBlock* block,
-                         const uint16_t* pair_block) {
+  /// Adds rows [first_row, last_row) of a point whose records are white and whose first `refined`
+  /// observations are refined. `kPairsDiffer`: the width of the second image of a pair may be
+  /// another.
+  template <bool kPairsDiffer>
+  const uint16_t* AddRows(int64_t slot, int64_t begin, int refined, int first_row, int last_row,
+                          const PointBlock* block, const uint16_t* pair_block) {
     image_ = terms_.plan->image_in_chunk.data() + begin;
     const int32_t* const image = terms_.plan->image.data() + begin;
-    num_rows_ = terms_.groups[terms_.image_group[image[i]]].num_columns;
-    AddDiagonal(slot, i, block);
-    for (int j = i + 1; j < refined && block != nullptr; ++j, ++pair_block) {
-      const int width = terms_.groups[terms_.image_group[image[j]]].width;
-      if (width == kColumns) {
-        AddPair(slot, i, j, *pair_block);
-      } else {
-        AddPairOfWidths(slot, i, j, width, *pair_block);
+    for (int i = first_row; i < last_row; ++i) {
+      const int num_rows = kMixed ? terms_.image_columns[image[i]] : terms_.num_rows;
+      AddDiagonal(slot, i, num_rows, block);
+      if (block == nullptr) continue;
+      for (int j = i + 1; j < refined; ++j, ++pair_block) {
+        const int quads = kPairsDiffer ? terms_.image_quads[image[j]] : kQuads;
+        if (quads == kQuads) {
+          AddPair(slot, i, j, num_rows, *pair_block);
+        } else {
+          AddPairOfWidths(slot, i, j, num_rows, quads, *pair_block);
+        }
       }
     }
     return pair_block;
@@ -131,16 +132,13 @@ class Elimination {
  private:
   static constexpr int kColumns = 4 * kQuads;
 
-  const double* Tail(int64_t slot) const {
-    return kMixed ? records_.Tail(slot) : records_.Of(slot) + 2 * kColumns;
-  }
   double* Block(int block) const {
     return sum_.blocks + (kMixed ? sum_.block_begin[block] : block * block_size_);
   }
 
-  void AddDiagonal(int64_t slot, int i, const PointBlock* block) {
-    const double* const rows = records_.Of(slot + i);
-    const double *y_0 = Tail(slot + i), *y_1 = y_0 + 4;
+  void AddDiagonal(int64_t slot, int i, int num_rows, const PointBlock* block) {
+    const double* const rows = records_.Rows(slot + i);
+    const double *y_0 = records_.Of(slot + i), *y_1 = y_0 + 4;
     const double r[2] = {y_0[3], y_1[3]};
     double reduced[2] = {r[0], r[1]};
     if (block != nullptr) {
@@ -154,51 +152,53 @@ class Elimination {
         sum_.vectors + static_cast<int64_t>(image_[i]) * ChunkSum::kVectors * num_columns_);
     const double cross = Dot3(y_0, y_1);
     const double middle[4] = {Dot3(y_0, y_0) - 1, cross, cross, Dot3(y_1, y_1) - 1};
-    Subtract(rows, middle, rows, true, Block(image_[i]));
+    Subtract(rows, middle, rows, num_rows, true, Block(image_[i]));
     if (sum_.camera_diagonal == nullptr) return;
     constexpr double kMinusIdentity[4] = {-1, 0, 0, -1};
-    Subtract(rows, kMinusIdentity, rows, true, sum_.camera_diagonal + image_[i] * block_size_);
+    Subtract(rows, kMinusIdentity, rows, num_rows, true,
+             sum_.camera_diagonal + image_[i] * block_size_);
   }
 
-  void AddPair(int64_t slot, int i, int j, uint16_t block) {
-    const double* const rows = records_.Of(slot + i);
-    const double* const other = records_.Of(slot + j);
+  void AddPair(int64_t slot, int i, int j, int num_rows, uint16_t block) {
+    const double* const rows = records_.Rows(slot + i);
+    const double* const other = records_.Rows(slot + j);
     double middle[4];
     MiddleOf(slot, i, j, middle);
     double* const target = Block(block);
     const bool same_image = image_[i] == image_[j];
-    Subtract(rows, middle, other, same_image, target);
+    Subtract(rows, middle, other, num_rows, same_image, target);
     if (!same_image) return;
     // An image that sees the point twice: its diagonal block has the pair in both orders.
     const double transposed[4] = {middle[0], middle[2], middle[1], middle[3]};
-    Subtract(other, transposed, rows, true, target);
+    Subtract(other, transposed, rows, num_rows, true, target);
   }
 
-  void AddPairOfWidths(int64_t slot, int i, int j, int width, uint16_t block) {
+  /// The pair's second image has rows of another number of quads.
+  void AddPairOfWidths(int64_t slot, int i, int j, int num_rows, int quads, uint16_t block) {
     double middle[4], t[2 * kColumns];
     MiddleOf(slot, i, j, middle);
-    MiddleProduct<kQuads>(records_.Of(slot + i), middle, t);
-    kSubtractRows[width / 4 - 1](t, t + kColumns, num_rows_, records_.Of(slot + j), Block(block));
+    MiddleProduct<kQuads>(records_.Rows(slot + i), middle, t);
+    kSubtractRows[quads - 1](t, t + kColumns, num_rows, records_.Rows(slot + j), Block(block));
   }
 
   /// Y_i Y_j^T
   void MiddleOf(int64_t slot, int i, int j, double middle[4]) const {
-    const double *y_0 = Tail(slot + i), *y_1 = y_0 + 4;
-    const double *z_0 = Tail(slot + j), *z_1 = z_0 + 4;
+    const double *y_0 = records_.Of(slot + i), *y_1 = y_0 + 4;
+    const double *z_0 = records_.Of(slot + j), *z_1 = z_0 + 4;
     middle[0] = Dot3(y_0, z_0), middle[1] = Dot3(y_0, z_1);
     middle[2] = Dot3(y_1, z_0), middle[3] = Dot3(y_1, z_1);
   }
 
   /// target -= left^T middle right, for the two rows of each.
-  void Subtract(const double* left, const double middle[4], const double* right, bool upper,
-                double* target) const {
+  void Subtract(const double* left, const double middle[4], const double* right, int num_rows,
+                bool upper, double* target) const {
     double t[2 * kColumns];
     MiddleProduct<kQuads>(left, middle, t);
     const RightFactor<kQuads> factor(right);
     if (upper) {
-      factor.SubtractUpper(t, num_rows_, target);
+      factor.SubtractUpper(t, num_rows, target);
     } else {
-      factor.SubtractAll(t, num_rows_, target);
+      factor.SubtractAll(t, num_rows, target);
     }
   }
 
@@ -206,12 +206,12 @@ class Elimination {
   const StripRecords& records_;
   ChunkSum& sum_;
   const int num_columns_;  ///< of the widest record
-  int num_rows_;           ///< of the first image's blocks
   const int64_t block_size_;
   const uint16_t* image_ = nullptr;
 };
 
-/// The same where widths are mixed: each observation's row by the width of its group.
+/// The same where widths are mixed. A rare width is in few of the points: all others take the code
+/// for one width.
 class MixedElimination {
  public:
   MixedElimination(const Terms& terms, const StripRecords& records, ChunkSum* sum)
@@ -221,30 +221,46 @@ class MixedElimination {
                       const PointBlock* block, const uint16_t* pair_block) {
     WhitenRows(records_, slot, static_cast<int>(end - begin), block);
     const int refined = CountRefined(terms_, begin, end);
+    if (last_row == 0) last_row = refined;
+    if (first_row == last_row) return pair_block;
     const int32_t* const image = terms_.plan->image.data() + begin;
-    for (int i = first_row; i < (last_row > 0 ? last_row : refined); ++i) {
-      const int width = terms_.groups[terms_.image_group[image[i]]].width;
-      pair_block = (this->*kAddRow[width / 4 - 1])(slot, begin, refined, i, block, pair_block);
+    const auto quads = [&](int i) { return terms_.image_quads[image[i]]; };
+    bool one_width = true;
+    for (int i = first_row + 1; i < refined; ++i) one_width &= quads(i) == quads(first_row);
+    if (one_width) {
+      return (this->*kAddRows[quads(first_row) - 1])(slot, begin, refined, first_row, last_row,
+                                                     block, pair_block);
+    }
+    for (int i = first_row; i < last_row; ++i) {
+      pair_block =
+          (this->*kAddRow[quads(i) - 1])(slot, begin, refined, i, i + 1, block, pair_block);
     }
     return pair_block;
   }
 
  private:
-  using AddRowFunction = const uint16_t* (MixedElimination::*)(int64_t, int64_t, int, int,
-                                                               const PointBlock*, const uint16_t*);
+  using AddFunction = const uint16_t* (MixedElimination::*)(int64_t, int64_t, int, int, int,
+                                                            const PointBlock*, const uint16_t*);
 
   /// Flattened, as compilers give up inlining by the number of widths.
-  template <int kQuads>
-  __attribute__((flatten)) const uint16_t* AddRow(int64_t slot, int64_t begin, int refined, int i,
-                                                  const PointBlock* block,
-                                                  const uint16_t* pair_block) {
+  template <int kQuads, bool kPairsDiffer>
+  __attribute__((flatten)) const uint16_t* AddRows(int64_t slot, int64_t begin, int refined,
+                                                   int first_row, int last_row,
+                                                   const PointBlock* block,
+                                                   const uint16_t* pair_block) {
     return Elimination<kQuads, true>(terms_, records_, sum_)
-        .AddRow(slot, begin, refined, i, block, pair_block);
+        .template AddRows<kPairsDiffer>(slot, begin, refined, first_row, last_row, block,
+                                        pair_block);
   }
 
-  static constexpr AddRowFunction kAddRow[] = {
-      &MixedElimination::AddRow<1>, &MixedElimination::AddRow<2>, &MixedElimination::AddRow<3>,
-      &MixedElimination::AddRow<4>, &MixedElimination::AddRow<5>, &MixedElimination::AddRow<6>};
+  static constexpr AddFunction kAddRows[] = {
+      &MixedElimination::AddRows<1, false>, &MixedElimination::AddRows<2, false>,
+      &MixedElimination::AddRows<3, false>, &MixedElimination::AddRows<4, false>,
+      &MixedElimination::AddRows<5, false>, &MixedElimination::AddRows<6, false>};
+  static constexpr AddFunction kAddRow[] = {
+      &MixedElimination::AddRows<1, true>, &MixedElimination::AddRows<2, true>,
+      &MixedElimination::AddRows<3, true>, &MixedElimination::AddRows<4, true>,
+      &MixedElimination::AddRows<5, true>, &MixedElimination::AddRows<6, true>};
 
   const Terms& terms_;
   const StripRecords& records_;

@@ -17,7 +17,7 @@ struct ModelGroup {
   /// Columns on the camera side that any image of the group refines, as in ParameterLayout.
   int num_columns = 0;
   int8_t columns[kPoseSize + kMaxCameraParams] = {};
-  int width = 4;  ///< of a row of its Jacobian records: num_columns in whole quads
+  int num_quads = 1;  ///< of a row of its Jacobian records: num_columns in whole quads
 };
 
 /// Of D^2 (minimize/least_squares.h): Ceres' defaults.
@@ -28,7 +28,9 @@ struct Terms {
   const PointPlan* plan = nullptr;
   const ModelGroup* groups = nullptr;
   int num_groups = 0;
-  const uint8_t* image_group = nullptr;  ///< of each image
+  const uint8_t* image_group = nullptr;    ///< of each image
+  const uint8_t* image_columns = nullptr;  ///< of each image: num_columns of its group
+  const uint8_t* image_quads = nullptr;    ///< of each image: num_quads of its group
   const uint8_t* image_refined = nullptr;
   int num_rows = 0;     ///< the largest group's columns
   int num_columns = 0;  ///< of the widest Jacobian record: num_rows in whole quads

@@ -13,6 +13,8 @@ namespace bundle::fused {
 struct ModelGroups {
   std::vector<ModelGroup> groups;
   std::vector<uint8_t> image_group;    ///< of each image
+  std::vector<uint8_t> image_columns;  ///< of each image: num_columns of its group
+  std::vector<uint8_t> image_quads;    ///< of each image: num_quads of its group
   std::vector<uint8_t> image_refined;  ///< of each image: 1 if it has a free column
   int num_rows = 1;                    ///< the largest group's columns
 

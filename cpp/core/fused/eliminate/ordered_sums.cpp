@@ -40,17 +40,15 @@ OrderedSums::OrderedSums(const Terms& terms, const ReducedStructure& structure,
 }
 
 int64_t OrderedSums::PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const {
-  const auto group = [&](size_t i) -> const ModelGroup& {
-    return terms_.groups[terms_.image_group[chunk.images[i]]];
-  };
   int64_t end = 0;
   block_begin->clear();
-  const auto place = [&](const ModelGroup& first, const ModelGroup& second) {
+  const auto place = [&](size_t first, size_t second) {
     block_begin->push_back(end);
-    end += static_cast<int64_t>(first.num_columns) * second.width;
+    end += int64_t{4} * terms_.image_columns[chunk.images[first]] *
+           terms_.image_quads[chunk.images[second]];
   };
-  for (size_t i = 0; i < chunk.images.size(); ++i) place(group(i), group(i));
-  for (const Chunk::Pair& pair : chunk.pairs) place(group(pair.first), group(pair.second));
+  for (size_t i = 0; i < chunk.images.size(); ++i) place(i, i);
+  for (const Chunk::Pair& pair : chunk.pairs) place(pair.first, pair.second);
   return end;
 }
 
