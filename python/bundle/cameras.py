@@ -47,9 +47,12 @@ _MODELS: dict[str, tuple[CameraParam, ...]] = {
 }
 
 
+_PARAM_NAMES = {name: tuple(param.name for param in params) for name, params in _MODELS.items()}
+
+
 def camera_models() -> dict[str, tuple[str, ...]]:
     """Return the names of all models with the names of their parameters, in COLMAP's order."""
-    return {name: tuple(param.name for param in params) for name, params in _MODELS.items()}
+    return dict(_PARAM_NAMES)
 
 
 def param_kinds(model: str) -> tuple[str, ...]:

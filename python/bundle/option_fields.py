@@ -8,11 +8,13 @@ the same fields.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import numbers
 import operator
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, Self, TypeVar, overload
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, Self, TypeVar, overload
 
 from bundle.errors import InputError, brief, check_keywords, nearest
 
@@ -83,7 +85,10 @@ class Options:
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
-        for field in _fields(self):
+        self._check(_fields(type(self)))
+
+    def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
+        for field in fields:
             object.__setattr__(self, field.name, self._checked(field, getattr(self, field.name)))
         for field in self._idle():
             if field.metadata["idle"] == "error":
@@ -101,19 +106,27 @@ class Options:
             InputError: these are no options, or a change is wrong.
         """
         if options is None:
-            options = cls()
+            kind: Any = cls
+            options = _defaults(kind)
         if not isinstance(options, cls):
             raise InputError(f"options: expected {cls.__name__}, found {brief(options)}")
-        check_keywords(caller, changes, spellings(cls))
-        return dataclasses.replace(options, **changes) if changes else options  # type: ignore[type-var]
+        return options._changed(caller, changes) if changes else options
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some options changed."""
-        return dataclasses.replace(self, **changes)  # type: ignore[type-var]
+        return self._changed(type(self).__name__, changes)
 
     def asdict(self) -> dict[str, Any]:
         """Return every option by name."""
-        return {field.name: getattr(self, field.name) for field in _fields(self)}
+        return {field.name: getattr(self, field.name) for field in _fields(type(self))}
+
+    def _changed(self, caller: str, changes: Mapping[str, Any]) -> Self:
+        """Return a copy with changes, which alone are checked: the rest was."""
+        check_keywords(caller, changes, spellings(type(self)))
+        copy = object.__new__(type(self))
+        copy.__dict__.update(self.__dict__, **changes)
+        copy._check(field for field in _fields(type(self)) if field.name in changes)
+        return copy
 
     def without_idle(self) -> Self:
         """Return a copy in which options without effect have their defaults."""
@@ -122,7 +135,7 @@ class Options:
     def __repr__(self) -> str:
         changed = (
             f"{field.name}={getattr(self, field.name)!r}"
-            for field in _fields(self)
+            for field in _fields(type(self))
             if getattr(self, field.name) != field.default
         )
         return f"{type(self).__name__}({', '.join(changed)})"
@@ -134,10 +147,10 @@ class Options:
     def _idle(self) -> list[dataclasses.Field[Any]]:
         """Return the options that were changed but have no effect."""
         idle = []
-        for field in _fields(self):
+        for field in _dependent(type(self)):
             value = getattr(self, field.name)
             zero = isinstance(value, float) and value == 0  # noise of something that is not there
-            if field.metadata["only_with"] is None or value == field.default or zero:
+            if value == field.default or zero:
                 continue
             other, values = field.metadata["only_with"]
             if getattr(self, other) not in values:
@@ -164,10 +177,9 @@ def documented(kind: type[AnyOptions]) -> type[AnyOptions]:
     return kind
 
 
-def spellings(kind: type[Options]) -> dict[str, str]:
+def spellings(kind: type[Options]) -> Mapping[str, str]:
     """Return every spelling of an option that is understood, the flags' among them."""
-    flags = {field.metadata["flag"]: field.name for field in _fields(kind)}
-    return {**flags, **{field.name: field.name for field in _fields(kind)}}
+    return _spellings(kind)
 
 
 def checked(field: dataclasses.Field[Any], value: Any) -> Any:
@@ -199,6 +211,8 @@ def choice(name: str, value: Any, choices: Iterable[str]) -> str:
     """
     expected = tuple(choices)
     hint = ""
+    if type(value) is str and value in expected:
+        return value
     if isinstance(value, str):
         canonical = value.lower().replace("-", "_")
         for candidate in expected:
@@ -231,8 +245,42 @@ def join(words: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def _fields(options: Any) -> tuple[dataclasses.Field[Any], ...]:
-    return dataclasses.fields(options)
+class _Declared(NamedTuple):
+    """What is asked of a class again and again."""
+
+    fields: tuple[dataclasses.Field[Any], ...]
+    dependent: tuple[dataclasses.Field[Any], ...]
+    spellings: Mapping[str, str]
+
+
+@functools.cache
+def _declared(kind: Any) -> _Declared:
+    fields = dataclasses.fields(kind)
+    flags = {field.metadata["flag"]: field.name for field in fields}
+    names = {field.name: field.name for field in fields}
+    return _Declared(
+        fields=fields,
+        dependent=tuple(field for field in fields if field.metadata["only_with"] is not None),
+        spellings=MappingProxyType(flags | names),
+    )
+
+
+@functools.cache
+def _defaults(kind: Any) -> Any:
+    """Return the defaults, which nobody can change, checked once."""
+    return kind()
+
+
+def _fields(kind: Any) -> tuple[dataclasses.Field[Any], ...]:
+    return _declared(kind).fields
+
+
+def _dependent(kind: Any) -> tuple[dataclasses.Field[Any], ...]:
+    return _declared(kind).dependent
+
+
+def _spellings(kind: Any) -> Mapping[str, str]:
+    return _declared(kind).spellings
 
 
 def _number(name: str, value: Any, limits: Mapping[str, Any], *, whole: bool) -> int | float:

@@ -3,9 +3,11 @@
 
 #include "core/backend/choose_backend.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "core/error.h"
 #include "core/fused/eliminate/point_plan.h"
@@ -36,8 +38,8 @@ bool MayIterate(LinearSolverType type) {
   return type == LinearSolverType::kAuto || type == LinearSolverType::kIterativeSchur;
 }
 
-std::optional<Unsupported> FindUnsupported(const ProblemView& problem, const SolveOptions& options,
-                                           const ParameterLayout& layout) {
+std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
+                                           const PreparedSolve& prepared) {
   if (!IsSupported(options.linear_solver_type)) {
     return Unsupported{"linear_solver_type", "auto, dense_schur, sparse_schur or iterative_schur",
                        NameOf(options.linear_solver_type, kLinearSolverTypes)};
@@ -51,13 +53,15 @@ std::optional<Unsupported> FindUnsupported(const ProblemView& problem, const Sol
                        "identity, jacobi, schur_jacobi, schur_power_series_expansion or two_level",
                        NameOf(options.preconditioner_type, kPreconditionerTypes)};
   }
+  const ParameterLayout& layout = prepared.layout;
   if (layout.num_free_points() == 0) {
     return Unsupported{"refine", "points, to eliminate them,", "none that is refined"};
   }
   if (layout.blocks().empty()) {
     return Unsupported{"refine", "poses or intrinsics beside the points", "none that are refined"};
   }
-  const int64_t longest_track = fused::LongestTrack(problem);
+  const std::vector<int64_t>& lengths = prepared.track_lengths;
+  const int64_t longest_track = *std::max_element(lengths.begin(), lengths.end());
   if (longest_track > fused::kMaxTrackLength) {
     return Unsupported{
         "backend", "at most " + std::to_string(fused::kMaxTrackLength) + " observations a point",
@@ -68,10 +72,9 @@ std::optional<Unsupported> FindUnsupported(const ProblemView& problem, const Sol
 
 }  // namespace
 
-BackendChoice ChooseBackend(const ProblemView& problem, const SolveOptions& options,
-                            const ParameterLayout& layout) {
+BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& prepared) {
   if (options.backend == Backend::kCeres) return {Backend::kCeres, ""};
-  const std::optional<Unsupported> obstacle = FindUnsupported(problem, options, layout);
+  const std::optional<Unsupported> obstacle = FindUnsupported(options, prepared);
   if (options.backend == Backend::kFused) {
     if (!obstacle) return {Backend::kFused, ""};
     throw InputError(obstacle->option + ": expected " + obstacle->expected +

@@ -2,9 +2,8 @@
 
 #include <string>
 
-#include "core/problem/problem_view.h"
 #include "core/solve/options.h"
-#include "core/solve/parameter_layout.h"
+#include "core/solve/prepare.h"
 
 namespace bundle {
 
@@ -17,7 +16,6 @@ struct BackendChoice {
 ///
 /// Throws InputError if the fused backend was asked for what it does not support; the message names
 /// the option.
-BackendChoice ChooseBackend(const ProblemView& problem, const SolveOptions& options,
-                            const ParameterLayout& layout);
+BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& prepared);
 
 }  // namespace bundle

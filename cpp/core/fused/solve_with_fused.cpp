@@ -35,7 +35,8 @@ class FusedSolve {
       : problem_(problem),
         options_(options),
         warnings_(std::move(prepared.warnings)),
-        layout_(std::move(prepared.layout)) {}
+        layout_(std::move(prepared.layout)),
+        track_lengths_(std::move(prepared.track_lengths)) {}
 
   SolveOutput Run(const ProgressCallback& progress) {
     const Stopwatch total;
@@ -70,11 +71,11 @@ class FusedSolve {
     const ProblemShape shape = ShapeOf(layout_, 2 * problem_.num_observations);
     if (options_.linear_solver_type == LinearSolverType::kAuto) ChooseBySize(shape);
     CheckTrustRegion(options_);
-    std::string idle = FindIdlePreconditioner(options_);
-    if (!idle.empty()) warnings_.push_back(std::move(idle));
+    Warn(WarningKind::kPreconditionerNotUsed, FindIdlePreconditioner(options_), &warnings_);
     RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
     working_bytes_ = PredictFusedWorkingBytes(
-        problem_, layout_, EffectiveNumThreads(options_.num_threads), BufferBytes());
+        layout_, track_lengths_, EffectiveNumThreads(options_.num_threads), BufferBytes());
+    track_lengths_ = {};
     RefuseTooMuchMemory(working_bytes_);
     if (options_.preconditioner_type == PreconditionerType::kAuto) {
       options_.preconditioner_type = PreconditionerType::kTwoLevel;
@@ -103,7 +104,9 @@ class FusedSolve {
       FindSparseStructure();
       // A choice that is to be the same for any number of threads must not know it.
       const int num_threads = options_.deterministic ? 1 : options_.num_threads;
-      choice = ChooseReducedSolver(structure_, ordering_, num_threads, AvailableMemoryBytes());
+      const auto columns = static_cast<double>(shape.num_camera_columns);
+      const double available = AvailableMemoryFor(sizeof(double) * columns * columns);
+      choice = ChooseReducedSolver(structure_, ordering_, num_threads, available);
     }
     options_.linear_solver_type = choice.type;
     linear_solver_choice_ = std::move(choice.reason);
@@ -152,8 +155,7 @@ class FusedSolve {
   void SummarizeFactor() {
     const FactorStatistics statistics = solver_->factor_statistics();
     factor_ = fused::SummarizeFactor(structure_, statistics, symbolic_time_);
-    std::string swollen = FindSwollenFactor(statistics);
-    if (!swollen.empty()) warnings_.push_back(std::move(swollen));
+    Warn(WarningKind::kFactorLargerThanPredicted, FindSwollenFactor(statistics), &warnings_);
   }
 
   /// Only the factorisations round by their number of threads, which are OpenBLAS'.
@@ -187,12 +189,13 @@ class FusedSolve {
 
   const ProblemView& problem_;
   SolveOptions options_;  ///< with nothing left to choose
-  std::vector<std::string> warnings_;
+  std::vector<Warning> warnings_;
   std::string linear_solver_choice_;
   ParameterLayout layout_;
-  ReducedStructure structure_;  ///< until the problem has it
-  FillOrdering ordering_;       ///< of the sparse structure
-  double working_bytes_ = 0;    ///< beside the system
+  std::vector<int64_t> track_lengths_;  ///< until the memory is predicted
+  ReducedStructure structure_;          ///< until the problem has it
+  FillOrdering ordering_;               ///< of the sparse structure
+  double working_bytes_ = 0;            ///< beside the system
   std::unique_ptr<ReducedSolver> solver_;
   std::unique_ptr<SchurProblem> schur_;
   FactorSummary factor_;

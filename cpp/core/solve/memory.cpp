@@ -11,8 +11,6 @@
 #include <sstream>
 #include <vector>
 
-#include "core/problem/tracks.h"
-
 namespace bundle {
 namespace {
 
@@ -112,22 +110,28 @@ double AvailableMemoryBytes(const std::string& root) {
                   std::min({LeftByMachine(root), LeftByControlGroups(root), LeftByLimits(root)}));
 }
 
-double PredictFusedWorkingBytes(const ProblemView& problem, const ParameterLayout& layout,
-                                int num_threads, double buffer_bytes) {
+double AvailableMemoryFor(double bytes) {
+  constexpr double kFitsAnywhere = 1 << 25;
+  return bytes < kFitsAnywhere && !HasMemoryLimit() ? kUnlimited : AvailableMemoryBytes();
+}
+
+double PredictFusedWorkingBytes(const ParameterLayout& layout,
+                                const std::vector<int64_t>& track_lengths, int num_threads,
+                                double buffer_bytes) {
   // Image, measurement and place in the chunk; while they are sorted, where they come from.
   constexpr double kBytesPerObservation = 22 + 8;
   // Two states, the scale of the columns, the solution, and where the point is in the plan.
   constexpr double kBytesPerPoint = 4 * 24 + 3 * 8;
   constexpr double kBytesPerPair = 2;
   constexpr double kBuffersPerThread = 3;
-  double pairs = 0;
-  const std::vector<int64_t> lengths = TrackLengths(problem);
-  for (int p = 0; p < problem.num_points; ++p) {
-    const auto length = static_cast<double>(lengths[p]);
+  const auto num_points = static_cast<int>(track_lengths.size());
+  double observations = 0, pairs = 0;
+  for (int p = 0; p < num_points; ++p) {
+    const auto length = static_cast<double>(track_lengths[p]);
+    observations += length;
     if (layout.point_is_free(p)) pairs += length * (length - 1) / 2;
   }
-  return kBytesPerObservation * static_cast<double>(problem.num_observations) +
-         kBytesPerPoint * problem.num_points + kBytesPerPair * pairs +
+  return kBytesPerObservation * observations + kBytesPerPoint * num_points + kBytesPerPair * pairs +
          kBuffersPerThread * num_threads * buffer_bytes;
 }
 

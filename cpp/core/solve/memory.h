@@ -2,8 +2,8 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
-#include "core/problem/problem_view.h"
 #include "core/solve/options.h"
 #include "core/solve/parameter_layout.h"
 #include "core/solve/problem_shape.h"
@@ -22,14 +22,19 @@ double PredictDenseMatrixBytes(LinearSolverType solver, const ProblemShape& shap
 /// where nothing of that can be told. `root` stands before the paths in /proc and /sys.
 double AvailableMemoryBytes(const std::string& root = "");
 
+/// AvailableMemoryBytes(), or a huge number where no more than `bytes` are needed and they are few:
+/// asking the system takes a tenth of a millisecond, a tenth of a small problem's solve.
+double AvailableMemoryFor(double bytes);
+
 /// True if the address space or the data segment of this process has a limit.
 bool HasMemoryLimit();
 
 /// Bytes of what the fused backend keeps beside S or its factor: the sorted observations, the
 /// numbers of their pairs, two states with what belongs to each, and chunk buffers of
 /// `num_threads` threads of at most `buffer_bytes`.
-double PredictFusedWorkingBytes(const ProblemView& problem, const ParameterLayout& layout,
-                                int num_threads, double buffer_bytes);
+double PredictFusedWorkingBytes(const ParameterLayout& layout,
+                                const std::vector<int64_t>& track_lengths, int num_threads,
+                                double buffer_bytes);
 
 /// Bytes of Ceres' objects for observations and points, and of the Jacobian, as measured
 /// (bundle/inspection/memory.py).

@@ -8,17 +8,16 @@
 
 #include "core/error.h"
 #include "core/problem/reprojection_errors.h"
-#include "core/problem/tracks.h"
 #include "core/problem/validate.h"
 
 namespace bundle {
 
-std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayout& layout) {
-  const std::vector<int64_t> observations = TrackLengths(problem);
+std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayout& layout,
+                                const std::vector<int64_t>& track_lengths) {
   int64_t count = 0;
   int first = -1;
   for (int p = 0; p < problem.num_points; ++p) {
-    if (observations[p] != 1 || !layout.point_is_free(p)) continue;
+    if (track_lengths[p] != 1 || !layout.point_is_free(p)) continue;
     if (count++ == 0) first = p;
   }
   if (count == 0) return "";
@@ -43,8 +42,9 @@ bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
     restore(problem.camera_params, &output->camera_params);
     restore(problem.points, &output->points);
     output->summary.is_solution_usable = false;
-    output->summary.warnings.push_back(std::string("The solution is invalid (") + error.what() +
-                                       ") and was discarded.");
+    Warn(WarningKind::kInvalidSolution,
+         std::string("The solution is invalid (") + error.what() + ") and was discarded.",
+         &output->summary.warnings);
     return true;
   }
 }

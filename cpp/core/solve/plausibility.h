@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
+#include <vector>
 
 #include "core/problem/problem_view.h"
 #include "core/residuals/reprojection.h"
@@ -10,7 +12,8 @@
 namespace bundle {
 
 /// One sentence that counts the free points seen by one observation only; "" if there are none.
-std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayout& layout);
+std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayout& layout,
+                                const std::vector<int64_t>& track_lengths);
 
 /// If the solver left something that is no reconstruction (a focal length that is not positive, a
 /// number that is not finite), puts the problem's own values back, marks the solution as not usable

@@ -3,6 +3,7 @@
 #include <utility>
 
 #include "core/problem/reprojection_errors.h"
+#include "core/problem/tracks.h"
 #include "core/solve/free_parameters.h"
 #include "core/solve/gauge.h"
 #include "core/solve/plausibility.h"
@@ -12,11 +13,13 @@ namespace bundle {
 PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options) {
   CheckCameraModelsKnown(problem);
   FreeParameters free = SelectFreeParameters(problem, options);
-  std::vector<std::string> warnings = FixGauge(problem, options.gauge, &free);
+  std::vector<Warning> warnings;
+  Warn(WarningKind::kGaugeNotHeld, FixGauge(problem, options.gauge, &free), &warnings);
   ParameterLayout layout(problem, std::move(free));
-  std::string seen_once = CountPointsSeenOnce(problem, layout);
-  if (!seen_once.empty()) warnings.push_back(std::move(seen_once));
-  return {std::move(layout), std::move(warnings)};
+  std::vector<int64_t> track_lengths = TrackLengths(problem);
+  Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),
+       &warnings);
+  return {std::move(layout), std::move(warnings), std::move(track_lengths)};
 }
 
 }  // namespace bundle

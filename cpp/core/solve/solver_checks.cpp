@@ -12,10 +12,7 @@ namespace {
 
 /// The free memory where `bytes` are more than nine tenths of it; else -1.
 double AvailableIfTooLittle(double bytes) {
-  // Asking the system takes as long as a step of a small problem.
-  constexpr double kFitsAnywhere = 1 << 20;
-  if (bytes < kFitsAnywhere) return -1;
-  const double available = AvailableMemoryBytes();
+  const double available = AvailableMemoryFor(bytes);
   return FitsIntoMemory(bytes, available) ? -1 : available;
 }
 

@@ -8,7 +8,6 @@
 #include "core/fused/eliminate/pair_numbers.h"
 #include "core/fused/eliminate/sort_points.h"
 #include "core/parallel_for.h"
-#include "core/problem/tracks.h"
 
 namespace bundle::fused {
 namespace {
@@ -272,11 +271,6 @@ PointPlan Plan(const ProblemView& problem, const ParameterLayout& layout, bool a
 }
 
 }  // namespace
-
-int64_t LongestTrack(const ProblemView& problem) {
-  const std::vector<int64_t> lengths = TrackLengths(problem);
-  return lengths.empty() ? 0 : *std::max_element(lengths.begin(), lengths.end());
-}
 
 PointPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout, int block_bytes,
                      int num_threads) {

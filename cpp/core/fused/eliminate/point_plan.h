@@ -74,9 +74,6 @@ inline constexpr int64_t kMaxTrackLength = 10000;
 /// Bytes that the blocks of a chunk take, about, where they are many.
 inline constexpr int64_t kMaxBufferBytes = 1 << 25;
 
-/// The most observations of one point.
-int64_t LongestTrack(const ProblemView& problem);
-
 /// The observations with something to refine. `block_bytes`: of one block's buffer.
 PointPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout, int block_bytes,
                      int num_threads = 1);
