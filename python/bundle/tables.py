@@ -41,7 +41,7 @@ NARROWEST_BAR, BAR_WIDTH = 8, 40
 
 def console(file: TextIO) -> Console:
     """Return a console that colours only a terminal and never interprets what it prints."""
-    probe = Console(file=file)
+    probe = Console(file=file, force_jupyter=False)
     width = probe.width if probe.is_terminal or "COLUMNS" in os.environ else WIDEST
     return Console(
         file=file,
@@ -49,6 +49,7 @@ def console(file: TextIO) -> Console:
         markup=False,
         emoji=False,
         highlight=False,
+        force_jupyter=False,
     )
 
 
@@ -56,7 +57,13 @@ def render(*renderables: RenderableType, width: int = WIDEST) -> str:
     """Return renderables as plain lines, without colours or trailing blanks."""
     file = io.StringIO()
     plain = Console(
-        file=file, width=width, markup=False, emoji=False, highlight=False, color_system=None
+        file=file,
+        width=width,
+        markup=False,
+        emoji=False,
+        highlight=False,
+        color_system=None,
+        force_jupyter=False,  # in a notebook rich would display them and write nothing
     )
     for renderable in renderables:
         plain.print(renderable, crop=False)
