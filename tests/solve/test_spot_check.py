@@ -173,14 +173,14 @@ def test_what_is_fixed_is_not_checked():
 @pytest.mark.parametrize("batch", range(4))
 def test_honest_problems_however_absurd_are_not_suspected(batch):
     checked = 0
-    for seed in range(500 * batch, 500 * (batch + 1)):
+    for seed in range(150 * batch, 150 * (batch + 1)):
         rng = np.random.default_rng(seed)
         problem, offsets, what = absurd_problem(rng, seed)
         cheirality = str(rng.choice(["zero", "algebraic"]))
         assert spot_check(problem, offsets, cheirality=cheirality) == "", (seed, what)
         lie = LIES["factor 2 on points"]
         checked += seed % 5 == 0 and spot_check(problem, offsets, lie, cheirality=cheirality) != ""
-    assert checked > 40  # of a hundred: most of these problems can be judged
+    assert checked > 12  # of thirty: most of these problems can be judged
 
 
 def test_an_observation_without_a_value_says_nothing():
