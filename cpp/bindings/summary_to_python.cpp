@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/solve/option_names.h"
 
 namespace py = pybind11;
 
@@ -90,7 +91,13 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   d["factor_ordering"] = s.factor.ordering;
   d["symbolic_time_in_seconds"] = s.factor.symbolic_time_in_seconds;
   d["origin"] = s.origin.empty() ? py::object(py::none()) : py::tuple(py::cast(s.origin));
-  d["warnings"] = py::tuple(py::cast(s.warnings));
+  py::list texts, kinds;
+  for (const bundle::Warning& warning : s.warnings) {
+    texts.append(warning.text);
+    kinds.append(bundle::NameOf(warning.kind, bundle::kWarningKinds));
+  }
+  d["warnings"] = py::tuple(texts);
+  d["warning_kinds"] = py::tuple(kinds);
   return d;
 }
 
