@@ -6,9 +6,23 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-import pytest
+# On small matrices the threads of the BLAS that NumPy, SciPy and pycolmap each bring along wait for
+# each other more than they work: twenty times the processor time in tests/solve. Each asks once,
+# when it is loaded; bundle's own BLAS, and processes of the tests, find the variable as it was.
+_asked_for = os.environ.get("OPENBLAS_NUM_THREADS")
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+import numpy  # noqa: E402, F401
+import pycolmap  # noqa: E402, F401
+import scipy.linalg  # noqa: E402, F401
 
-import bundle
+if _asked_for is None:
+    del os.environ["OPENBLAS_NUM_THREADS"]
+else:
+    os.environ["OPENBLAS_NUM_THREADS"] = _asked_for
+
+import pytest  # noqa: E402
+
+import bundle  # noqa: E402
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

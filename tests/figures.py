@@ -1,13 +1,32 @@
-"""What a sentence or a table says in numbers, whatever its words are."""
+"""What a sentence or a table says in numbers and kinds, whatever its words are."""
 
 from __future__ import annotations
 
 import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bundle import Summary
 
 
 def figures(text: str) -> list[str]:
     """The numbers of a text, in order; those within names and words are left out."""
-    return re.findall(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])", text)
+    return re.findall(r"(?<![\w.])[-+]?\d(?:[\d,]*\d)?(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])", text)
+
+
+def warning(summary: Summary, kind: str) -> str:
+    """Return the only warning of a kind."""
+    assert summary.warning_kinds.count(kind) == 1, summary.warnings
+    return summary.warnings[summary.warning_kinds.index(kind)]
+
+
+def in_order(text: str, *tokens: str) -> bool:
+    """Whether names and numbers stand in a text one after the other, as whole words."""
+    gap = r"(?![\w-])(?!\.\d).*?(?<![\w.-])"
+    return (
+        re.search(r"(?<![\w.-])" + gap.join(map(re.escape, tokens)) + r"(?![\w-])", text)
+        is not None
+    )
 
 
 def table(text: str) -> dict[str, list[str]]:

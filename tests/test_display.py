@@ -130,3 +130,15 @@ def test_a_comparison_that_was_interrupted_at_once_prints_no_nan():
     stopped = comparison(never, interrupted=True)
     assert "nan" not in repr(stopped).lower()
     assert "nan" not in render(*compared(stopped)).lower()
+
+
+def test_a_notebook_gets_texts_instead_of_what_rich_displays(solved, monkeypatch):
+    expected = solved.summary.full_report(), solved.summary.breakdown()
+    assert all("total" in text for text in expected)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert (solved.summary.full_report(), solved.summary.breakdown()) == expected
+
+
+def test_the_first_column_of_a_table_is_text():
+    html = Display(title="t", head=("name", "n"), rows=(("a", "1"), ("b", "2"))).html()
+    assert html.count('style="text-align:left"') == html.count('style="text-align:right"') == 3

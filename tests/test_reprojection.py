@@ -6,7 +6,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.reprojection import linearize, reprojection_error, reprojection_errors
+from bundle.reprojection import (
+    linearize,
+    reprojection_error,
+    reprojection_errors,
+    summarize_errors,
+)
 from tests import scenes
 
 MODELS = sorted(bundle.camera_models())
@@ -79,6 +84,23 @@ def test_errors_whose_squares_no_double_holds():
     expected = np.linalg.norm(linearize(problem).residual, axis=1)
     expected[:2] = 5e200
     np.testing.assert_allclose(errors, expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("errors", "median", "p95"),
+    [
+        ([np.inf] * 3, np.inf, np.inf),
+        ([1.0, 2.0, np.inf], 2.0, np.inf),  # between a number and infinity
+        ([3.0, np.inf], np.inf, np.inf),
+        ([1e308] * 4, 1e308, 1e308),  # their sum is infinite
+        ([0.0, 0.0, 1.7e308], 0.0, 1.53e308),
+    ],
+)
+def test_quantiles_of_errors_beyond_what_a_double_holds(errors, median, p95):
+    found = summarize_errors(np.array(errors), np.zeros(len(errors), bool), "zero")
+    assert (found.median, found.max) == (median, max(errors))
+    assert found.p95 == pytest.approx(p95, rel=1e-12)
+    assert found.rmse == np.inf
 
 
 def test_an_unnormalised_quaternion_is_a_rotation_all_the_same():

@@ -230,6 +230,35 @@ def test_gross_errors():
     assert found["gross_errors"].ids == tuple(sorted(problem.observation_image[[3, 70]]))
 
 
+@pytest.mark.parametrize(
+    ("field", "column", "value"),
+    [
+        ("camera_params", 0, 1e-308),  # errors in focal lengths
+        ("camera_params", 0, 1e308),  # the sum of the errors
+        ("cam_from_world", 4, 1e308),  # the errors themselves
+        ("points", slice(None), 1e300),  # distances
+        ("observation_xy", 0, 1e308),
+    ],
+)
+def test_what_no_double_holds_is_described_all_the_same(field, column, value):
+    """Any finite number is legal; warnings are errors here."""
+    problem = scene()
+    numbers = getattr(problem, field).copy()
+    numbers[:, column] = value * (numbers if field == "points" else 1)
+    description = describe(problem.replace(**{field: numbers}))
+    error = description.reprojection_error
+    assert error.num_observations == problem.num_observations
+    assert not np.isnan([error.rmse, error.mean, error.median, error.p95, error.max]).any()
+    assert {s.kind for s in description.suspicions} & {"gross_errors", "absurd_focal_lengths"}
+
+
+def test_an_infinite_error_is_gross_however_many_are():
+    problem = scene()
+    poses = problem.cam_from_world.copy()
+    poses[:, 4] = 1e308
+    assert kinds(problem.replace(cam_from_world=poses))["gross_errors"].count == 120
+
+
 def test_quaternions():
     poses = scene().cam_from_world.copy()
     poses[1, :4] *= 1.001

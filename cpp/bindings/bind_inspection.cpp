@@ -59,7 +59,6 @@ py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
   BUNDLE_FIELD(num_free_points);
   BUNDLE_FIELD(num_observations);
   BUNDLE_FIELD(num_pairs);
-  BUNDLE_FIELD(num_chunks);
   BUNDLE_FIELD(num_chunk_pairs);
   BUNDLE_FIELD(num_chunk_images);
   BUNDLE_FIELD(largest_chunk_blocks);

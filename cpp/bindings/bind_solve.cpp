@@ -18,6 +18,7 @@
 #include "core/interruption.h"
 #include "core/parallel_for.h"
 #include "core/solve/convergence_watch.h"
+#include "core/solve/option_names.h"
 
 namespace py = pybind11;
 
@@ -81,7 +82,13 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   d["factor_ordering"] = s.factor.ordering;
   d["symbolic_time_in_seconds"] = s.factor.symbolic_time_in_seconds;
   d["origin"] = s.origin.empty() ? py::object(py::none()) : py::tuple(py::cast(s.origin));
-  d["warnings"] = py::tuple(py::cast(s.warnings));
+  py::list texts, kinds;
+  for (const bundle::Warning& warning : s.warnings) {
+    texts.append(warning.text);
+    kinds.append(bundle::NameOf(warning.kind, bundle::kWarningKinds));
+  }
+  d["warnings"] = py::tuple(texts);
+  d["warning_kinds"] = py::tuple(kinds);
   return d;
 }
 

@@ -6,7 +6,7 @@ TYPE_CHECKING = False  # as of typing, whose import takes longer than all that i
 if TYPE_CHECKING:
     from typing import Any
 
-    from bundle import html, losses, pictures
+    from bundle import html, losses, pictures, warning_kinds
     from bundle._core import __version__
     from bundle.cameras import camera_models, project
     from bundle.checking import GradientReport, check_gradients, check_jacobians
@@ -63,6 +63,7 @@ __all__ = [
     "save",
     "solve",
     "synthesize",
+    "warning_kinds",
 ]
 
 _DEFERRED = {
@@ -91,6 +92,7 @@ _DEFERRED = {
     "html": (),
     "losses": (),
     "pictures": (),
+    "warning_kinds": (),
 }
 """Modules that are imported when first asked for (PEP 562), with the names that they give.
 

@@ -1,14 +1,15 @@
-"""`bundle` and `python -m bundle`: everything that takes time is imported under a guard."""
+"""`bundle` and `python -m bundle`: whatever takes time is imported under a guard."""
 
 import sys
 
-from bundle import address_space
 from bundle.cli import startup
 
 
 def run() -> int:
     """Run the command that the process was started with; return its exit code."""
     startup.begin()
+    from bundle import address_space
+
     try:
         address_space.require("bundle with its libraries", address_space.LIBRARIES)
     except MemoryError as error:

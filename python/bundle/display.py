@@ -49,12 +49,15 @@ class Display:
         if facts:
             parts.append(f"<table>{facts}</table>")
         if self.rows:
-            head = "".join(f"<th>{escape(cell)}</th>" for cell in self.head)
-            rows = "".join(
-                f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>"
-                for row in self.rows
+            head, *rows = (
+                "".join(
+                    f'<{tag} style="text-align:{side}">{escape(cell)}</{tag}>'
+                    for side, cell in zip(("left", *["right"] * len(row)), row, strict=False)
+                )
+                for tag, row in (("th", self.head), *(("td", row) for row in self.rows))
             )
-            parts.append(f"<table><tr>{head}</tr>{rows}</table>")
+            body = "".join(f"<tr>{row}</tr>" for row in rows)
+            parts.append(f"<table><tr>{head}</tr>{body}</table>")
         return f"<div>{''.join(parts)}</div>"
 
 

@@ -130,12 +130,11 @@ def summarize_errors(
         statistics = {"rmse": nan, "mean": nan, "median": nan, "p95": nan, "max": nan}
     else:
         with np.errstate(over="ignore"):  # a legal problem may be that far off
-            mean_square = np.mean(errors**2)
-        statistics = {
-            "rmse": float(np.sqrt(mean_square)),
-            "mean": float(errors.mean()),
-            "max": float(errors.max()),
-        }
+            statistics = {
+                "rmse": float(np.sqrt(np.mean(errors**2))),
+                "mean": float(errors.mean()),
+                "max": float(errors.max()),
+            }
         # Last, as they are found by reordering the errors.
         statistics["median"], statistics["p95"] = _quantiles(errors, [0.5, 0.95])
     return ReprojectionError(
@@ -153,9 +152,14 @@ def _quantiles(values: NDArray[np.float64], shares: list[float]) -> list[float]:
     bounds = [(int(position), min(int(position) + 1, last)) for position in positions]
     values.partition([index for pair in bounds for index in pair])
     return [
-        float(values[below] + (position - below) * (values[above] - values[below]))
+        _between(float(values[below]), float(values[above]), position - below)
         for position, (below, above) in zip(positions, bounds, strict=True)
     ]
+
+
+def _between(low: float, high: float, share: float) -> float:
+    """Return low + share (high - low), also where these are infinite."""
+    return low if low == high or share == 0 else low + share * (high - low)
 
 
 def linearize(

@@ -25,8 +25,9 @@ class Summary(Displayed):
     Beyond Ceres: ``backend_given`` and ``backend_used``, ``backend_choice`` and
     ``linear_solver_choice`` (why ``auto`` took them; "" when asked for), ``instruction_set`` (what
     the fused backend's kernels run on; "" for Ceres), ``warnings`` (sentences: a fallback, a gauge
-    that could not be held, ...), ``interrupted``, ``origin`` (x, y, z: the centre that a scene far
-    from its origin was solved about; None where it was solved as given).
+    that could not be held, ...) and ``warning_kinds`` (for each of them its name in
+    ``bundle.warning_kinds.WARNING_KINDS``, for programs), ``interrupted``, ``origin`` (x, y, z: the
+    centre that a scene far from its origin was solved about; None where it was solved as given).
     Costs are 1/2 sum rho(||r||^2), r in pixels.
 
     What each step factorises (None, or "", where it factorises nothing or nobody can tell; blocks
@@ -103,6 +104,7 @@ class Summary(Displayed):
     linear_solver_choice: str
     interrupted: bool
     warnings: tuple[str, ...]
+    warning_kinds: tuple[str, ...]
     num_information_nonzeros: int | None = None
     num_factor_columns: int | None = None
     num_reduced_nonzeros: int | None = None

@@ -41,7 +41,7 @@ NARROWEST_BAR, BAR_WIDTH = 8, 40
 
 def console(file: TextIO) -> Console:
     """Return a console that colours only a terminal and never interprets what it prints."""
-    probe = Console(file=file)
+    probe = Console(file=file, force_jupyter=False)
     width = probe.width if probe.is_terminal or "COLUMNS" in os.environ else WIDEST
     return Console(
         file=file,
@@ -49,6 +49,7 @@ def console(file: TextIO) -> Console:
         markup=False,
         emoji=False,
         highlight=False,
+        force_jupyter=False,
     )
 
 
@@ -56,7 +57,13 @@ def render(*renderables: RenderableType, width: int = WIDEST) -> str:
     """Return renderables as plain lines, without colours or trailing blanks."""
     file = io.StringIO()
     plain = Console(
-        file=file, width=width, markup=False, emoji=False, highlight=False, color_system=None
+        file=file,
+        width=width,
+        markup=False,
+        emoji=False,
+        highlight=False,
+        color_system=None,
+        force_jupyter=False,  # in a notebook rich would display them and write nothing
     )
     for renderable in renderables:
         plain.print(renderable, crop=False)
@@ -77,17 +84,18 @@ class Columns:
     """A table without frames: columns of text, then numbers flush right.
 
     Where it is wider than the terminal, text wraps between words. Where that is not enough, columns
-    move below, each group of them behind the first column: nothing is cut.
+    move below, each group of them behind the `keys` first columns: nothing is cut.
     """
 
     def __init__(
-        self, head: Sequence[str], rows: Iterable[Sequence[RenderableType]], left: int
+        self, head: Sequence[str], rows: Iterable[Sequence[RenderableType]], left: int, keys: int
     ) -> None:
         self.head = tuple(map(Text, head))
         self.rows = [
             tuple(Text(cell) if isinstance(cell, str) else cell for cell in row) for row in rows
         ]
         self._left = left
+        self._keys = keys
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield as many tables as the width asks for."""
@@ -95,7 +103,7 @@ class Columns:
         sizes = self._sizes(console, options)
         narrowest = [min(size.minimum, limit) for size in sizes]
         narrowest[0] = min(narrowest[0], limit // 2)
-        for position, group in enumerate(_groups(narrowest, limit)):
+        for position, group in enumerate(_groups(narrowest, limit, self._keys)):
             if position:
                 yield Text("")
             spare = limit - sum(narrowest[index] + GUTTER for index in group) + GUTTER
@@ -130,26 +138,30 @@ class Columns:
         return table
 
 
-def _groups(widths: Sequence[int], limit: int) -> list[list[int]]:
-    """Return the columns of each table, the first column in every one."""
-    groups, used = [[0]], widths[0]
-    for index, width in enumerate(widths[1:], 1):
-        if used + GUTTER + width > limit and len(groups[-1]) > 1:
-            groups.append([0])
-            used = widths[0]
+def _groups(widths: Sequence[int], limit: int, keys: int) -> list[list[int]]:
+    """Return the columns of each table, the `keys` first columns in every one."""
+    first = list(range(keys))
+    keys_width = sum(widths[:keys]) + GUTTER * (keys - 1)
+    groups, used = [[*first]], keys_width
+    for index, width in enumerate(widths[keys:], keys):
+        if used + GUTTER + width > limit and len(groups[-1]) > keys:
+            groups.append([*first])
+            used = keys_width
         groups[-1].append(index)
         used += GUTTER + width
     return groups
 
 
 def columns(
-    head: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, left: int = 1
+    head: Sequence[str], rows: Iterable[Sequence[RenderableType]], *, left: int = 1, keys: int = 1
 ) -> Columns:
     """Return a table of `left` columns of text, then numbers; see :class:`Columns`.
 
+    The `keys` first columns say what a row is about.
+
     A row whose first cell starts with "total" stands out.
     """
-    return Columns(head, rows, left)
+    return Columns(head, rows, left, keys)
 
 
 class Bar:

@@ -1,4 +1,8 @@
-"""Every kind of wrong Jacobian, in every camera model, is found and called by its name."""
+"""Every kind of wrong Jacobian is found and called by its name, in camera models of every size.
+
+What a model changes is the number of its parameters and their derivatives, so that each mistake is
+made in a few models and each model has a few mistakes, not all with all.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,12 @@ from tests.scenes import PARAMS
 CONFIGURATIONS = int(os.environ.get("BUNDLE_CHECK_CONFIGURATIONS", "2000"))
 """Random configurations a model; 10000 take about a second a model."""
 
-CASES = [(m, name) for m in MODELS for name in MUTATIONS if applies(name, m)]
+CASES = [
+    (m, name)
+    for i, m in enumerate(MODELS)
+    for k, name in enumerate(MUTATIONS)
+    if (i + k) % 6 == 0 and applies(name, m)
+]
 
 
 def check(function, model, blocks, **settings):
@@ -39,9 +48,9 @@ def test_a_wrong_jacobian_is_found_and_named(model, name):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_no_false_alarm_on_a_correct_function(model):
-    for seed in range(3):
-        blocks = random_blocks(model, np.random.default_rng(seed))
-        assert check(correct(model), model, blocks, seed=seed)
+    seed = MODELS.index(model)
+    blocks = random_blocks(model, np.random.default_rng(seed))
+    assert check(correct(model), model, blocks, seed=seed)
 
 
 @pytest.mark.parametrize("model", MODELS)

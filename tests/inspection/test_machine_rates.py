@@ -8,6 +8,7 @@ import math
 
 import pytest
 
+import bundle
 from bundle.inspection import machine_rates as kept
 from bundle.inspection.machine_rates import cache_path, machine_rates
 from bundle.inspection.plausibility import implausible
@@ -162,6 +163,18 @@ def test_the_key_holds_what_rates_depend_on(monkeypatch, what):
 
 def test_the_blas_that_is_loaded_is_found():
     assert any("blas" in entry for entry in kept._blas())
+
+
+def test_a_calibration_without_memory_says_so_and_nothing_of_its_solvers(monkeypatch):
+    """A solve refuses what does not fit, by the name of an option that nobody gave."""
+
+    def refuse(*_arguments):
+        raise bundle.InputError("linear_solver_type: DENSE_SCHUR needs 79.9 MB for its factor")
+
+    monkeypatch.setattr(kept._core, "solve", refuse)
+    with pytest.raises(MemoryError, match="rates") as error:
+        machine_rates(1)
+    assert "DENSE_SCHUR" not in str(error.value)
 
 
 def test_calibration_of_this_machine():

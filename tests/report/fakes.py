@@ -61,6 +61,7 @@ CONVERGED = Summary(
     linear_solver_choice="16 images make a small reduced camera matrix.",
     interrupted=False,
     warnings=(),
+    warning_kinds=(),
     num_information_nonzeros=4721598,
     num_factor_columns=144,
     num_reduced_nonzeros=20736,

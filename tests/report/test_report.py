@@ -87,7 +87,9 @@ def test_breakdown_of_a_solve_that_took_no_time():
 
 
 def test_full_report_has_ceres_sections_in_ceres_order():
-    report = fakes.summary(warnings=("Group 0 lost a block.",)).full_report()
+    report = fakes.summary(
+        warnings=("Group 0 lost a block.",), warning_kinds=("ordering_replaced",)
+    ).full_report()
     order = ["66510", "LEVENBERG_MARQUARDT", "DENSE_SCHUR", "22106, 16", "4.185659518e+06"]
     order += ["1.803390348e+04", "0.250", "CONVERGENCE", "Group 0 lost a block."]
     positions = [report.index(words) for words in order]

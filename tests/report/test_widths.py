@@ -106,3 +106,11 @@ def test_columns_that_do_not_fit_move_below():
         ["name", "d", "e", "f"], ["first", *["1234567890"] * 3], ["second", *"456"],
     ]  # fmt: skip
     assert len(render(table, width=100).splitlines()) == 3
+
+
+def test_each_part_of_a_divided_table_says_what_its_rows_are():
+    rows = [(f"camera {i}", "k1", *"123456789") for i in range(2)]
+    table = columns(("camera", "parameter", *"abcdefghi"), rows, left=2, keys=2)
+    text = render(table, width=40)
+    assert text.count("parameter") == text.count("camera 1") > 1
+    assert text.count("k1") == 2 * text.count("parameter")

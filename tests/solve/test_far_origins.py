@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 import bundle
 from tests import scenes
+from tests.figures import warning
 
 UTM = np.array([5e5, 5e6, 300.0])
 
@@ -30,14 +32,15 @@ def size(problem):
 
 @pytest.fixture
 def problem():
-    return scenes.make_problem(num_images=7, num_points=60, noise=0.5)
+    return scenes.make_problem(num_images=11, num_points=60, noise=0.5)
 
 
 def test_a_scene_far_from_its_origin_is_solved_as_one_near_it(solve, problem):
     near = solve(problem)
     far = solve(moved(problem, UTM))
     assert near.summary.origin is None
-    np.testing.assert_allclose(far.summary.origin, np.median(centers(problem), 0) + UTM, atol=1e-6)
+    middle = stats.trim_mean(centers(problem), 0.1)
+    np.testing.assert_allclose(far.summary.origin, middle + UTM, atol=1e-6)
     assert far.summary.termination_type == "CONVERGENCE"
     np.testing.assert_allclose(far.summary.final_cost, near.summary.final_cost, rtol=1e-6)
     assert len(far.iterations["cost"]) <= len(near.iterations["cost"]) + 2
@@ -80,7 +83,7 @@ def test_a_hundred_times_its_size_away_is_far(problem, sizes, is_far):
     offset = -np.median(centers(problem), axis=0) + [sizes * size(problem), 0, 0]
     summary = bundle.solve(moved(problem, offset), max_num_iterations=0).summary
     assert (summary.origin is not None) == is_far
-    assert len(summary.warnings) == is_far
+    assert summary.warning_kinds == ("far_origin",) * is_far
 
 
 def with_far_point(problem, sizes):
@@ -97,15 +100,31 @@ def test_a_point_far_away_does_not_end_the_solve(solve, problem, offset):
     best = solve(problem, **options).summary.final_cost
     far = solve(moved(with_far_point(problem, 1e10), offset), **options).summary
     assert not far.message.startswith("Parameter tolerance")
-    # The point itself stays wrong: seven observations.
-    assert far.final_cost < best + 7 * 15
-    assert any(f"point {problem.point_ids[3]}" in sentence for sentence in far.warnings)
+    # The point itself stays wrong: eleven observations.
+    assert far.final_cost < best + 11 * 15
+    assert f"point {problem.point_ids[3]}" in warning(far, "far_points")
 
 
 @pytest.mark.parametrize(("sizes", "is_far"), [(900, False), (1100, True)])
 def test_a_point_a_thousand_sizes_away_is_far(problem, sizes, is_far):
-    warnings = bundle.solve(with_far_point(problem, sizes), max_num_iterations=0).summary.warnings
-    assert len(warnings) == is_far
+    summary = bundle.solve(with_far_point(problem, sizes), max_num_iterations=0).summary
+    assert summary.warning_kinds == ("far_points",) * is_far
+
+
+def test_images_far_away_do_not_move_the_centre(problem):
+    """Two of eleven are more than the tenth that is left out."""
+    poses = moved(problem, UTM).cam_from_world.copy()
+    poses[:2, 4:] *= 1e3
+    given = moved(problem, UTM).replace(cam_from_world=poses)
+    summary = bundle.solve(given, max_num_iterations=0).summary
+    np.testing.assert_allclose(summary.origin, UTM, atol=2 * size(problem))
+
+
+@pytest.mark.parametrize("name", ["bartoszek", "lund_door"])
+def test_the_centre_is_where_colmap_puts_the_origin(bundle_data, name):
+    problem = bundle.load(bundle_data / "colmap" / name)
+    summary = bundle.solve(moved(problem, UTM), max_num_iterations=0).summary
+    np.testing.assert_allclose(summary.origin, UTM, atol=1e-6)
 
 
 def test_a_real_model_in_utm_coordinates(solve, bundle_data):
@@ -113,5 +132,5 @@ def test_a_real_model_in_utm_coordinates(solve, bundle_data):
     near, far = (solve(p).summary for p in (problem, moved(problem, UTM)))
     assert near.origin is None
     assert far.termination_type == "CONVERGENCE"
-    assert far.final_cost < 1.001 * near.final_cost
-    assert far.num_successful_steps <= 20
+    np.testing.assert_allclose(far.final_cost, near.final_cost, rtol=1e-6)
+    assert far.num_successful_steps == near.num_successful_steps

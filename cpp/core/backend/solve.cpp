@@ -22,7 +22,8 @@ SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions optio
                                   PreparedSolve prepared, const ProgressCallback& progress) {
   if (options.deterministic && options.num_threads != 1) {
     options.num_threads = 1;
-    prepared.warnings.push_back("Ceres is deterministic on one thread only, and so it got one.");
+    Warn(WarningKind::kSingleThread,
+         "Ceres is deterministic on one thread only, and so it got one.", &prepared.warnings);
   }
   return SolveWithCeres(problem, options, std::move(prepared), progress);
 }
@@ -42,7 +43,7 @@ SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
   FarPoints far = FindFarPoints(problem, prepared.layout,
                                 centered.is_moved() ? SceneFrame(problem) : given_frame);
   options.parameter_tolerance *= far.norm_without;
-  if (!far.warning.empty()) prepared.warnings.push_back(std::move(far.warning));
+  Warn(WarningKind::kFarPoints, std::move(far.warning), &prepared.warnings);
   BackendChoice choice = ChooseBackend(options, prepared);
   SolveOutput output = choice.backend == Backend::kFused
                            ? fused::SolveWithFused(problem, options, std::move(prepared), progress)

@@ -193,14 +193,14 @@ class CeresSolve {
       linear_solver_choice_ = std::move(choice.reason);
     }
     ceres::Solver::Options result = TranslateOptions(options);
-    for (std::string idle : {FindIdlePreconditioner(options), FindIdleOrdering(options)}) {
-      if (!idle.empty()) warnings_.push_back(std::move(idle));
-    }
+    Warn(WarningKind::kPreconditionerNotUsed, FindIdlePreconditioner(options), &warnings_);
+    Warn(WarningKind::kOrderingNotUsed, FindIdleOrdering(options), &warnings_);
     RefuseTooMuchMemory(options.linear_solver_type, shape,
                         options.linear_solver_ordering == EliminationOrdering::kCamerasFirst);
     if (NothingToEliminate(options.linear_solver_ordering, layout_)) {
-      warnings_.push_back(
-          "Nothing of the ordering's first group is refined: Ceres chose what to eliminate.");
+      Warn(WarningKind::kOrderingReplaced,
+           "Nothing of the ordering's first group is refined: Ceres chose what to eliminate.",
+           &warnings_);
     }
     if (options.linear_solver_ordering == EliminationOrdering::kPointsFirst &&
         shape.num_free_points > 0 && shape.num_camera_columns > 0) {
@@ -242,7 +242,7 @@ class CeresSolve {
 
   void Collect(const ceres::Solver::Summary& summary, SolveOutput* output) {
     output->summary.linear_solver_choice = std::move(linear_solver_choice_);
-    for (std::string& fallback : FindFallbacks(summary)) warnings_.push_back(std::move(fallback));
+    for (Warning& fallback : FindFallbacks(summary)) warnings_.push_back(std::move(fallback));
     output->summary.factor = CountCeresFactor(problem_, layout_, options_.linear_solver_ordering,
                                               summary.linear_solver_type_used);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
@@ -262,7 +262,7 @@ class CeresSolve {
 
   const ProblemView& problem_;
   const SolveOptions& options_;
-  std::vector<std::string> warnings_;
+  std::vector<Warning> warnings_;
   std::string linear_solver_choice_;
   ParameterLayout layout_;
   CameraStates states_;

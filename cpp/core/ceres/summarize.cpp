@@ -53,19 +53,21 @@ SolveSummary Summarize(const ceres::Solver::Summary& summary, double fixed_cost)
   return result;
 }
 
-std::vector<std::string> FindFallbacks(const ceres::Solver::Summary& summary) {
-  std::vector<std::string> result;
-  const auto compare = [&result](const std::string& what, const std::string& given,
-                                 const std::string& used) {
-    if (given != used) result.push_back("Ceres replaced " + what + given + " by " + used + ".");
+std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary) {
+  std::vector<Warning> result;
+  const auto compare = [&result](WarningKind kind, const std::string& what,
+                                 const std::string& given, const std::string& used) {
+    if (given != used)
+      result.push_back({kind, "Ceres replaced " + what + given + " by " + used + "."});
   };
-  compare("", ceres::LinearSolverTypeToString(summary.linear_solver_type_given),
+  compare(WarningKind::kSolverReplaced, "",
+          ceres::LinearSolverTypeToString(summary.linear_solver_type_given),
           ceres::LinearSolverTypeToString(summary.linear_solver_type_used));
   // The others carry a preconditioner along that nobody reads.
   const bool is_iterative = summary.linear_solver_type_used == ceres::ITERATIVE_SCHUR ||
                             summary.linear_solver_type_used == ceres::CGNR;
   if (is_iterative) {
-    compare("the preconditioner ",
+    compare(WarningKind::kPreconditionerReplaced, "the preconditioner ",
             ceres::PreconditionerTypeToString(summary.preconditioner_type_given),
             ceres::PreconditionerTypeToString(summary.preconditioner_type_used));
   }

@@ -12,8 +12,8 @@ namespace bundle {
 /// is added to every cost.
 SolveSummary Summarize(const ceres::Solver::Summary& summary, double fixed_cost);
 
-/// A sentence for each choice of a linear solver or of its preconditioner that Ceres did not keep.
-std::vector<std::string> FindFallbacks(const ceres::Solver::Summary& summary);
+/// A warning for each choice of a linear solver or of its preconditioner that Ceres did not keep.
+std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary);
 
 IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost);
 

@@ -71,8 +71,7 @@ class FusedSolve {
     const ProblemShape shape = ShapeOf(layout_, 2 * problem_.num_observations);
     if (options_.linear_solver_type == LinearSolverType::kAuto) ChooseBySize(shape);
     CheckTrustRegion(options_);
-    std::string idle = FindIdlePreconditioner(options_);
-    if (!idle.empty()) warnings_.push_back(std::move(idle));
+    Warn(WarningKind::kPreconditionerNotUsed, FindIdlePreconditioner(options_), &warnings_);
     RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
     working_bytes_ = PredictFusedWorkingBytes(
         layout_, track_lengths_, EffectiveNumThreads(options_.num_threads), BufferBytes());
@@ -156,8 +155,7 @@ class FusedSolve {
   void SummarizeFactor() {
     const FactorStatistics statistics = solver_->factor_statistics();
     factor_ = fused::SummarizeFactor(structure_, statistics, symbolic_time_);
-    std::string swollen = FindSwollenFactor(statistics);
-    if (!swollen.empty()) warnings_.push_back(std::move(swollen));
+    Warn(WarningKind::kFactorLargerThanPredicted, FindSwollenFactor(statistics), &warnings_);
   }
 
   /// Only the factorisations round by their number of threads, which are OpenBLAS'.
@@ -191,7 +189,7 @@ class FusedSolve {
 
   const ProblemView& problem_;
   SolveOptions options_;  ///< with nothing left to choose
-  std::vector<std::string> warnings_;
+  std::vector<Warning> warnings_;
   std::string linear_solver_choice_;
   ParameterLayout layout_;
   std::vector<int64_t> track_lengths_;  ///< until the memory is predicted

@@ -39,17 +39,14 @@ class NumberWriter {
   size_t used_ = 0;
 };
 
-/// Keeps the sign of a zero where there is nothing to subtract.
-double Subtract(double value, double origin) { return origin == 0.0 ? value : value - origin; }
-
 void WriteObservations(const BalView& problem, NumberWriter* writer) {
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     const double* xy = problem.observation_xy + 2 * i;
     const double* params = problem.camera_params + 5 * problem.observation_image[i];
     writer->Write(problem.observation_image[i], ' ');
     writer->Write(problem.observation_point[i], ' ');
-    writer->Write(Subtract(xy[0], params[1]), ' ');
-    writer->Write(-Subtract(xy[1], params[2]), '\n');
+    writer->Write(xy[0] - params[1], ' ');
+    writer->Write(-(xy[1] - params[2]), '\n');
   }
 }
 

@@ -29,20 +29,21 @@ void FailIfNotFinite(SolveOutput* output) {
 
 void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,
-                 std::vector<std::string> warnings, int64_t num_held, SolveOutput* output) {
+                 std::vector<Warning> warnings, int64_t num_held, SolveOutput* output) {
   SolveSummary& summary = output->summary;
   summary.warnings = std::move(warnings);
   FailIfNotFinite(output);
   summary.num_information_nonzeros = NumInformationNonzeros(problem, layout);
-  const auto warn = [&summary](std::string sentence) {
-    if (!sentence.empty()) summary.warnings.push_back(std::move(sentence));
+  const auto warn = [&summary](WarningKind kind, std::string text) {
+    Warn(kind, std::move(text), &summary.warnings);
   };
   if (summary.termination_type == "FAILURE" || !std::isfinite(summary.initial_cost)) {
     summary.is_solution_usable = false;
-    warn(FindOverflow(problem, options.cheirality));
+    warn(WarningKind::kResidualNotFinite, FindOverflow(problem, options.cheirality));
   }
-  warn(WatchConvergence(output->iterations));
-  warn(CheckSolution(problem, layout, states, output->points, options.cheirality));
+  warn(WarningKind::kSuspiciousSteps, WatchConvergence(output->iterations));
+  warn(WarningKind::kSuspiciousJacobian,
+       CheckSolution(problem, layout, states, output->points, options.cheirality));
   const bool is_rejected = RejectImpossibleSolution(problem, output);
   if (num_held > 0 && !is_rejected)
     JudgeLostObservations(problem, layout, options, num_held, output);

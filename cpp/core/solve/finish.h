@@ -1,6 +1,5 @@
 #pragma once
 
-#include <string>
 #include <vector>
 
 #include "core/problem/problem_view.h"
@@ -8,6 +7,7 @@
 #include "core/solve/options.h"
 #include "core/solve/parameter_layout.h"
 #include "core/solve/solve.h"
+#include "core/solve/warning.h"
 
 namespace bundle {
 
@@ -17,6 +17,6 @@ namespace bundle {
 /// observations that hold a residual there (residuals/held_residual.h).
 void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,
-                 std::vector<std::string> warnings, int64_t num_held, SolveOutput* output);
+                 std::vector<Warning> warnings, int64_t num_held, SolveOutput* output);
 
 }  // namespace bundle

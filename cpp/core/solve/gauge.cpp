@@ -16,6 +16,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <vector>
 
 #include "core/geometry/rotation.h"
 
@@ -53,8 +54,8 @@ void RelativeTranslation(const ProblemView& problem, int a, int b, double transl
   for (int i = 0; i < 3; ++i) translation[i] = pose_b[4 + i] - translation[i];
 }
 
-std::vector<std::string> FixTwoCameras(const ProblemView& problem, const std::vector<int>& images,
-                                       const std::vector<int>& fixed, FreeParameters* free) {
+std::string FixTwoCameras(const ProblemView& problem, const std::vector<int>& images,
+                          const std::vector<int>& fixed, FreeParameters* free) {
   const int first = fixed.empty() ? images.front() : fixed.front();
   free->pose[first] = 0;
   for (const int second : images) {
@@ -67,12 +68,11 @@ std::vector<std::string> FixTwoCameras(const ProblemView& problem, const std::ve
     }
     if (std::abs(baseline[largest]) > 1e-9) {
       free->pose[second] = static_cast<uint8_t>(free->pose[second] & ~(1u << (3 + largest)));
-      return {};
+      return "";
     }
   }
-  return {
-      "Gauge two_cameras holds only one image: no second image stands elsewhere, so the scale "
-      "is free."};
+  return "Gauge two_cameras holds only one image: no second image stands elsewhere, so the scale "
+         "is free.";
 }
 
 /// Squared distance of point p from point a, or from the line through a and b if b >= 0.
@@ -115,8 +115,8 @@ std::vector<int> BulkOfThePoints(const ProblemView& problem, const std::vector<i
   return bulk;
 }
 
-std::vector<std::string> FixThreePoints(const ProblemView& problem, const std::vector<int>& points,
-                                        FreeParameters* free) {
+std::string FixThreePoints(const ProblemView& problem, const std::vector<int>& points,
+                           FreeParameters* free) {
   int chosen[3] = {-1, -1, -1};
   const std::vector<int> bulk = BulkOfThePoints(problem, points);
   chosen[0] = bulk.front();
@@ -127,15 +127,15 @@ std::vector<std::string> FixThreePoints(const ProblemView& problem, const std::v
       if (distance > furthest) furthest = distance, chosen[k] = p;
     }
   }
-  if (chosen[2] < 0) return {"Gauge three_points is not held: no three points span a plane."};
+  if (chosen[2] < 0) return "Gauge three_points is not held: no three points span a plane.";
   for (const int p : chosen) free->point[p] = 0;
-  return {};
+  return "";
 }
 
 }  // namespace
 
-std::vector<std::string> FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
-  if (gauge == Gauge::kNone) return {};
+std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
+  if (gauge == Gauge::kNone) return "";
   const std::vector<int> images =
       Observed(problem.observation_image, problem.num_observations, problem.num_images);
   const std::vector<int> points =
@@ -144,7 +144,7 @@ std::vector<std::string> FixGauge(const ProblemView& problem, Gauge gauge, FreeP
   const std::vector<int> fixed_points = Fixed(points, free->point);
   const bool held = fixed_images.size() >= 2 || fixed_images.size() == images.size() ||
                     fixed_points.size() >= 3 || fixed_points.size() == points.size();
-  if (held) return {};
+  if (held) return "";
   return gauge == Gauge::kTwoCameras ? FixTwoCameras(problem, images, fixed_images, free)
                                      : FixThreePoints(problem, points, free);
 }

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <string>
-#include <vector>
 
 #include "core/problem/problem_view.h"
 #include "core/solve/free_parameters.h"
@@ -11,7 +10,7 @@ namespace bundle {
 
 /// Takes the seven degrees of freedom that no observation sees (rotation, translation, scale of the
 /// world) out of `free`, unless two images or three points that are fixed already hold them.
-/// Returns sentences, to be shown to the user, where that could not be done as asked.
-std::vector<std::string> FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free);
+/// Returns a sentence, to be shown to the user, where that could not be done as asked; else "".
+std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free);
 
 }  // namespace bundle

@@ -82,8 +82,8 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
   const int64_t num_counted = problem.num_observations - num_before;
   const bool unusable =
       static_cast<double>(num_lost) > kMaxLostShare * static_cast<double>(num_counted);
-  const auto warn = [output](const std::ostringstream& sentence) {
-    output->summary.warnings.push_back(sentence.str());
+  const auto warn = [output](WarningKind kind, const std::ostringstream& sentence) {
+    Warn(kind, sentence.str(), &output->summary.warnings);
   };
   const std::vector<int64_t> images = ImagesWithNoneInFront(problem, after);
   if (num_after > num_before || !images.empty() || unusable) {
@@ -97,7 +97,7 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
                << " none in front";
     }
     sentence << ".";
-    warn(sentence);
+    warn(WarningKind::kObservationsBehind, sentence);
   }
   if (unusable) {
     output->summary.is_solution_usable = false;
@@ -105,7 +105,7 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
     sentence << "The solution is not usable: of the " << num_counted
              << " observations in front of their cameras at the start, " << num_lost
              << " went behind, more than 1 %.";
-    warn(sentence);
+    warn(WarningKind::kTooManyBehind, sentence);
   }
   if (num_left_out > 0) {
     std::ostringstream sentence;
@@ -114,7 +114,7 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
              << " in front of the camera at the end " << (one ? "was" : "were")
              << " left out of the solve, having been behind before; refine again to include "
              << (one ? "it" : "them") << ".";
-    warn(sentence);
+    warn(WarningKind::kObservationsLeftOut, sentence);
   }
 }
 

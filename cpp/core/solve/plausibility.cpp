@@ -42,8 +42,9 @@ bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
     restore(problem.camera_params, &output->camera_params);
     restore(problem.points, &output->points);
     output->summary.is_solution_usable = false;
-    output->summary.warnings.push_back(std::string("The solution is invalid (") + error.what() +
-                                       ") and was discarded.");
+    Warn(WarningKind::kInvalidSolution,
+         std::string("The solution is invalid (") + error.what() + ") and was discarded.",
+         &output->summary.warnings);
     return true;
   }
 }

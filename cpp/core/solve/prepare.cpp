@@ -13,11 +13,12 @@ namespace bundle {
 PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options) {
   CheckCameraModelsKnown(problem);
   FreeParameters free = SelectFreeParameters(problem, options);
-  std::vector<std::string> warnings = FixGauge(problem, options.gauge, &free);
+  std::vector<Warning> warnings;
+  Warn(WarningKind::kGaugeNotHeld, FixGauge(problem, options.gauge, &free), &warnings);
   ParameterLayout layout(problem, std::move(free));
   std::vector<int64_t> track_lengths = TrackLengths(problem);
-  std::string seen_once = CountPointsSeenOnce(problem, layout, track_lengths);
-  if (!seen_once.empty()) warnings.push_back(std::move(seen_once));
+  Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),
+       &warnings);
   return {std::move(layout), std::move(warnings), std::move(track_lengths)};
 }
 

@@ -1,19 +1,19 @@
 #pragma once
 
 #include <cstdint>
-#include <string>
 #include <vector>
 
 #include "core/problem/problem_view.h"
 #include "core/solve/options.h"
 #include "core/solve/parameter_layout.h"
+#include "core/solve/warning.h"
 
 namespace bundle {
 
 /// What every backend starts from.
 struct PreparedSolve {
   ParameterLayout layout;
-  std::vector<std::string> warnings;   ///< sentences for the user
+  std::vector<Warning> warnings;
   std::vector<int64_t> track_lengths;  ///< observations of each point
 };
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <numeric>
 #include <sstream>
 
 #include "core/geometry/rotation.h"
@@ -15,6 +16,16 @@ double Median(std::vector<double>* values) {
   const auto middle = values->begin() + static_cast<std::ptrdiff_t>(values->size() / 2);
   std::nth_element(values->begin(), middle, values->end());
   return *middle;
+}
+
+/// Of COLMAP's Reconstruction::Normalize: all of three values or fewer.
+double TrimmedMean(std::vector<double>* values) {
+  const auto last = static_cast<double>(values->size() - 1);
+  const bool few = values->size() <= 3;
+  std::sort(values->begin(), values->end());
+  const auto begin = values->begin() + static_cast<std::ptrdiff_t>(few ? 0 : 0.1 * last);
+  const auto end = values->begin() + static_cast<std::ptrdiff_t>(few ? last : 0.9 * last) + 1;
+  return std::accumulate(begin, end, 0.0) / static_cast<double>(end - begin);
 }
 
 /// std::hypot is slow: it is for numbers whose squares leave the range of doubles.
@@ -59,6 +70,11 @@ SceneFrame::SceneFrame(const ProblemView& problem) {
     if (p % stride == 0) distances.push_back(distance);
   }
   size = Median(&distances);
+  std::copy_n(center, 3, origin);
+  if (!IsFarFromOrigin()) return;
+  double mean[3];
+  for (int j = 0; j < 3; ++j) mean[j] = TrimmedMean(&centers[j]);
+  if (DistanceTo(mean) < kFarOrigin * size) std::copy_n(mean, 3, origin);
 }
 
 double SceneFrame::DistanceTo(const double* point) const { return Distance(point, center); }
@@ -76,9 +92,9 @@ CenteredProblem::CenteredProblem(const ProblemView& problem, const SceneFrame& f
                          problem.cam_from_world + 7 * static_cast<int64_t>(problem.num_images));
   points_.assign(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points));
   for (size_t i = 0; i < cam_from_world_.size(); i += 7) {
-    MoveTranslation(problem.cam_from_world + i, frame.center, 1, &cam_from_world_[i + 4]);
+    MoveTranslation(problem.cam_from_world + i, frame.origin, 1, &cam_from_world_[i + 4]);
   }
-  for (size_t k = 0; k < points_.size(); ++k) points_[k] -= frame.center[k % 3];
+  for (size_t k = 0; k < points_.size(); ++k) points_[k] -= frame.origin[k % 3];
   centered_.cam_from_world = cam_from_world_.data();
   centered_.points = points_.data();
 }
@@ -90,7 +106,7 @@ void CenteredProblem::MoveBack(SolveOutput* output) const {
     if (std::equal(pose, pose + 7, &cam_from_world_[i])) {
       std::copy_n(problem_.cam_from_world + i, 7, pose);
     } else {
-      MoveTranslation(pose, frame_.center, -1, pose + 4);
+      MoveTranslation(pose, frame_.origin, -1, pose + 4);
     }
   }
   for (size_t k = 0; k < points_.size(); k += 3) {
@@ -98,16 +114,16 @@ void CenteredProblem::MoveBack(SolveOutput* output) const {
     if (std::equal(point, point + 3, &points_[k])) {
       std::copy_n(problem_.points + k, 3, point);
     } else {
-      for (int j = 0; j < 3; ++j) point[j] += frame_.center[j];
+      for (int j = 0; j < 3; ++j) point[j] += frame_.origin[j];
     }
   }
-  output->summary.origin.assign(frame_.center, frame_.center + 3);
+  output->summary.origin.assign(frame_.origin, frame_.origin + 3);
   constexpr double kOrigin[3] = {};
   std::ostringstream sentence;
   sentence << "The scene lies " << frame_.DistanceTo(kOrigin)
            << " units from the origin and measures " << frame_.size
            << ": it was solved about its centre.";
-  output->summary.warnings.push_back(sentence.str());
+  Warn(WarningKind::kFarOrigin, sentence.str(), &output->summary.warnings);
 }
 
 FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layout,

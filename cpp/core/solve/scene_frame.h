@@ -9,15 +9,22 @@
 /// ||step|| <= tolerance ||x||, where one large coordinate makes every step look small.
 ///
 /// So a scene that is more than kFarOrigin times its size away from the origin (UTM coordinates,
-/// for instance) is solved about its centre c. With X' = X - c and t' = t + R c it is R X' + t' = R
-/// X + t: no residual changes. The solution is moved back, but for what the solve left as it was,
-/// which keeps its bits.
+/// for instance) is solved about a point c at its centre. With X' = X - c and t' = t + R c it is R
+/// X' + t' = R X + t: no residual changes. The solution is moved back, but for what the solve left
+/// as it was, which keeps its bits.
 ///
 /// Points more than kFarPoint sizes away from the centre stay in the problem, but not in the norm:
 /// the tolerance is multiplied by ||x without them|| / ||x||.
 ///
 /// The centre is the median of the images' projection centres, coordinate by coordinate; the size
 /// is the median distance of some thousand points from it.
+///
+/// The scene is solved about the point that COLMAP's normalisation puts at the origin: per
+/// coordinate, the mean of the projection centres between their 10th and 90th percentile. Damping
+/// depends on where the origin is, and with it how many steps a slow valley takes until the
+/// function tolerance stops the solve: a COLMAP model that was moved gets the steps back that it
+/// had before. It is the centre where more than a tenth of the images stand far away from the
+/// others.
 
 #include <string>
 #include <vector>
@@ -33,8 +40,9 @@ inline constexpr double kFarPoint = 1000;
 
 struct SceneFrame {
   double center[3] = {};
-  double size = 0;   ///< 0 without images or points
-  double reach = 0;  ///< distance of the farthest point
+  double origin[3] = {};  ///< to solve a scene about that is far from its own
+  double size = 0;        ///< 0 without images or points
+  double reach = 0;       ///< distance of the farthest point
 
   explicit SceneFrame(const ProblemView& problem);
 

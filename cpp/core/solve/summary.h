@@ -7,6 +7,8 @@
 #include <string>
 #include <vector>
 
+#include "core/solve/warning.h"
+
 namespace bundle {
 
 /// ceres::IterationSummary; times in seconds.
@@ -94,7 +96,7 @@ struct SolveSummary {
   FactorSummary factor;
   bool interrupted = false;
   std::vector<double> origin;  ///< the centre that the scene was solved about; empty: as given
-  std::vector<std::string> warnings;  ///< sentences
+  std::vector<Warning> warnings;
 };
 
 }  // namespace bundle

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
+from bundle.check_defaults import TOLERANCE
 from bundle.checking.evidence import Finding
 from bundle.checking.report import (
     GradientCheckerSummary,
@@ -17,10 +18,7 @@ from bundle.checking.report import (
 from bundle.checking.tally import EDGES, MOST_WORST, Tally, verdicts
 from bundle.tables import plural
 
-__all__ = ["CHECKER_PRECISION", "TOLERANCE", "make_report", "undecided_points"]
-
-TOLERANCE = 1e-7
-"""Relative error from which on an entry is wrong."""
+__all__ = ["CHECKER_PRECISION", "make_report", "undecided_points"]
 
 REASONS = {
     "camera_center": "too close to the camera's center: "

@@ -11,12 +11,8 @@ from numpy.typing import ArrayLike
 
 from bundle import _core
 from bundle.arguments import as_array, as_flag
-from bundle.checking.assemble import (
-    CHECKER_PRECISION,
-    TOLERANCE,
-    make_report,
-    undecided_points,
-)
+from bundle.check_defaults import TOLERANCE
+from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.classify import classify, float_precision, stale
 from bundle.checking.columns import Block, Column
 from bundle.checking.comparison import Array, Comparison

@@ -12,12 +12,8 @@ from numpy.typing import NDArray
 from bundle import _core
 from bundle.arguments import check_function
 from bundle.cameras import camera_models, param_kinds
-from bundle.checking.assemble import (
-    CHECKER_PRECISION,
-    TOLERANCE,
-    make_report,
-    undecided_points,
-)
+from bundle.check_defaults import SAMPLES_PER_IMAGE, TOLERANCE
+from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.classify import classify, float_precision
 from bundle.checking.columns import Block, Column
 from bundle.checking.comparison import Array, Comparison
@@ -30,9 +26,8 @@ from bundle.option_fields import number
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 
-__all__ = ["SAMPLES_PER_IMAGE", "check_jacobians"]
+__all__ = ["check_jacobians"]
 
-SAMPLES_PER_IMAGE = 100
 CHUNK = 16384
 CENTER = 1e-3
 """Relative rounding of the derivatives from which on they are not looked at."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from time import perf_counter
 
+from bundle import check_defaults as defaults
 from bundle.cli.arguments import add_input
 from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
 
@@ -12,9 +13,6 @@ __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "check"
 HELP = "validates the analytic Jacobians on this very problem, and names what is wrong"
-
-SAMPLES = 100
-TOLERANCE = 1e-7
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,8 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--samples",
         metavar="N",
         type=int,
-        default=SAMPLES,
-        help=f"observations to check of each image and its camera (default: {SAMPLES})",
+        default=defaults.SAMPLES_PER_IMAGE,
+        help="observations to check of each image and its camera "
+        f"(default: {defaults.SAMPLES_PER_IMAGE})",
     )
     which.add_argument("--all", action="store_true", help="check every observation")
     group.add_argument(
@@ -37,8 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--tolerance",
         metavar="X",
         type=float,
-        default=TOLERANCE,
-        help=f"relative error from which on an entry is wrong (default: {TOLERANCE:g})",
+        default=defaults.TOLERANCE,
+        help=f"relative error from which on an entry is wrong (default: {defaults.TOLERANCE:g})",
     )
     group.add_argument(
         "--threads",

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import os
 import signal
-from types import FrameType
+
+TYPE_CHECKING = False  # as of typing, whose import takes longer than all that is here
+if TYPE_CHECKING:
+    from types import FrameType
 
 __all__ = ["begin", "done"]
 

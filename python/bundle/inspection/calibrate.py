@@ -8,6 +8,7 @@ from time import perf_counter
 from typing import NamedTuple
 
 from bundle import _core
+from bundle.errors import InputError
 from bundle.inspection.calibration_scene import make_scene
 from bundle.inspection.problem_pattern import (
     ProblemPattern,
@@ -35,8 +36,15 @@ class Timing(NamedTuple):
 
 
 def calibrate(num_threads: int) -> Rates:
-    """Measure the rates for solves by ``num_threads``."""
-    return _Calibration(num_threads).run()
+    """Measure the rates for solves by ``num_threads``.
+
+    Raises:
+        MemoryError: its solves, of up to 100 MB, do not fit into the memory that is free.
+    """
+    try:
+        return _Calibration(num_threads).run()
+    except InputError as error:  # what is wrong cannot be the scenes nor the options
+        raise MemoryError("the solves that measure this machine's rates do not fit") from error
 
 
 class _Calibration:

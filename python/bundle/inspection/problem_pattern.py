@@ -103,7 +103,6 @@ class PlanSize:
     num_free_points: int = 0
     num_observations: int = 0
     num_pairs: int = 0
-    num_chunks: int = 0
     num_chunk_pairs: int = 0
     num_chunk_images: int = 0
     largest_chunk_blocks: int = 0

@@ -107,7 +107,7 @@ def _cameras(changes: Sequence[CameraChange]) -> list[RenderableType]:
                 )
                 label = ""
     report: list[RenderableType] = [
-        columns(("camera", "parameter", "before", "after", "change"), rows, left=2)
+        columns(("camera", "parameter", "before", "after", "change"), rows, left=2, keys=2)
     ]
     if len(changes) > MOST_CAMERAS:
         others = plural(len(changes) - MOST_CAMERAS, "other camera")

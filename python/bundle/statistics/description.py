@@ -106,6 +106,8 @@ class Description(Displayed):
         return Display(title="Description", facts=tuple(facts))
 
 
+# Numbers of a legal problem may be as large as a double: what overflows is infinite, and said so.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def describe(problem: Source) -> Description:
     """Describe a problem: what `bundle info` says.
 

@@ -199,8 +199,8 @@ def _observations(
 
 
 def _gross(errors: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
-    """Return the limit and what exceeds it; NaN is no error."""
-    known = errors[~np.isnan(errors)]
+    """Return the limit and what exceeds it; NaN is no error, and infinity no usual one."""
+    known = errors[np.isfinite(errors)]
     median = float(np.median(known)) if len(known) else 0.0
     limit = max(GROSS_ERROR_PIXELS, GROSS_ERROR_MEDIANS * median)
     return limit, errors > limit

@@ -198,6 +198,16 @@ inline void Append(const Scene& other, Scene* scene) {
   append(other.observation_xy, 0, &scene->observation_xy);
 }
 
+/// Gives the cameras these models in turn, with usual parameters. The pixels stay.
+inline void SetModels(const std::vector<std::string>& names, Scene* scene) {
+  for (size_t c = 0; c < scene->camera_models.size(); ++c) {
+    const CameraModel* const model = FindCameraModel(names[c % names.size()]);
+    const std::vector<double> params = UsualParams(*model);
+    scene->camera_models[c] = model;
+    std::copy(params.begin(), params.end(), &scene->camera_params[c * Scene::kStride]);
+  }
+}
+
 /// Moves every `step`th point far out, behind some of the cameras on the ring.
 inline void PutPointsBehind(int step, Scene* scene) {
   for (int p = 0; p < scene->num_points(); p += step) {

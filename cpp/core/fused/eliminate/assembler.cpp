@@ -7,6 +7,11 @@ namespace {
 
 constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way at once, about
 
+/// Of the rows of an image's Jacobian, and of the blocks whose second image it is.
+int WidthOf(const Terms& terms, int image) {
+  return terms.mixed ? 4 * terms.image_quads[image] : terms.num_columns;
+}
+
 }  // namespace
 
 Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
@@ -62,21 +67,24 @@ void Assembler::AddImage(const Terms& terms, const Chunk& chunk, const ChunkSum&
   const auto slot = static_cast<int64_t>(i);
   double* const values = sums->system.values.data();
   const int image = chunk.images[i];
+  const auto block = [&](int64_t b) {
+    return sum.blocks + (terms.mixed ? sum.block_begin[b] : block_size * b);
+  };
   const auto prefetch = [&](size_t pair) {
     if (pair < last_pair) PrefetchPair(image, chunk.images[chunk.pairs[pair].second], values);
   };
   for (size_t ahead = 0; ahead < kPairsAhead; ++ahead) prefetch(first_pair + ahead);
   AddVectors(terms, image, sum.vectors + ChunkSum::kVectors * terms.num_columns * slot, sums);
-  AddDiagonal(terms, image, sum.blocks + block_size * slot, values);
+  AddDiagonal(terms, image, block(slot), values);
   if (sum.camera_diagonal != nullptr) {
     AddCameraDiagonal(terms, image, sum.camera_diagonal + block_size * slot,
                       sums->system.camera_diagonal.data());
   }
   const auto num_images = static_cast<int64_t>(chunk.images.size());
-  const double* block = sum.blocks + block_size * (num_images + static_cast<int64_t>(first_pair));
-  for (size_t pair = first_pair; pair < last_pair; ++pair, block += block_size) {
+  for (size_t pair = first_pair; pair < last_pair; ++pair) {
     prefetch(pair + kPairsAhead);
-    AddPair(terms, image, chunk.images[chunk.pairs[pair].second], block, values);
+    AddPair(terms, image, chunk.images[chunk.pairs[pair].second],
+            block(num_images + static_cast<int64_t>(pair)), values);
   }
 }
 
@@ -96,14 +104,15 @@ void Assembler::PrefetchPair(int first, int second, const double* values) const 
 
 void Assembler::AddVectors(const Terms& terms, int image, const double* vectors,
                            CameraSums* sums) const {
+  const int width = WidthOf(terms, image);
   for (int s = 0; s < images_[image].count; ++s) {
     const Segment& segment = images_[image].of[s];
     const int offset = structure_.offset[segment.block];
     for (int k = 0; k < segment.size; ++k) {
       const double* const at = vectors + segment.local[k];
       sums->gradient[offset + k] += at[0];
-      sums->system.rhs[offset + k] -= at[terms.num_columns];
-      sums->squared_norms[offset + k] += at[2 * terms.num_columns];
+      sums->system.rhs[offset + k] -= at[width];
+      sums->squared_norms[offset + k] += at[2 * width];
     }
   }
 }
@@ -112,6 +121,7 @@ void Assembler::AddVectors(const Terms& terms, int image, const double* vectors,
 void Assembler::AddDiagonal(const Terms& terms, int image, const double* block,
                             double* values) const {
   const ImageSegments& segments = images_[image];
+  const int width = WidthOf(terms, image);
   for (int s = 0; s < segments.count; ++s) {
     for (int t = 0; t < segments.count; ++t) {
       const Segment &a = segments.of[s], &b = segments.of[t];
@@ -121,7 +131,7 @@ void Assembler::AddDiagonal(const Terms& terms, int image, const double* block,
         double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
         for (int j = s == t ? i : 0; j < b.size; ++j) {
           const auto [first, second] = std::minmax(a.local[i], b.local[j]);
-          column[j] += block[first * terms.num_columns + second];
+          column[j] += block[first * width + second];
         }
       }
     }
@@ -130,13 +140,13 @@ void Assembler::AddDiagonal(const Terms& terms, int image, const double* block,
 
 void Assembler::AddCameraDiagonal(const Terms& terms, int image, const double* block,
                                   double* values) const {
+  const int width = WidthOf(terms, image);
   for (int s = 0; s < images_[image].count; ++s) {
     const Segment& segment = images_[image].of[s];
     double* const target = values + diagonal_begin_[segment.block];
     for (int i = 0; i < segment.size; ++i) {
       for (int j = i; j < segment.size; ++j) {
-        target[i * segment.size + j] +=
-            block[segment.local[i] * terms.num_columns + segment.local[j]];
+        target[i * segment.size + j] += block[segment.local[i] * width + segment.local[j]];
       }
     }
   }
@@ -144,12 +154,13 @@ void Assembler::AddCameraDiagonal(const Terms& terms, int image, const double* b
 
 void Assembler::AddPair(const Terms& terms, int first, int second, const double* block,
                         double* values) const {
+  const int width = WidthOf(terms, second);
   for (int s = 0; s < images_[first].count; ++s) {
     for (int t = 0; t < images_[second].count; ++t) {
       const Segment &a = images_[first].of[s], &b = images_[second].of[t];
       const int64_t entry = Entry(std::min(a.block, b.block), std::max(a.block, b.block));
       for (int i = 0; i < a.size; ++i) {
-        const double* const row = block + a.local[i] * terms.num_columns;
+        const double* const row = block + a.local[i] * width;
         if (a.block < b.block) {
           AddColumn(b, row, values + structure_.ValueIndex(a.block, entry, 0, i));
           continue;

@@ -2,7 +2,7 @@
 
 /// Back-substitution, and what a step leads to; kernels_impl.h says how to include this.
 ///
-/// Given the step d of the cameras, u_i = A_i d (eliminate_chunk.h) needs no A_i but a directional
+/// Given the step d of the cameras, u_i = A_i d (eliminate_point.h) needs no A_i but a directional
 /// derivative, and
 ///
 ///   dX = -V'^-1 (g + sum of B_i^T u_i).

@@ -17,6 +17,7 @@ struct ModelGroup {
   /// Columns on the camera side that any image of the group refines, as in ParameterLayout.
   int num_columns = 0;
   int8_t columns[kPoseSize + kMaxCameraParams] = {};
+  int num_quads = 1;  ///< of a row of its Jacobian records: num_columns in whole quads
 };
 
 /// Of D^2 (minimize/least_squares.h): Ceres' defaults.
@@ -27,10 +28,13 @@ struct Terms {
   const PointPlan* plan = nullptr;
   const ModelGroup* groups = nullptr;
   int num_groups = 0;
-  const uint8_t* image_group = nullptr;  ///< of each image
+  const uint8_t* image_group = nullptr;    ///< of each image
+  const uint8_t* image_columns = nullptr;  ///< of each image: num_columns of its group
+  const uint8_t* image_quads = nullptr;    ///< of each image: num_quads of its group
   const uint8_t* image_refined = nullptr;
   int num_rows = 0;     ///< the largest group's columns
-  int num_columns = 0;  ///< of a Jacobian record: num_rows, rounded up to a multiple of 4
+  int num_columns = 0;  ///< of the widest Jacobian record: num_rows in whole quads
+  bool mixed = false;   ///< the groups' widths differ: each block is as large as its images' groups
   Cheirality cheirality = Cheirality::kZero;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
@@ -54,9 +58,14 @@ struct StateRecords {
 
 /// What a chunk adds to the normal equations, in units of its images and blocks.
 struct ChunkSum {
-  double* blocks = nullptr;  ///< num_blocks x num_rows x num_columns, rows of the first image
+  /// num_blocks x num_rows x num_columns, rows of the first image. Where widths are mixed, block b
+  /// begins at block_begin[b] and is as large as its images: rows of the group of the first, width
+  /// of that of the second.
+  double* blocks = nullptr;
+  const int64_t* block_begin = nullptr;
   static constexpr int kVectors = 3;
-  /// num_images x kVectors x num_columns: J_c^T r, reduced right side, ||J e_j||^2.
+  /// Room for num_images x kVectors x num_columns: J_c^T r, reduced right side, ||J e_j||^2, each
+  /// as wide as the image's group. So are the rows of camera_diagonal.
   double* vectors = nullptr;
   double* camera_diagonal = nullptr;  ///< num_images x num_rows x num_columns; nullptr: not wanted
   double cost = 0;

@@ -3,7 +3,7 @@
 /// The passes of kernels.h, for one instruction set. Compiled by kernels_*.cpp, each of which
 /// defines BUNDLE_ISA, the name of the namespace, and BUNDLE_LANES, the doubles of a register.
 ///
-///   eliminate_chunk.h   linearises and eliminates
+///   eliminate_chunk.h   linearises and eliminates,   eliminate_point.h   what a point adds
 ///   back_substitute.h   substitutes back and evaluates what follows
 ///   point_block.h       the 3x3 blocks of points
 ///   strip.h             the walk through a chunk, and residuals several at a time
@@ -19,7 +19,7 @@
 namespace bundle::fused::BUNDLE_ISA {
 
 inline int64_t MemoryDoubles(const Terms& terms) {
-  const int record = 2 * terms.num_columns + kRecordTail;
+  const int record = kRecordHead + 2 * terms.num_columns;
   return (kStripObservations + terms.longest_track) *
          static_cast<int64_t>(record > kStepRecord ? record : kStepRecord);
 }

@@ -17,6 +17,24 @@ uint32_t ColumnBits(const ParameterLayout& layout, int block) {
 
 }  // namespace
 
+bool ModelGroups::mixed() const {
+  for (const ModelGroup& group : groups) {
+    if (4 * group.num_quads != num_columns()) return true;
+  }
+  return false;
+}
+
+int ModelGroups::block_size() const {
+  if (!mixed()) return num_rows * num_columns();
+  int64_t rows = 0, columns = 0;
+  for (size_t i = 0; i < image_group.size(); ++i) {
+    rows += image_columns[i];
+    columns += 4 * image_quads[i];
+  }
+  const auto images = static_cast<int64_t>(image_group.size());
+  return static_cast<int>(std::max<int64_t>(1, rows * columns / (images * images)));
+}
+
 ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layout) {
   ModelGroups result;
   std::vector<int> group_of_model(kNumCameraModels, -1);
@@ -48,7 +66,12 @@ ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layou
     for (int8_t j = 0; j < kPoseSize + kMaxCameraParams; ++j) {
       if (bits[g] >> j & 1u) group.columns[group.num_columns++] = j;
     }
+    group.num_quads = std::max(1, (group.num_columns + 3) / 4);
     result.num_rows = std::max(result.num_rows, group.num_columns);
+  }
+  for (const uint8_t g : result.image_group) {
+    result.image_columns.push_back(static_cast<uint8_t>(result.groups[g].num_columns));
+    result.image_quads.push_back(static_cast<uint8_t>(result.groups[g].num_quads));
   }
   return result;
 }

@@ -18,20 +18,38 @@ OrderedSums::OrderedSums(const Terms& terms, const ReducedStructure& structure,
       waiting_(num_threads),
       last_added_(num_images) {
   // All memory now, so that no pass ends half way.
-  size_t images = 0, blocks = 0;
+  size_t images = 0, blocks = 0, mixed_doubles = 0;
+  std::vector<int64_t> block_begin;
   for (const Chunk& chunk : terms.plan->chunks) {
     images = std::max(images, chunk.images.size());
     blocks = std::max<size_t>(blocks, chunk.num_blocks());
+    if (terms.mixed) {
+      mixed_doubles = std::max<size_t>(mixed_doubles, PlaceBlocks(chunk, &block_begin));
+    }
   }
   const size_t block_size = static_cast<size_t>(terms.num_rows) * terms.num_columns;
   for (Waiting& waiting : waiting_) {
     for (Buffer& buffer : waiting.buffers) {
-      buffer.blocks.reserve(blocks * block_size);
+      buffer.blocks.reserve(terms.mixed ? mixed_doubles : blocks * block_size);
+      if (terms.mixed) buffer.block_begin.reserve(blocks);
       buffer.vectors.reserve(images * ChunkSum::kVectors * terms.num_columns);
       if (wants_camera_diagonal) buffer.camera_diagonal.reserve(images * block_size);
     }
   }
   MakeSystem();
+}
+
+int64_t OrderedSums::PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const {
+  int64_t end = 0;
+  block_begin->clear();
+  const auto place = [&](size_t first, size_t second) {
+    block_begin->push_back(end);
+    end += int64_t{4} * terms_.image_columns[chunk.images[first]] *
+           terms_.image_quads[chunk.images[second]];
+  };
+  for (size_t i = 0; i < chunk.images.size(); ++i) place(i, i);
+  for (const Chunk::Pair& pair : chunk.pairs) place(pair.first, pair.second);
+  return end;
 }
 
 void OrderedSums::MakeSystem() {
@@ -73,10 +91,15 @@ ChunkSum& OrderedSums::Begin(int chunk, int thread) {
   const Chunk& what = terms_.plan->chunks[chunk];
   const size_t images = what.images.size();
   const size_t block_size = static_cast<size_t>(terms_.num_rows) * terms_.num_columns;
-  buffer.blocks.assign(what.num_blocks() * block_size, 0.0);
+  if (terms_.mixed) {
+    buffer.blocks.assign(PlaceBlocks(what, &buffer.block_begin), 0.0);
+  } else {
+    buffer.blocks.assign(what.num_blocks() * block_size, 0.0);
+  }
   buffer.vectors.assign(images * ChunkSum::kVectors * terms_.num_columns, 0.0);
   buffer.sum = {};
   buffer.sum.blocks = buffer.blocks.data();
+  buffer.sum.block_begin = buffer.block_begin.data();
   buffer.sum.vectors = buffer.vectors.data();
   if (wants_camera_diagonal_) {
     buffer.camera_diagonal.assign(images * block_size, 0.0);

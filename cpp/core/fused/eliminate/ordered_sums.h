@@ -45,6 +45,7 @@ class OrderedSums {
  private:
   struct Buffer {
     std::vector<double> blocks, vectors, camera_diagonal;
+    std::vector<int64_t> block_begin;  ///< ChunkSum::block_begin
     ChunkSum sum;
     int chunk = -1;
   };
@@ -66,6 +67,9 @@ class OrderedSums {
       --count;
     }
   };
+
+  /// Where a chunk's blocks begin, and how many doubles they are, where widths are mixed.
+  int64_t PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const;
 
   void MakeSystem();
   void AddOldest(Waiting* waiting);

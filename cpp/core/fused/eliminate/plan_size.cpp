@@ -16,7 +16,6 @@ PlanSize MeasurePlan(const ProblemView& problem, const ParameterLayout& layout) 
   size.num_free_points = plan.num_free_points;
   size.num_observations = plan.num_observations();
   size.num_pairs = static_cast<int64_t>(plan.pair_block.size());
-  size.num_chunks = static_cast<int64_t>(plan.chunks.size());
   for (const Chunk& chunk : plan.chunks) {
     size.num_chunk_pairs += static_cast<int64_t>(chunk.pairs.size());
     size.num_chunk_images += static_cast<int64_t>(chunk.images.size());

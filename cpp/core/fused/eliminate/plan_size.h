@@ -15,7 +15,6 @@ struct PlanSize {
   int64_t num_observations = 0;
   /// Pairs of observations of a free point, both of images with something to refine.
   int64_t num_pairs = 0;
-  int64_t num_chunks = 0;
   /// Sums over the chunks: pairs of images that are added to S, and images with their diagonal
   /// blocks.
   int64_t num_chunk_pairs = 0;

@@ -15,10 +15,11 @@
 namespace bundle::fused::BUNDLE_ISA {
 
 /// Residual (2) and, unless nullptr, its derivatives by the point in the camera (2x3) and the
-/// parameters (2 x number of them). Says which lanes count; outputs of the others are zero.
+/// parameters (2 x number of them), of lanes [0, num_lanes); others may be skipped, but are
+/// numbers. Says which lanes count; outputs of the others are zero.
 using ProjectLanes = void (*)(const CameraModel& model, const Pack* params, const Pack* point,
                               const Pack* measurement, Cheirality cheirality, Pack* residual,
-                              Pack* d_point, Pack* d_params, Mask* counts);
+                              Pack* d_point, Pack* d_params, Mask* counts, int num_lanes);
 
 inline void ZeroUncounted(const Mask& counts, Pack* values, int size) {
   for (int i = 0; i < size; ++i) values[i] = Select(counts, values[i], 0.0);
@@ -48,7 +49,7 @@ struct PerspectiveLanes {
 template <typename Model>
 void ProjectPerspective(const CameraModel&, const Pack* params, const Pack* point,
                         const Pack* measurement, Cheirality cheirality, Pack* residual,
-                        Pack* d_point, Pack* d_params, Mask* counts) {
+                        Pack* d_point, Pack* d_params, Mask* counts, int) {
   using Distortion = typename Model::Distortion;
   const PerspectiveLanes rays(point, cheirality);
   Pack uv[2], d_uv[4], d_k[2 * Distortion::kNumParams + 1], xy[2];
@@ -71,15 +72,21 @@ void ProjectPerspective(const CameraModel&, const Pack* params, const Pack* poin
 
 inline void ProjectLaneByLane(const CameraModel& model, const Pack* params, const Pack* point,
                               const Pack* measurement, Cheirality cheirality, Pack* residual,
-                              Pack* d_point, Pack* d_params, Mask* lanes_count) {
+                              Pack* d_point, Pack* d_params, Mask* lanes_count, int num_lanes) {
   const int count = model.num_params;
-  for (int lane = 0; lane < kLanes; ++lane) {
+  const bool derive = d_point != nullptr;
+  if (num_lanes < kLanes) {
+    for (int i = 0; i < 2; ++i) residual[i] = 0.0;
+    for (int i = 0; i < 6 && derive; ++i) d_point[i] = 0.0;
+    for (int i = 0; i < 2 * count && derive; ++i) d_params[i] = 0.0;
+    for (int lane = num_lanes; lane < kLanes; ++lane) lanes_count->bits[lane] = -1;
+  }
+  for (int lane = 0; lane < num_lanes; ++lane) {
     double theta[kMaxCameraParams], p[3], xy[2], m[2], r[2] = {};
     double by_point[6] = {}, by_params[2 * kMaxCameraParams] = {};
     for (int i = 0; i < count; ++i) theta[i] = params[i].v[lane];
     for (int i = 0; i < 3; ++i) p[i] = point[i].v[lane];
     for (int i = 0; i < 2; ++i) m[i] = measurement[i].v[lane];
-    const bool derive = d_point != nullptr;
     const Projection projection =
         model.project(theta, p, xy, derive ? by_point : nullptr, derive ? by_params : nullptr);
     const bool counts = projection == Projection::kValid ||

@@ -215,9 +215,12 @@ class SchurProblem::Impl {
     terms.groups = groups_.groups.data();
     terms.num_groups = static_cast<int>(groups_.groups.size());
     terms.image_group = groups_.image_group.data();
+    terms.image_columns = groups_.image_columns.data();
+    terms.image_quads = groups_.image_quads.data();
     terms.image_refined = groups_.image_refined.data();
     terms.num_columns = groups_.num_columns();
     terms.num_rows = groups_.num_rows;
+    terms.mixed = groups_.mixed();
     terms.cheirality = options.cheirality;
     terms.loss = options.loss;
     terms.loss_scale = options.loss_scale;

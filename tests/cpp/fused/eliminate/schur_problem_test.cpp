@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <string>
 #include <vector>
 
 #include "core/interruption.h"
@@ -129,6 +130,39 @@ TEST(SchurProblem, UglyScenes) {
       }
     }
     ++index;
+  }
+}
+
+/// Jacobian rows of 1 to 6 quads, of which two models share one: points that images of one width
+/// see, and others.
+TEST(SchurProblem, MixedWidths) {
+  const std::vector<std::string> models = {"SIMPLE_RADIAL", "RAD_TAN_THIN_PRISM_FISHEYE",
+                                           "SIMPLE_PINHOLE", "FULL_OPENCV", "OPENCV"};
+  SceneOptions scene_options;
+  scene_options.num_images = 11;
+  scene_options.num_points = 40;
+  scene_options.track_length = 3;
+  for (const int images_per_camera : {1, 2}) {
+    scene_options.images_per_camera = images_per_camera;
+    Scene scene = MakeScene(scene_options);
+    testing::SetModels(models, &scene);
+    testing::RepeatObservations(7, &scene);
+    for (int bits = 0; bits < 8; ++bits) {
+      SCOPED_TRACE(::testing::Message() << images_per_camera << ", " << bits);
+      SolveOptions options = Options();
+      options.loss = LossType::kCauchy;
+      options.refine_poses = bits & 1;
+      options.refine_principal_point = bits & 2;
+      if (bits & 4) {
+        options.fixed_image_ids.push_back(scene.image_ids[3]);
+        options.fixed_camera_ids.push_back(scene.camera_ids[1]);
+        options.fixed_point_ids.assign(scene.point_ids.begin(), scene.point_ids.begin() + 9);
+      }
+      Comparison comparison(scene, options, bits % 3 != 0);
+      comparison.Check(1e-2);
+      comparison.Step();
+      comparison.Check(1);
+    }
   }
 }
 

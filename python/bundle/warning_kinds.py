@@ -1,0 +1,30 @@
+"""The kinds of warning that a solve gives, as ``Summary.warning_kinds`` and JSON name them.
+
+Sentences are for people and may change; these names do not.
+"""
+
+from __future__ import annotations
+
+__all__ = ["WARNING_KINDS"]
+
+WARNING_KINDS = {
+    "gauge_not_held": "the problem has too little to hold the gauge that was asked for",
+    "points_seen_once": "free points with one observation have no depth of their own",
+    "far_origin": "the scene is far from its origin and was solved about its centre",
+    "far_points": "free points lie more than 1000 times the size of the scene away",
+    "single_thread": "a deterministic solve with Ceres ran on one thread",
+    "preconditioner_not_used": "a direct solver has no use for the preconditioner",
+    "ordering_not_used": "the linear solver has no use for the elimination ordering",
+    "ordering_replaced": "nothing of the ordering's first group is refined: Ceres chose its own",
+    "solver_replaced": "Ceres used another linear solver than it was given",
+    "preconditioner_replaced": "Ceres used another preconditioner than it was given",
+    "factor_larger_than_predicted": "the factor has more than 1.5 times the predicted entries",
+    "residual_not_finite": "a squared residual is infinite at the start",
+    "suspicious_steps": "the iterations look like those of a wrong Jacobian",
+    "suspicious_jacobian": "analytic derivatives differ from differences at the end",
+    "invalid_solution": "the solution is no reconstruction and was discarded",
+    "observations_behind": "more observations are behind their cameras than at the start",
+    "too_many_behind": "more than 1 % of the observations went behind: not usable",
+    "observations_left_out": "observations that were behind before are in front at the end",
+}
+"""Each kind with what it means."""
