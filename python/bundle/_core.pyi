@@ -76,6 +76,23 @@ def check_colmap_model(
     NDArray[np.float64],
 ]: ...
 
+class ColmapModel:
+    @property
+    def is_binary(self) -> bool: ...
+    @property
+    def names_with_spaces(self) -> dict[int, str]: ...
+    def files(self) -> dict[str, bytes]: ...
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        cam_from_world: NDArray[np.float64],
+        camera_params: NDArray[np.float64],
+        points: NDArray[np.float64],
+        point_errors: NDArray[np.float64],
+    ) -> None: ...
+
+def read_colmap_model(folder: str | bytes) -> tuple[ColmapModel, dict[str, Any]]: ...
+
 # bind_losses.cpp
 def evaluate_loss(
     loss: str, scale: float, squared_norms: NDArray[np.float64]

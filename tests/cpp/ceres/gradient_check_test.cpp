@@ -46,6 +46,28 @@ TEST(DifferentiateByRichardson, KnowsTheRoundingOfWhatAResidualIsTheDifferenceOf
   EXPECT_LT(largest_bound, 1e-6);
 }
 
+/// Its rounding is that of the residual itself: the last digits of the parameter move nothing.
+class FarFromZero final : public ceres::SizedCostFunction<1, 1> {
+ public:
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** /*jacobians*/) const override {
+    residuals[0] = 1e6 + std::sin(parameters[0][0]);
+    return true;
+  }
+};
+
+TEST(DifferentiateByRichardson, KnowsTheRoundingOfALargeResidual) {
+  double largest_bound = 0;
+  for (int k = 0; k < 500; ++k) {
+    const double x = 0.3 + 0.002 * k;
+    const ReferenceJacobians found = DifferentiateByRichardson(FarFromZero(), {nullptr}, {&x});
+    const double error = std::abs(found.ambient.values[0] - std::cos(x));
+    EXPECT_LE(error, found.ambient.uncertainty[0]) << x;
+    largest_bound = std::max(largest_bound, found.ambient.uncertainty[0]);
+  }
+  EXPECT_LT(largest_bound, 1e-6);
+}
+
 /// x y z, whose derivatives by one parameter need the others where they are.
 class Product final : public ceres::SizedCostFunction<1, 3> {
  public:

@@ -60,5 +60,55 @@ TEST(Richardson, TheBoundHolds) {
   EXPECT_LE(num_exceeded, 3);
 }
 
+/// s(h) = h - a h^3 is the same at two scales here, at 1 and 1/64, and falls from there on.
+TEST(Richardson, SlopesThatDifferAlikeAtTwoScalesAreNoKink) {
+  const double a = 1 - 1.0 / 64;
+  const auto f = [a](double x) { return x + x * x * (1 - a * x * x); };
+  const Found found = Differentiate(f, 1, 1e-16);
+  EXPECT_NEAR(found.derivative, 1, 1e-12);
+  EXPECT_LT(found.uncertainty, 1e-10);
+}
+
+/// Even where the curvature hides some of the kink at every step that is taken.
+TEST(Richardson, AtAKinkTheBoundReachesTheSlopesOfBothSides) {
+  for (const double curvature : {0.0, -0.5, -5.0}) {
+    const auto f = [curvature](double x) { return 2 * x + std::abs(x) + curvature * x * x; };
+    const Found found = Differentiate(f, 1, 1e-16);
+    EXPECT_GE(found.derivative + found.uncertainty, 3) << curvature;
+    EXPECT_LE(found.derivative - found.uncertainty, 1) << curvature;
+    EXPECT_LT(found.uncertainty, 1.2) << curvature;
+  }
+}
+
+/// Large steps settle on the slope 3, the smallest on 3 + 1e-7 with a wider bound.
+TEST(Richardson, SmallerStepsOverruleLargerOnesThatWentAcrossSomething) {
+  const auto f = [](double x) { return 3 * x + 1e-12 * std::tanh(x / 1e-5); };
+  const Found found = Differentiate(f, 1.0 / 8, 1e-17);
+  EXPECT_NEAR(found.derivative, 3 + 1e-7, found.uncertainty);
+  EXPECT_LT(found.uncertainty, 2e-8);
+}
+
+/// Here f has no value between 0.2 and 0.6, and is another function beyond.
+TEST(Richardson, WhatLiesBeyondAGapTellsNothing) {
+  const auto f = [](double x) {
+    if (std::abs(x) > 0.6) return 1e8 * x;
+    return std::abs(x) > 0.2 ? NAN : 3 * x + 1e-12 * std::tanh(x / 1e-5);
+  };
+  const Found found = Differentiate(f, 1, 1e-20);
+  EXPECT_NEAR(found.derivative, 3 + 1e-7, found.uncertainty);
+  EXPECT_LT(found.uncertainty, 2e-8);
+}
+
+/// Differences at the steps that confirm a result are mostly rounding.
+TEST(Richardson, RoundingAtSmallStepsIsNoDoubt) {
+  const auto f = [](double x) {
+    const volatile double sum = 1e6 + std::sin(x + 1);
+    return sum - 1e6;
+  };
+  const Found found = Differentiate(f, 1, 1.2e-10);
+  EXPECT_NEAR(found.derivative, std::cos(1), found.uncertainty);
+  EXPECT_LT(found.uncertainty, 1e-8);
+}
+
 }  // namespace
 }  // namespace bundle
