@@ -181,6 +181,27 @@ def test_what_a_function_raises_comes_out_of_the_solve(call):
     assert len(calls) == call  # and no call after it
 
 
+@pytest.mark.parametrize("call", range(9, 16))
+def test_ctrl_c_in_a_function_keeps_the_best_state(call):
+    calls = []
+
+    def function(values):
+        calls.append(None)
+        if len(calls) == call:
+            raise KeyboardInterrupt
+        x, y = values[0]
+        return [10 * (y - x * x), 1 - x], [[[-20 * x, 10], [-1, 0]]]
+
+    graph = bundle.FactorGraph()
+    graph.add_variable("a", [-1.2, 1.0])
+    graph.add_factor(bundle.FunctionFactor(["a"], function))
+    result = graph.solve()
+    assert result.summary.interrupted and len(calls) == call
+    kept = graph.with_values(result.values).cost()
+    assert kept == pytest.approx(result.summary.final_cost, rel=1e-12)
+    assert kept < result.summary.initial_cost
+
+
 def test_bounds_and_fixed_coordinates_hold():
     graph = bundle.FactorGraph()
     graph.add_variable("x", [0.5, 0.5, 0.5], lower=0, upper=[1, 1, np.inf], fixed=[1])

@@ -25,6 +25,24 @@ namespace {
 constexpr int kMostDenseColumns = 100;
 constexpr double kMostDenseEntries = 1e6;
 
+/// Keeps the values of the last accepted step: Ceres gives the start back where it fails, as it
+/// does where a Jacobian cannot be evaluated because the user wants the solve to end.
+class KeepBestState final : public ceres::IterationCallback {
+ public:
+  explicit KeepBestState(const CeresGraph& graph) : graph_(graph), values_(graph.values()) {}
+
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
+    if (iteration.step_is_successful) values_ = graph_.values();
+    return ceres::SOLVER_CONTINUE;
+  }
+
+  const std::vector<std::vector<double>>& values() const { return values_; }
+
+ private:
+  const CeresGraph& graph_;
+  std::vector<std::vector<double>> values_;
+};
+
 struct Shape {
   int num_columns = 0;
   int num_rows = 0;
@@ -96,7 +114,9 @@ GraphOutput SolveGraph(const FactorGraph& graph, const SolveOptions& given,
   CeresGraph adapted(graph, /*all_free=*/false);
   const bool one_thread = options.deterministic || !adapted.IsThreadSafe();
   ceres_options.num_threads = one_thread ? 1 : CountStartableThreads(ceres_options.num_threads);
-  ceres_options.update_state_every_iteration = true;  // the best state, however the solve ends
+  ceres_options.update_state_every_iteration = true;
+  KeepBestState best(adapted);
+  ceres_options.callbacks.push_back(&best);
   ReportProgress report(progress, 0, adapted.abandoned());
   ceres_options.callbacks.push_back(&report);
 
@@ -113,7 +133,7 @@ GraphOutput SolveGraph(const FactorGraph& graph, const SolveOptions& given,
 
   GraphOutput output;
   output.solve_time_in_seconds = solve_time.seconds();
-  output.values = adapted.values();
+  output.values = abandoned ? best.values() : adapted.values();
   output.summary = Summarize(summary, 0);
   output.summary.interrupted = abandoned || report.interrupted();
   output.summary.backend_given = UpperName(given.backend, kBackends);
