@@ -120,7 +120,8 @@ def _tight(results: Results) -> str:
 
 
 def _whole_table(results: Results) -> str:
-    header = ["problem", f"`{whole.OURS}`", "pycolmap, wall time", "pycolmap, peak memory"]
+    header = ["problem", f"`{whole.OURS}`", "pycolmap, wall time", "pycolmap, CPU time"]
+    header.append("pycolmap, peak memory")
     lines = [_whole_line(problem, processes) for problem, processes in results.whole.items()]
     return table.grid([*header, "pycolmap, final cost - 1"], lines) if lines else ""
 
@@ -129,7 +130,7 @@ def _whole_line(problem: str, processes: dict[str, list[dict[str, Any]]]) -> lis
     ours, theirs = processes[whole.OURS], processes[whole.THEIRS]
     failures = [run["failure"] for run in ours + theirs if run["failure"]]
     if failures:
-        return [problem, f"no result: {failures[0]}", "", "", ""]
+        return [problem, f"no result: {failures[0]}", "", "", "", ""]
     (our_wall, our_memory), (their_wall, their_memory) = (
         whole.spreads(ours),
         whole.spreads(theirs),
@@ -138,6 +139,7 @@ def _whole_line(problem: str, processes: dict[str, list[dict[str, Any]]]) -> lis
         problem,
         table.seconds(our_wall.median) if our_wall else "",
         table.ratio(their_wall, our_wall),
+        table.ratio(whole.cpu(theirs), whole.cpu(ours)),
         table.ratio(their_memory, our_memory, table.megabytes),
         f"{theirs[-1]['final_cost'] / ours[-1]['final_cost'] - 1.0:+.0e}",
     ]

@@ -30,10 +30,15 @@ class Child:
 
 
 def environment(root: Path, threads: int) -> dict[str, str]:
-    """Return the environment of every child: same threads, ``benchmarks`` importable."""
+    """Return the environment of every child: same threads, ``benchmarks`` importable.
+
+    Modules keep their bytecode, as those of an installed package do: pip compiles pycolmap's, and
+    would compile ours.
+    """
     paths = [str(root), os.environ.get("PYTHONPATH", "")]
+    inherited = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     return {
-        **os.environ,
+        **inherited,
         **{name: str(threads) for name in _THREAD_VARIABLES},
         "PYTHONPATH": os.pathsep.join(path for path in paths if path),
     }

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from benchmarks import agreement, scaling, table, whole
 from benchmarks.measure import Spread
@@ -50,6 +51,7 @@ def of(results: Results) -> list[Target]:
     return [
         *_main_problem(results),
         *_other_real(results),
+        *_whole_models(results),
         *_large_synthetic(results),
         *_growth(results),
         *_choice(results),
@@ -117,6 +119,30 @@ def _other_real(results: Results) -> list[Target]:
         for what, of, limit in (("time per step", _step, 6.0), ("total", _total, 5.0))
         if names
     ]
+
+
+def _whole_models(results: Results) -> list[Target]:
+    """Return the targets of whole processes on COLMAP models, most of whose time is the start."""
+    names = [name for name in results.problems("colmap") if name in results.whole]
+    if not names:
+        return []
+    pairs = [(results.whole[name][whole.OURS], results.whole[name][whole.THEIRS]) for name in names]
+    return [
+        _extreme(
+            f"whole process on a COLMAP model, {what}: ours / pycolmap's, most of",
+            [
+                (name, quotient(of(ours), of(theirs)))
+                for name, (ours, theirs) in zip(names, pairs, strict=True)
+            ],
+            1.0,
+            is_least=False,
+        )
+        for what, of in (("wall time", _wall), ("CPU time", whole.cpu))
+    ]
+
+
+def _wall(runs: Sequence[Mapping[str, Any]]) -> Spread | None:
+    return whole.spreads(runs)[0]
 
 
 def _large_synthetic(results: Results) -> list[Target]:

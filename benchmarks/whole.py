@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.measure import Spread, run_child
-from benchmarks.problems import BenchmarkProblem
+from benchmarks.problems import ROOT, BenchmarkProblem
 
 OURS, THEIRS = "bundle refine", "pycolmap script"
 # What the installed command runs, without asking where it is installed.
@@ -44,7 +44,10 @@ def jobs(
         str(ours),
         "--quiet",
     ]
-    script = [sys.executable, "-m", "benchmarks.runners.pycolmap_process"]
+    if problem.kind == "bal":
+        script = [sys.executable, "-m", "benchmarks.runners.pycolmap_process"]
+    else:
+        script = [sys.executable, str(ROOT / "benchmarks" / "runners" / "pycolmap_model.py")]
     return {
         OURS: Job([*refine, "--threads", str(threads), *rule], ours),
         THEIRS: Job([*script, str(problem.path), str(theirs), str(threads), *values], theirs),
@@ -74,6 +77,11 @@ def final_cost(path: Path, kind: str) -> float:
     import pycolmap
 
     return colmap.cost(pycolmap.Reconstruction(path))
+
+
+def cpu(runs: Sequence[Mapping[str, Any]]) -> Spread | None:
+    """Return CPU seconds over the repeats, None if one failed; a busy machine matters less."""
+    return Spread.of(None if run["failure"] else run["cpu"] for run in runs)
 
 
 def spreads(runs: Sequence[Mapping[str, Any]]) -> tuple[Spread | None, Spread | None]:

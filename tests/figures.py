@@ -20,6 +20,15 @@ def warning(summary: Summary, kind: str) -> str:
     return summary.warnings[summary.warning_kinds.index(kind)]
 
 
+def in_order(text: str, *tokens: str) -> bool:
+    """Whether names and numbers stand in a text one after the other, as whole words."""
+    gap = r"(?![\w-])(?!\.\d).*?(?<![\w.-])"
+    return (
+        re.search(r"(?<![\w.-])" + gap.join(map(re.escape, tokens)) + r"(?![\w-])", text)
+        is not None
+    )
+
+
 def table(text: str) -> dict[str, list[str]]:
     """First column to the others, of a table whose columns are two blanks apart."""
     cells = (re.split(r" {2,}", line.strip()) for line in text.splitlines() if line.strip())

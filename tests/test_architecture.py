@@ -25,7 +25,20 @@ CORE_MAY_INCLUDE = {
     "io": {"problem", "cameras", "geometry"},
     "symbolic": set(),
     "solve": {"symbolic", "problem", "residuals", "cameras", "geometry"},
-    "ceres": {"solve", "symbolic", "problem", "residuals", "cameras", "geometry"},
+    "model": {"geometry"},
+    "factors": {"model", "solve", "residuals", "cameras", "geometry"},
+    "graph": {"factors", "model"},
+    "ceres": {
+        "graph",
+        "factors",
+        "model",
+        "solve",
+        "symbolic",
+        "problem",
+        "residuals",
+        "cameras",
+        "geometry",
+    },
     "fused": {"solve", "symbolic", "problem", "residuals", "cameras", "geometry"},
     "backend": {"ceres", "fused", "solve", "symbolic", "problem"},
 }
@@ -41,7 +54,17 @@ PYTHON_MAY_IMPORT = {
     "losses": {"_core", "arguments", "errors", "option_fields", "options"},
     "cameras": {"_core", "arguments", "errors", "option_fields"},
     "arrays": {"_core", "arguments", "errors"},
-    "problem": {"_core", "arrays", "cameras", "display", "errors", "option_fields", "words"},
+    "deferred_source": {"_core", "address_space", "errors"},
+    "problem": {
+        "_core",
+        "arrays",
+        "cameras",
+        "deferred_source",
+        "display",
+        "errors",
+        "option_fields",
+        "words",
+    },
     "warning_kinds": set(),
     "words": set(),
     "components": set(),
@@ -63,7 +86,16 @@ PYTHON_MAY_IMPORT = {
         "worst_images",
     },
     "camera_changes": {"cameras", "result"},
-    "io": {"_core", "address_space", "arguments", "cameras", "errors", "option_fields", "problem"},
+    "io": {
+        "_core",
+        "address_space",
+        "arguments",
+        "cameras",
+        "deferred_source",
+        "errors",
+        "option_fields",
+        "problem",
+    },
     "statistics": {
         "components",
         "cameras",
@@ -108,6 +140,21 @@ PYTHON_MAY_IMPORT = {
         "problem",
         "reprojection",
         "tables",
+        "words",
+    },
+    "graph": {
+        "_core",
+        "arguments",
+        "arrays",
+        "cameras",
+        "checking",
+        "display",
+        "errors",
+        "option_fields",
+        "options",
+        "solver",
+        "summary",
+        "termination",
         "words",
     },
     "compare_defaults": {"memory_sizes"},
@@ -193,13 +240,13 @@ PYTHON_MAY_IMPORT["__main__"] = {"address_space", "cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.
-DEFERRED_IMPORTS = {"problem": {"io"}, "synthetic": {"io"}}
+DEFERRED_IMPORTS = {"deferred_source": {"io"}, "problem": {"io"}, "synthetic": {"io"}}
 
 # Other people's packages that only some of ours may know.
 OUTSIDERS = {
     "argparse": {"cli"},
     "rich": {"checking", "cli", "report", "summary", "tables"},
-    "pycolmap": {"io", "problem"},
+    "pycolmap": {"deferred_source", "io", "problem"},
     "matplotlib": {"pictures"},
 }
 

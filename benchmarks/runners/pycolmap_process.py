@@ -1,15 +1,13 @@
-"""What `bundle refine INPUT -o OUTPUT` does, written against pycolmap by someone who knows both.
+"""`bundle refine FILE -o OUTPUT` for BAL files, written against pycolmap by who knows both.
 
-Arguments: INPUT (BAL file or COLMAP folder), OUTPUT (of the same format), then threads, iterations
-and the three tolerances. Prints nothing.
+Arguments: INPUT and OUTPUT (BAL files), then threads, iterations and the three tolerances. Prints
+nothing. `pycolmap_model` is the same for COLMAP models.
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-
-import pycolmap
 
 from benchmarks import bal
 from benchmarks.runners import protocol, pycolmap_
@@ -20,7 +18,7 @@ def main() -> None:
     path, output = Path(sys.argv[1]), Path(sys.argv[2])
     request = protocol.Request(
         path=path,
-        kind="colmap" if path.is_dir() else "bal",
+        kind="bal",
         solver="auto",
         backend="",
         memory_limit=0,
@@ -32,17 +30,10 @@ def main() -> None:
     )
     protocol.pin(request.threads)
     chosen = pycolmap_.options(request)
-    if request.kind == "colmap":
-        reconstruction = pycolmap.Reconstruction(path)
-        pycolmap_.adjuster(reconstruction, chosen, "TWO_CAMS_FROM_WORLD").solve()
-        reconstruction.update_point_3d_errors()
-        output.mkdir()
-        reconstruction.write_binary(output)
-    else:
-        problem = bal.read(path)
-        reconstruction = pycolmap_.to_reconstruction(problem)
-        pycolmap_.adjuster(reconstruction, chosen, "UNSPECIFIED").solve()
-        bal.write(pycolmap_.to_bal(reconstruction, problem), output)
+    problem = bal.read(path)
+    reconstruction = pycolmap_.to_reconstruction(problem)
+    pycolmap_.adjuster(reconstruction, chosen, "UNSPECIFIED").solve()
+    bal.write(pycolmap_.to_bal(reconstruction, problem), output)
 
 
 if __name__ == "__main__":

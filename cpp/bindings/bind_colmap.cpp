@@ -1,18 +1,27 @@
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
+#include <pybind11/stl/filesystem.h>
 
+#include <algorithm>
+#include <cerrno>
+#include <filesystem>
 #include <string>
+#include <system_error>
 #include <utility>
 #include <vector>
 
 #include "bindings/immutable_array.h"
+#include "core/error.h"
 #include "core/io/colmap_checker.h"
+#include "core/io/colmap_writer.h"
 
 namespace py = pybind11;
 
 namespace bundle {
 namespace {
+
+using Numbers = py::array_t<double, py::array::c_style>;
 
 py::tuple CheckModel(const std::string& folder) {
   ColmapCheck check;
@@ -29,9 +38,166 @@ py::tuple CheckModel(const std::string& folder) {
                         ToImmutableNumpy(std::move(observations.xy), {size, 2}));
 }
 
+/// One number of each record in the order of the ids.
+template <typename T, typename Record, typename Get>
+py::array Column(const std::vector<Record>& records, const std::vector<size_t>& by_id, Get get) {
+  std::vector<T> column(records.size());
+  std::transform(by_id.begin(), by_id.end(), column.begin(),
+                 [&](size_t position) { return static_cast<T>(get(records[position])); });
+  const auto size = static_cast<py::ssize_t>(column.size());
+  return ToImmutableNumpy(std::move(column), {size});
+}
+
+template <typename Record>
+py::array Ids(const std::vector<Record>& records, const std::vector<size_t>& by_id) {
+  return Column<int64_t>(records, by_id, [](const Record& record) { return record.id; });
+}
+
+void PutCameras(const ColmapModel& model, py::dict* fields) {
+  const std::vector<ColmapIndex::Camera>& cameras = model.index.cameras;
+  const std::vector<size_t>& order = model.cameras_by_id;
+  size_t width = 0;
+  for (const auto& camera : cameras) {
+    width = std::max(width, static_cast<size_t>(camera.model->num_params));
+  }
+  std::vector<double> params(order.size() * width, 0.0);
+  std::vector<int64_t> sizes;
+  py::tuple models(order.size());
+  for (size_t row = 0; row < order.size(); ++row) {
+    const ColmapIndex::Camera& camera = cameras[order[row]];
+    std::copy_n(camera.params.begin(), camera.model->num_params,
+                params.begin() + static_cast<std::ptrdiff_t>(row * width));
+    sizes.insert(sizes.end(),
+                 {static_cast<int64_t>(camera.width), static_cast<int64_t>(camera.height)});
+    models[row] = py::str(camera.model->name);
+  }
+  const auto rows = static_cast<py::ssize_t>(order.size());
+  (*fields)["camera_ids"] = Ids(cameras, order);
+  (*fields)["camera_models"] = models;
+  (*fields)["camera_params"] =
+      ToImmutableNumpy(std::move(params), {rows, static_cast<py::ssize_t>(width)});
+  (*fields)["camera_sizes"] = ToImmutableNumpy(std::move(sizes), {rows, 2});
+}
+
+void PutImages(const ColmapModel& model, py::dict* fields) {
+  const std::vector<ColmapIndex::Image>& images = model.index.images;
+  const std::vector<size_t>& order = model.images_by_id;
+  std::vector<uint32_t> camera_ids;
+  for (const size_t c : model.cameras_by_id) camera_ids.push_back(model.index.cameras[c].id);
+  const auto camera_row = [&](const ColmapIndex::Image& image) {
+    return std::lower_bound(camera_ids.begin(), camera_ids.end(), image.camera_id) -
+           camera_ids.begin();
+  };
+  py::tuple names(order.size());
+  for (size_t row = 0; row < order.size(); ++row) names[row] = py::str(images[order[row]].name);
+  const auto rows = static_cast<py::ssize_t>(order.size());
+  (*fields)["cam_from_world"] = ToImmutableNumpy(model.CamFromWorld(), {rows, 7});
+  (*fields)["image_ids"] = Ids(images, order);
+  (*fields)["image_names"] = names;
+  (*fields)["image_camera"] = Column<int32_t>(images, order, camera_row);
+}
+
+void PutPoints(const ColmapModel& model, py::dict* fields) {
+  std::vector<double> points;
+  points.reserve(3 * model.points_by_id.size());
+  for (const size_t p : model.points_by_id) {
+    const auto& xyz = model.index.points[p].xyz;
+    points.insert(points.end(), xyz.begin(), xyz.end());
+  }
+  (*fields)["points"] =
+      ToImmutableNumpy(std::move(points), {static_cast<py::ssize_t>(model.points_by_id.size()), 3});
+  (*fields)["point_ids"] = Ids(model.index.points, model.points_by_id);
+}
+
+void PutObservations(ColmapObservations observations, py::dict* fields) {
+  const auto size = static_cast<py::ssize_t>(observations.image.size());
+  (*fields)["observation_image"] = ToImmutableNumpy(std::move(observations.image), {size});
+  (*fields)["observation_point"] = ToImmutableNumpy(std::move(observations.point), {size});
+  (*fields)["observation_keypoint"] = ToImmutableNumpy(std::move(observations.keypoint), {size});
+  (*fields)["observation_xy"] = ToImmutableNumpy(std::move(observations.xy), {size, 2});
+}
+
+/// The model, and the fields of a bundle.Problem by name.
+py::tuple ReadModel(const std::string& folder) {
+  auto model = std::make_unique<ColmapModel>();
+  {
+    const py::gil_scoped_release release;
+    *model = ReadColmapModel(folder);
+  }
+  py::dict fields;
+  PutCameras(*model, &fields);
+  PutImages(*model, &fields);
+  PutPoints(*model, &fields);
+  PutObservations(std::move(model->observations), &fields);
+  return py::make_tuple(std::move(model), fields);
+}
+
+void ExpectShape(const Numbers& array, const char* name, size_t rows, py::ssize_t width) {
+  const bool fits = array.ndim() == 2 && array.shape(0) == static_cast<py::ssize_t>(rows) &&
+                    (width < 0 || array.shape(1) == width);
+  if (!fits) {
+    throw InputError(std::string(name) + ": expected " + std::to_string(rows) + " rows of " +
+                     std::to_string(width) + " numbers");
+  }
+}
+
+[[noreturn]] void ThrowOsError(const std::system_error& error, const std::filesystem::path& path) {
+  const py::str name(py::cast(path));
+  errno = error.code().value();
+  PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, name.ptr());
+  throw py::error_already_set();
+}
+
+void WriteModel(const ColmapModel& model, const std::filesystem::path& folder,
+                const Numbers& cam_from_world, const Numbers& camera_params, const Numbers& points,
+                const Numbers& point_errors) {
+  ExpectShape(cam_from_world, "cam_from_world", model.images_by_id.size(), 7);
+  ExpectShape(camera_params, "camera_params", model.cameras_by_id.size(), -1);
+  ExpectShape(points, "points", model.points_by_id.size(), 3);
+  ExpectShape(point_errors, "point_errors", model.points_by_id.size(), 1);
+  for (const auto& camera : model.index.cameras) {
+    if (camera.model->num_params > camera_params.shape(1)) {
+      throw InputError("camera_params: expected at least " +
+                       std::to_string(camera.model->num_params) + " columns, found " +
+                       std::to_string(camera_params.shape(1)));
+    }
+  }
+  const ColmapValues values{cam_from_world.data(), camera_params.data(),
+                            static_cast<size_t>(camera_params.shape(1)), points.data(),
+                            point_errors.data()};
+  try {
+    const py::gil_scoped_release release;
+    WriteColmapModel(model, values, folder);
+  } catch (const std::system_error& error) {
+    ThrowOsError(error, folder);
+  }
+}
+
+/// The files by name, as they were read.
+py::dict Files(const ColmapModel& model) {
+  const ColmapIndex& index = model.index;
+  py::dict files;
+  for (const ModelFile* file : {&index.rigs_file, &index.cameras_file, &index.frames_file,
+                                &index.images_file, &index.points_file}) {
+    if (file->path().empty()) continue;
+    const std::string name = std::filesystem::path(file->path()).filename().string();
+    files[py::str(name)] = py::bytes(file->contents().data(), file->contents().size());
+  }
+  return files;
+}
+
 }  // namespace
 }  // namespace bundle
 
 void BindColmap(py::module_& m) {
+  using bundle::ColmapModel;
   m.def("check_colmap_model", &bundle::CheckModel, py::arg("folder"));
+  m.def("read_colmap_model", &bundle::ReadModel, py::arg("folder"));
+  py::class_<ColmapModel>(m, "ColmapModel")
+      .def_property_readonly("is_binary", &ColmapModel::is_binary)
+      .def_property_readonly("names_with_spaces",
+                             [](const ColmapModel& model) { return model.index.names_with_spaces; })
+      .def("files", &bundle::Files)
+      .def("write", &bundle::WriteModel, py::arg("folder"), py::arg("cam_from_world"),
+           py::arg("camera_params"), py::arg("points"), py::arg("point_errors"));
 }

@@ -76,6 +76,23 @@ def check_colmap_model(
     NDArray[np.float64],
 ]: ...
 
+class ColmapModel:
+    @property
+    def is_binary(self) -> bool: ...
+    @property
+    def names_with_spaces(self) -> dict[int, str]: ...
+    def files(self) -> dict[str, bytes]: ...
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        cam_from_world: NDArray[np.float64],
+        camera_params: NDArray[np.float64],
+        points: NDArray[np.float64],
+        point_errors: NDArray[np.float64],
+    ) -> None: ...
+
+def read_colmap_model(folder: str | bytes) -> tuple[ColmapModel, dict[str, Any]]: ...
+
 # bind_losses.cpp
 def evaluate_loss(
     loss: str, scale: float, squared_norms: NDArray[np.float64]
@@ -194,3 +211,34 @@ def panel_values(
     rows: NDArray[np.int32],
     order: NDArray[np.int32],
 ) -> float: ...
+
+# bind_graph.cpp
+# A variable: (name, manifold, value, held, lower, upper), the last three empty for none. A factor:
+# (kind, name, places of its variables, loss, scale, what the kind takes).
+def solve_graph(
+    variables: list[Any],
+    factors: list[Any],
+    options: dict[str, Any],
+    progress: Callable[[dict[str, Any]], None] | None,
+) -> dict[str, Any]: ...
+def graph_cost(variables: list[Any], factors: list[Any]) -> float: ...
+def marginal_information(
+    variables: list[Any], factors: list[Any], kept: list[int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+def factor_function(
+    variables: list[Any], factor: tuple[Any, ...]
+) -> Callable[
+    [list[NDArray[np.float64]]], tuple[NDArray[np.float64], list[NDArray[np.float64]]] | None
+]: ...
+def retract(
+    manifold: str, x: NDArray[np.float64], delta: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def local_coordinates(
+    manifold: str, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def right_jacobian(
+    manifold: str, x: NDArray[np.float64], delta: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def check_value(
+    name: str, manifold: str, value: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], list[str]]: ...

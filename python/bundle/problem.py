@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bundle import _core
 from bundle.arrays import filled, freeze, immutable
 from bundle.cameras import camera_models
+from bundle.deferred_source import DeferredSource
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.option_fields import choice
@@ -205,7 +206,7 @@ class Problem(Displayed):
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some arrays replaced; the others are shared, not copied."""
-        return dataclasses.replace(self, **changes)
+        return dataclasses.replace(self, **{"source": vars(self)["source"], **changes})
 
     @staticmethod
     def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
@@ -238,6 +239,22 @@ class Problem(Displayed):
             title=f"Problem ({format_name(self.format)})",
             facts=(("contents", contents(self)), ("camera models", models)),
         )
+
+
+class _Source:
+    """The field ``source``: a model that was read is made a reconstruction when it is asked for."""
+
+    def __get__(self, problem: Problem | None, owner: type[Problem]) -> Any:
+        if problem is None:
+            return None
+        source = vars(problem)["source"]
+        return source.reconstruction() if isinstance(source, DeferredSource) else source
+
+    def __set__(self, problem: Problem, source: Any) -> None:
+        vars(problem)["source"] = source
+
+
+setattr(Problem, "source", _Source())  # noqa: B010 (the checker knows the field)
 
 
 def _default(problem: Problem, name: str) -> NDArray[Any]:

@@ -167,6 +167,28 @@ def test_auto_is_held_to_the_better_backend():
     assert (goal.value, goal.met) == (pytest.approx(1.2), False)
 
 
+def whole_runs(wall, cpu, failure=""):
+    return [
+        {"failure": failure, "wall": wall, "cpu": cpu, "peak_memory": 1, "final_cost": 1.0}
+        for _ in range(3)
+    ]
+
+
+def test_whole_processes_on_models_are_judged_by_the_worst():
+    runs = [run("model", solver, 0.1) for solver in ("bundle auto", "pycolmap auto")]
+    processes = {"bundle refine": whole_runs(0.9, 0.8), "pycolmap script": whole_runs(1.0, 0.5)}
+    measured = results(runs, {"model": processes})
+    wall = found(measured, ["whole process on a COLMAP model", "wall time", "(model)"])
+    cpu = found(measured, ["whole process on a COLMAP model", "CPU time", "(model)"])
+    assert (wall.value, wall.met) == (pytest.approx(0.9), True)
+    assert (cpu.value, cpu.met) == (pytest.approx(1.6), False)
+    page = details.page(measured, report.heading(measured), {})
+    line = next(line for line in page.splitlines() if line.startswith("| model | 900 ms |"))
+    assert "1.11" in line and "0.62" in line
+    processes["pycolmap script"] = whole_runs(1.0, 0.5, "exit 1")
+    assert not found(results(runs, {"model": processes}), ["COLMAP model", "wall time"]).met
+
+
 def test_the_page_has_every_part_and_whole_tables():
     runs = [
         run(name, solver, step)

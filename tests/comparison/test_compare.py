@@ -103,7 +103,6 @@ def test_ctrl_c_keeps_what_is_there():
     assert [run.outcome for run in comparison.runs] == ["done"] * 2 + ["not_run"] * 4
     assert comparison.recommendation.method in {run.method for run in comparison.runs[:2]}
     text = render(*compared(comparison))
-    assert "interrupted" in text
     assert all(run.message in " ".join(text.split()) for run in comparison.runs[2:])
 
 

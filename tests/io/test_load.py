@@ -19,7 +19,7 @@ def problem(tmp_path: Path) -> bundle.Problem:
 
 @pytest.fixture
 def colmap(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, bool]]:
-    """Stand in for bundle.io.colmap; returns the list of calls."""
+    """Stand in for what reads and writes COLMAP models; returns the list of calls."""
     calls: list[tuple[str, str, bool]] = []
     module = types.ModuleType("bundle.io.colmap")
 
@@ -32,7 +32,8 @@ def colmap(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, bool]]:
         write_model(folder, ".bin" if binary else ".txt")
         return ("colours",)
 
-    module.load, module.save = load, save  # type: ignore[attr-defined]
+    module.save = save  # type: ignore[attr-defined]
+    monkeypatch.setattr(bundle.io.colmap_files, "load", load)
     monkeypatch.setitem(sys.modules, "bundle.io.colmap", module)
     monkeypatch.setattr(bundle.io, "colmap", module, raising=False)
     return calls

@@ -59,7 +59,6 @@ def test_a_wrong_jacobian_is_noticed(lie, scene):
     trace = lying_trace(scene, lie, function_tolerance=1e-8)
     assert min(step["cost"] for step in trace) < 0.99 * trace[0]["cost"]  # the cost still falls
     sentence = watch(trace)
-    assert sentence.startswith("A Jacobian may be wrong: ")
     assert "`bundle check`" in sentence
     assert sentence.endswith(".")
     assert "\n" not in sentence

@@ -139,3 +139,16 @@ def test_two_levels_are_not_of_ceres():
     options = {"linear_solver_type": "iterative_schur", "preconditioner_type": "two_level"}
     with pytest.raises(bundle.InputError, match=r"^preconditioner_type: .* found two_level$"):
         bundle.solve(scenes.make_problem(), backend="ceres", **options)
+
+
+@pytest.mark.parametrize("solver", ["auto", "iterative_schur"])
+def test_a_preconditioner_that_only_ceres_has_takes_ceres(solver):
+    """Also where conjugate gradients may only be chosen: the user asked for it."""
+    summary = bundle.solve(
+        scenes.make_problem(num_images=3, num_points=12),
+        linear_solver_type=solver,
+        preconditioner_type="cluster_jacobi",
+        max_num_iterations=1,
+    ).summary
+    assert summary.backend_used == "CERES"
+    assert "preconditioner_type" in summary.backend_choice

@@ -10,6 +10,7 @@ import bundle
 from bundle import _core
 from bundle.reprojection import Linearization
 from tests import scenes
+from tests.figures import in_order
 from tests.solve import levenberg_marquardt
 from tests.solve.absurd_problems import absurd_problem
 from tests.solve.lies import LIES, SCENES, UNSEEN, scaled
@@ -36,8 +37,7 @@ def test_every_lie_is_noticed_and_the_truth_is_not(scene):
     for name, lie in LIES.items():
         lying = levenberg_marquardt.solve(problem, lie, columns=columns, max_num_iterations=3)
         sentence = spot_check(lying.problem, lying.rotation_offsets, lie)
-        assert sentence.startswith("A Jacobian may be wrong: in "), name
-        assert sentence.endswith("; `bundle check` finds out."), name
+        assert "`bundle check`" in sentence, name
         assert "\n" not in sentence
         assert spot_check(lying.problem, lying.rotation_offsets) == "", name
 
@@ -55,22 +55,21 @@ def test_lies_without_a_trace_are_noticed_where_their_solve_ends(lie):
 @pytest.mark.parametrize(
     "lie, said",
     [
-        ("factor 2 on k1", "the derivatives by k of SIMPLE_RADIAL cameras are 2 times"),
-        ("sign of k1", "by k of SIMPLE_RADIAL cameras are -1 times"),
-        ("k1 forgotten", "by k of SIMPLE_RADIAL cameras are 0.001 times"),
-        ("factor 1/2 on the focal length", "by f of SIMPLE_RADIAL cameras are 0.5 times"),
-        ("focal length and k1 swapped", ", and wrong by k;"),
-        ("degrees for radians", "by rotation x, y, z of SIMPLE_RADIAL cameras are 0.01745 times"),
-        ("sign of rotation y", "by rotation y of SIMPLE_RADIAL cameras are -1 times"),
-        ("translation x and y swapped", "by translation x, y of SIMPLE_RADIAL cameras are off by"),
-        ("rotation and translation swapped", ", and wrong by translation x, y, z;"),
-        ("factor 2 on points", "by point x, y, z of SIMPLE_RADIAL cameras are 2 times"),
+        ("factor 2 on k1", "k SIMPLE_RADIAL 2"),
+        ("sign of k1", "k SIMPLE_RADIAL -1"),
+        ("k1 forgotten", "k SIMPLE_RADIAL 0.001"),
+        ("factor 1/2 on the focal length", "f SIMPLE_RADIAL 0.5"),
+        ("focal length and k1 swapped", "f SIMPLE_RADIAL % k"),
+        ("degrees for radians", "rotation x y z SIMPLE_RADIAL 0.01745"),
+        ("sign of rotation y", "rotation y SIMPLE_RADIAL -1"),
+        ("translation x and y swapped", "translation x y SIMPLE_RADIAL %"),
+        ("rotation and translation swapped", "SIMPLE_RADIAL translation x y z"),
+        ("factor 2 on points", "point x y z SIMPLE_RADIAL 2"),
     ],
 )
 def test_kind_and_factor_are_named(lie, said):
     sentence = spot_check(scenes.make_problem(), lie=LIES[lie])
-    assert said in sentence
-    assert "what differences of the residual give" in sentence
+    assert in_order(sentence, *said.split(), "bundle check"), sentence
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.0, 1e-3, 0.5, 0.99, 1.01, 2.0, 1e3])
@@ -82,7 +81,7 @@ def test_every_parameter_of_every_model_is_checked(model, factor):
         if name in ("w", "h"):
             continue  # never refined
         sentence = spot_check(problem, lie=scaled("d_params", column, factor), refine=refine)
-        assert f"by {name} of {model} cameras are {factor:g} times what" in sentence
+        assert in_order(sentence, name, model, f"{factor:g}"), sentence
 
 
 def test_a_left_jacobian_forgotten_away_from_the_start_of_the_chart():
@@ -98,7 +97,7 @@ def test_a_left_jacobian_forgotten_away_from_the_start_of_the_chart():
         return parts._replace(d_pose=pose)
 
     assert spot_check(problem, offsets) == ""
-    assert "rotation x, y, z" in spot_check(problem, offsets, without)
+    assert in_order(spot_check(problem, offsets, without), "rotation", "x", "y", "z")
 
 
 def two_models(seed=0):
@@ -119,7 +118,7 @@ def test_a_model_of_few_images_is_not_drowned_by_the_others():
     options, offsets = _core.default_options(), np.zeros((6, 3))
     assert _core.spot_check(problem, options, offsets, None) == ""
     sentence = _core.spot_check(problem, options, offsets, claim)
-    assert "by fy of PINHOLE cameras are 2 times" in sentence
+    assert in_order(sentence, "fy", "PINHOLE", "2")
 
 
 def asked_for(problem, **options):

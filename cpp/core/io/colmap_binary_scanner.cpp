@@ -12,6 +12,7 @@
 //
 // Every count is held against what is left of the file before anything is allocated or read.
 
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <string>
@@ -131,10 +132,12 @@ void ScanCameras(ColmapIndex* index) {
     const auto width = reader.Read<uint64_t>("an image width");
     const auto height = reader.Read<uint64_t>("an image height");
     CheckCameraSize(index->cameras_file, at + 8, subject, width, height);
-    double params[kMaxCameraParams];
-    reader.ReadArray(params, static_cast<size_t>(model->num_params), "camera parameters");
-    CheckCameraParams(index->cameras_file, at + 24, subject, *model, params);
-    index->cameras.push_back({id, at});
+    ColmapIndex::Camera camera{id, at, model, width, height, {}, {}};
+    reader.ReadArray(camera.params.data(), static_cast<size_t>(model->num_params),
+                     "camera parameters");
+    camera.params_span = {at + 24, reader.position()};
+    CheckCameraParams(index->cameras_file, at + 24, subject, *model, camera.params.data());
+    index->cameras.push_back(camera);
   }
   reader.ExpectEnd();
 }
@@ -169,13 +172,16 @@ void ScanImages(ColmapIndex* index) {
     const uint64_t at = reader.position();
     const uint32_t id = ReadId(&reader, index->images_file, "an image id");
     const std::string subject = "image " + std::to_string(id);
-    double pose[7];
-    reader.ReadArray(pose, 7, "a pose");
-    CheckPose(index->images_file, at + 4, subject, pose);
+    std::array<double, 7> pose;
+    reader.ReadArray(pose.data(), 7, "a pose");
+    CheckPose(index->images_file, at + 4, subject, pose.data());
+    const ColmapSpan pose_span{at + 4, reader.position()};
     const uint32_t camera_id = ReadId(&reader, index->images_file, "a camera id");
     const uint64_t name_at = reader.position();
-    CheckImageName(index->images_file, name_at, subject, reader.ReadName(subject));
-    index->images.push_back({id, camera_id, at, 0, index->keypoint_point_ids.size(), 0});
+    const std::string_view name = reader.ReadName(subject);
+    CheckImageName(index->images_file, name_at, subject, name);
+    index->images.push_back({id, camera_id, at, 0, index->keypoint_point_ids.size(), 0,
+                             std::string(name), pose, pose_span});
     ScanKeypoints(index, &reader, subject);
   }
   reader.ExpectEnd();
@@ -192,8 +198,9 @@ void ScanPoints(ColmapIndex* index) {
     if (id > kMaxPoint3DId) {
       index->points_file.Fail(at, "expected a point id below 2^63, found " + std::to_string(id));
     }
-    double xyz[3];
-    reader.ReadArray(xyz, 3, "a position");
+    std::array<double, 3> xyz;
+    reader.ReadArray(xyz.data(), 3, "a position");
+    const ColmapSpan xyz_span{at + 8, reader.position()};
     if (!std::isfinite(xyz[0]) || !std::isfinite(xyz[1]) || !std::isfinite(xyz[2])) {
       index->points_file.Fail(at + 8, "point " + std::to_string(id) +
                                           ": expected a finite position, found " +
@@ -202,10 +209,12 @@ void ScanPoints(ColmapIndex* index) {
     }
     uint8_t rgb[3];
     reader.ReadArray(rgb, 3, "a colour");
+    const uint64_t error_at = reader.position();
     reader.Read<double>("an error");  // may be anything: it is computed anew
+    const ColmapSpan error_span{error_at, reader.position()};
     const auto length = reader.ReadCount<uint64_t>("track elements", kTrackElementSize);
     const size_t first_element = index->track_elements.size();
-    index->points.push_back({id, at, first_element});
+    index->points.push_back({id, at, first_element, xyz, xyz_span, error_span});
     index->track_elements.resize(first_element + length);
     reader.ReadArray(index->track_elements.data() + first_element, length, "a track");
   }
@@ -244,10 +253,11 @@ void ScanFrames(ColmapIndex* index) {
     const uint64_t at = reader.position();
     const uint32_t id = ReadId(&reader, index->frames_file, "a frame id");
     const std::string subject = "frame " + std::to_string(id);
-    ColmapIndex::Frame frame{id, ReadId(&reader, index->frames_file, "a rig id"), at, {}};
-    double pose[7];
-    reader.ReadArray(pose, 7, "a pose");
-    CheckPose(index->frames_file, at + 8, subject, pose);
+    const uint32_t rig_id = ReadId(&reader, index->frames_file, "a rig id");
+    ColmapIndex::Frame frame{id, rig_id, at, {}};
+    reader.ReadArray(frame.pose.data(), 7, "a pose");
+    CheckPose(index->frames_file, at + 8, subject, frame.pose.data());
+    frame.pose_span = {at + 8, reader.position()};
     const auto num_data = reader.ReadCount<uint32_t>("data of " + subject, kDatumSize);
     for (uint32_t j = 0; j < num_data; ++j) {
       const ColmapIndex::Sensor sensor = ReadSensor(&reader, index->frames_file, subject);

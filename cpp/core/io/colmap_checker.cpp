@@ -32,14 +32,14 @@ std::string MissingFiles(const std::string& folder, const ColmapScanner& scanner
   return missing;
 }
 
-/// Scans one file after the other; none stays in memory longer than its scan.
-ColmapIndex ScanFiles(const std::string& folder, const ColmapScanner& scanner) {
+/// Scans one file after the other; unless they are kept, none stays longer than its scan.
+ColmapIndex ScanFiles(const std::string& folder, const ColmapScanner& scanner, bool keep_contents) {
   ColmapIndex index;
   index.kind = scanner.kind;
   const auto scan = [&](const char* stem, ModelFile* file, void (*scan_file)(ColmapIndex*)) {
     *file = ModelFile(JoinPath(folder, stem, scanner.extension), scanner.kind);
     scan_file(&index);
-    file->Release();
+    if (!keep_contents) file->Release();
   };
   if (Exists(folder, "rigs", scanner)) scan("rigs", &index.rigs_file, scanner.scan_rigs);
   scan("cameras", &index.cameras_file, scanner.scan_cameras);
@@ -57,7 +57,7 @@ void CheckNotEmpty(const ColmapIndex& index) {
 
 }  // namespace
 
-ColmapCheck CheckColmapModel(const std::string& folder) {
+ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents) {
   const std::string missing_binary = MissingFiles(folder, kColmapBinaryScanner);
   const std::string missing_text = MissingFiles(folder, kColmapTextScanner);
   if (!missing_binary.empty() && !missing_text.empty()) {
@@ -65,10 +65,16 @@ ColmapCheck CheckColmapModel(const std::string& folder) {
                      missing_binary + " (binary) and no " + missing_text + " (text)");
   }
   const bool binary = missing_binary.empty();
-  ColmapIndex index = ScanFiles(folder, binary ? kColmapBinaryScanner : kColmapTextScanner);
+  ColmapIndex index =
+      ScanFiles(folder, binary ? kColmapBinaryScanner : kColmapTextScanner, keep_contents);
   CheckNotEmpty(index);
+  return index;
+}
+
+ColmapCheck CheckColmapModel(const std::string& folder) {
+  ColmapIndex index = ScanColmapModel(folder, /*keep_contents=*/false);
   const std::vector<int64_t> point_of_keypoint = CheckColmapReferences(index);
-  return {binary, std::move(index.names_with_spaces),
+  return {index.kind == ModelFile::Kind::kBinary, std::move(index.names_with_spaces),
           SortColmapObservations(index, point_of_keypoint)};
 }
 

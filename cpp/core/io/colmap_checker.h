@@ -4,6 +4,7 @@
 #include <map>
 #include <string>
 
+#include "core/io/colmap_index.h"
 #include "core/io/colmap_observations.h"
 
 namespace bundle {
@@ -25,5 +26,8 @@ struct ColmapCheck {
 /// What COLMAP writes passes, and so does what is strange but legal: points without or with one
 /// observation, several keypoints of one image in one track, models without rigs and frames.
 ColmapCheck CheckColmapModel(const std::string& folder);
+
+/// The scan alone, without the check of references; the index may keep the contents of the files.
+ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents);
 
 }  // namespace bundle

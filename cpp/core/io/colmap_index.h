@@ -1,12 +1,17 @@
 #pragma once
 
+#include <algorithm>
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <limits>
 #include <map>
+#include <numeric>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "core/cameras/camera_model.h"
 #include "core/io/model_file.h"
 
 namespace bundle {
@@ -21,12 +26,19 @@ constexpr uint64_t kMaxPoint3DId = std::numeric_limits<int64_t>::max();
 /// COLMAP's SensorType.
 enum class SensorType : int32_t { kCamera = 0, kImu = 1 };
 
-/// What the files of a COLMAP model say of each other: every id, every reference, and where it
-/// stands, but no coordinates save those of observations. The scanners of the text and of the
-/// binary format fill one, after checking what can be checked on the spot; CheckColmapReferences
-/// does the rest.
+/// The bytes from `begin` up to `end` of a file.
+struct ColmapSpan {
+  uint64_t begin = 0;
+  uint64_t end = 0;
+};
+
+/// What the files of a COLMAP model say: every id, every reference, where it stands, and the values
+/// that a solve changes. The scanners of the text and of the binary format fill one, after checking
+/// what can be checked on the spot; CheckColmapReferences does the rest.
 ///
-/// `at` is the place of a record: its line in a text file, the byte it begins at in a binary one.
+/// `at` is the place of a record: its line in a text file, the byte it begins at in a binary one. A
+/// span is where the numbers stand that `colmap_writer.h` replaces. Poses are qw qx qy qz tx ty tz,
+/// as in the files.
 struct ColmapIndex {
   struct Sensor {
     SensorType type;
@@ -34,8 +46,13 @@ struct ColmapIndex {
     bool operator==(const Sensor& other) const { return type == other.type && id == other.id; }
   };
   struct Camera {
-    uint32_t id;
-    uint64_t at;
+    uint32_t id = 0;
+    uint64_t at = 0;
+    const CameraModel* model = nullptr;
+    uint64_t width = 0;
+    uint64_t height = 0;
+    std::array<double, kMaxCameraParams> params{};
+    ColmapSpan params_span;
   };
   struct Rig {
     uint32_t id;
@@ -51,6 +68,8 @@ struct ColmapIndex {
     uint32_t rig_id;
     uint64_t at;
     std::vector<Datum> data;
+    std::array<double, 7> pose{};
+    ColmapSpan pose_span{};
   };
   struct Image {
     uint32_t id;
@@ -59,11 +78,17 @@ struct ColmapIndex {
     uint64_t keypoints_at;    ///< of the first keypoint
     uint64_t first_keypoint;  ///< in keypoint_point_ids
     uint64_t num_keypoints;
+    std::string name{};
+    std::array<double, 7> pose{};
+    ColmapSpan pose_span{};
   };
   struct Point {
     uint64_t id;
     uint64_t at;
     uint64_t first_element;  ///< in track_elements
+    std::array<double, 3> xyz{};
+    ColmapSpan xyz_span{};
+    ColmapSpan error_span{};
   };
   struct TrackElement {
     uint32_t image_id;
@@ -89,6 +114,18 @@ struct ColmapIndex {
   uint64_t KeypointPlace(const Image& image, uint64_t keypoint) const;
   uint64_t TrackElementPlace(const Point& point, uint64_t element) const;
 };
+
+/// Positions of the records in the order of their ids, which is that of our arrays.
+template <typename Record>
+std::vector<size_t> OrderById(const std::vector<Record>& records) {
+  std::vector<size_t> order(records.size());
+  std::iota(order.begin(), order.end(), size_t{0});
+  const auto before = [&](size_t a, size_t b) { return records[a].id < records[b].id; };
+  if (!std::is_sorted(order.begin(), order.end(), before)) {
+    std::sort(order.begin(), order.end(), before);
+  }
+  return order;
+}
 
 /// One of COLMAP's two formats: syntax, counts, single values. Each function scans one file of the
 /// index into its records and throws InputError, naming file and line or byte.

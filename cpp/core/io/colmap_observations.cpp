@@ -1,20 +1,9 @@
 #include "core/io/colmap_observations.h"
 
 #include <algorithm>
-#include <numeric>
 
 namespace bundle {
 namespace {
-
-/// Positions of the records in the order of their ids.
-template <typename Record>
-std::vector<size_t> OrderById(const std::vector<Record>& records) {
-  std::vector<size_t> order(records.size());
-  std::iota(order.begin(), order.end(), size_t{0});
-  std::sort(order.begin(), order.end(),
-            [&](size_t a, size_t b) { return records[a].id < records[b].id; });
-  return order;
-}
 
 /// Number of the first row of each point, by position of the point, where rows go by point id.
 std::vector<size_t> FirstRows(const std::vector<size_t>& points_by_id,

@@ -24,6 +24,15 @@ class ColmapTextCursor {
   /// Number of the current line, from 1.
   uint64_t line() const { return line_; }
 
+  /// Bytes of the file before the cursor.
+  uint64_t offset() const { return static_cast<uint64_t>(cursor_ - file_.contents().data()); }
+
+  /// Bytes of the file before the next token of the line.
+  uint64_t NextTokenOffset() {
+    AtEndOfLine();
+    return offset();
+  }
+
   /// Bytes of the file not yet gone through.
   size_t num_left() const { return static_cast<size_t>(end_ - next_line_); }
 

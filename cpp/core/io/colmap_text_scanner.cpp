@@ -12,6 +12,7 @@
 // line for the end of the list, wraps colours round at 256 and drops an image whose second line
 // is missing.
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -26,11 +27,14 @@ namespace {
 constexpr uint64_t kMaxColor = 255;
 constexpr uint64_t kMaxKeypoint = kInvalidColmapId - 1;
 
-void ReadPose(ColmapTextCursor* cursor, const ModelFile& file, const std::string& subject) {
+/// Returns where the pose stands.
+ColmapSpan ReadPose(ColmapTextCursor* cursor, const ModelFile& file, const std::string& subject,
+                    double* pose) {
   static constexpr const char* kNames[] = {"QW", "QX", "QY", "QZ", "TX", "TY", "TZ"};
-  double pose[7];
+  const uint64_t begin = cursor->NextTokenOffset();
   for (int i = 0; i < 7; ++i) pose[i] = cursor->Number(kNames[i]);
   CheckPose(file, cursor->line(), subject, pose);
+  return {begin, cursor->offset()};
 }
 
 ColmapIndex::Sensor ReadSensor(ColmapTextCursor* cursor) {
@@ -54,17 +58,19 @@ void ScanCameras(ColmapIndex* index) {
     const uint64_t width = cursor.Integer("an image width", kMaxPoint3DId);
     const uint64_t height = cursor.Integer("an image height", kMaxPoint3DId);
     CheckCameraSize(index->cameras_file, cursor.line(), subject, width, height);
-    double params[kMaxCameraParams];
+    ColmapIndex::Camera camera{id, cursor.line(), model, width, height, {}, {}};
+    camera.params_span.begin = cursor.NextTokenOffset();
     for (int i = 0; i < model->num_params; ++i) {
       if (cursor.AtEndOfLine()) {
         cursor.Fail(subject + ": expected " + std::to_string(model->num_params) +
                     " parameters of " + std::string(model->name) + ", found " + std::to_string(i));
       }
-      params[i] = cursor.Number("a camera parameter");
+      camera.params[static_cast<size_t>(i)] = cursor.Number("a camera parameter");
     }
+    camera.params_span.end = cursor.offset();
     cursor.ExpectEndOfLine();
-    CheckCameraParams(index->cameras_file, cursor.line(), subject, *model, params);
-    index->cameras.push_back({id, cursor.line()});
+    CheckCameraParams(index->cameras_file, cursor.line(), subject, *model, camera.params.data());
+    index->cameras.push_back(camera);
   }
 }
 
@@ -90,7 +96,8 @@ void ScanImages(ColmapIndex* index) {
     const uint64_t at = cursor.line();
     const uint32_t id = cursor.Id("an image id");
     const std::string subject = "image " + std::to_string(id);
-    ReadPose(&cursor, index->images_file, subject);
+    std::array<double, 7> pose;
+    const ColmapSpan pose_span = ReadPose(&cursor, index->images_file, subject, pose.data());
     const uint32_t camera_id = cursor.Id("a camera id");
     const std::string_view name = cursor.Rest("an image name");
     CheckImageName(index->images_file, at, subject, name);
@@ -99,7 +106,8 @@ void ScanImages(ColmapIndex* index) {
       cursor.Fail(subject + ": expected a line of keypoints (blank if there are none) after this " +
                   "one, found the end of the file");
     }
-    index->images.push_back({id, camera_id, at, 0, index->keypoint_point_ids.size(), 0});
+    index->images.push_back({id, camera_id, at, 0, index->keypoint_point_ids.size(), 0,
+                             std::string(name), pose, pose_span});
     ScanKeypoints(index, &cursor);
   }
 }
@@ -108,12 +116,15 @@ void ScanPoints(ColmapIndex* index) {
   ColmapTextCursor cursor(index->points_file);
   while (cursor.NextRecord()) {
     const uint64_t id = cursor.Integer("a point id", kMaxPoint3DId);
-    cursor.Number("X");
-    cursor.Number("Y");
-    cursor.Number("Z");
+    ColmapIndex::Point point{id, cursor.line(), index->track_elements.size(), {}, {}, {}};
+    point.xyz_span.begin = cursor.NextTokenOffset();
+    point.xyz = {cursor.Number("X"), cursor.Number("Y"), cursor.Number("Z")};
+    point.xyz_span.end = cursor.offset();
     for (const char* channel : {"R", "G", "B"}) cursor.Integer(channel, kMaxColor);
+    point.error_span.begin = cursor.NextTokenOffset();
     cursor.Number("an error");
-    index->points.push_back({id, cursor.line(), index->track_elements.size()});
+    point.error_span.end = cursor.offset();
+    index->points.push_back(point);
     while (!cursor.AtEndOfLine()) {
       const uint32_t image_id = cursor.Id("an image id in the track");
       const uint64_t keypoint = cursor.Integer("a keypoint index in the track", kMaxKeypoint);
@@ -132,7 +143,8 @@ void ScanRigs(ColmapIndex* index) {
       rig.sensors.push_back(ReadSensor(&cursor));
       if (j == 0) continue;  // the reference sensor
       if (cursor.Integer("HAS_POSE", 1) == 1) {
-        ReadPose(&cursor, index->rigs_file, subject + ", sensor " + std::to_string(j));
+        double pose[7];
+        ReadPose(&cursor, index->rigs_file, subject + ", sensor " + std::to_string(j), pose);
       }
     }
     cursor.ExpectEndOfLine();
@@ -145,7 +157,8 @@ void ScanFrames(ColmapIndex* index) {
   while (cursor.NextRecord()) {
     const uint32_t id = cursor.Id("a frame id");
     ColmapIndex::Frame frame{id, cursor.Id("a rig id"), cursor.line(), {}};
-    ReadPose(&cursor, index->frames_file, "frame " + std::to_string(id));
+    frame.pose_span =
+        ReadPose(&cursor, index->frames_file, "frame " + std::to_string(id), frame.pose.data());
     const uint64_t num_data = cursor.Integer("a number of data", kInvalidColmapId);
     for (uint64_t j = 0; j < num_data; ++j) {
       const ColmapIndex::Sensor sensor = ReadSensor(&cursor);

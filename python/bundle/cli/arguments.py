@@ -59,6 +59,14 @@ class Parser(argparse.ArgumentParser):
         """Return every flag."""
         return tuple(self._option_string_actions)
 
+    def commands(self) -> dict[str, Parser]:
+        """Return the parsers of the commands by name."""
+        found: dict[str, Parser] = {}
+        for action in self._subparsers._group_actions if self._subparsers is not None else ():
+            if isinstance(action, argparse._SubParsersAction):
+                found.update(action.choices)
+        return found
+
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is None or value in action.choices:
             return

@@ -55,7 +55,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(words: list[str]) -> int:
-    parser = _parser()
+    # The other commands take a while to import, and are only needed to be listed.
+    known = [word for word in words[:1] if word in COMMANDS]
+    parser = _parser(known or COMMANDS)
     startup.done()
     code = EXIT_DONE
     try:
@@ -77,29 +79,42 @@ def _flush() -> None:
         raise lost
 
 
-def _parser() -> Parser:
+def _parser(names: Sequence[str]) -> Parser:
+    """Return a parser that knows some of the commands."""
     flags: dict[str, tuple[str, ...]] = {}
+
+    def unknown(found: str, command: str) -> str:
+        if len(flags) < len(COMMANDS):
+            others = _parser([name for name in COMMANDS if name not in flags])
+            flags.update(_flags(others))
+        return unknown_flag(found, command, {name: flags[name] for name in COMMANDS})
+
     parser = Parser(
         prog="bundle",
         description="Refines structure-from-motion reconstructions and explains the solve.",
         epilog="bundle COMMAND --help tells more.",
-        explain=lambda found: unknown_flag(found, "", flags),
+        explain=lambda found: unknown(found, ""),
     )
     parser.add_argument("--version", action="version", version=f"bundle {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for name in COMMANDS:
+    for name in names:
         command = _module(name)
         subparser = commands.add_parser(
             name,
             help=command.HELP,
             description=command.HELP,
-            explain=lambda found, name=name: unknown_flag(found, name, flags),
+            explain=lambda found, name=name: unknown(found, name),
         )
         command.add_arguments(subparser)
         add_common_arguments(subparser)
         subparser.set_defaults(run=command.run)
         flags[name] = subparser.flags()
     return parser
+
+
+def _flags(parser: Parser) -> dict[str, tuple[str, ...]]:
+    """Return the flags of the commands that a parser knows."""
+    return {name: command.flags() for name, command in parser.commands().items()}
 
 
 def _module(name: str) -> ModuleType:

@@ -6,12 +6,13 @@ import sys
 import time
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Any, Self
-
-from rich.live import Live
-from rich.text import Text
+from typing import TYPE_CHECKING, Any, Self
 
 from bundle.tables import console
+
+if TYPE_CHECKING:
+    from rich.live import Live
+    from rich.text import Text
 
 __all__ = ["Progress"]
 
@@ -35,6 +36,8 @@ class Progress:
         screen = console(sys.stderr)
         self._live: Live | None = None
         if screen.is_terminal and not screen.is_dumb_terminal and not quiet:
+            from rich.live import Live
+
             self._live = Live(
                 console=screen,
                 get_renderable=self._line,
@@ -89,6 +92,8 @@ class Progress:
 
     def _line(self) -> Text:
         """Return the updating line; at most 80 columns while an iteration is shown."""
+        from rich.text import Text
+
         latest = self._latest
         line = Text(no_wrap=True, overflow="ellipsis")
         line.append(f"{self._elapsed():>7}  ", style="dim")

@@ -5,7 +5,6 @@ What only writing back needs (names, the reconstruction that was read) stays beh
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +22,7 @@ _REST = "problem.json"
 def store(problem: Problem, folder: Path) -> None:
     """Write a problem into a folder, which is made."""
     folder.mkdir()
-    for name, value in _fields(problem).items():
+    for name, value in vars(problem).items():
         if isinstance(value, np.ndarray):
             np.save(folder / f"{name}.npy", value)
     rest = {
@@ -42,7 +41,3 @@ def restore(folder: Path, mmap_mode: Literal["r"] | None = None) -> Problem:
         for path in sorted(folder.glob("*.npy"))
     }
     return Problem(**arrays, **json.loads((folder / _REST).read_text()))
-
-
-def _fields(problem: Problem) -> dict[str, object]:
-    return {field.name: getattr(problem, field.name) for field in dataclasses.fields(problem)}

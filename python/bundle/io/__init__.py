@@ -13,7 +13,7 @@ from pathlib import Path
 
 from bundle import address_space
 from bundle.errors import InputError, brief, shown
-from bundle.io import atomic, bal
+from bundle.io import atomic, bal, colmap_files
 from bundle.io.interrupts import interrupts_deferred
 from bundle.io.model_files import (
     MODEL_FILES,
@@ -58,10 +58,9 @@ def load(path: str | os.PathLike[str]) -> Problem:
     _recover(path)
     if path.is_dir():
         _check_model(path)
+        # Writing may need pycolmap: better to lack room for it now than after the work.
         address_space.require("pycolmap", address_space.PYCOLMAP)
-        with interrupts_deferred():  # pycolmap takes a while to import, and knows no interruption
-            from bundle.io import colmap
-        return colmap.load(path)
+        return colmap_files.load(path)
     if path.name in MODEL_FILES and not missing_model_files(path.parent):
         raise InputError(
             f"{shown(path)}: expected the folder of a COLMAP model, found one of its files"
@@ -97,11 +96,16 @@ def save(
         with atomic.replace_file(path) as temporary:
             bal.save(problem, temporary, _compression(path))
         return lost
-    with interrupts_deferred():
-        from bundle.io import colmap
+    binary = chosen == "colmap"
     going = _files_of_other_format(path, chosen)
+    if colmap_files.can_rewrite(problem, binary=binary):
+        with atomic.replace_folder(path) as temporary:
+            lost = colmap_files.rewrite(problem, temporary, binary=binary)
+        return lost + going
+    with interrupts_deferred():  # pycolmap takes a while to import, and knows no interruption
+        from bundle.io import colmap
     with atomic.replace_folder(path) as temporary:
-        lost = colmap.save(problem, temporary, binary=chosen == "colmap")
+        lost = colmap.save(problem, temporary, binary=binary)
     return lost + going
 
 
@@ -163,6 +167,9 @@ def check_target(
         atomic.check_file(Path(path))
         return
     atomic.check_folder(Path(path))
+    if colmap_files.can_rewrite(problem, binary=chosen == "colmap"):
+        problem.check_padding()
+        return
     with interrupts_deferred():
         from bundle.io import write_back
     write_back.check(problem)

@@ -1,8 +1,8 @@
 """COLMAP models on disk: text or binary, with rigs and frames or from before there were any.
 
-pycolmap reads and writes them; before it reads, our own checker goes through every file, for
-pycolmap takes some broken files without a word, allocates whatever a corrupt count says and never
-says where an error is.
+Our own reader, ``bundle.io.colmap_files``, reads them: pycolmap takes some broken files without a
+word, allocates whatever a corrupt count says and never says where an error is. What is written
+here is written by pycolmap.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ import pycolmap
 from bundle import _core
 from bundle.errors import InputError
 from bundle.io import written
+from bundle.io.colmap_files import load, lost_in_text
 from bundle.io.model_files import missing_model_files
 from bundle.io.observation_edits import ObservationEdits
-from bundle.io.reconstruction import Observations, baseline_of, from_pycolmap, problem_of
+from bundle.io.reconstruction import baseline_of, from_pycolmap
 from bundle.io.write_back import to_pycolmap, write_back
 from bundle.problem import Problem
 
@@ -29,40 +30,6 @@ __all__ = ["check_text", "from_pycolmap", "is_model", "load", "save", "to_pycolm
 def is_model(path: str | os.PathLike[str]) -> bool:
     """Tell whether a folder holds cameras, images and points3D, all binary or all text."""
     return not missing_model_files(Path(path))
-
-
-def load(path: str | os.PathLike[str]) -> Problem:
-    """Read the model in a folder, the binary one if there are two, as COLMAP does.
-
-    Raises:
-        InputError: it is no model, or there is something wrong with it. The message has the file
-            and the line (of text) or byte (of binary), what was expected and what was found.
-    """
-    folder = Path(path)
-    if not folder.is_dir():
-        found = "something else" if folder.exists() else "nothing"
-        raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
-    binary, names_with_spaces, image, point, keypoint, xy = _core.check_colmap_model(
-        os.fsencode(folder)
-    )
-    reconstruction = pycolmap.Reconstruction()
-    try:
-        if binary:
-            reconstruction.read_binary(folder)
-        else:
-            reconstruction.read_text(folder)
-    except (ValueError, LookupError, RuntimeError, MemoryError) as error:
-        # Nothing known comes here, but older versions of pycolmap lack the newest camera models.
-        raise InputError(
-            f"{folder}: expected a model that pycolmap {pycolmap.__version__} reads, "
-            f"found: {_first_line(error)}"
-        ) from None
-    for image_id, name in names_with_spaces.items():
-        reconstruction.image(image_id).name = name
-    try:
-        return problem_of(reconstruction, Observations(image, point, keypoint, xy))
-    except InputError as error:
-        raise InputError(f"{folder}: {error}") from None
 
 
 def save(problem: Problem, folder: Path, binary: bool = True) -> tuple[str, ...]:
@@ -155,10 +122,4 @@ def _losses(problem: Problem, edits: ObservationEdits, binary: bool) -> tuple[st
             f"{edits.num_renumbered} keypoints get another index: of images that are not in a "
             "source, only the observed keypoints are known."
         )
-    spaces = sum(" " in name for name in problem.image_names)
-    if spaces and not binary:
-        losses.append(
-            f"{spaces} image names have spaces: they are in the text files, but COLMAP reads "
-            "only their first word back."
-        )
-    return tuple(losses)
+    return (*losses, *(() if binary else lost_in_text(problem)))

@@ -7,7 +7,6 @@ bytes of its binary files, beside what these do not hold.
 from __future__ import annotations
 
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -98,6 +97,8 @@ def packed(source: Any) -> Any:
     """Return the source of a problem as something that pickles; see :func:`unpacked`."""
     if not is_reconstruction(source):
         return source
+    import tempfile
+
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         source.write_binary(folder)
@@ -119,6 +120,8 @@ def unpacked(source: Any) -> Any:
     """Return the source that :func:`packed` was given."""
     if not isinstance(source, _Packed):
         return source
+    import tempfile
+
     import pycolmap
 
     with tempfile.TemporaryDirectory() as name:

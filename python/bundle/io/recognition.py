@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
 import re
 from pathlib import Path
 
@@ -31,9 +29,13 @@ def _beginning(path: Path) -> bytes:
         with path.open("rb") as file:
             start = file.read(_ENOUGH)
         if start.startswith(b"\x1f\x8b"):
+            import gzip
+
             with gzip.open(path, "rb") as packed:
                 return packed.read(_ENOUGH)
         if start.startswith(b"BZh"):
+            import bz2
+
             with bz2.open(path, "rb") as packed:
                 return packed.read(_ENOUGH)
         return start

@@ -7,8 +7,10 @@ problem did not change comes out as it went in.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,7 +23,7 @@ from bundle.errors import InputError
 from bundle.io.observation_edits import Baseline
 from bundle.problem import Problem
 
-__all__ = ["Observations", "baseline_of", "from_pycolmap", "problem_of"]
+__all__ = ["baseline_of", "from_pycolmap", "problem_of", "remember"]
 
 MAX_POINT_ID = 2**63 - 1  # we hold them as signed numbers
 
@@ -37,13 +39,8 @@ def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
     return problem_of(pycolmap.Reconstruction(reconstruction))
 
 
-def problem_of(
-    reconstruction: pycolmap.Reconstruction, observations: Observations | None = None
-) -> Problem:
-    """As :func:`from_pycolmap`, without the copy: the caller gives the reconstruction away.
-
-    Who knows the observations already, and has checked them, saves most of the time.
-    """
+def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
+    """As :func:`from_pycolmap`, without the copy: the caller gives the reconstruction away."""
     _check_rigs(reconstruction)
     cameras = [camera for _, camera in sorted(reconstruction.cameras.items())]
     images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
@@ -51,9 +48,8 @@ def problem_of(
     camera_index = {camera.camera_id: index for index, camera in enumerate(cameras)}
     point_ids = _ids_of_points([point_id for point_id, _ in points])
     image_ids = np.array([image.image_id for image in images], np.int64)
-    if observations is None:
-        observations = _observations(images, point_ids)
-        _check_tracks(reconstruction, points, image_ids, observations)
+    observations = _observations(images, point_ids)
+    _check_tracks(reconstruction, points, image_ids, observations)
     problem = Problem(
         cam_from_world=np.array([_pose(image) for image in images]).reshape(-1, 7),
         image_ids=image_ids,
@@ -72,15 +68,20 @@ def problem_of(
         format="colmap",
         source=reconstruction,
     )
-    _baselines[reconstruction] = Baseline(
-        problem.image_ids,
-        problem.point_ids,
-        problem.observation_image,
-        problem.observation_point,
-        problem.observation_keypoint,
-        problem.observation_xy,
-    )
+    remember(reconstruction, vars(problem))
     return problem
+
+
+def remember(reconstruction: pycolmap.Reconstruction, fields: Mapping[str, Any]) -> None:
+    """Keep what :func:`baseline_of` is going to be asked for: fields of the problem by name."""
+    _baselines[reconstruction] = Baseline(
+        fields["image_ids"],
+        fields["point_ids"],
+        fields["observation_image"],
+        fields["observation_point"],
+        fields["observation_keypoint"],
+        fields["observation_xy"],
+    )
 
 
 # What finding the observations again would take seconds for, while the reconstruction is in use.

@@ -13,7 +13,6 @@ import errno
 import fcntl
 import os
 import re
-import secrets
 import shutil
 import stat
 from collections.abc import Callable, Iterator
@@ -105,7 +104,7 @@ def temporary_folder(folder: Path) -> Iterator[Temporary]:
 @contextmanager
 def _made(folder: Path, make: Callable[[Path], None], flags: int) -> Iterator[Temporary]:
     while True:
-        path = folder / f".bundle-{secrets.token_hex(6)}.tmp"
+        path = folder / f".bundle-{os.urandom(6).hex()}.tmp"
         make(path)
         try:
             temporary = Temporary(path, os.open(path, flags))

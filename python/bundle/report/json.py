@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,9 @@ from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report.timing import WallTime
 from bundle.result import Result
-from bundle.statistics import Description
+
+if TYPE_CHECKING:
+    from bundle.statistics import Description
 
 __all__ = [
     "SCHEMA",

@@ -137,8 +137,10 @@ struct LaneResiduals {
   Pack d_camera_point[2 * 3];
   Pack d_params[2 * kMaxCameraParams];
 
-  LaneResiduals(const Terms& terms, const StateRecords& x, const LaneState& state,
-                const Batch& batch, bool derive) {
+  /// Inlined, as Hold's use of it would keep compilers from it, which took 3 % of a step.
+  __attribute__((always_inline)) LaneResiduals(const Terms& terms, const StateRecords& x,
+                                               const LaneState& state, const Batch& batch,
+                                               bool derive) {
     const double* const xy = terms.plan->xy.data();
     Pack measurement[2];
     for (int lane = 0; lane < kLanes; ++lane) {

@@ -1,0 +1,204 @@
+#include "core/io/colmap_writer.h"
+
+#include <array>
+#include <cstring>
+#include <string>
+#include <string_view>
+
+#include "core/io/colmap_values.h"
+#include "core/io/output_file.h"
+
+namespace bundle {
+namespace {
+
+/// Puts numbers in place of others: in binary of the same bytes, in text separated by blanks.
+class Patcher {
+ public:
+  Patcher(const ModelFile& file, const std::filesystem::path& path, bool is_binary)
+      : contents_(file.contents()), file_(path, Compression::kNone), is_binary_(is_binary) {}
+
+  /// Spans must come in the order of the file.
+  void Replace(const ColmapSpan& span, const double* values, size_t count) {
+    Copy(span.begin);
+    for (size_t i = 0; i < count; ++i) {
+      if (is_binary_) {
+        buffer_.append(reinterpret_cast<const char*>(values + i), sizeof(double));
+      } else {
+        if (i > 0) buffer_ += ' ';
+        buffer_ += FormatNumber(values[i]);
+      }
+    }
+    position_ = span.end;
+  }
+
+  void Finish() {
+    Copy(contents_.size());
+    Flush();
+    file_.Close();
+  }
+
+ private:
+  /// Copies the file up to `end`.
+  void Copy(uint64_t end) {
+    buffer_ += contents_.substr(position_, end - position_);
+    position_ = end;
+    if (buffer_.size() >= OutputFile::kBlockSize) Flush();
+  }
+
+  void Flush() {
+    file_.Write(buffer_);
+    buffer_.clear();
+  }
+
+  std::string_view contents_;
+  OutputFile file_;
+  bool is_binary_;
+  std::string buffer_;
+  uint64_t position_ = 0;
+};
+
+/// Where each record of the file stands in our arrays.
+std::vector<size_t> Rows(const std::vector<size_t>& by_id) {
+  std::vector<size_t> rows(by_id.size());
+  for (size_t row = 0; row < by_id.size(); ++row) rows[by_id[row]] = row;
+  return rows;
+}
+
+/// qw qx qy qz tx ty tz of a row of ours.
+std::array<double, 7> FilePose(const ColmapValues& values, size_t row) {
+  const double* pose = values.cam_from_world + 7 * row;
+  return {pose[3], pose[0], pose[1], pose[2], pose[4], pose[5], pose[6]};
+}
+
+void WriteWhole(const std::filesystem::path& path, std::string_view contents) {
+  OutputFile file(path, Compression::kNone);
+  file.Write(contents);
+  file.Close();
+}
+
+class BinaryRecords {
+ public:
+  template <typename T>
+  void Put(T value) {
+    char bytes[sizeof(T)];
+    std::memcpy(bytes, &value, sizeof(T));
+    contents_.append(bytes, sizeof(T));
+  }
+  void PutSensor(uint32_t camera_id) {
+    Put(static_cast<int32_t>(SensorType::kCamera));
+    Put(camera_id);
+  }
+  const std::string& contents() const { return contents_; }
+
+ private:
+  std::string contents_;
+};
+
+/// Rigs and frames of a model that has none.
+void WriteTrivialBinary(const ColmapModel& model, const ColmapValues& values,
+                        const std::filesystem::path& folder) {
+  BinaryRecords rigs;
+  rigs.Put(static_cast<uint64_t>(model.cameras_by_id.size()));
+  for (const size_t c : model.cameras_by_id) {
+    const uint32_t id = model.index.cameras[c].id;
+    rigs.Put(id);
+    rigs.Put(uint32_t{1});
+    rigs.PutSensor(id);
+  }
+  WriteWhole(folder / "rigs.bin", rigs.contents());
+  BinaryRecords frames;
+  frames.Put(static_cast<uint64_t>(model.images_by_id.size()));
+  for (size_t row = 0; row < model.images_by_id.size(); ++row) {
+    const ColmapIndex::Image& image = model.index.images[model.images_by_id[row]];
+    frames.Put(image.id);
+    frames.Put(image.camera_id);
+    for (const double value : FilePose(values, row)) frames.Put(value);
+    frames.Put(uint32_t{1});
+    frames.PutSensor(image.camera_id);
+    frames.Put(static_cast<uint64_t>(image.id));
+  }
+  WriteWhole(folder / "frames.bin", frames.contents());
+}
+
+/// As above. COLMAP writes the same comments.
+void WriteTrivialText(const ColmapModel& model, const ColmapValues& values,
+                      const std::filesystem::path& folder) {
+  std::string rigs =
+      "# Rig calib list with one line of data per calib:\n"
+      "#   RIG_ID, NUM_SENSORS, REF_SENSOR_TYPE, REF_SENSOR_ID, SENSORS[] as (SENSOR_TYPE, "
+      "SENSOR_ID, HAS_POSE, [QW, QX, QY, QZ, TX, TY, TZ])\n"
+      "# Number of rigs: " +
+      std::to_string(model.cameras_by_id.size()) + "\n";
+  for (const size_t c : model.cameras_by_id) {
+    const std::string id = std::to_string(model.index.cameras[c].id);
+    rigs.append(id).append(" 1 CAMERA ").append(id).append("\n");
+  }
+  WriteWhole(folder / "rigs.txt", rigs);
+  std::string frames =
+      "# Frame list with one line of data per frame:\n"
+      "#   FRAME_ID, RIG_ID, RIG_FROM_WORLD[QW, QX, QY, QZ, TX, TY, TZ], NUM_DATA_IDS, DATA_IDS[] "
+      "as (SENSOR_TYPE, SENSOR_ID, DATA_ID)\n"
+      "# Number of frames: " +
+      std::to_string(model.images_by_id.size()) + "\n";
+  for (size_t row = 0; row < model.images_by_id.size(); ++row) {
+    const ColmapIndex::Image& image = model.index.images[model.images_by_id[row]];
+    const std::string id = std::to_string(image.id);
+    const std::string camera = std::to_string(image.camera_id);
+    frames.append(id).append(" ").append(camera);
+    for (const double value : FilePose(values, row)) frames.append(" ").append(FormatNumber(value));
+    frames.append(" 1 CAMERA ").append(camera).append(" ").append(id).append("\n");
+  }
+  WriteWhole(folder / "frames.txt", frames);
+}
+
+}  // namespace
+
+void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
+                      const std::filesystem::path& folder) {
+  const ColmapIndex& index = model.index;
+  const bool is_binary = model.is_binary();
+  const char* extension = is_binary ? ".bin" : ".txt";
+  const auto patcher = [&](const ModelFile& file, const char* stem) {
+    return Patcher(file, folder / (std::string(stem) + extension), is_binary);
+  };
+
+  const std::vector<size_t> camera_rows = Rows(model.cameras_by_id);
+  Patcher cameras = patcher(index.cameras_file, "cameras");
+  for (size_t c = 0; c < index.cameras.size(); ++c) {
+    cameras.Replace(index.cameras[c].params_span,
+                    values.camera_params + values.params_width * camera_rows[c],
+                    static_cast<size_t>(index.cameras[c].model->num_params));
+  }
+  cameras.Finish();
+
+  const std::vector<size_t> image_rows = Rows(model.images_by_id);
+  Patcher images = patcher(index.images_file, "images");
+  for (size_t i = 0; i < index.images.size(); ++i) {
+    images.Replace(index.images[i].pose_span, FilePose(values, image_rows[i]).data(), 7);
+  }
+  images.Finish();
+
+  const std::vector<size_t> point_rows = Rows(model.points_by_id);
+  Patcher points = patcher(index.points_file, "points3D");
+  for (size_t p = 0; p < index.points.size(); ++p) {
+    points.Replace(index.points[p].xyz_span, values.points + 3 * point_rows[p], 3);
+    points.Replace(index.points[p].error_span, values.point_errors + point_rows[p], 1);
+  }
+  points.Finish();
+
+  if (!model.has_frames()) {
+    const auto write_trivial = is_binary ? WriteTrivialBinary : WriteTrivialText;
+    write_trivial(model, values, folder);
+    return;
+  }
+  patcher(index.rigs_file, "rigs").Finish();
+  Patcher frames = patcher(index.frames_file, "frames");
+  for (size_t f = 0; f < index.frames.size(); ++f) {
+    if (model.image_of_frame[f] < 0) continue;
+    const auto row = static_cast<size_t>(model.image_of_frame[f]);
+    frames.Replace(index.frames[f].pose_span, FilePose(values, row).data(), 7);
+  }
+  frames.Finish();
+}
+
+}  // namespace bundle

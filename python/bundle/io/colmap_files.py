@@ -1,0 +1,120 @@
+"""COLMAP models on disk without pycolmap: reading, and writing what differs in numbers alone.
+
+A solve changes poses, camera parameters and points. Such a problem is written in the format of its
+source by replacing these numbers in the source's files, which ``bundle.deferred_source`` keeps; all
+other edits go through pycolmap (``bundle.io.write_back``).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.deferred_source import DeferredSource
+from bundle.errors import InputError
+from bundle.problem import Problem
+
+__all__ = ["can_rewrite", "load", "lost_in_text", "rewrite"]
+
+# What a problem shares with its source where only numbers that a solve changes are other ones.
+_SHARED_ARRAYS = (
+    "image_ids",
+    "image_camera",
+    "camera_ids",
+    "camera_sizes",
+    "point_ids",
+    "observation_image",
+    "observation_point",
+    "observation_keypoint",
+    "observation_xy",
+)
+_SHARED_NAMES = ("image_names", "camera_models")
+
+_NO_PROJECTION = math.sqrt(sys.float_info.max)
+"""COLMAP's reprojection error of a point behind its camera."""
+
+
+def load(path: str | os.PathLike[str]) -> Problem:
+    """Read the model in a folder, the binary one if there are two, as COLMAP does.
+
+    Raises:
+        InputError: it is no model, or there is something wrong with it. The message has the file
+            and the line (of text) or byte (of binary), what was expected and what was found.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        found = "something else" if folder.exists() else "nothing"
+        raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
+    model, fields = _core.read_colmap_model(os.fsencode(folder))
+    try:
+        return Problem(**fields, format="colmap", source=DeferredSource(folder, model, fields))
+    except InputError as error:
+        raise InputError(f"{folder}: {error}") from None
+
+
+def can_rewrite(problem: Problem, *, binary: bool) -> bool:
+    """Tell whether a problem is its source with other poses, camera parameters and points."""
+    return _model(problem, binary=binary) is not None
+
+
+def rewrite(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
+    """Write the files of a model into an existing folder; return what they do not hold.
+
+    Only for a problem of which :func:`can_rewrite` is true.
+
+    Raises:
+        OSError: the files could not be written, or not whole.
+        InputError: there are numbers beyond the parameters of a camera.
+    """
+    problem.check_padding()
+    model = _model(problem, binary=binary)
+    assert model is not None
+    model.write(
+        folder,
+        problem.cam_from_world,
+        problem.camera_params,
+        problem.points,
+        _point_errors(problem)[:, None],
+    )
+    return () if binary else lost_in_text(problem)
+
+
+def lost_in_text(problem: Problem) -> tuple[str, ...]:
+    """Return what COLMAP does not read back from text files that hold everything."""
+    spaces = sum(" " in name for name in problem.image_names)
+    if not spaces:
+        return ()
+    return (
+        f"{spaces} image names have spaces: they are in the text files, but COLMAP reads "
+        "only their first word back.",
+    )
+
+
+def _model(problem: Problem, *, binary: bool) -> _core.ColmapModel | None:
+    """Return the model whose files a problem can be written by, None if there is none."""
+    source: Any = vars(problem)["source"]
+    model = source.model if isinstance(source, DeferredSource) else None
+    if model is None or model.is_binary != binary:
+        return None
+    fields = source.fields
+    shared = all(getattr(problem, name) == fields[name] for name in _SHARED_NAMES) and all(
+        np.array_equal(getattr(problem, name), fields[name]) for name in _SHARED_ARRAYS
+    )
+    return model if shared else None
+
+
+def _point_errors(problem: Problem) -> NDArray[np.float64]:
+    """Return the mean reprojection error of each point as COLMAP has it, -1 without observation."""
+    errors, behind = _core.reprojection_errors(problem, 0)
+    errors = np.where(behind | np.isnan(errors), _NO_PROJECTION, errors)
+    point = problem.observation_point
+    counts = np.bincount(point, minlength=problem.num_points)
+    sums = np.bincount(point, weights=errors, minlength=problem.num_points)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), -1.0)
