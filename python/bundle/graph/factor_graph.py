@@ -124,6 +124,13 @@ class FactorGraph(Displayed):
                         f"{name}: {variable_name(key)}: expected manifold "
                         f"{self._variables[key].manifold}, found {manifold}; give manifolds="
                     )
+        if factor.kind == "between":
+            one, other = (self._variables[key] for key in factor.keys)
+            if (one.manifold, one.value.shape) != (other.manifold, other.value.shape):
+                raise InputError(
+                    f"{name}: {variable_name(other.key)}: expected {one.manifold} of "
+                    f"{len(one.value)} numbers, found {other.manifold} of {len(other.value)}"
+                )
         if factor.kind != "function":  # which is called first when its values are meant
             variables, (given,) = self._core(factor.keys, [position], [factor])
             _core.factor_function(variables, given)
