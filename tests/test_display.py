@@ -36,6 +36,13 @@ def objects(problem, solved):
     yield bundle.describe(problem)
     yield bundle.synthesize(num_images=3, num_points=20)
     yield comparison(done(DENSE), failed(SPARSE))
+    small = bundle.FactorGraph()
+    small.add_variable("<a>", [0.0])
+    small.add_factor(bundle.PriorFactor("<a>", [1.0], 4.0))
+    yield small
+    yield small.factors[0]
+    yield small.solve()
+    yield small.check_gradients()
     yield done(DENSE)
     yield done(DENSE).measurement
     yield failed(SPARSE)

@@ -14,6 +14,7 @@ void BindSolve(py::module_& m);
 void BindCheck(py::module_& m);
 void BindInspection(py::module_& m);
 void BindSymbolic(py::module_& m);
+void BindGraph(py::module_& m);
 void BindProcess(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
@@ -29,5 +30,6 @@ PYBIND11_MODULE(_core, m) {
   BindCheck(m);
   BindInspection(m);
   BindSymbolic(m);
+  BindGraph(m);
   BindProcess(m);
 }

@@ -12,6 +12,16 @@ if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.errors import InputError
+    from bundle.graph import (
+        BetweenFactor,
+        FactorGraph,
+        FunctionFactor,
+        GraphResult,
+        LinearPrior,
+        PositionFactor,
+        PriorFactor,
+        ReprojectionFactor,
+    )
     from bundle.headers import get_include
     from bundle.inspection import (
         GraphInspection,
@@ -31,15 +41,23 @@ if TYPE_CHECKING:
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
+    "BetweenFactor",
     "Comparison",
     "Description",
+    "FactorGraph",
+    "FunctionFactor",
     "GradientReport",
     "GraphInspection",
+    "GraphResult",
     "InputError",
     "Inspection",
+    "LinearPrior",
     "MethodInspection",
+    "PositionFactor",
+    "PriorFactor",
     "Problem",
     "ReprojectionError",
+    "ReprojectionFactor",
     "Result",
     "SceneOptions",
     "SolveOptions",
@@ -72,6 +90,16 @@ _DEFERRED = {
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
     "errors": ("InputError",),
+    "graph": (
+        "BetweenFactor",
+        "FactorGraph",
+        "FunctionFactor",
+        "GraphResult",
+        "LinearPrior",
+        "PositionFactor",
+        "PriorFactor",
+        "ReprojectionFactor",
+    ),
     "headers": ("get_include",),
     "inspection": (
         "GraphInspection",

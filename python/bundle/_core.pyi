@@ -211,3 +211,34 @@ def panel_values(
     rows: NDArray[np.int32],
     order: NDArray[np.int32],
 ) -> float: ...
+
+# bind_graph.cpp
+# A variable: (name, manifold, value, held, lower, upper), the last three empty for none. A factor:
+# (kind, name, places of its variables, loss, scale, what the kind takes).
+def solve_graph(
+    variables: list[Any],
+    factors: list[Any],
+    options: dict[str, Any],
+    progress: Callable[[dict[str, Any]], None] | None,
+) -> dict[str, Any]: ...
+def graph_cost(variables: list[Any], factors: list[Any]) -> float: ...
+def marginal_information(
+    variables: list[Any], factors: list[Any], kept: list[int]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
+def factor_function(
+    variables: list[Any], factor: tuple[Any, ...]
+) -> Callable[
+    [list[NDArray[np.float64]]], tuple[NDArray[np.float64], list[NDArray[np.float64]]] | None
+]: ...
+def retract(
+    manifold: str, x: NDArray[np.float64], delta: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def local_coordinates(
+    manifold: str, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def right_jacobian(
+    manifold: str, x: NDArray[np.float64], delta: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def check_value(
+    name: str, manifold: str, value: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], list[str]]: ...

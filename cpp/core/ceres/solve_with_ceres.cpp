@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <atomic>
-#include <limits>
 #include <memory>
 #include <set>
 #include <string>
@@ -10,6 +9,7 @@
 
 #include "core/blas_threads.h"
 #include "core/ceres/count_factor.h"
+#include "core/ceres/interruptible.h"
 #include "core/ceres/losses.h"
 #include "core/ceres/ordering.h"
 #include "core/ceres/process_settings.h"
@@ -66,30 +66,6 @@ class RecordChanges final : public ceres::IterationCallback {
  private:
   HoldingWatch* watch_;
   std::set<int> iterations_;
-};
-
-class ReportProgress final : public ceres::IterationCallback {
- public:
-  ReportProgress(const ProgressCallback& progress, double fixed_cost,
-                 const std::atomic<bool>& abandoned)
-      : progress_(progress), fixed_cost_(fixed_cost), abandoned_(abandoned) {}
-
-  ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
-    // An abandoned step is none to tell of.
-    if (abandoned_) return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
-    const bool goes_on = !progress_ || progress_(ToRecord(iteration, fixed_cost_));
-    if (goes_on && !InterruptionRequested()) return ceres::SOLVER_CONTINUE;
-    interrupted_ = true;
-    return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
-  }
-
-  bool interrupted() const { return interrupted_; }
-
- private:
-  const ProgressCallback& progress_;
-  const double fixed_cost_;
-  const std::atomic<bool>& abandoned_;
-  bool interrupted_ = false;
 };
 
 /// One solve, in the order of its methods.
@@ -221,23 +197,6 @@ class CeresSolve {
                             options.linear_solver_type == ceres::SPARSE_SCHUR;
     const bool large = layout_.state_size() >= kColumnsWorthBlasThreads;
     return factorises && large ? options.num_threads : 1;
-  }
-
-  /// Makes a step that could not be evaluated one that was never tried.
-  static void ForgetAbandonedStep(ceres::Solver::Summary* summary) {
-    const auto unfinished = [](const ceres::IterationSummary& iteration) {
-      return iteration.iteration > 0 && !(iteration.cost < std::numeric_limits<double>::max());
-    };
-    if (unfinished(summary->iterations.back())) {
-      summary->iterations.pop_back();
-      --summary->num_unsuccessful_steps;
-    }
-    summary->termination_type = ceres::USER_SUCCESS;
-    summary->message = "User callback returned SOLVER_TERMINATE_SUCCESSFULLY.";
-    summary->final_cost = summary->initial_cost;
-    for (const ceres::IterationSummary& iteration : summary->iterations) {
-      summary->final_cost = std::min(summary->final_cost, iteration.cost);
-    }
   }
 
   void Collect(const ceres::Solver::Summary& summary, SolveOutput* output) {

@@ -1,0 +1,175 @@
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bindings/graph_from_python.h"
+#include "bindings/immutable_array.h"
+#include "bindings/options_from_python.h"
+#include "bindings/python_progress.h"
+#include "bindings/summary_to_python.h"
+#include "bindings/to_numpy.h"
+#include "core/ceres/linearize_graph.h"
+#include "core/ceres/solve_graph.h"
+#include "core/error.h"
+#include "core/factors/checked_value.h"
+#include "core/graph/marginal_information.h"
+#include "core/interruption.h"
+
+namespace py = pybind11;
+
+namespace {
+
+using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+py::dict SolveGraph(const py::list& variables, const py::list& factors, const py::dict& options,
+                    const py::object& progress) {
+  const bundle::FactorGraph graph = GraphFromPython(variables, factors);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  PythonProgress report(progress);
+  bundle::GraphOutput output = RunWatched(
+      &report, [&] { return bundle::SolveGraph(graph, solve_options, std::ref(report)); });
+  report.Rethrow();
+  py::list values;
+  for (std::vector<double>& value : output.values) {
+    const auto size = static_cast<py::ssize_t>(value.size());
+    values.append(ToImmutableNumpy(std::move(value), {size}));
+  }
+  py::dict result;
+  result["values"] = values;
+  result["summary"] = ToDict(output.summary);
+  result["iterations"] = ToArrays(output.iterations);
+  result["build_time_in_seconds"] = output.build_time_in_seconds;
+  result["solve_time_in_seconds"] = output.solve_time_in_seconds;
+  return result;
+}
+
+bundle::LinearizedGraph Linearize(const bundle::FactorGraph& graph, int num_threads) {
+  PythonProgress report(py::none{});
+  return RunWatched(&report, [&] {
+    bundle::ValidateGraph(graph);
+    return bundle::LinearizeGraph(graph, num_threads);
+  });
+}
+
+double GraphCost(const py::list& variables, const py::list& factors) {
+  return Linearize(GraphFromPython(variables, factors), 1).cost;
+}
+
+py::tuple MarginalInformation(const py::list& variables, const py::list& factors,
+                              const std::vector<int>& kept) {
+  const bundle::FactorGraph graph = GraphFromPython(variables, factors);
+  bundle::MarginalInformation found =
+      bundle::MarginalizeOnto(kept, graph.blocks, Linearize(graph, 1));
+  const auto n = static_cast<py::ssize_t>(found.eta.size());
+  return py::make_tuple(ToImmutableNumpy(std::move(found.lambda), {n, n}),
+                        ToImmutableNumpy(std::move(found.eta), {n}));
+}
+
+/// A function of the values of a factor's variables: (residual, Jacobians), or None where it has no
+/// value.
+py::cpp_function FactorFunction(const py::list& variables, const py::tuple& factor) {
+  auto graph = std::make_shared<bundle::FactorGraph>(
+      GraphFromPython(variables, py::list(py::make_tuple(factor))));
+  return py::cpp_function([graph](const std::vector<Array>& values) -> py::object {
+    const bundle::Factor& made = *graph->factors[0];
+    const py::ssize_t rows = made.num_residuals();
+    Array residual(rows);
+    py::list matrices;
+    std::vector<const double*> pointers;
+    std::vector<double*> jacobians;
+    for (size_t b = 0; b < made.retractions().size(); ++b) {
+      if (values.size() != made.retractions().size() ||
+          values[b].size() != made.retractions()[b].ambient_size()) {
+        throw bundle::InputError(made.name() + ": expected the values of its variables");
+      }
+      Array jacobian({rows, static_cast<py::ssize_t>(made.retractions()[b].tangent_size())});
+      pointers.push_back(values[b].data());
+      jacobians.push_back(jacobian.mutable_data());
+      matrices.append(jacobian);
+    }
+    try {
+      if (!made.Evaluate(pointers.data(), residual.mutable_data(), jacobians.data())) {
+        return py::none();
+      }
+    } catch (const bundle::Interrupted&) {
+      PyErr_SetNone(PyExc_KeyboardInterrupt);
+      throw py::error_already_set();
+    }
+    return py::make_tuple(residual, matrices);
+  });
+}
+
+bundle::Retraction RetractionOf(const std::string& manifold, const Array& x) {
+  return bundle::RetractionFromName(manifold, static_cast<int>(x.size()));
+}
+
+void CheckTangent(const bundle::Retraction& retraction, const Array& delta) {
+  if (delta.size() == retraction.tangent_size()) return;
+  throw bundle::InputError("expected " + std::to_string(retraction.tangent_size()) +
+                           " tangent coordinates, found " + std::to_string(delta.size()));
+}
+
+Array Retract(const std::string& manifold, const Array& x, const Array& delta) {
+  const bundle::Retraction retraction = RetractionOf(manifold, x);
+  CheckTangent(retraction, delta);
+  Array moved(x.size());
+  retraction.Plus(x.data(), delta.data(), moved.mutable_data());
+  return moved;
+}
+
+Array Local(const std::string& manifold, const Array& x, const Array& y) {
+  const bundle::Retraction retraction = RetractionOf(manifold, x);
+  if (retraction != RetractionOf(manifold, y)) {
+    throw bundle::InputError("expected two values of one manifold");
+  }
+  Array delta(static_cast<py::ssize_t>(retraction.tangent_size()));
+  retraction.Local(x.data(), y.data(), delta.mutable_data());
+  return delta;
+}
+
+Array RightJacobian(const std::string& manifold, const Array& x, const Array& delta) {
+  const bundle::Retraction retraction = RetractionOf(manifold, x);
+  CheckTangent(retraction, delta);
+  const py::ssize_t n = retraction.tangent_size();
+  Array jacobian({n, n});
+  retraction.RightJacobian(delta.data(), jacobian.mutable_data());
+  return jacobian;
+}
+
+/// The value as it is stored, and the names of the tangent coordinates.
+py::tuple CheckValue(const std::string& name, const std::string& manifold, const Array& value) {
+  const bundle::Retraction retraction = [&] {
+    try {
+      return RetractionOf(manifold, value);
+    } catch (const bundle::InputError& error) {
+      throw bundle::InputError(name + ": " + error.what());
+    }
+  }();
+  std::vector<double> checked = bundle::CheckedValue(
+      name, retraction, std::vector<double>(value.data(), value.data() + value.size()));
+  py::list names;
+  for (int i = 0; i < retraction.tangent_size(); ++i) names.append(retraction.CoordinateName(i));
+  const auto size = static_cast<py::ssize_t>(checked.size());
+  return py::make_tuple(ToImmutableNumpy(std::move(checked), {size}), names);
+}
+
+}  // namespace
+
+void BindGraph(py::module_& m) {
+  m.def("solve_graph", &SolveGraph, py::arg("variables"), py::arg("factors"), py::arg("options"),
+        py::arg("progress"));
+  m.def("graph_cost", &GraphCost, py::arg("variables"), py::arg("factors"));
+  m.def("marginal_information", &MarginalInformation, py::arg("variables"), py::arg("factors"),
+        py::arg("kept"));
+  m.def("factor_function", &FactorFunction, py::arg("variables"), py::arg("factor"));
+  m.def("retract", &Retract, py::arg("manifold"), py::arg("x"), py::arg("delta"));
+  m.def("local_coordinates", &Local, py::arg("manifold"), py::arg("x"), py::arg("y"));
+  m.def("right_jacobian", &RightJacobian, py::arg("manifold"), py::arg("x"), py::arg("delta"));
+  m.def("check_value", &CheckValue, py::arg("name"), py::arg("manifold"), py::arg("value"));
+}

@@ -1,0 +1,116 @@
+#include "bindings/graph_from_python.h"
+
+#include <pybind11/numpy.h>
+#include <pybind11/stl.h>
+
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bindings/options_from_python.h"
+#include "bindings/python_factor.h"
+#include "core/cameras/registry.h"
+#include "core/error.h"
+#include "core/factors/between_factor.h"
+#include "core/factors/checked_value.h"
+#include "core/factors/linear_prior.h"
+#include "core/factors/position_factor.h"
+#include "core/factors/prior_factor.h"
+#include "core/factors/reprojection_factor.h"
+
+namespace py = pybind11;
+
+namespace {
+
+using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+std::vector<double> Numbers(const py::handle& object) {
+  const auto array = py::cast<Array>(object);
+  return std::vector<double>(array.data(), array.data() + array.size());
+}
+
+bundle::Block ReadVariable(const py::tuple& given) {
+  auto value = Numbers(given[2]);
+  const auto name = py::cast<std::string>(given[0]);
+  const auto retraction =
+      bundle::RetractionFromName(py::cast<std::string>(given[1]), static_cast<int>(value.size()));
+  value = bundle::CheckedValue(name, retraction, std::move(value));
+  return {name,
+          retraction,
+          std::move(value),
+          py::cast<std::vector<bool>>(given[3]),
+          Numbers(given[4]),
+          Numbers(given[5])};
+}
+
+/// Makes a factor of its description and the variables that it touches.
+class FactorReader {
+ public:
+  FactorReader(const py::tuple& given, const std::vector<bundle::Block>& blocks)
+      : kind_(py::cast<std::string>(given[0])), arguments_(py::cast<py::tuple>(given[5])) {
+    head_.name = py::cast<std::string>(given[1]);
+    head_.blocks = py::cast<std::vector<int>>(given[2]);
+    head_.loss = LossFromName(py::cast<std::string>(given[3]));
+    head_.loss_scale = py::cast<double>(given[4]);
+    for (const int b : head_.blocks) {
+      const bundle::Block& block = blocks.at(b);
+      retractions_.push_back(block.retraction);
+      start_.push_back(block.value.data());
+    }
+  }
+
+  std::unique_ptr<bundle::Factor> Read() const {
+    if (kind_ == "prior") {
+      return std::make_unique<bundle::PriorFactor>(head_, retractions_.at(0), At(0), At(1));
+    }
+    if (kind_ == "between") {
+      return std::make_unique<bundle::BetweenFactor>(head_, retractions_.at(0), At(0), At(1));
+    }
+    if (kind_ == "position") {
+      return std::make_unique<bundle::PositionFactor>(head_, At(0), At(1), At(2));
+    }
+    if (kind_ == "reprojection") {
+      const auto model = py::cast<std::string>(arguments_[0]);
+      const bundle::CameraModel* found = bundle::FindCameraModel(model);
+      if (found == nullptr) {
+        throw bundle::InputError(head_.name + ": model: there is no camera model " + model);
+      }
+      return std::make_unique<bundle::ReprojectionFactor>(head_, *found, At(1), At(2));
+    }
+    if (kind_ == "linear") {
+      std::vector<std::vector<double>> points;
+      for (const py::handle& point : py::cast<py::sequence>(arguments_[0])) {
+        points.push_back(Numbers(point));
+      }
+      return std::make_unique<bundle::LinearPrior>(head_, retractions_, std::move(points), At(1),
+                                                   At(2));
+    }
+    if (kind_ == "function") {
+      return std::make_unique<PythonFactor>(head_, retractions_, arguments_[0], start_);
+    }
+    throw bundle::InputError(head_.name + ": there is no factor of kind " + kind_);
+  }
+
+ private:
+  std::vector<double> At(int argument) const { return Numbers(arguments_[argument]); }
+
+  std::string kind_;
+  py::tuple arguments_;
+  bundle::FactorHead head_;
+  std::vector<bundle::Retraction> retractions_;
+  std::vector<const double*> start_;
+};
+
+}  // namespace
+
+bundle::FactorGraph GraphFromPython(const py::list& variables, const py::list& factors) {
+  bundle::FactorGraph graph;
+  for (const py::handle& variable : variables) {
+    graph.blocks.push_back(ReadVariable(py::cast<py::tuple>(variable)));
+  }
+  for (const py::handle& factor : factors) {
+    graph.factors.push_back(FactorReader(py::cast<py::tuple>(factor), graph.blocks).Read());
+  }
+  return graph;
+}

@@ -1,0 +1,13 @@
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include "core/graph/factor_graph.h"
+
+/// Reads what python/bundle/graph/factor_graph.py makes:
+///
+/// - a variable: (name, manifold, value, held, lower, upper), the last three empty for none;
+/// - a factor: (kind, name, places of its variables, loss, scale, what the kind takes).
+///
+/// Throws InputError for what a factor refuses. With the GIL; the graph must end with it as well.
+bundle::FactorGraph GraphFromPython(const pybind11::list& variables, const pybind11::list& factors);

@@ -1,0 +1,76 @@
+#include "bindings/python_factor.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "core/error.h"
+#include "core/interruption.h"
+
+namespace py = pybind11;
+
+namespace {
+
+using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+/// None, or (residual, Jacobians or None).
+py::object Call(const py::object& function, const std::vector<bundle::Retraction>& retractions,
+                const double* const* values, bool jacobians) {
+  py::list blocks;
+  for (size_t b = 0; b < retractions.size(); ++b) {
+    blocks.append(Array(static_cast<py::ssize_t>(retractions[b].ambient_size()), values[b]));
+  }
+  return function(blocks, jacobians);
+}
+
+int CountResiduals(const std::string& name, const py::object& function,
+                   const std::vector<bundle::Retraction>& retractions,
+                   const std::vector<const double*>& start) {
+  const py::object answer = Call(function, retractions, start.data(), false);
+  if (answer.is_none()) {
+    throw bundle::InputError(name + ": expected a finite residual at the start, found another");
+  }
+  return static_cast<int>(py::cast<Array>(py::cast<py::tuple>(answer)[0]).size());
+}
+
+void Copy(const std::string& name, const Array& from, py::ssize_t expected, double* to) {
+  if (from.size() != expected) {
+    throw bundle::InputError(name + ": expected " + std::to_string(expected) + " numbers, found " +
+                             std::to_string(from.size()));
+  }
+  std::copy_n(from.data(), from.size(), to);
+}
+
+}  // namespace
+
+PythonFactor::PythonFactor(bundle::FactorHead head, std::vector<bundle::Retraction> retractions,
+                           py::object function, const std::vector<const double*>& start)
+    : Factor(head, retractions, CountResiduals(head.name, function, retractions, start)),
+      function_(std::move(function)) {}
+
+PythonFactor::~PythonFactor() {
+  const py::gil_scoped_acquire acquire;
+  function_ = py::object();
+}
+
+bool PythonFactor::Evaluate(const double* const* values, double* residual,
+                            double* const* jacobians) const {
+  const py::gil_scoped_acquire acquire;
+  try {
+    if (PyErr_CheckSignals() != 0) throw py::error_already_set();
+    const py::object answer = Call(function_, retractions(), values, jacobians != nullptr);
+    if (answer.is_none()) return false;
+    const auto pair = py::cast<py::tuple>(answer);
+    Copy(name(), py::cast<Array>(pair[0]), num_residuals(), residual);
+    if (jacobians == nullptr) return true;
+    const auto matrices = py::cast<py::sequence>(pair[1]);
+    for (size_t b = 0; b < retractions().size(); ++b) {
+      if (jacobians[b] == nullptr) continue;
+      Copy(name(), py::cast<Array>(matrices[b]),
+           py::ssize_t{1} * num_residuals() * retractions()[b].tangent_size(), jacobians[b]);
+    }
+    return true;
+  } catch (const py::error_already_set& error) {
+    if (error.matches(PyExc_KeyboardInterrupt)) throw bundle::Interrupted();
+    throw;
+  }
+}

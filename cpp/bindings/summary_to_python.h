@@ -1,0 +1,17 @@
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include <vector>
+
+#include "core/solve/summary.h"
+
+/// By the names of the C++ fields.
+pybind11::dict ToDict(const bundle::SolveSummary& summary);
+pybind11::dict ToDict(const bundle::IterationRecord& record);
+
+/// One array a field, one entry an iteration.
+pybind11::dict ToArrays(const std::vector<bundle::IterationRecord>& records);
+
+/// The reverse. Takes sequences as long as each other; throws InputError for others.
+std::vector<bundle::IterationRecord> RecordsFromPython(const pybind11::dict& iterations);

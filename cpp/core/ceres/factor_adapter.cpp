@@ -1,0 +1,178 @@
+#include "core/ceres/factor_adapter.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+#include <utility>
+
+#include "core/ceres/losses.h"
+#include "core/factors/checked_value.h"
+#include "core/interruption.h"
+
+namespace bundle {
+
+class CeresGraph::Cost final : public ceres::CostFunction {
+ public:
+  Cost(const Factor& factor, const CeresGraph& graph) : factor_(factor), graph_(graph) {
+    set_num_residuals(factor.num_residuals());
+    for (const Retraction& retraction : factor.retractions()) {
+      mutable_parameter_block_sizes()->push_back(retraction.ambient_size());
+    }
+  }
+
+  /// Nothing may leave through Ceres, which does not expect exceptions.
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
+    if (graph_.abandoned_.load(std::memory_order_relaxed)) return false;
+    try {
+      if (!factor_.Evaluate(parameters, residuals, jacobians)) return false;
+    } catch (const Interrupted&) {
+      graph_.abandoned_.store(true);
+      return false;
+    } catch (...) {
+      graph_.exception_.Keep();
+      graph_.abandoned_.store(true);
+      return false;
+    }
+    const int rows = num_residuals();
+    if (!std::all_of(residuals, residuals + rows, [](double r) { return std::isfinite(r); })) {
+      return false;
+    }
+    for (size_t b = 0; jacobians != nullptr && b < factor_.retractions().size(); ++b) {
+      if (jacobians[b] != nullptr) Widen(rows, factor_.retractions()[b], jacobians[b]);
+    }
+    return true;
+  }
+
+ private:
+  /// J to [J 0] in place, from the last row on: no row has moved when it is read.
+  static void Widen(int rows, const Retraction& retraction, double* jacobian) {
+    const int narrow = retraction.tangent_size(), wide = retraction.ambient_size();
+    if (narrow == wide) return;
+    for (int r = rows - 1; r >= 0; --r) {
+      std::copy_backward(jacobian + r * narrow, jacobian + (r + 1) * narrow,
+                         jacobian + r * wide + narrow);
+      std::fill(jacobian + r * wide + narrow, jacobian + (r + 1) * wide, 0.0);
+    }
+  }
+
+  const Factor& factor_;
+  const CeresGraph& graph_;
+};
+
+class CeresGraph::Watch final : public ceres::EvaluationCallback {
+ public:
+  explicit Watch(std::atomic<bool>* abandoned) : abandoned_(abandoned) {}
+
+  void PrepareForEvaluation(bool evaluate_jacobians, bool /*new_evaluation_point*/) override {
+    if (!evaluate_jacobians && InterruptionRequested()) abandoned_->store(true);
+  }
+
+ private:
+  std::atomic<bool>* abandoned_;
+};
+
+class CeresGraph::BlockManifold final : public ceres::Manifold {
+ public:
+  BlockManifold(const Block& block, bool all_free) : retraction_(block.retraction) {
+    for (int i = 0; i < retraction_.tangent_size(); ++i) {
+      if (all_free || !block.IsHeld(i)) free_.push_back(i);
+    }
+  }
+
+  int AmbientSize() const override { return retraction_.ambient_size(); }
+  int TangentSize() const override { return static_cast<int>(free_.size()); }
+
+  bool Plus(const double* x, const double* delta, double* x_plus_delta) const override {
+    std::vector<double> full(retraction_.tangent_size(), 0.0);
+    for (size_t k = 0; k < free_.size(); ++k) full[free_[k]] = delta[k];
+    retraction_.Plus(x, full.data(), x_plus_delta);
+    return true;
+  }
+
+  bool PlusJacobian(const double* /*x*/, double* jacobian) const override {
+    std::fill(jacobian, jacobian + AmbientSize() * TangentSize(), 0.0);
+    for (size_t k = 0; k < free_.size(); ++k) jacobian[free_[k] * TangentSize() + k] = 1;
+    return true;
+  }
+
+  bool Minus(const double* y, const double* x, double* y_minus_x) const override {
+    std::vector<double> full(retraction_.tangent_size());
+    retraction_.Local(x, y, full.data());
+    for (size_t k = 0; k < free_.size(); ++k) y_minus_x[k] = full[free_[k]];
+    return true;
+  }
+
+  bool MinusJacobian(const double* /*x*/, double* jacobian) const override {
+    std::fill(jacobian, jacobian + AmbientSize() * TangentSize(), 0.0);
+    for (size_t k = 0; k < free_.size(); ++k) jacobian[k * AmbientSize() + free_[k]] = 1;
+    return true;
+  }
+
+ private:
+  Retraction retraction_;
+  std::vector<int> free_;
+};
+
+CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
+    : graph_(graph), watch_(std::make_unique<Watch>(&abandoned_)) {
+  ceres::Problem::Options options;
+  options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  options.disable_all_safety_checks = true;  // the graph is valid
+  options.evaluation_callback = watch_.get();
+  problem_ = std::make_unique<ceres::Problem>(options);
+  for (const Block& block : graph.blocks) {
+    values_.push_back(CheckedValue(block.name, block.retraction, block.value));
+    double* data = values_.back().data();
+    const int size = block.retraction.ambient_size();
+    const bool moves_as_it_is = block.retraction.manifold() == Manifold::kEuclidean &&
+                                (all_free || block.NumFree() == size);
+    if (moves_as_it_is) {
+      problem_->AddParameterBlock(data, size);
+    } else {
+      manifolds_.push_back(std::make_unique<BlockManifold>(block, all_free));
+      problem_->AddParameterBlock(data, size, manifolds_.back().get());
+    }
+    if (all_free) continue;
+    if (block.NumFree() == 0) {
+      problem_->SetParameterBlockConstant(data);
+      continue;
+    }
+    for (size_t i = 0; i < block.lower.size(); ++i) {
+      if (std::isfinite(block.lower[i])) problem_->SetParameterLowerBound(data, i, block.lower[i]);
+      if (std::isfinite(block.upper[i])) problem_->SetParameterUpperBound(data, i, block.upper[i]);
+    }
+  }
+  for (const auto& factor : graph.factors) {
+    costs_.push_back(std::make_unique<Cost>(*factor, *this));
+    losses_.push_back(MakeLoss(factor->loss(), factor->loss_scale()));
+    std::vector<double*> parameters;
+    for (const int b : factor->blocks()) parameters.push_back(values_[b].data());
+    problem_->AddResidualBlock(costs_.back().get(), losses_.back().get(), parameters);
+  }
+}
+
+CeresGraph::~CeresGraph() = default;
+
+bool CeresGraph::IsThreadSafe() const {
+  return std::all_of(graph_.factors.begin(), graph_.factors.end(),
+                     [](const auto& factor) { return factor->IsThreadSafe(); });
+}
+
+int64_t CeresGraph::CountInformationNonzeros() const {
+  std::set<std::pair<int, int>> coupled;
+  for (const auto& factor : graph_.factors) {
+    for (const int a : factor->blocks()) {
+      for (const int b : factor->blocks()) coupled.emplace(a, b);
+    }
+  }
+  int64_t count = 0;
+  for (const auto& [a, b] : coupled) {
+    count += static_cast<int64_t>(graph_.blocks[a].NumFree()) * graph_.blocks[b].NumFree();
+  }
+  return count;
+}
+
+}  // namespace bundle

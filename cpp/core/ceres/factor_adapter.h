@@ -1,0 +1,60 @@
+#pragma once
+
+/// A factor graph as a ceres::Problem.
+///
+/// A factor's Jacobian J is by tangent coordinates, but Ceres asks a cost function for derivatives
+/// by the numbers that are stored and multiplies them with the manifold's PlusJacobian. As it uses
+/// that matrix for nothing else, both are chosen so that the product is J itself: the cost function
+/// writes [J 0], as wide as the stored value, and PlusJacobian is [I 0]^T, without the columns of
+/// coordinates that are held. No digit is lost and nothing is differentiated twice.
+
+#include <atomic>
+#include <memory>
+#include <vector>
+
+#include "core/ceres/ceres_version.h"
+#include "core/first_exception.h"
+#include "core/graph/factor_graph.h"
+
+namespace bundle {
+
+/// Lives as long as the ceres::Problem does. The graph stays where it is and is not changed.
+class CeresGraph {
+ public:
+  /// With `all_free`, held coordinates count as free ones and bounds are left out.
+  CeresGraph(const FactorGraph& graph, bool all_free);
+  ~CeresGraph();
+  CeresGraph(const CeresGraph&) = delete;
+  CeresGraph& operator=(const CeresGraph&) = delete;
+
+  ceres::Problem& problem() { return *problem_; }
+  /// Those that Ceres works on, which begin as the graph's.
+  const std::vector<std::vector<double>>& values() const { return values_; }
+  bool IsThreadSafe() const;
+  /// nnz(J^T J) over the free coordinates, blocks full.
+  int64_t CountInformationNonzeros() const;
+
+  /// True once no factor has a value any more, because the user wants the solve to end or a factor
+  /// threw. Looks for the user's wish before a candidate is evaluated, when Ceres can still be left
+  /// with the best state.
+  const std::atomic<bool>& abandoned() const { return abandoned_; }
+  /// Throws what a factor threw, if one did; Interrupted is none of it.
+  void RethrowFactorException() { exception_.Rethrow(); }
+
+ private:
+  class Cost;
+  class BlockManifold;
+  class Watch;
+
+  const FactorGraph& graph_;
+  std::vector<std::vector<double>> values_;
+  std::vector<std::unique_ptr<ceres::Manifold>> manifolds_;
+  std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
+  std::vector<std::unique_ptr<ceres::LossFunction>> losses_;
+  std::unique_ptr<ceres::EvaluationCallback> watch_;
+  std::unique_ptr<ceres::Problem> problem_;
+  mutable std::atomic<bool> abandoned_{false};
+  mutable FirstException exception_;
+};
+
+}  // namespace bundle

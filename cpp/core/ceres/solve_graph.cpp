@@ -1,0 +1,134 @@
+#include "core/ceres/solve_graph.h"
+
+#include <string>
+#include <utility>
+
+#include "core/blas_threads.h"
+#include "core/ceres/factor_adapter.h"
+#include "core/ceres/interruptible.h"
+#include "core/ceres/process_settings.h"
+#include "core/ceres/summarize.h"
+#include "core/ceres/translate_options.h"
+#include "core/error.h"
+#include "core/interruption.h"
+#include "core/parallel_for.h"
+#include "core/solve/memory.h"
+#include "core/solve/option_names.h"
+#include "core/solve/solver_checks.h"
+#include "core/stopwatch.h"
+
+namespace bundle {
+namespace {
+
+/// Below so many columns and entries of a dense Jacobian the dense normal equations are faster than
+/// any structure.
+constexpr int kMostDenseColumns = 100;
+constexpr double kMostDenseEntries = 1e6;
+
+struct Shape {
+  int num_columns = 0;
+  int num_rows = 0;
+  bool has_bounds = false;
+};
+
+Shape ShapeOf(const FactorGraph& graph) {
+  Shape shape;
+  for (const Block& block : graph.blocks) {
+    shape.num_columns += block.NumFree();
+    shape.has_bounds = shape.has_bounds || !block.lower.empty();
+  }
+  for (const auto& factor : graph.factors) shape.num_rows += factor->num_residuals();
+  return shape;
+}
+
+bool IsDense(LinearSolverType type) {
+  return type == LinearSolverType::kDenseNormalCholesky || type == LinearSolverType::kDenseQr ||
+         type == LinearSolverType::kDenseSchur;
+}
+
+/// Replaces kAuto, and returns why it became what it is.
+std::string Choose(const Shape& shape, SolveOptions* options) {
+  if (options->linear_solver_type != LinearSolverType::kAuto) return "";
+  const double entries = static_cast<double>(shape.num_rows) * shape.num_columns;
+  const bool dense = shape.num_columns <= kMostDenseColumns && entries <= kMostDenseEntries;
+  options->linear_solver_type =
+      dense ? LinearSolverType::kDenseNormalCholesky : LinearSolverType::kSparseNormalCholesky;
+  const std::string size = std::to_string(shape.num_rows) + " residuals of " +
+                           std::to_string(shape.num_columns) + " free coordinates";
+  return dense ? size + " are few enough for dense matrices."
+               : size + " are too many for dense matrices.";
+}
+
+ceres::Solver::Options Translate(const Shape& shape, const SolveOptions& options) {
+  if (options.backend == Backend::kFused) {
+    throw InputError("backend: expected auto or ceres for a factor graph, found fused");
+  }
+  if (shape.has_bounds &&
+      options.trust_region_strategy_type != TrustRegionStrategy::kLevenbergMarquardt) {
+    throw InputError(
+        "trust_region_strategy_type: expected levenberg_marquardt with bounds, found a dogleg");
+  }
+  if (IsDense(options.linear_solver_type)) {
+    const double columns = shape.num_columns;
+    const double bytes = 8 * columns * (columns + static_cast<double>(shape.num_rows));
+    const double available = AvailableMemoryFor(bytes);
+    if (!FitsIntoMemory(bytes, available)) {
+      throw InputError("linear_solver_type: dense matrices of " + std::to_string(shape.num_rows) +
+                       " x " + std::to_string(shape.num_columns) + " take " + FormatBytes(bytes) +
+                       ", of which this machine has " + FormatBytes(available) +
+                       " free; use sparse_normal_cholesky");
+    }
+  }
+  return TranslateOptions(options);
+}
+
+}  // namespace
+
+GraphOutput SolveGraph(const FactorGraph& graph, const SolveOptions& given,
+                       const ProgressCallback& progress) {
+  const Stopwatch time;
+  ValidateGraph(graph);
+  ThrowIfInterrupted();
+  const Shape shape = ShapeOf(graph);
+  SolveOptions options = given;
+  std::string choice = Choose(shape, &options);
+  ceres::Solver::Options ceres_options = Translate(shape, options);
+  CeresGraph adapted(graph, /*all_free=*/false);
+  const bool one_thread = options.deterministic || !adapted.IsThreadSafe();
+  ceres_options.num_threads = one_thread ? 1 : CountStartableThreads(ceres_options.num_threads);
+  ceres_options.update_state_every_iteration = true;  // the best state, however the solve ends
+  ReportProgress report(progress, 0, adapted.abandoned());
+  ceres_options.callbacks.push_back(&report);
+
+  const bool large =
+      IsDense(options.linear_solver_type) && shape.num_columns >= kColumnsWorthBlasThreads;
+  const ProcessSettings settings(large ? ceres_options.num_threads : 1);
+  const Stopwatch solve_time;
+  ceres::Solver::Summary summary;
+  ceres::Solve(ceres_options, &adapted.problem(), &summary);
+  adapted.RethrowFactorException();
+  const bool abandoned = adapted.abandoned();
+  if (abandoned && summary.iterations.empty()) throw Interrupted();
+  if (abandoned) ForgetAbandonedStep(&summary);
+
+  GraphOutput output;
+  output.solve_time_in_seconds = solve_time.seconds();
+  output.values = adapted.values();
+  output.summary = Summarize(summary, 0);
+  output.summary.interrupted = abandoned || report.interrupted();
+  output.summary.backend_given = UpperName(given.backend, kBackends);
+  output.summary.backend_used = UpperName(Backend::kCeres, kBackends);
+  if (given.backend == Backend::kAuto) {
+    output.summary.backend_choice = "Factor graphs are solved by Ceres.";
+  }
+  output.summary.linear_solver_choice = std::move(choice);
+  output.summary.num_information_nonzeros = adapted.CountInformationNonzeros();
+  output.summary.warnings = FindFallbacks(summary);
+  for (const ceres::IterationSummary& iteration : summary.iterations) {
+    output.iterations.push_back(ToRecord(iteration, 0));
+  }
+  output.build_time_in_seconds = time.seconds() - output.solve_time_in_seconds;
+  return output;
+}
+
+}  // namespace bundle

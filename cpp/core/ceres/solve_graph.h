@@ -1,0 +1,28 @@
+#pragma once
+
+#include <vector>
+
+#include "core/graph/factor_graph.h"
+#include "core/solve/options.h"
+#include "core/solve/solve.h"
+#include "core/solve/summary.h"
+
+namespace bundle {
+
+struct GraphOutput {
+  std::vector<std::vector<double>> values;  ///< one a variable
+  SolveSummary summary;
+  std::vector<IterationRecord> iterations;
+  double build_time_in_seconds = 0;  ///< outside the solver
+  double solve_time_in_seconds = 0;  ///< inside it
+};
+
+/// Minimises the cost of a graph by Ceres. Of the options those count that concern the solver; what
+/// they say of reprojection errors (losses, cheirality, what is refined or held) does not.
+///
+/// Throws InputError if the graph is not valid (ValidateGraph) or the options exclude each other,
+/// Interrupted before there is anything to keep, and what a factor throws.
+GraphOutput SolveGraph(const FactorGraph& graph, const SolveOptions& options,
+                       const ProgressCallback& progress);
+
+}  // namespace bundle

@@ -1,0 +1,27 @@
+"""Factor graphs: variables on manifolds, factors between them, one solve."""
+
+from bundle.graph.check_factors import FactorCheck
+from bundle.graph.factor_graph import FactorGraph
+from bundle.graph.factors import (
+    BetweenFactor,
+    Factor,
+    PositionFactor,
+    PriorFactor,
+    ReprojectionFactor,
+)
+from bundle.graph.function_factor import FunctionFactor
+from bundle.graph.graph_result import GraphResult
+from bundle.graph.linear_prior import LinearPrior
+
+__all__ = [
+    "BetweenFactor",
+    "Factor",
+    "FactorCheck",
+    "FactorGraph",
+    "FunctionFactor",
+    "GraphResult",
+    "LinearPrior",
+    "PositionFactor",
+    "PriorFactor",
+    "ReprojectionFactor",
+]

@@ -1,0 +1,400 @@
+"""A factor graph: what to estimate, what is known of it, and everything that is asked of both."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from bundle import _core
+from bundle.arguments import check_function, check_type
+from bundle.display import Display, Displayed
+from bundle.errors import InputError, brief, nearest
+from bundle.graph.check_factors import FactorCheck, check_factors
+from bundle.graph.factors import Factor
+from bundle.graph.graph_result import GraphResult
+from bundle.graph.linear_prior import LinearPrior
+from bundle.graph.variables import Array, Key, Variable, as_keys, check_key, variable_name
+from bundle.options import SolveOptions
+from bundle.solver import Progress
+from bundle.summary import Summary
+from bundle.words import plural
+
+__all__ = ["FactorGraph"]
+
+_OF_OTHERS = (
+    "linear_solver_ordering",
+    "loss",
+    "loss_scale",
+    "refine",
+    "fixed_camera_ids",
+    "fixed_image_ids",
+    "fixed_point_ids",
+    "gauge",
+    "cheirality",
+)
+"""Options that say something of reconstructions, and nothing of a factor graph."""
+
+
+class FactorGraph(Displayed):
+    """Variables on manifolds and factors between them: a least-squares problem of any structure.
+
+    A variable X moves by its tangent coordinates delta to X Exp(delta). Residuals are
+    differentiated and information matrices are ordered by these:
+
+    ===========  =========================  ==================================================
+    manifold     value                      tangent coordinates
+    ===========  =========================  ==================================================
+    euclidean    n numbers                  the same n
+    so2          angle                      angle
+    so3          qx qy qz qw                rotation vector (3)
+    se2          x y angle                  x y angle, in the frame of X
+    se3          qx qy qz qw tx ty tz       rotation (3), then translation (3), in the frame of X
+    ===========  =========================  ==================================================
+
+    Angles are radians. The information matrix of a graph is Lambda = J^T J and its vector
+    eta = -J^T r, with J and r of all factors at the variables' values, whitened, losses applied:
+    the cost is 1/2 delta^T Lambda delta - eta^T delta and a constant, to second order. Example::
+
+        graph = bundle.FactorGraph()
+        graph.add_variable("a", [0, 0, 0], "se2", fixed=True)
+        graph.add_variable("b", [1.1, 0, 0], "se2")
+        graph.add_factor(bundle.BetweenFactor("a", "b", [1, 0, 0], information=100))
+        graph.solve().values["b"]
+    """
+
+    def __init__(self) -> None:
+        self._variables: dict[Key, Variable] = {}
+        self._factors: list[Factor] = []
+
+    def add_variable(
+        self,
+        key: Key,
+        value: ArrayLike,
+        manifold: str = "euclidean",
+        *,
+        fixed: bool | Iterable[int] = False,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+    ) -> None:
+        """Add a variable.
+
+        Args:
+            key: a name: any hashable object.
+            value: where a solve starts, as the manifold stores it; a quaternion of any norm but 0.
+            manifold: "euclidean", "so2", "so3", "se2" or "se3".
+            fixed: True to keep it where it is, or the tangent coordinates that stay.
+            lower: bound of each number of a Euclidean variable, or one for all.
+            upper: likewise.
+
+        Raises:
+            InputError: the key is taken, the value is none of the manifold, or the bounds exclude
+                it.
+        """
+        check_key("key", key)
+        if key in self._variables:
+            raise InputError(f"{variable_name(key)}: expected a new key, found one of the graph")
+        self._variables[key] = Variable.make(key, value, manifold, fixed, lower, upper)
+
+    def add_factor(self, factor: Factor) -> None:
+        """Add a factor of variables that are in the graph.
+
+        Raises:
+            InputError: it is no factor, a key is unknown, or its numbers do not fit the variables:
+                a wrong size, an information matrix that is asymmetric, singular or indefinite.
+        """
+        check_type("factor", factor, Factor)
+        position = len(self._factors)
+        name = _factor_name(position, factor)
+        for key in factor.keys:
+            if key not in self._variables:
+                hint = (
+                    nearest(key, [k for k in self._variables if isinstance(k, str)])
+                    if (isinstance(key, str))
+                    else ""
+                )
+                raise InputError(f"{name}: there is no {variable_name(key)}{hint}")
+        if isinstance(factor, LinearPrior):
+            for key, manifold in factor.manifolds.items():
+                if manifold != self._variables[key].manifold:
+                    raise InputError(
+                        f"{name}: {variable_name(key)}: expected manifold "
+                        f"{self._variables[key].manifold}, found {manifold}; give manifolds="
+                    )
+        if factor.kind == "between":
+            one, other = (self._variables[key] for key in factor.keys)
+            if (one.manifold, one.value.shape) != (other.manifold, other.value.shape):
+                raise InputError(
+                    f"{name}: {variable_name(other.key)}: expected {one.manifold} of "
+                    f"{len(one.value)} numbers, found {other.manifold} of {len(other.value)}"
+                )
+        if factor.kind != "function":  # which is called first when its values are meant
+            variables, (given,) = self._core(factor.keys, [position], [factor])
+            _core.factor_function(variables, given)
+        self._factors.append(factor)
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The variables, in the order in which they were added."""
+        return tuple(self._variables)
+
+    @property
+    def factors(self) -> tuple[Factor, ...]:
+        """The factors, in the order in which they were added."""
+        return tuple(self._factors)
+
+    @property
+    def values(self) -> Mapping[Key, Array]:
+        """The values of the variables, where a solve starts."""
+        return MappingProxyType({key: v.value for key, v in self._variables.items()})
+
+    def with_values(self, values: Mapping[Key, ArrayLike]) -> FactorGraph:
+        """Return the graph with other values, such as those that a solve found.
+
+        Args:
+            values: by key; variables that are not in it keep theirs.
+
+        Raises:
+            InputError: a key is unknown, or a value is none of its manifold.
+        """
+        if not isinstance(values, Mapping):
+            raise InputError(f"values: expected a dict by key, found {brief(values)}")
+        graph = FactorGraph()
+        graph._variables, graph._factors = dict(self._variables), list(self._factors)
+        for key, value in values.items():
+            old = graph._known("values", key)
+            bounds = (old.lower, old.upper) if len(old.lower) else (None, None)
+            fixed = tuple(i for i, held in enumerate(old.held) if held)
+            new = Variable.make(key, value, old.manifold, fixed, *bounds)
+            if len(new.value) != len(old.value):
+                raise InputError(
+                    f"values: {variable_name(key)}: expected {len(old.value)} numbers, "
+                    f"found {len(new.value)}"
+                )
+            graph._variables[key] = new
+        return graph
+
+    def solve(
+        self,
+        options: SolveOptions | None = None,
+        *,
+        progress: Progress | None = None,
+        **changes: Any,
+    ) -> GraphResult:
+        """Minimise 1/2 sum rho(||r||^2) over the factors, from the variables' values. By Ceres.
+
+        The graph keeps its values; :meth:`with_values` takes over those of the result. The GIL is
+        released but for factors in Python. Ctrl-C stops the solve and keeps the best state; not
+        converging is a result as well.
+
+        Args:
+            options: how to solve. Those that concern reconstructions must have their defaults.
+            progress: called after each iteration, as by :func:`bundle.solve`.
+            **changes: options by name, in place of those in ``options``.
+
+        Raises:
+            InputError: a free variable has no factor, a residual or Jacobian has no finite value at
+                the start or the wrong shape, or options exclude each other. What a function of
+                yours raises comes through.
+            KeyboardInterrupt: Ctrl-C before the start was evaluated.
+        """
+        options = SolveOptions.of(options, changes, "solve")
+        check_function("progress", progress)
+        for option in _OF_OTHERS:
+            if getattr(options, option) != getattr(SolveOptions(), option):
+                raise InputError(
+                    f"{option}: expected the default for a factor graph, "
+                    f"found {brief(getattr(options, option))}"
+                )
+        cores = _core.hardware_threads()
+        options = options.replace(num_threads=min(options.num_threads or cores, cores))
+        as_core = options.asdict() | {"gauge": "none", "cheirality": "algebraic"}
+        output = _core.solve_graph(*self._core(), as_core, progress)
+        return GraphResult(
+            values=dict(zip(self._variables, output["values"], strict=True)),
+            options=options,
+            summary=Summary(**output["summary"]),
+            iterations=output["iterations"],
+            build_time_in_seconds=output["build_time_in_seconds"],
+            solve_time_in_seconds=output["solve_time_in_seconds"],
+        )
+
+    def cost(self) -> float:
+        """Return 1/2 sum rho(||r||^2) at the variables' values."""
+        return _core.graph_cost(*self._core())
+
+    def information(self, keys: Iterable[Key] | None = None) -> tuple[Array, Array]:
+        """Return what all factors together know of some variables, all others eliminated.
+
+        The marginal information at the variables' values: with a the free coordinates of all other
+        variables and b those asked for,
+
+            Lambda = L_bb - L_ba L_aa^-1 L_ab,    eta = e_b - L_ba L_aa^-1 e_a
+
+        by one factorisation of L_aa, without an inverse. Bounds do not count. Fixed coordinates of
+        the variables asked for count as if they were free; those of others stay.
+
+        Args:
+            keys: the variables, in the order of the result; all of the graph if not given.
+
+        Returns:
+            Lambda (n, n), symmetric to the last bit, and eta (n,), n the sum of tangent sizes.
+
+        Raises:
+            InputError: a key is unknown, or the factors do not determine what is eliminated; the
+                message names a variable.
+        """
+        kept = self.keys if keys is None else as_keys("keys", keys)
+        return self._marginal(kept, self._variables, range(len(self._factors)))
+
+    def marginalize(self, keys: Iterable[Key]) -> LinearPrior:
+        """Return what eliminating variables leaves on those that their factors touch.
+
+        Only the factors of these variables are used, linearised at the variables' values;
+        :meth:`without` drops the same factors, so that ``graph.without(keys)`` and the prior
+        together stand for the graph. The graph stays as it is.
+
+        Args:
+            keys: the variables to eliminate.
+
+        Raises:
+            InputError: a key is unknown, the factors touch nothing else, or do not determine what
+                is eliminated.
+        """
+        gone = set(self._checked_keys(keys))
+        used = [i for i, factor in enumerate(self._factors) if not gone.isdisjoint(factor.keys)]
+        touched = {key for i in used for key in self._factors[i].keys}
+        for key in gone - touched:
+            raise InputError(f"{variable_name(key)}: expected a factor that touches it, found none")
+        kept = [key for key in self._variables if key in touched - gone]
+        if not kept:
+            raise InputError("keys: expected factors that touch other variables too, found none")
+        members = [key for key in self._variables if key in touched]
+        matrix, vector = self._marginal(kept, members, used)
+        return LinearPrior(
+            matrix,
+            vector,
+            {key: self._variables[key].value for key in kept},
+            tuple(kept),
+            manifolds={key: self._variables[key].manifold for key in kept},
+        )
+
+    def without(self, keys: Iterable[Key]) -> FactorGraph:
+        """Return the graph without some variables and without every factor that touches one.
+
+        Raises:
+            InputError: a key is unknown.
+        """
+        gone = set(self._checked_keys(keys))
+        graph = FactorGraph()
+        graph._variables = {k: v for k, v in self._variables.items() if k not in gone}
+        graph._factors = [f for f in self._factors if gone.isdisjoint(f.keys)]
+        return graph
+
+    def check_gradients(
+        self, factors: Iterable[Factor] | Factor | None = None, **settings: Any
+    ) -> FactorCheck:
+        """Check the Jacobians of factors as :func:`bundle.check_gradients` does.
+
+        Args:
+            factors: of the graph; all if not given.
+            **settings: num_samples (3 if not given), radius, seed, tolerance of
+                :func:`bundle.check_gradients`; the radius is that of tangent coordinates, and of
+                Euclidean variables relative to their values.
+
+        Returns:
+            A report that is true if all is well, and explains itself when printed.
+
+        Raises:
+            InputError: a factor is not of the graph, or a function answers with wrong shapes.
+        """
+        wanted = [factors] if isinstance(factors, Factor) else factors
+        every = {id(factor): i for i, factor in enumerate(self._factors)}
+        chosen = list(range(len(self._factors)))
+        if wanted is not None:
+            for factor in (wanted := list(wanted)):
+                if id(factor) not in every:
+                    raise InputError(f"factors: expected some of the graph, found {brief(factor)}")
+            chosen = [every[id(factor)] for factor in wanted]
+        return check_factors(
+            [(_factor_name(i, self._factors[i]), *self._one(i)) for i in chosen], settings
+        )
+
+    def _one(self, position: int) -> tuple[list[Variable], Any]:
+        """Return the variables of a factor, and its function of their values."""
+        factor = self._factors[position]
+        variables, (given,) = self._core(factor.keys, [position], [factor])
+        return (
+            [self._variables[key] for key in factor.keys],
+            _core.factor_function(variables, given),
+        )
+
+    def _marginal(
+        self, kept: Iterable[Key], members: Iterable[Key], positions: Iterable[int]
+    ) -> tuple[Array, Array]:
+        members, positions = list(members), list(positions)
+        places = {key: i for i, key in enumerate(members)}
+        for key in kept:
+            self._known("keys", key)
+        core = self._core(members, positions, [self._factors[i] for i in positions])
+        return _core.marginal_information(*core, [places[key] for key in kept])
+
+    def _core(
+        self,
+        keys: Iterable[Key] | None = None,
+        positions: Iterable[int] | None = None,
+        factors: Iterable[Factor] | None = None,
+    ) -> tuple[list[Any], list[Any]]:
+        """Return variables and factors as ``_core`` takes them; all if none are given."""
+        members = list(self._variables if keys is None else keys)
+        factors = self._factors if factors is None else list(factors)
+        positions = range(len(factors)) if positions is None else positions
+        places = {key: i for i, key in enumerate(members)}
+        described = []
+        for position, factor in zip(positions, factors, strict=True):
+            name = _factor_name(position, factor)
+            sizes = tuple(len(self._variables[key].coordinates) for key in factor.keys)
+            described.append((
+                factor.kind,
+                name,
+                [places[key] for key in factor.keys],
+                factor.loss,
+                factor.loss_scale,
+                factor.core_arguments(name, sizes),
+            ))  # fmt: skip
+        return [self._variables[key].core() for key in members], described
+
+    def _known(self, argument: str, key: Key) -> Variable:
+        check_key(argument, key)
+        if key not in self._variables:
+            raise InputError(f"{argument}: there is no {variable_name(key)}")
+        return self._variables[key]
+
+    def _checked_keys(self, keys: Iterable[Key]) -> tuple[Key, ...]:
+        found = as_keys("keys", keys)
+        if not found:
+            raise InputError("keys: expected at least one variable, found none")
+        for key in found:
+            self._known("keys", key)
+        return found
+
+    def _display(self) -> Display:
+        manifolds = Counter(variable.manifold for variable in self._variables.values())
+        kinds = Counter(type(factor).__name__ for factor in self._factors)
+        size = sum(len(v.coordinates) - sum(v.held) for v in self._variables.values())
+        return Display(
+            title=f"FactorGraph: {plural(len(self._variables), 'variable')}, "
+            f"{plural(len(self._factors), 'factor')}",
+            facts=(
+                ("variables", ", ".join(f"{n} {name}" for name, n in manifolds.items()) or "none"),
+                ("factors", ", ".join(f"{n} {name}" for name, n in kinds.items()) or "none"),
+                ("free", plural(size, "coordinate")),
+            ),
+        )
+
+
+def _factor_name(position: int, factor: Factor) -> str:
+    return f"factor {position}, {factor.name}"

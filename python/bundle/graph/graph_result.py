@@ -1,0 +1,56 @@
+"""What the solve of a factor graph gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.display import Display, Displayed
+from bundle.graph.variables import Array, Key
+from bundle.options import SolveOptions
+from bundle.summary import Summary
+from bundle.termination import sentence
+from bundle.words import change, plural, seconds
+
+__all__ = ["GraphResult"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class GraphResult(Displayed):
+    """The values that a solve found and how it came about.
+
+    Attributes:
+        values: one array a variable, by key, as its manifold stores it.
+        options: every option as used.
+        summary: what the solver says; costs are 1/2 sum rho(||r||^2) over the factors.
+        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
+        build_time_in_seconds: outside the solver.
+        solve_time_in_seconds: inside the solver.
+    """
+
+    values: Mapping[Key, Array]
+    options: SolveOptions
+    summary: Summary
+    iterations: dict[str, NDArray[np.generic]]
+    build_time_in_seconds: float
+    solve_time_in_seconds: float
+
+    @property
+    def outcome(self) -> str:
+        """How the solve ended, in one sentence."""
+        accepted = np.asarray(self.iterations["step_is_successful"], bool)[1:]
+        return sentence(self.summary, len(accepted), int((~accepted).sum()))
+
+    def _display(self) -> Display:
+        summary = self.summary
+        facts = [
+            ("cost", change(summary.initial_cost, summary.final_cost)),
+            ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
+            ("solver", f"{summary.backend_used} {summary.linear_solver_type_used}"),
+            ("graph", f"{plural(len(self.values), 'variable')}"),
+            *(("warning", warning) for warning in summary.warnings),
+        ]
+        return Display(title=f"GraphResult: {self.outcome}", facts=tuple(facts))

@@ -1,0 +1,160 @@
+"""Variables of a factor graph: keys, manifolds, values."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle import _core
+from bundle.arguments import as_array, as_integers
+from bundle.arrays import freeze
+from bundle.errors import InputError, brief
+from bundle.option_fields import choice
+
+__all__ = ["MANIFOLDS", "Array", "Key", "Variable", "as_keys", "variable_name"]
+
+Key = Hashable
+Array = NDArray[np.float64]
+
+MANIFOLDS = ("euclidean", "so2", "so3", "se2", "se3")
+
+
+def variable_name(key: Key) -> str:
+    """Return how messages name a variable."""
+    return f"variable {brief(key)}"
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """One variable.
+
+    Attributes:
+        key: its name in the graph.
+        manifold: one of MANIFOLDS.
+        value: (n,) as the manifold stores it; quaternions have norm 1.
+        coordinates: names of its tangent coordinates.
+        held: one flag a tangent coordinate, or () where all are free.
+        lower: (n,), or (0,) where there are no bounds.
+        upper: likewise.
+    """
+
+    key: Key
+    manifold: str
+    value: Array
+    coordinates: tuple[str, ...]
+    held: tuple[bool, ...]
+    lower: Array
+    upper: Array
+
+    @staticmethod
+    def make(
+        key: Key,
+        value: ArrayLike,
+        manifold: str,
+        fixed: bool | Iterable[int],
+        lower: ArrayLike | None,
+        upper: ArrayLike | None,
+    ) -> Variable:
+        """Return a variable whose parts fit each other.
+
+        Raises:
+            InputError: they do not; the message names the variable.
+        """
+        name = variable_name(key)
+        manifold = choice(f"{name}: manifold", manifold, MANIFOLDS)
+        given = np.atleast_1d(as_array(name, value))
+        if given.ndim != 1:
+            raise InputError(f"{name}: expected numbers in one row, found shape {given.shape}")
+        checked, coordinates = _core.check_value(name, manifold, given)
+        held = _held(name, fixed, len(coordinates))
+        bounds = [
+            _bound(name, what, manifold, bound, len(checked), none)
+            for what, bound, none in (("lower", lower, -np.inf), ("upper", upper, np.inf))
+        ]
+        if lower is None and upper is None:
+            bounds = [np.zeros(0), np.zeros(0)]
+        for i in (
+            np.flatnonzero((bounds[0] > checked) | (checked > bounds[1])) if len(bounds[0]) else ()
+        ):
+            raise InputError(
+                f"{name}: expected a start within its bounds, found {checked[i]:.6g} at [{i}], "
+                f"bounds {bounds[0][i]:.6g} to {bounds[1][i]:.6g}"
+            )
+        return Variable(
+            key, manifold, checked, tuple(coordinates), held, freeze(bounds[0]), freeze(bounds[1])
+        )
+
+    def core(self) -> tuple[Any, ...]:
+        """Return what ``_core`` takes."""
+        return (
+            variable_name(self.key),
+            self.manifold,
+            self.value,
+            list(self.held),
+            self.lower,
+            self.upper,
+        )
+
+
+def as_keys(argument: str, keys: Any) -> tuple[Key, ...]:
+    """Return distinct keys in the order given.
+
+    Raises:
+        InputError: this is no list of keys, or one is named twice.
+    """
+    if isinstance(keys, str | bytes) or not isinstance(keys, Iterable):
+        raise InputError(f"{argument}: expected a list of keys, found {brief(keys)}")
+    listed = tuple(keys)
+    seen: set[Key] = set()
+    for key in listed:
+        check_key(argument, key)
+        if key in seen:
+            raise InputError(f"{argument}: expected different variables, found {brief(key)} twice")
+        seen.add(key)
+    return listed
+
+
+def check_key(argument: str, key: Any) -> None:
+    """Refuse what cannot name a variable.
+
+    Raises:
+        InputError: it is not hashable.
+    """
+    try:
+        hash(key)
+    except TypeError:
+        raise InputError(
+            f"{argument}: expected a key, such as a word or a number, found {brief(key)}"
+        ) from None
+
+
+def _held(name: str, fixed: bool | Iterable[int], size: int) -> tuple[bool, ...]:
+    if isinstance(fixed, bool | np.bool_):
+        return (True,) * size if fixed else ()
+    flags = [False] * size
+    for entry in as_integers(f"{name}: fixed", fixed).reshape(-1):
+        if not 0 <= entry < size:
+            raise InputError(
+                f"{name}: fixed: expected tangent coordinates from 0 to {size - 1}, found {entry}"
+            )
+        flags[entry] = True
+    return tuple(flags) if any(flags) else ()
+
+
+def _bound(
+    name: str, what: str, manifold: str, bound: ArrayLike | None, size: int, none: float
+) -> Array:
+    if bound is None:
+        return np.full(size, none)
+    if manifold != "euclidean":
+        raise InputError(f"{name}: {what}: expected on a euclidean variable, found {manifold}")
+    values = as_array(f"{name}: {what}", bound)
+    if values.ndim and values.shape != (size,):
+        raise InputError(f"{name}: {what}: expected {size} numbers, found shape {values.shape}")
+    if np.isnan(values).any():
+        raise InputError(f"{name}: {what}: expected numbers, found nan")
+    return np.ascontiguousarray(np.broadcast_to(values, (size,)), dtype=np.float64).copy()
