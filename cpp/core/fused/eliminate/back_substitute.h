@@ -70,7 +70,7 @@ inline void TryNewton(const Terms& terms, const StateRecords& x, const Chunk& ch
   const int64_t* const begin = terms.plan->first.data();
   PointBlock blocks[kStripPoints];
   for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
-    const Strip strip(*terms.plan, point, chunk.last_point);
+    const Strip strip(terms, point, chunk.last_point);
     VisitBatches(terms, strip, [&](const Batch& batch) {
       LinearizeAlong(terms, x, strip, batch, step, nullptr, memory);
     });
@@ -118,7 +118,7 @@ inline void Products(const Terms& terms, const StateRecords& x, const Chunk& chu
   const int64_t* const begin = terms.plan->first.data();
   PointBlock blocks[kStripPoints];
   for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
-    const Strip strip(*terms.plan, point, chunk.last_point);
+    const Strip strip(terms, point, chunk.last_point);
     VisitBatches(terms, strip, [&](const Batch& batch) {
       LinearizeAlong(terms, x, strip, batch, camera_p, &camera_q, memory);
     });
@@ -148,7 +148,7 @@ inline void Products(const Terms& terms, const StateRecords& x, const Chunk& chu
 inline double Cost(const Terms& terms, const StateRecords& x, const Chunk& chunk) {
   double cost = 0;
   for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
-    const Strip strip(*terms.plan, point, chunk.last_point);
+    const Strip strip(terms, point, chunk.last_point);
     cost += CandidateCost(terms, x, strip);
     point = strip.last;
   }

@@ -53,7 +53,7 @@ void EliminateChunk(const Terms& terms, const StateRecords& x, const Chunk& chun
   const bool counts = chunk.first_row == 0;
   PointBlock blocks[kStripPoints];
   for (int point = chunk.first_point; point < chunk.last_point;) {
-    const Strip strip(*terms.plan, point, chunk.last_point);
+    const Strip strip(terms, point, chunk.last_point);
     double cost = 0;
     VisitBatches(terms, strip, [&](const Batch& batch) {
       cost += LinearizeBatch(terms, x, strip, batch, records);

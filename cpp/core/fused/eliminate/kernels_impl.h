@@ -20,7 +20,7 @@ namespace bundle::fused::BUNDLE_ISA {
 
 inline int64_t MemoryDoubles(const Terms& terms) {
   const int record = kRecordHead + 2 * terms.num_columns;
-  return (kStripObservations + terms.longest_track) *
+  return (kMixedStripObservations + terms.longest_track) *
          static_cast<int64_t>(record > kStepRecord ? record : kStepRecord);
 }
 

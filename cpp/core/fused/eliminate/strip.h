@@ -17,18 +17,22 @@ namespace bundle::fused::BUNDLE_ISA {
 
 inline constexpr int kStripPoints = 32;
 inline constexpr int kStripObservations = 64;  // reached by its last point
+/// Where widths are mixed. Each group's last batch of a strip is not full, and the narrow records
+/// are most and leave room.
+inline constexpr int kMixedStripObservations = 128;
 
 /// Points [first, last) of the plan with observations [begin, end).
 struct Strip {
   int first, last;
   int64_t begin, end;
 
-  Strip(const PointPlan& plan, int first_point, int last_point)
-      : first(first_point), last(first_point), begin(plan.first.data()[first_point]) {
-    const int64_t* const at = plan.first.data();
+  Strip(const Terms& terms, int first_point, int last_point)
+      : first(first_point), last(first_point), begin(terms.plan->first.data()[first_point]) {
+    const int64_t* const at = terms.plan->first.data();
+    const int wanted = terms.mixed ? kMixedStripObservations : kStripObservations;
     do {
       end = at[++last];
-    } while (last < last_point && last - first < kStripPoints && end - begin < kStripObservations);
+    } while (last < last_point && last - first < kStripPoints && end - begin < wanted);
   }
 
   int num_points() const { return last - first; }
