@@ -113,6 +113,13 @@ def test_a_function_ends_where_the_built_in_factor_does():
     assert own.summary.num_threads_used == 1
 
 
+@pytest.mark.parametrize("own", [True, False])
+def test_right_jacobians_are_not_accused(own):
+    """Tangent coordinates are zero at the start, which says nothing about steps or rounding."""
+    report = two_views(own).check_gradients(num_samples=1)
+    assert report and len(report.reports) == 19
+
+
 def test_a_wrong_jacobian_is_found_and_its_factor_named():
     graph = two_views(own=True)
 

@@ -141,8 +141,10 @@ CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
       continue;
     }
     for (size_t i = 0; i < block.lower.size(); ++i) {
-      if (std::isfinite(block.lower[i])) problem_->SetParameterLowerBound(data, i, block.lower[i]);
-      if (std::isfinite(block.upper[i])) problem_->SetParameterUpperBound(data, i, block.upper[i]);
+      if (std::isfinite(block.lower[i]))
+        problem_->SetParameterLowerBound(data, static_cast<int>(i), block.lower[i]);
+      if (std::isfinite(block.upper[i]))
+        problem_->SetParameterUpperBound(data, static_cast<int>(i), block.upper[i]);
     }
   }
   for (const auto& factor : graph.factors) {

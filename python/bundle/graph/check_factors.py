@@ -1,9 +1,13 @@
 """Jacobians of factors against differences, by the checker for any residual.
 
 A factor's Jacobian J at X is by the tangent coordinates at X. The checker is given the residual as
-a function of delta, the value being X Exp(delta): its Jacobian there is J times the right Jacobian
-of the manifold at delta. Euclidean variables are given to it as they are, so that its steps know
-their size.
+a function of s, the value being X Exp(s - c) with a constant c: its Jacobian there is J times the
+right Jacobian of the manifold at s - c. Euclidean variables are given to it as they are.
+
+The checker takes the size of a parameter for its scale: it makes its first steps in proportion, and
+finds out what rounding does to a residual by changing the parameter's last digits. A parameter that
+is zero has neither. So c is 1 for an angle, and for a translation the length of the variable's own
+(1 if that is zero).
 """
 
 from __future__ import annotations
@@ -84,7 +88,7 @@ def check_factors(
     for name, variables, function in factors:
         reports[name] = check_gradients(
             _InTangentCoordinates(name, variables, function),
-            [_start(variable) for variable in variables],
+            [_origin(variable) for variable in variables],
             names=[
                 (brief(v.key), [f"{brief(v.key)} {coordinate}" for coordinate in v.coordinates])
                 for v in variables
@@ -94,10 +98,21 @@ def check_factors(
     return FactorCheck(reports)
 
 
-def _start(variable: Variable) -> Array:
+# Of the value and of the tangent coordinates: where the translation is.
+_TRANSLATIONS = {"se2": (slice(0, 2), slice(0, 2)), "se3": (slice(4, 7), slice(3, 6))}
+
+
+def _origin(variable: Variable) -> Array:
+    """Return where the checker starts: the value, or the c at which the step is zero."""
     if variable.manifold == "euclidean":
         return variable.value
-    return np.zeros(len(variable.coordinates))
+    origin = np.ones(len(variable.coordinates))
+    if variable.manifold in _TRANSLATIONS:
+        stored, tangent = _TRANSLATIONS[variable.manifold]
+        length = float(np.linalg.norm(variable.value[stored]))
+        if length > 0 and np.isfinite(length):
+            origin[tangent] = length
+    return origin
 
 
 class _InTangentCoordinates:
@@ -105,18 +120,20 @@ class _InTangentCoordinates:
 
     def __init__(self, name: str, variables: list[Variable], function: FactorFunction) -> None:
         self.name, self.variables, self.function = name, variables, function
+        self.origins = [_origin(variable) for variable in variables]
         self.num_residuals = 0
 
     def __call__(self, blocks: list[Array]) -> tuple[Array, list[Array]]:
         values: list[Array] = []
         chains: list[Array | None] = []
-        for variable, block in zip(self.variables, blocks, strict=True):
+        for variable, origin, block in zip(self.variables, self.origins, blocks, strict=True):
             if variable.manifold == "euclidean":
                 values.append(block)
                 chains.append(None)
             else:
-                values.append(_core.retract(variable.manifold, variable.value, block))
-                chains.append(_core.right_jacobian(variable.manifold, variable.value, block))
+                step = block - origin
+                values.append(_core.retract(variable.manifold, variable.value, step))
+                chains.append(_core.right_jacobian(variable.manifold, variable.value, step))
         answer = self.function(values)
         if answer is None:
             if not self.num_residuals:
