@@ -125,6 +125,7 @@ def test_signals_that_end_the_process_leave_old_or_new(tmp_path, number):
     process = subprocess.Popen(
         [sys.executable, "-c", program, "refine", source, "-o", target, "--quiet"],
         env=environment(), stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # nohup ignores SIGHUP for all
     )  # fmt: skip
     _, err = process.communicate(timeout=60)
     assert process.returncode == -number
@@ -137,7 +138,7 @@ def test_signals_that_end_the_process_leave_old_or_new(tmp_path, number):
 @pytest.mark.parametrize("as_module", [True, False])
 def test_interrupted_while_imports_run(model, tmp_path, as_module):
     """From the first line of ours on there is one line and no traceback, whatever is imported."""
-    for module in ("numpy", "rich.console", "bundle.cli.compare"):
+    for module in ("numpy", "rich.console", "bundle.cli.refine"):
         code = (
             "import os, runpy, signal, sys\n"
             "class Interrupt:\n"
