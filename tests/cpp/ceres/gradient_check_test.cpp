@@ -101,7 +101,12 @@ TEST(DifferentiateByRichardson, MovesOneParameterAtATime) {
   }
 }
 
+// Ceres' library allocates matrices that its caller frees, and with AddressSanitizer Eigen does the
+// two in different ways: it takes malloc for unaligned there.
 TEST(RunGradientChecker, TellsRightFromWrong) {
+#if defined(__SANITIZE_ADDRESS__)
+  GTEST_SKIP() << "Ceres' library was built without AddressSanitizer";
+#endif
   const double x[3] = {2, 3, 5};
   const GradientCheckerProbe right = RunGradientChecker(Product(), {nullptr}, {x}, 1e-7);
   EXPECT_TRUE(right.agrees) << right.message;
