@@ -1,9 +1,11 @@
 #include "core/backend/solve.h"
 
+#include <memory>
 #include <utility>
 
 #include "core/backend/choose_backend.h"
 #include "core/blas_threads.h"
+#include "core/ceres/losses.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/fused/solve_with_fused.h"
 #include "core/solve/memory.h"
@@ -28,6 +30,15 @@ SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions optio
   return SolveWithCeres(problem, options, std::move(prepared), progress);
 }
 
+LossFunction MakeLossFunction(const SolveOptions& options) {
+  return [loss = std::shared_ptr<ceres::LossFunction>(MakeLoss(options.loss, options.loss_scale))](
+             double squared_norm) {
+    double rho[3] = {squared_norm, 1, 0};
+    if (loss) loss->Evaluate(squared_norm, rho);
+    return std::make_pair(rho[0], rho[1]);
+  };
+}
+
 }  // namespace
 
 SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
@@ -48,6 +59,7 @@ SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
   SolveOutput output = choice.backend == Backend::kFused
                            ? fused::SolveWithFused(problem, options, std::move(prepared), progress)
                            : SolveWithCeresAsAsked(problem, options, std::move(prepared), progress);
+  JudgeFarPoints(problem, far, options, MakeLossFunction(options), &output);
   centered.MoveBack(&output);
   output.summary.backend_given = UpperName(options.backend, kBackends);
   output.summary.backend_used = UpperName(choice.backend, kBackends);
