@@ -106,7 +106,8 @@ def test_loading_copies_nothing(tmp_path):
     solved = _core.solve(problem, bundle.solver.resolve_defaults(problem, OPTIONS).asdict(), None)
     assert all(_core.is_immutable(solved[name]) for name in ("cam_from_world", "points"))
     assert all(_core.is_immutable(array) for array in _core.read_bal(tmp_path / "in.txt"))
-    assert _core.is_immutable(_core.check_colmap_model(str(tmp_path / "model"))[-1])
+    _, fields = _core.read_colmap_model(str(tmp_path / "model"))
+    assert _core.is_immutable(fields["observation_xy"])
 
 
 @pytest.mark.parametrize("kind", ["bal", "colmap", "memory"])

@@ -23,21 +23,6 @@ namespace {
 
 using Numbers = py::array_t<double, py::array::c_style>;
 
-py::tuple CheckModel(const std::string& folder) {
-  ColmapCheck check;
-  {
-    const py::gil_scoped_release release;
-    check = CheckColmapModel(folder);
-  }
-  ColmapObservations& observations = check.observations;
-  const auto size = static_cast<py::ssize_t>(observations.image.size());
-  return py::make_tuple(check.binary, check.names_with_spaces,
-                        ToImmutableNumpy(std::move(observations.image), {size}),
-                        ToImmutableNumpy(std::move(observations.point), {size}),
-                        ToImmutableNumpy(std::move(observations.keypoint), {size}),
-                        ToImmutableNumpy(std::move(observations.xy), {size, 2}));
-}
-
 /// One number of each record in the order of the ids.
 template <typename T, typename Record, typename Get>
 py::array Column(const std::vector<Record>& records, const std::vector<size_t>& by_id, Get get) {
@@ -191,7 +176,8 @@ py::dict Files(const ColmapModel& model) {
 
 void BindColmap(py::module_& m) {
   using bundle::ColmapModel;
-  m.def("check_colmap_model", &bundle::CheckModel, py::arg("folder"));
+  m.def("check_colmap_model", &bundle::CheckColmapModel, py::arg("folder"),
+        py::call_guard<py::gil_scoped_release>());
   m.def("read_colmap_model", &bundle::ReadModel, py::arg("folder"));
   py::class_<ColmapModel>(m, "ColmapModel")
       .def_property_readonly("is_binary", &ColmapModel::is_binary)

@@ -42,10 +42,7 @@ py::dict SolveGraph(const py::list& variables, const py::list& factors, const py
   }
   py::dict result;
   result["values"] = values;
-  result["summary"] = ToDict(output.summary);
-  result["iterations"] = ToArrays(output.iterations);
-  result["build_time_in_seconds"] = output.build_time_in_seconds;
-  result["solve_time_in_seconds"] = output.solve_time_in_seconds;
+  PutRecord(output, &result);
   return result;
 }
 
@@ -72,10 +69,11 @@ py::tuple MarginalInformation(const py::list& variables, const py::list& factors
 }
 
 /// A function of the values of a factor's variables: (residual, Jacobians), or None where it has no
-/// value.
+/// value. Throws InputError if the variables are none for the factor.
 py::cpp_function FactorFunction(const py::list& variables, const py::tuple& factor) {
   auto graph = std::make_shared<bundle::FactorGraph>(
       GraphFromPython(variables, py::list(py::make_tuple(factor))));
+  bundle::CheckVariables(*graph->factors[0], graph->blocks);
   return py::cpp_function([graph](const std::vector<Array>& values) -> py::object {
     const bundle::Factor& made = *graph->factors[0];
     const py::ssize_t rows = made.num_residuals();
@@ -159,6 +157,8 @@ py::tuple CheckValue(const std::string& name, const std::string& manifold, const
   return py::make_tuple(ToImmutableNumpy(std::move(checked), {size}), names);
 }
 
+void CheckVariable(const py::tuple& variable) { bundle::CheckBlock(VariableFromPython(variable)); }
+
 }  // namespace
 
 void BindGraph(py::module_& m) {
@@ -172,4 +172,5 @@ void BindGraph(py::module_& m) {
   m.def("local_coordinates", &Local, py::arg("manifold"), py::arg("x"), py::arg("y"));
   m.def("right_jacobian", &RightJacobian, py::arg("manifold"), py::arg("x"), py::arg("delta"));
   m.def("check_value", &CheckValue, py::arg("name"), py::arg("manifold"), py::arg("value"));
+  m.def("check_variable", &CheckVariable, py::arg("variable"));
 }

@@ -37,10 +37,7 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   result["camera_params"] =
       ToImmutableNumpy(std::move(output.camera_params), {num_cameras, stride});
   result["points"] = ToImmutableNumpy(std::move(output.points), {num_points, 3});
-  result["summary"] = ToDict(output.summary);
-  result["iterations"] = ToArrays(output.iterations);
-  result["build_time_in_seconds"] = output.build_time_in_seconds;
-  result["solve_time_in_seconds"] = output.solve_time_in_seconds;
+  PutRecord(output, &result);
   return result;
 }
 

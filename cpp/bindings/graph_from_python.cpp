@@ -30,20 +30,6 @@ std::vector<double> Numbers(const py::handle& object) {
   return std::vector<double>(array.data(), array.data() + array.size());
 }
 
-bundle::Block ReadVariable(const py::tuple& given) {
-  auto value = Numbers(given[2]);
-  const auto name = py::cast<std::string>(given[0]);
-  const auto retraction =
-      bundle::RetractionFromName(py::cast<std::string>(given[1]), static_cast<int>(value.size()));
-  value = bundle::CheckedValue(name, retraction, std::move(value));
-  return {name,
-          retraction,
-          std::move(value),
-          py::cast<std::vector<bool>>(given[3]),
-          Numbers(given[4]),
-          Numbers(given[5])};
-}
-
 /// Makes a factor of its description and the variables that it touches.
 class FactorReader {
  public:
@@ -104,10 +90,24 @@ class FactorReader {
 
 }  // namespace
 
+bundle::Block VariableFromPython(const py::tuple& given) {
+  auto value = Numbers(given[2]);
+  const auto name = py::cast<std::string>(given[0]);
+  const auto retraction =
+      bundle::RetractionFromName(py::cast<std::string>(given[1]), static_cast<int>(value.size()));
+  value = bundle::CheckedValue(name, retraction, std::move(value));
+  return {name,
+          retraction,
+          std::move(value),
+          py::cast<std::vector<bool>>(given[3]),
+          Numbers(given[4]),
+          Numbers(given[5])};
+}
+
 bundle::FactorGraph GraphFromPython(const py::list& variables, const py::list& factors) {
   bundle::FactorGraph graph;
   for (const py::handle& variable : variables) {
-    graph.blocks.push_back(ReadVariable(py::cast<py::tuple>(variable)));
+    graph.blocks.push_back(VariableFromPython(py::cast<py::tuple>(variable)));
   }
   for (const py::handle& factor : factors) {
     graph.factors.push_back(FactorReader(py::cast<py::tuple>(factor), graph.blocks).Read());

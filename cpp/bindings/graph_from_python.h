@@ -10,4 +10,5 @@
 /// - a factor: (kind, name, places of its variables, loss, scale, what the kind takes).
 ///
 /// Throws InputError for what a factor refuses. With the GIL; the graph must end with it as well.
+bundle::Block VariableFromPython(const pybind11::tuple& variable);
 bundle::FactorGraph GraphFromPython(const pybind11::list& variables, const pybind11::list& factors);

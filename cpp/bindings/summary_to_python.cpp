@@ -118,6 +118,14 @@ py::dict ToArrays(const std::vector<bundle::IterationRecord>& records) {
   return d;
 }
 
+void PutRecord(const bundle::SolveRecord& record, py::dict* result) {
+  py::dict& d = *result;
+  d["summary"] = ToDict(record.summary);
+  d["iterations"] = ToArrays(record.iterations);
+  d["build_time_in_seconds"] = record.build_time_in_seconds;
+  d["solve_time_in_seconds"] = record.solve_time_in_seconds;
+}
+
 std::vector<bundle::IterationRecord> RecordsFromPython(const py::dict& iterations) {
   std::vector<bundle::IterationRecord> records(py::len(iterations["iteration"]));
   VisitFields([&](const char* name, auto field) {

@@ -4,7 +4,7 @@
 
 #include <vector>
 
-#include "core/solve/summary.h"
+#include "core/solve/solve.h"
 
 /// By the names of the C++ fields.
 pybind11::dict ToDict(const bundle::SolveSummary& summary);
@@ -13,5 +13,8 @@ pybind11::dict ToDict(const bundle::IterationRecord& record);
 /// One array a field, one entry an iteration.
 pybind11::dict ToArrays(const std::vector<bundle::IterationRecord>& records);
 
-/// The reverse. Takes sequences as long as each other; throws InputError for others.
+/// Adds what python/bundle/solve_record.py takes out.
+void PutRecord(const bundle::SolveRecord& record, pybind11::dict* result);
+
+/// The reverse of ToArrays. Takes sequences as long as each other; throws InputError for others.
 std::vector<bundle::IterationRecord> RecordsFromPython(const pybind11::dict& iterations);

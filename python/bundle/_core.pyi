@@ -65,16 +65,7 @@ def write_bal(
 ) -> None: ...
 
 # bind_colmap.cpp
-def check_colmap_model(
-    folder: str | bytes,
-) -> tuple[
-    bool,
-    dict[int, str],
-    NDArray[np.int32],
-    NDArray[np.int32],
-    NDArray[np.int32],
-    NDArray[np.float64],
-]: ...
+def check_colmap_model(folder: str | bytes) -> None: ...
 
 class ColmapModel:
     @property
@@ -242,3 +233,4 @@ def right_jacobian(
 def check_value(
     name: str, manifold: str, value: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], list[str]]: ...
+def check_variable(variable: tuple[Any, ...]) -> None: ...

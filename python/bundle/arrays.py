@@ -30,12 +30,6 @@ def filled(shape: tuple[int, ...], value: float, dtype: type) -> NDArray[Any]:
     return freeze(np.full(shape, value, dtype))
 
 
-def _is_shareable(array: NDArray[Any], dtype: type) -> bool:
-    flags = array.flags
-    usable = array.ndim > 0 and array.dtype == dtype and flags.c_contiguous and flags.aligned
-    return usable and _core.is_immutable(array)
-
-
 def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
     """Return the value as an immutable C-contiguous array; on the same memory where it is one.
 
@@ -43,12 +37,11 @@ def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:
         InputError: the value is no array of real numbers, or not of whole ones where the type asks
             for them; it begins with the name.
     """
-    if type(value) is np.ndarray and _is_shareable(value, dtype):
-        return value.view()
     given = real_numbers(name, value)
     if given.ndim == 0:
         raise InputError(f"{name}: expected an array of numbers, found {brief(value)}")
-    if _is_shareable(given, dtype):
+    usable = given.dtype == dtype and given.flags.c_contiguous and given.flags.aligned
+    if usable and _core.is_immutable(given):
         return given.view()
     with np.errstate(invalid="ignore", over="ignore"):  # told below, and by who checks for infinity
         array: NDArray[Any] = np.array(given, dtype=dtype, order="C", copy=True)

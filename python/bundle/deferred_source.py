@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle import _core, address_space
-from bundle.errors import InputError
+from bundle.errors import InputError, first_line
 
 if TYPE_CHECKING:
     import pycolmap
@@ -87,10 +87,9 @@ def _reconstruction(
                 reconstruction.read_text(temporary)
         except (ValueError, LookupError, RuntimeError, MemoryError) as error:
             # Nothing known comes here, but older versions lack the newest camera models.
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
             raise InputError(
                 f"{folder}: expected a model that pycolmap {pycolmap.__version__} reads, "
-                f"found: {reason}"
+                f"found: {first_line(error)}"
             ) from None
     for image_id, name in model.names_with_spaces.items():
         reconstruction.image(image_id).name = name

@@ -8,7 +8,15 @@ from typing import Any
 
 from bundle._core import InputError, end_in_one_line
 
-__all__ = ["InputError", "brief", "check_keywords", "end_in_one_line", "nearest", "shown"]
+__all__ = [
+    "InputError",
+    "brief",
+    "check_keywords",
+    "end_in_one_line",
+    "first_line",
+    "nearest",
+    "shown",
+]
 
 InputError.__doc__ = """Input that cannot be used: one line with place, expected and found."""
 
@@ -30,6 +38,11 @@ def brief(value: Any) -> str:
     if len(text) <= LONGEST_VALUE:
         return text
     return f"{type(value).__name__} {text[: LONGEST_VALUE - 3]}..."
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of what an exception of another library says, or its type."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:

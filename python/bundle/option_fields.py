@@ -85,7 +85,7 @@ class Options:
         return super().__new__(cls)
 
     def __post_init__(self) -> None:
-        self._check(_fields(type(self)))
+        self._check(_declared(type(self)).fields)
 
     def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
         for field in fields:
@@ -106,8 +106,7 @@ class Options:
             InputError: these are no options, or a change is wrong.
         """
         if options is None:
-            kind: Any = cls
-            options = _defaults(kind)
+            options = _defaults(cls)
         if not isinstance(options, cls):
             raise InputError(f"options: expected {cls.__name__}, found {brief(options)}")
         return options._changed(caller, changes) if changes else options
@@ -118,14 +117,14 @@ class Options:
 
     def asdict(self) -> dict[str, Any]:
         """Return every option by name."""
-        return {field.name: getattr(self, field.name) for field in _fields(type(self))}
+        return {field.name: getattr(self, field.name) for field in _declared(type(self)).fields}
 
     def _changed(self, caller: str, changes: Mapping[str, Any]) -> Self:
         """Return a copy with changes, which alone are checked: the rest was."""
         check_keywords(caller, changes, spellings(type(self)))
         copy = object.__new__(type(self))
         copy.__dict__.update(self.__dict__, **changes)
-        copy._check(field for field in _fields(type(self)) if field.name in changes)
+        copy._check(field for field in _declared(type(self)).fields if field.name in changes)
         return copy
 
     def without_idle(self) -> Self:
@@ -135,7 +134,7 @@ class Options:
     def __repr__(self) -> str:
         changed = (
             f"{field.name}={getattr(self, field.name)!r}"
-            for field in _fields(type(self))
+            for field in _declared(type(self)).fields
             if getattr(self, field.name) != field.default
         )
         return f"{type(self).__name__}({', '.join(changed)})"
@@ -147,7 +146,7 @@ class Options:
     def _idle(self) -> list[dataclasses.Field[Any]]:
         """Return the options that were changed but have no effect."""
         idle = []
-        for field in _dependent(type(self)):
+        for field in _declared(type(self)).dependent:
             value = getattr(self, field.name)
             zero = isinstance(value, float) and value == 0  # noise of something that is not there
             if value == field.default or zero:
@@ -161,7 +160,7 @@ class Options:
 def documented(kind: type[AnyOptions]) -> type[AnyOptions]:
     """Give an option class a docstring that lists every option, from its fields."""
     lines = [(kind.__doc__ or "").rstrip(), "", "    Attributes:"]
-    for field in _fields(kind):
+    for field in _declared(kind).fields:
         metavar = field.metadata["metavar"]
         value = " ".join(metavar) if isinstance(metavar, tuple) else metavar or ""
         choices = field.metadata["choices"]
@@ -179,7 +178,7 @@ def documented(kind: type[AnyOptions]) -> type[AnyOptions]:
 
 def spellings(kind: type[Options]) -> Mapping[str, str]:
     """Return every spelling of an option that is understood, the flags' among them."""
-    return _spellings(kind)
+    return _declared(kind).spellings
 
 
 def checked(field: dataclasses.Field[Any], value: Any) -> Any:
@@ -253,8 +252,12 @@ class _Declared(NamedTuple):
     spellings: Mapping[str, str]
 
 
-@functools.cache
 def _declared(kind: Any) -> _Declared:
+    return _cached_declared(kind)
+
+
+@functools.cache
+def _cached_declared(kind: Any) -> _Declared:
     fields = dataclasses.fields(kind)
     flags = {field.metadata["flag"]: field.name for field in fields}
     names = {field.name: field.name for field in fields}
@@ -265,22 +268,14 @@ def _declared(kind: Any) -> _Declared:
     )
 
 
-@functools.cache
 def _defaults(kind: Any) -> Any:
+    return _cached_defaults(kind)
+
+
+@functools.cache
+def _cached_defaults(kind: Any) -> Any:
     """Return the defaults, which nobody can change, checked once."""
     return kind()
-
-
-def _fields(kind: Any) -> tuple[dataclasses.Field[Any], ...]:
-    return _declared(kind).fields
-
-
-def _dependent(kind: Any) -> tuple[dataclasses.Field[Any], ...]:
-    return _declared(kind).dependent
-
-
-def _spellings(kind: Any) -> Mapping[str, str]:
-    return _declared(kind).spellings
 
 
 def _number(name: str, value: Any, limits: Mapping[str, Any], *, whole: bool) -> int | float:

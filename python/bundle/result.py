@@ -5,15 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-from numpy.typing import NDArray
-
-from bundle.display import Display, Displayed
-from bundle.options import SolveOptions
+from bundle.display import Display
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error
-from bundle.summary import Summary
-from bundle.termination import sentence
+from bundle.solve_record import SolveRecord
 from bundle.words import change, contents, pixels, plural, seconds
 from bundle.worst_images import ImageError, worst_images
 
@@ -21,7 +16,7 @@ __all__ = ["Result"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Result(Displayed):
+class Result(SolveRecord):
     """A refined problem and how it came about.
 
     Attributes:
@@ -36,18 +31,6 @@ class Result(Displayed):
 
     problem: Problem
     initial_problem: Problem
-    options: SolveOptions
-    summary: Summary
-    iterations: dict[str, NDArray[np.generic]]
-    build_time_in_seconds: float
-    solve_time_in_seconds: float
-
-    @property
-    def outcome(self) -> str:
-        """How the solve ended, in one sentence."""
-        # Entry 0 is the evaluation at the start, not a step.
-        accepted = np.asarray(self.iterations["step_is_successful"], bool)[1:]
-        return sentence(self.summary, len(accepted), int((~accepted).sum()))
 
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:

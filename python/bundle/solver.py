@@ -12,7 +12,7 @@ from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.result import Result
-from bundle.summary import Summary
+from bundle.solve_record import record_fields
 
 __all__ = ["Progress", "resolve_defaults", "solve"]
 
@@ -63,10 +63,7 @@ def solve(
         problem=refined,
         initial_problem=problem,
         options=options,
-        summary=Summary(**output["summary"]),
-        iterations=output["iterations"],
-        build_time_in_seconds=output["build_time_in_seconds"],
-        solve_time_in_seconds=output["solve_time_in_seconds"],
+        **record_fields(output),
     )
 
 

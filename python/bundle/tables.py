@@ -7,7 +7,7 @@ import math
 import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TextIO
+from typing import Any, TextIO
 
 from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
 from rich.measure import Measurement
@@ -43,31 +43,28 @@ def console(file: TextIO) -> Console:
     """Return a console that colours only a terminal and never interprets what it prints."""
     probe = Console(file=file, force_jupyter=False)
     width = probe.width if probe.is_terminal or "COLUMNS" in os.environ else WIDEST
-    return Console(
-        file=file,
-        width=min(max(width, NARROWEST), WIDEST),
-        markup=False,
-        emoji=False,
-        highlight=False,
-        force_jupyter=False,
-    )
+    return _literal_console(file, min(max(width, NARROWEST), WIDEST))
 
 
 def render(*renderables: RenderableType, width: int = WIDEST) -> str:
     """Return renderables as plain lines, without colours or trailing blanks."""
     file = io.StringIO()
-    plain = Console(
+    plain = _literal_console(file, width, color_system=None)
+    for renderable in renderables:
+        plain.print(renderable, crop=False)
+    return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
+
+
+def _literal_console(file: TextIO, width: int, **settings: Any) -> Console:
+    return Console(
         file=file,
         width=width,
         markup=False,
         emoji=False,
         highlight=False,
-        color_system=None,
-        force_jupyter=False,  # in a notebook rich would display them and write nothing
+        force_jupyter=False,  # in a notebook rich would display what it is to write
+        **settings,
     )
-    for renderable in renderables:
-        plain.print(renderable, crop=False)
-    return "".join(f"{line.rstrip()}\n" for line in file.getvalue().splitlines())
 
 
 def facts(rows: Iterable[tuple[str, str]]) -> Table:

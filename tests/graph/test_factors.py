@@ -249,6 +249,10 @@ def test_losses_reject_an_outlier():
             lambda g: g.add_factor(bundle.BetweenFactor("a", "b", [0, 0], 1.0)),
             ["factor 0, BetweenFactor('a', 'b')"],
         ),
+        (
+            lambda g: g.add_factor(bundle.PositionFactor("a", [0, 0, 0], 1.0)),
+            ["factor 0, PositionFactor('a')", "variable 'a'", "se3", "euclidean of 2"],
+        ),
         (lambda g: g.information(["q"]), ["keys", "variable 'q'"]),
         (lambda g: g.without(["a", "a"]), ["keys", "'a' twice"]),
         (lambda g: g.marginalize(["a"]), ["variable 'a'", "factor"]),

@@ -64,6 +64,13 @@ bool IsDense(LinearSolverType type) {
          type == LinearSolverType::kDenseSchur;
 }
 
+/// DENSE_SCHUR may find little to eliminate in a graph: it is counted like the normal equations.
+double DenseBytes(LinearSolverType type, const ProblemShape& shape) {
+  const bool is_qr = type == LinearSolverType::kDenseQr;
+  return PredictDenseMatrixBytes(is_qr ? type : LinearSolverType::kDenseNormalCholesky, shape,
+                                 /*cameras_eliminated=*/false);
+}
+
 /// Replaces kAuto, and returns why it became what it is.
 std::string Choose(const Shape& shape, SolveOptions* options) {
   if (options->linear_solver_type != LinearSolverType::kAuto) return "";
@@ -87,15 +94,12 @@ ceres::Solver::Options Translate(const Shape& shape, const SolveOptions& options
         "trust_region_strategy_type: expected levenberg_marquardt with bounds, found a dogleg");
   }
   if (IsDense(options.linear_solver_type)) {
-    const double columns = shape.num_columns;
-    const double bytes = 8 * columns * (columns + static_cast<double>(shape.num_rows));
-    const double available = AvailableMemoryFor(bytes);
-    if (!FitsIntoMemory(bytes, available)) {
-      throw InputError("linear_solver_type: dense matrices of " + std::to_string(shape.num_rows) +
-                       " x " + std::to_string(shape.num_columns) + " take " + FormatBytes(bytes) +
-                       ", of which this machine has " + FormatBytes(available) +
-                       " free; use sparse_normal_cholesky");
-    }
+    ProblemShape matrices;
+    matrices.num_residuals = shape.num_rows;
+    matrices.num_camera_columns = shape.num_columns;
+    RefuseTooMuchMemory(options.linear_solver_type,
+                        DenseBytes(options.linear_solver_type, matrices), "dense matrices",
+                        "sparse_normal_cholesky");
   }
   return TranslateOptions(options);
 }

@@ -5,16 +5,11 @@
 #include "core/graph/factor_graph.h"
 #include "core/solve/options.h"
 #include "core/solve/solve.h"
-#include "core/solve/summary.h"
 
 namespace bundle {
 
-struct GraphOutput {
+struct GraphOutput : SolveRecord {
   std::vector<std::vector<double>> values;  ///< one a variable
-  SolveSummary summary;
-  std::vector<IterationRecord> iterations;
-  double build_time_in_seconds = 0;  ///< outside the solver
-  double solve_time_in_seconds = 0;  ///< inside it
 };
 
 /// Minimises the cost of a graph by Ceres. Of the options those count that concern the solver; what

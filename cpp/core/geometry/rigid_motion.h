@@ -102,9 +102,9 @@ inline void MotionCoefficients(double angle_squared, double out[3]) {
 
 /// Q of the derivation above.
 inline void MotionCoupling(const double d[6], double out[9]) {
-  const double w[9] = {0, -d[2], d[1], d[2], 0, -d[0], -d[1], d[0], 0};
-  const double v[9] = {0, -d[5], d[4], d[5], 0, -d[3], -d[4], d[3], 0};
-  double k[3], wv[9], vw[9], wvw[9], wwv[9], vww[9], wvww[9], wwvw[9];
+  double w[9], v[9], k[3], wv[9], vw[9], wvw[9], wwv[9], vww[9], wvww[9], wwvw[9];
+  Skew(d, w);
+  Skew(d + 3, v);
   MotionCoefficients(d[0] * d[0] + d[1] * d[1] + d[2] * d[2], k);
   MatrixProduct3(w, v, wv);
   MatrixProduct3(v, w, vw);
@@ -122,10 +122,9 @@ inline void MotionCoupling(const double d[6], double out[9]) {
 }  // namespace internal
 
 inline void AdjointOfRigidMotion(const double x[7], double out[36]) {
-  double rotation[9], below[9];
+  double rotation[9], skew[9], below[9];
   QuaternionToRotation(x, rotation);
-  const double* t = x + 4;
-  const double skew[9] = {0, -t[2], t[1], t[2], 0, -t[0], -t[1], t[0], 0};
+  Skew(x + 4, skew);
   MatrixProduct3(skew, rotation, below);
   internal::LowerBlockTriangle(rotation, below, out);
 }

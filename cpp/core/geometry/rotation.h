@@ -54,6 +54,12 @@ inline void SkewPolynomial(const double w[3], double p, double q, double out[9])
   out[8] = 1 - q * (xx + yy);
 }
 
+/// out = [v]x
+inline void Skew(const double v[3], double out[9]) {
+  const double skew[9] = {0, -v[2], v[1], v[2], 0, -v[0], -v[1], v[0], 0};
+  for (int i = 0; i < 9; ++i) out[i] = skew[i];
+}
+
 inline void ExpRotation(const double w[3], double rotation[9], double left_jacobian[9]) {
   const RotationCoefficients k = ExpCoefficients(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
   SkewPolynomial(w, k.a, k.b, rotation);

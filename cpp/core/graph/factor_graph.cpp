@@ -31,6 +31,8 @@ void CheckBounds(const Block& block) {
   }
 }
 
+}  // namespace
+
 void CheckBlock(const Block& block) {
   CheckedValue(block.name, block.retraction, block.value);
   if (!block.held.empty() &&
@@ -65,6 +67,8 @@ void CheckVariables(const Factor& factor, const std::vector<Block>& blocks) {
                      std::to_string(block.retraction.ambient_size()));
   }
 }
+
+namespace {
 
 void CheckEvaluation(const Factor& factor, const std::vector<Block>& blocks) {
   const size_t num_blocks = factor.blocks().size();

@@ -15,6 +15,14 @@ struct FactorGraph {
   std::vector<std::unique_ptr<Factor>> factors;
 };
 
+/// Throws InputError, naming the variable, for a value that is not finite, a quaternion of norm 0,
+/// flags that do not fit, or bounds that exclude the value.
+void CheckBlock(const Block& block);
+
+/// Throws InputError, naming factor and variable, if the factor's variables do not exist, are not
+/// different, or are of another manifold than it takes them for.
+void CheckVariables(const Factor& factor, const std::vector<Block>& blocks);
+
 /// Checks what Python's FactorGraph and any other maker of graphs must get right, and evaluates
 /// every factor once at the variables' values. Throws InputError, naming factor and variable:
 ///

@@ -3,8 +3,6 @@
 #include <filesystem>
 #include <string>
 #include <system_error>
-#include <utility>
-#include <vector>
 
 #include "core/error.h"
 #include "core/io/colmap_index.h"
@@ -71,11 +69,8 @@ ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents) {
   return index;
 }
 
-ColmapCheck CheckColmapModel(const std::string& folder) {
-  ColmapIndex index = ScanColmapModel(folder, /*keep_contents=*/false);
-  const std::vector<int64_t> point_of_keypoint = CheckColmapReferences(index);
-  return {index.kind == ModelFile::Kind::kBinary, std::move(index.names_with_spaces),
-          SortColmapObservations(index, point_of_keypoint)};
+void CheckColmapModel(const std::string& folder) {
+  CheckColmapReferences(ScanColmapModel(folder, /*keep_contents=*/false));
 }
 
 }  // namespace bundle

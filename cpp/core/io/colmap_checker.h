@@ -1,22 +1,10 @@
 #pragma once
 
-#include <cstdint>
-#include <map>
 #include <string>
 
 #include "core/io/colmap_index.h"
-#include "core/io/colmap_observations.h"
 
 namespace bundle {
-
-struct ColmapCheck {
-  bool binary = false;  ///< what COLMAP reads where the folder holds both formats
-
-  /// Full names of the images whose names COLMAP's text reader cuts at a space, by image id.
-  std::map<uint32_t, std::string> names_with_spaces;
-
-  ColmapObservations observations;  ///< by the way: through pycolmap they would take far longer
-};
 
 /// Reads the files of a COLMAP model from end to end and throws InputError at the first thing that
 /// is wrong with them, naming file and line (or byte). COLMAP's own reader, for which this stands
@@ -25,9 +13,10 @@ struct ColmapCheck {
 ///
 /// What COLMAP writes passes, and so does what is strange but legal: points without or with one
 /// observation, several keypoints of one image in one track, models without rigs and frames.
-ColmapCheck CheckColmapModel(const std::string& folder);
+void CheckColmapModel(const std::string& folder);
 
-/// The scan alone, without the check of references; the index may keep the contents of the files.
+/// The scan alone, without the check of references, of the format that COLMAP reads where the
+/// folder holds both; the index may keep the contents of the files.
 ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents);
 
 }  // namespace bundle

@@ -14,14 +14,18 @@ namespace bundle {
 /// to keep, and Interrupted is thrown.
 using ProgressCallback = std::function<bool(const IterationRecord&)>;
 
-struct SolveOutput {
-  std::vector<double> cam_from_world;  ///< as in ProblemView
-  std::vector<double> camera_params;   ///< as in ProblemView
-  std::vector<double> points;          ///< as in ProblemView
+/// What every solve tells of itself.
+struct SolveRecord {
   SolveSummary summary;
   std::vector<IterationRecord> iterations;
   double build_time_in_seconds = 0;  ///< outside the solver
   double solve_time_in_seconds = 0;  ///< inside it
+};
+
+struct SolveOutput : SolveRecord {
+  std::vector<double> cam_from_world;  ///< as in ProblemView
+  std::vector<double> camera_params;   ///< as in ProblemView
+  std::vector<double> points;          ///< as in ProblemView
 };
 
 }  // namespace bundle

@@ -16,14 +16,6 @@ double AvailableIfTooLittle(double bytes) {
   return FitsIntoMemory(bytes, available) ? -1 : available;
 }
 
-void Refuse(LinearSolverType type, double bytes, const char* what, const char* instead) {
-  const double available = AvailableIfTooLittle(bytes);
-  if (available < 0) return;
-  throw InputError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) + " needs " +
-                   FormatBytes(bytes) + " for its " + what + ", of which this machine has " +
-                   FormatBytes(available) + " free; use " + instead);
-}
-
 }  // namespace
 
 bool IsIterative(LinearSolverType type) {
@@ -57,10 +49,19 @@ std::string FindIdleOrdering(const SolveOptions& options) {
          " does not eliminate block by block.";
 }
 
+void RefuseTooMuchMemory(LinearSolverType type, double bytes, const char* what,
+                         const char* instead) {
+  const double available = AvailableIfTooLittle(bytes);
+  if (available < 0) return;
+  throw InputError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) + " needs " +
+                   FormatBytes(bytes) + " for its " + what + ", of which this machine has " +
+                   FormatBytes(available) + " free; use " + instead);
+}
+
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
                          bool cameras_eliminated) {
-  Refuse(type, PredictDenseMatrixBytes(type, shape, cameras_eliminated), "dense matrices",
-         "sparse_schur or iterative_schur");
+  RefuseTooMuchMemory(type, PredictDenseMatrixBytes(type, shape, cameras_eliminated),
+                      "dense matrices", "sparse_schur or iterative_schur");
 }
 
 bool FitsIntoMemory(double bytes, double available) { return bytes <= 0.9 * available; }
@@ -93,8 +94,9 @@ void RefuseTooMuchMemory(double working_bytes) {
 }
 
 void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes) {
-  Refuse(type, factor_bytes + working_bytes,
-         working_bytes > 0 ? "factor, observations and points" : "factor", "iterative_schur");
+  RefuseTooMuchMemory(type, factor_bytes + working_bytes,
+                      working_bytes > 0 ? "factor, observations and points" : "factor",
+                      "iterative_schur");
 }
 
 }  // namespace bundle

@@ -28,6 +28,10 @@ bool FitsIntoMemory(double bytes, double available);
 /// Throws InputError if the dense matrices of a solver do not fit into the free memory.
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape, bool cameras_eliminated);
 
+/// The same for matrices of so many bytes: `what` they are, and which solver to use `instead`.
+void RefuseTooMuchMemory(LinearSolverType type, double bytes, const char* what,
+                         const char* instead);
+
 /// The same for a solver whose matrix takes so many bytes, beside those of observations and points.
 void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes = 0);
 

@@ -19,8 +19,8 @@ from bundle.graph.graph_result import GraphResult
 from bundle.graph.linear_prior import LinearPrior
 from bundle.graph.variables import Array, Key, Variable, as_keys, check_key, variable_name
 from bundle.options import SolveOptions
+from bundle.solve_record import record_fields
 from bundle.solver import Progress
-from bundle.summary import Summary
 from bundle.words import plural
 
 __all__ = ["FactorGraph"]
@@ -110,13 +110,7 @@ class FactorGraph(Displayed):
         position = len(self._factors)
         name = _factor_name(position, factor)
         for key in factor.keys:
-            if key not in self._variables:
-                hint = (
-                    nearest(key, [k for k in self._variables if isinstance(k, str)])
-                    if (isinstance(key, str))
-                    else ""
-                )
-                raise InputError(f"{name}: there is no {variable_name(key)}{hint}")
+            self._known(name, key)
         if isinstance(factor, LinearPrior):
             for key, manifold in factor.manifolds.items():
                 if manifold != self._variables[key].manifold:
@@ -124,13 +118,6 @@ class FactorGraph(Displayed):
                         f"{name}: {variable_name(key)}: expected manifold "
                         f"{self._variables[key].manifold}, found {manifold}; give manifolds="
                     )
-        if factor.kind == "between":
-            one, other = (self._variables[key] for key in factor.keys)
-            if (one.manifold, one.value.shape) != (other.manifold, other.value.shape):
-                raise InputError(
-                    f"{name}: {variable_name(other.key)}: expected {one.manifold} of "
-                    f"{len(one.value)} numbers, found {other.manifold} of {len(other.value)}"
-                )
         if factor.kind != "function":  # which is called first when its values are meant
             variables, (given,) = self._core(factor.keys, [position], [factor])
             _core.factor_function(variables, given)
@@ -203,8 +190,9 @@ class FactorGraph(Displayed):
         """
         options = SolveOptions.of(options, changes, "solve")
         check_function("progress", progress)
+        defaults = SolveOptions()
         for option in _OF_OTHERS:
-            if getattr(options, option) != getattr(SolveOptions(), option):
+            if getattr(options, option) != getattr(defaults, option):
                 raise InputError(
                     f"{option}: expected the default for a factor graph, "
                     f"found {brief(getattr(options, option))}"
@@ -216,10 +204,7 @@ class FactorGraph(Displayed):
         return GraphResult(
             values=dict(zip(self._variables, output["values"], strict=True)),
             options=options,
-            summary=Summary(**output["summary"]),
-            iterations=output["iterations"],
-            build_time_in_seconds=output["build_time_in_seconds"],
-            solve_time_in_seconds=output["solve_time_in_seconds"],
+            **record_fields(output),
         )
 
     def cost(self) -> float:
@@ -370,7 +355,9 @@ class FactorGraph(Displayed):
     def _known(self, argument: str, key: Key) -> Variable:
         check_key(argument, key)
         if key not in self._variables:
-            raise InputError(f"{argument}: there is no {variable_name(key)}")
+            words = [known for known in self._variables if isinstance(known, str)]
+            hint = nearest(key, words) if isinstance(key, str) else ""
+            raise InputError(f"{argument}: there is no {variable_name(key)}{hint}")
         return self._variables[key]
 
     def _checked_keys(self, keys: Iterable[Key]) -> tuple[Key, ...]:

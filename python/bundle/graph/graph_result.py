@@ -5,21 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from bundle.display import Display, Displayed
+from bundle.display import Display
 from bundle.graph.variables import Array, Key
-from bundle.options import SolveOptions
-from bundle.summary import Summary
-from bundle.termination import sentence
+from bundle.solve_record import SolveRecord
 from bundle.words import change, plural, seconds
 
 __all__ = ["GraphResult"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class GraphResult(Displayed):
+class GraphResult(SolveRecord):
     """The values that a solve found and how it came about.
 
     Attributes:
@@ -32,17 +27,6 @@ class GraphResult(Displayed):
     """
 
     values: Mapping[Key, Array]
-    options: SolveOptions
-    summary: Summary
-    iterations: dict[str, NDArray[np.generic]]
-    build_time_in_seconds: float
-    solve_time_in_seconds: float
-
-    @property
-    def outcome(self) -> str:
-        """How the solve ended, in one sentence."""
-        accepted = np.asarray(self.iterations["step_is_successful"], bool)[1:]
-        return sentence(self.summary, len(accepted), int((~accepted).sum()))
 
     def _display(self) -> Display:
         summary = self.summary

@@ -77,16 +77,11 @@ class Variable:
         ]
         if lower is None and upper is None:
             bounds = [np.zeros(0), np.zeros(0)]
-        for i in (
-            np.flatnonzero((bounds[0] > checked) | (checked > bounds[1])) if len(bounds[0]) else ()
-        ):
-            raise InputError(
-                f"{name}: expected a start within its bounds, found {checked[i]:.6g} at [{i}], "
-                f"bounds {bounds[0][i]:.6g} to {bounds[1][i]:.6g}"
-            )
-        return Variable(
+        variable = Variable(
             key, manifold, checked, tuple(coordinates), held, freeze(bounds[0]), freeze(bounds[1])
         )
+        _core.check_variable(variable.core())
+        return variable
 
     def core(self) -> tuple[Any, ...]:
         """Return what ``_core`` takes."""

@@ -15,7 +15,7 @@ import numpy as np
 import pycolmap
 
 from bundle import _core
-from bundle.errors import InputError
+from bundle.errors import InputError, first_line
 from bundle.io import written
 from bundle.io.colmap_files import load, lost_in_text
 from bundle.io.model_files import missing_model_files
@@ -58,13 +58,9 @@ def save(problem: Problem, folder: Path, binary: bool = True) -> tuple[str, ...]
         else:
             reconstruction.write_text(folder)
     except (ValueError, RuntimeError) as error:
-        raise written.failure(folder, f"cannot be written: {_first_line(error)}") from None
+        raise written.failure(folder, f"cannot be written: {first_line(error)}") from None
     _check_written(folder, problem)
     return _losses(problem, edits, binary)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def _nameless(image_id: int) -> str:

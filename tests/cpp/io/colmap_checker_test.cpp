@@ -9,6 +9,8 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/io/colmap_index.h"
+#include "core/io/colmap_observations.h"
 #include "support/colmap_files.h"
 #include "support/damage.h"
 #include "support/scene.h"
@@ -52,10 +54,16 @@ void Write(const Files& files, const TemporaryFolder& folder) {
   for (const auto& [name, bytes] : files) folder.Write(name, bytes);
 }
 
+ColmapObservations Observations(const ColmapIndex& index) {
+  return SortColmapObservations(index, CheckColmapReferences(index));
+}
+
 /// Checks a model that may be damaged; what comes back has to be in order.
 bool Accepts(const TemporaryFolder& folder) {
   try {
-    const ColmapObservations observations = CheckColmapModel(folder.path().string()).observations;
+    CheckColmapModel(folder.path().string());
+    const ColmapObservations observations =
+        Observations(ScanColmapModel(folder.path().string(), /*keep_contents=*/false));
     EXPECT_EQ(observations.image.size(), observations.point.size());
     EXPECT_EQ(observations.image.size(), observations.keypoint.size());
     EXPECT_EQ(2 * observations.image.size(), observations.xy.size());
@@ -88,13 +96,13 @@ TEST(ColmapChecker, GivesTheObservationsOfASoundModel) {
   for (const Files& files : BothFormats(scene)) {
     const TemporaryFolder folder;
     Write(files, folder);
-    const ColmapCheck check = CheckColmapModel(folder.path().string());
-    EXPECT_EQ(check.binary, files.count("cameras.bin") == 1);
+    const ColmapIndex index = ScanColmapModel(folder.path().string(), /*keep_contents=*/false);
+    EXPECT_EQ(index.kind == ModelFile::Kind::kBinary, files.count("cameras.bin") == 1);
+    const ColmapObservations observations = Observations(index);
     std::vector<Row> found;
-    for (size_t i = 0; i < check.observations.image.size(); ++i) {
-      found.emplace_back(check.observations.point[i], check.observations.image[i],
-                         check.observations.keypoint[i], check.observations.xy[2 * i],
-                         check.observations.xy[2 * i + 1]);
+    for (size_t i = 0; i < observations.image.size(); ++i) {
+      found.emplace_back(observations.point[i], observations.image[i], observations.keypoint[i],
+                         observations.xy[2 * i], observations.xy[2 * i + 1]);
     }
     EXPECT_EQ(found, expected);
   }

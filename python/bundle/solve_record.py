@@ -1,0 +1,53 @@
+"""What every solve tells of itself, whatever was solved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.display import Displayed
+from bundle.options import SolveOptions
+from bundle.summary import Summary
+from bundle.termination import sentence
+
+__all__ = ["SolveRecord", "record_fields"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class SolveRecord(Displayed):
+    """How a solve came about: what the results of reconstructions and of graphs have in common.
+
+    Attributes:
+        options: every option as used.
+        summary: what the solver says.
+        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
+        build_time_in_seconds: outside the solver.
+        solve_time_in_seconds: inside the solver.
+    """
+
+    options: SolveOptions
+    summary: Summary
+    iterations: dict[str, NDArray[np.generic]]
+    build_time_in_seconds: float
+    solve_time_in_seconds: float
+
+    @property
+    def outcome(self) -> str:
+        """How the solve ended, in one sentence."""
+        # Entry 0 is the evaluation at the start, not a step.
+        accepted = np.asarray(self.iterations["step_is_successful"], bool)[1:]
+        return sentence(self.summary, len(accepted), int((~accepted).sum()))
+
+
+def record_fields(output: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a record but for the options, out of what the core's solvers return."""
+    return {
+        "summary": Summary(**output["summary"]),
+        "iterations": output["iterations"],
+        "build_time_in_seconds": output["build_time_in_seconds"],
+        "solve_time_in_seconds": output["solve_time_in_seconds"],
+    }
