@@ -1,8 +1,8 @@
 #include "core/ceres/process_settings.h"
 
-#include <glog/logging.h>
-
 #include <mutex>
+
+#include "core/ceres/ceres_version.h"
 
 namespace bundle {
 namespace {
@@ -16,13 +16,12 @@ int saved_log_level = 0;
 ProcessSettings::ProcessSettings(int blas_threads) : blas_threads_(blas_threads) {
   const std::lock_guard<std::mutex> lock(mutex);
   if (num_holders++ > 0) return;
-  saved_log_level = FLAGS_minloglevel;
-  FLAGS_minloglevel = google::GLOG_FATAL;
+  saved_log_level = ExchangeLogLevel(kPrintNothing);
 }
 
 ProcessSettings::~ProcessSettings() {
   const std::lock_guard<std::mutex> lock(mutex);
-  if (--num_holders == 0) FLAGS_minloglevel = saved_log_level;
+  if (--num_holders == 0) ExchangeLogLevel(saved_log_level);
 }
 
 }  // namespace bundle
