@@ -277,6 +277,8 @@ def test_cpp_includes_follow_the_layers(path: Path) -> None:
             continue
         assert not re.match(r"(pybind11|bindings)/|Python\.h", header), f"{include} in the core"
         assert not header.startswith("ceres/") or folders == ["ceres"], f"{include} outside ceres/"
+        if header.startswith("glog/"):
+            assert path.name == "ceres_version.h", f"{include}: other versions log elsewhere"
         target = Path(header).parts[1:-1] if header.startswith("core/") else ()
         if target and folders and target[0] != folders[0]:
             assert target[0] in CORE_MAY_INCLUDE[folders[0]], f"{folders[0]} may not use {include}"

@@ -4,6 +4,9 @@
 /// 2.2 (Debian 13).
 
 #include <ceres/ceres.h>
+#include <glog/logging.h>
+
+#include <utility>
 
 #if CERES_VERSION_MAJOR < 2 || (CERES_VERSION_MAJOR == 2 && CERES_VERSION_MINOR < 1)
 #error "bundle needs Ceres 2.1 or newer"
@@ -24,5 +27,11 @@ inline bool PowerSeriesPreconditioner(ceres::PreconditionerType* type) {
   return false;
 #endif
 }
+
+/// Below this level Ceres' log, which is glog's, prints nothing.
+inline constexpr int kPrintNothing = google::GLOG_FATAL;
+
+/// Sets the lowest level that the log of this process prints; returns what it was.
+inline int ExchangeLogLevel(int level) { return std::exchange(FLAGS_minloglevel, level); }
 
 }  // namespace bundle

@@ -1,7 +1,5 @@
 #include "core/ceres/translate_options.h"
 
-#include <glog/logging.h>
-
 #include <algorithm>
 #include <memory>
 #include <mutex>
@@ -137,13 +135,12 @@ int saved_log_level = 0;
 ProcessSettings::ProcessSettings(int blas_threads) : blas_threads_(blas_threads) {
   const std::lock_guard<std::mutex> lock(mutex);
   if (num_holders++ > 0) return;
-  saved_log_level = FLAGS_minloglevel;
-  FLAGS_minloglevel = google::GLOG_FATAL;
+  saved_log_level = ExchangeLogLevel(kPrintNothing);
 }
 
 ProcessSettings::~ProcessSettings() {
   const std::lock_guard<std::mutex> lock(mutex);
-  if (--num_holders == 0) FLAGS_minloglevel = saved_log_level;
+  if (--num_holders == 0) ExchangeLogLevel(saved_log_level);
 }
 
 namespace {

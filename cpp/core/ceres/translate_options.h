@@ -27,8 +27,8 @@ std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering 
 /// ordering at all and finds an independent set by itself.
 bool NothingToEliminate(EliminationOrdering ordering, const ParameterLayout& layout);
 
-/// Settings that belong to the whole process, held while Ceres runs and given back afterwards: glog
-/// prints nothing (what it would say is in the summary), and OpenBLAS uses `blas_threads` threads.
+/// Settings that belong to the whole process, held while Ceres runs and given back afterwards: its
+/// log prints nothing (the summary says it), and OpenBLAS uses `blas_threads` threads.
 class ProcessSettings {
  public:
   explicit ProcessSettings(int blas_threads);

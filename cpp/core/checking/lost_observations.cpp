@@ -23,12 +23,6 @@ std::vector<uint8_t> FindBehind(const ProblemView& problem, const SolveOptions& 
   return behind;
 }
 
-bool IsRefined(const ProblemView& problem, const ParameterLayout& layout, int64_t observation) {
-  const int image = problem.observation_image[observation];
-  return layout.point_is_free(problem.observation_point[observation]) ||
-         layout.image_block(image) >= 0 || layout.camera_block(problem.image_camera[image]) >= 0;
-}
-
 int64_t Count(const std::vector<uint8_t>& flags) {
   return std::accumulate(flags.begin(), flags.end(), int64_t{0});
 }
@@ -76,7 +70,7 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     if (!after[i]) continue;
     if (!before[i]) ++num_lost;
-    if (IsRefined(problem, layout, i)) --num_left_out;
+    if (layout.IsRefined(problem, i)) --num_left_out;
   }
   const int64_t num_counted = problem.num_observations - num_before;
   const bool unusable =

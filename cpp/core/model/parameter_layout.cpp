@@ -142,6 +142,12 @@ void ParameterLayout::Reorder(const std::vector<int>& order) {
   }
 }
 
+bool ParameterLayout::IsRefined(const ProblemView& problem, int64_t observation) const {
+  const int image = problem.observation_image[observation];
+  return point_is_free(problem.observation_point[observation]) || image_block_[image] >= 0 ||
+         camera_block_[problem.image_camera[image]] >= 0;
+}
+
 std::vector<double> ParameterLayout::InitialState(const ProblemView& problem) const {
   std::vector<double> state(state_size_);
   const auto fill = [&](int index, const double* translation, const double* params) {

@@ -60,6 +60,8 @@ class ParameterLayout {
   int image_block(int image) const { return image_block_[image]; }
   /// Index of the block with a shared camera's intrinsics; -1 if merged or fixed.
   int camera_block(int camera) const { return camera_block_[camera]; }
+  /// True if an observation depends on something free.
+  bool IsRefined(const ProblemView& problem, int64_t observation) const;
   /// True if some image has both kinds of block.
   bool has_shared_intrinsics() const { return has_shared_intrinsics_; }
 

@@ -7,6 +7,7 @@
 #include <sstream>
 
 #include "core/geometry/rotation.h"
+#include "core/problem/reprojection_errors.h"
 
 namespace bundle {
 namespace {
@@ -47,6 +48,18 @@ void MoveTranslation(const double* pose, const double* center, double sign, doub
   QuaternionToRotation(pose, rotation);
   MatrixVector3(rotation, center, moved);
   for (int j = 0; j < 3; ++j) out[j] = pose[4 + j] + sign * moved[j];
+}
+
+/// Of every observation, in pixels squared; NaN where it does not count.
+std::vector<double> SquaredErrors(const ProblemView& problem, const SolveOptions& options) {
+  std::vector<double> errors(problem.num_observations);
+  std::vector<uint8_t> behind(problem.num_observations);
+  ComputeReprojectionErrors(problem, options.num_threads, errors.data(), behind.data());
+  for (size_t i = 0; i < errors.size(); ++i) {
+    const bool counts = !behind[i] || options.cheirality == Cheirality::kAlgebraic;
+    errors[i] = counts ? errors[i] * errors[i] : std::nan("");
+  }
+  return errors;
 }
 
 }  // namespace
@@ -132,31 +145,79 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
   if (!(frame.size > 0) || !(frame.reach > kFarPoint * frame.size)) return result;
   const std::vector<double> cameras = layout.InitialState(problem);
   double near_squared = SquaredNorm(cameras.data(), static_cast<int64_t>(cameras.size()));
-  double far_squared = 0, farthest = 0;
-  int64_t count = 0;
+  double far_squared = 0;
+  std::vector<uint8_t> is_far(problem.num_points), is_used(problem.num_points);
+  for (int p = 0; p < problem.num_points; ++p) {
+    const double* const point = problem.points + 3 * static_cast<int64_t>(p);
+    is_far[p] = frame.DistanceTo(point) > kFarPoint * frame.size ? 1 : 0;
+    if (layout.point_is_free(p)) (is_far[p] ? far_squared : near_squared) += SquaredNorm(point, 3);
+  }
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    const int point = problem.observation_point[i];
+    if (!is_far[point] || !layout.IsRefined(problem, i)) continue;
+    is_used[point] = 1;
+    result.observations.push_back(i);
+  }
+  if (result.observations.empty()) return result;
+  if (far_squared > 0) result.norm_without = 1 / std::sqrt(1 + far_squared / near_squared);
+  int64_t count = 0, num_free = 0;
+  double farthest = 0;
   int worst = -1;
   for (int p = 0; p < problem.num_points; ++p) {
-    if (!layout.point_is_free(p)) continue;
-    const double* const point = problem.points + 3 * static_cast<int64_t>(p);
-    const double distance = frame.DistanceTo(point);
-    if (distance > kFarPoint * frame.size) {
-      far_squared += SquaredNorm(point, 3);
-      ++count;
-      if (distance > farthest) farthest = distance, worst = p;
-    } else {
-      near_squared += SquaredNorm(point, 3);
-    }
+    if (!is_used[p]) continue;
+    ++count;
+    num_free += layout.point_is_free(p) ? 1 : 0;
+    const double distance = frame.DistanceTo(problem.points + 3 * static_cast<int64_t>(p));
+    if (distance > farthest) farthest = distance, worst = p;
   }
-  if (count == 0) return result;
-  result.norm_without = 1 / std::sqrt(1 + far_squared / near_squared);
   std::ostringstream sentence;
   sentence << "Points more than " << kFarPoint << " times the size of the scene (" << frame.size
-           << ") away from its centre: " << count << ", the farthest is point "
-           << problem.point_ids[worst] << " (" << farthest
-           << "). The parameter tolerance leaves them out; a few wrong points can stop the others "
-              "from converging, remove them if they are.";
+           << ") away from its centre: " << count;
+  if (num_free < count) sentence << " (" << count - num_free << " held)";
+  sentence << ", the farthest is point " << problem.point_ids[worst] << " (" << farthest << "). ";
+  if (num_free > 0) sentence << "The parameter tolerance leaves them out; a few ";
+  if (num_free == 0) sentence << "A few ";
+  sentence << "wrong points can stop the others from converging, remove them if they are.";
   result.warning = sentence.str();
   return result;
+}
+
+void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const SolveOptions& options,
+                    const LossFunction& loss, SolveOutput* output) {
+  SolveSummary& summary = output->summary;
+  if (far.observations.empty() || !summary.is_solution_usable || options.max_num_iterations == 0) {
+    return;
+  }
+  ProblemView refined = problem;
+  refined.cam_from_world = output->cam_from_world.data();
+  refined.camera_params = output->camera_params.data();
+  refined.points = output->points.data();
+  const std::vector<double> before = SquaredErrors(problem, options);
+  const std::vector<double> after = SquaredErrors(refined, options);
+  std::vector<uint8_t> is_far(problem.num_observations);
+  for (const int64_t i : far.observations) is_far[i] = 1;
+  double far_cost = 0, weighted = 0, near_cost = 0, near_cost_before = 0;
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    if (std::isnan(before[i]) || std::isnan(after[i])) continue;
+    const auto [rho, derivative] = loss(after[i]);
+    if (is_far[i]) {
+      far_cost += 0.5 * rho;
+      weighted += derivative * after[i];
+    } else {
+      near_cost += 0.5 * rho;
+      near_cost_before += 0.5 * loss(before[i]).first;
+    }
+  }
+  const double bound = options.loss == LossType::kTrivial ? 1 : std::max(1.0, options.loss_scale);
+  const auto count = static_cast<double>(far.observations.size());
+  const bool pulls = std::sqrt(weighted / count) > kFarPull * bound;
+  if (!pulls || !(far_cost > near_cost || near_cost > kMaxNearRise * near_cost_before)) return;
+  summary.is_solution_usable = false;
+  std::ostringstream sentence;
+  sentence << "The solution is not usable: it was bent to fit the points far outside the scene, "
+           << "whose observations cost " << far_cost << "; all others cost " << near_cost
+           << " at the end and " << near_cost_before << " at the start.";
+  Warn(WarningKind::kFarPointsDominate, sentence.str(), &summary.warnings);
 }
 
 }  // namespace bundle

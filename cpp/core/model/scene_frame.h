@@ -26,7 +26,10 @@
 /// had before. It is the centre where more than a tenth of the images stand far away from the
 /// others.
 
+#include <cstdint>
+#include <functional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/interface/summary.h"
@@ -37,6 +40,8 @@ namespace bundle {
 
 inline constexpr double kFarOrigin = 100;
 inline constexpr double kFarPoint = 1000;
+inline constexpr double kMaxNearRise = 2;
+inline constexpr double kFarPull = 1;
 
 struct SceneFrame {
   double center[3] = {};
@@ -72,13 +77,28 @@ class CenteredProblem {
   ProblemView centered_;
 };
 
-/// The free points far outside the scene.
+/// The points far outside the scene that take part: with observations that have something to
+/// refine.
 struct FarPoints {
   double norm_without = 1;  ///< ||x without them|| / ||x|| at the start, x all that is free
-  std::string warning;      ///< a sentence; empty: there are none
+  std::vector<int64_t> observations;  ///< theirs, without those that have nothing to refine
+  std::string warning;                ///< a sentence; empty: there are none
 };
 
 FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layout,
                         const SceneFrame& frame);
+
+/// rho and rho' at a squared residual, in pixels squared.
+using LossFunction = std::function<std::pair<double, double>(double)>;
+
+/// A solution that far points bent is not usable. The signs of that: they cost more than all the
+/// others at the end, or the others cost more than kMaxNearRise times what they did at the start;
+/// observations behind their cameras at either end are left out. Both only where far points pull:
+/// the square root of the mean of rho' s over their observations, s the squared residual, exceeds
+/// kFarPull pixels, or loss scales. Without that, they may have most of a cost that is all
+/// rounding, or that a loss bounds (rho' s is what an observation adds to the gradient along its
+/// residual). A solve without iterations is not judged.
+void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const SolveOptions& options,
+                    const LossFunction& loss, SolveOutput* output);
 
 }  // namespace bundle

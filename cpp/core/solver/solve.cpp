@@ -5,12 +5,14 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "core/ceres/solve_with_ceres.h"
+#include "core/ceres/translate_options.h"
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/model/scene_frame.h"
@@ -111,6 +113,15 @@ SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions optio
   return SolveWithCeres(problem, options, std::move(prepared), progress);
 }
 
+LossFunction MakeLossFunction(const SolveOptions& options) {
+  return [loss = std::shared_ptr<ceres::LossFunction>(MakeLoss(options.loss, options.loss_scale))](
+             double squared_norm) {
+    double rho[3] = {squared_norm, 1, 0};
+    if (loss) loss->Evaluate(squared_norm, rho);
+    return std::make_pair(rho[0], rho[1]);
+  };
+}
+
 }  // namespace
 
 SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
@@ -131,6 +142,7 @@ SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
   SolveOutput output = choice.backend == Backend::kFused
                            ? fused::SolveWithFused(problem, options, std::move(prepared), progress)
                            : SolveWithCeresAsAsked(problem, options, std::move(prepared), progress);
+  JudgeFarPoints(problem, far, options, MakeLossFunction(options), &output);
   centered.MoveBack(&output);
   output.summary.backend_given = UpperName(options.backend, kBackends);
   output.summary.backend_used = UpperName(choice.backend, kBackends);

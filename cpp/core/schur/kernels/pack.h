@@ -73,18 +73,30 @@ inline Pack Sqrt(const Pack& x) {
 
 inline Pack Max(const Pack& a, const Pack& b) { return Select(a >= b, a, b); }
 
+// Clang has but the one, GCC before version 12 but the other; the entries are counted through both.
+#ifdef __has_builtin
+#if __has_builtin(__builtin_shufflevector)
+#define BUNDLE_SHUFFLE(a, b, ...) __builtin_shufflevector(a, b, __VA_ARGS__)
+#endif
+#endif
+#ifndef BUNDLE_SHUFFLE
+using QuadIndex = int64_t __attribute__((vector_size(32)));
+#define BUNDLE_SHUFFLE(a, b, ...) __builtin_shuffle(a, b, QuadIndex{__VA_ARGS__})
+#endif
+
 /// Transposes four rows of four.
 inline void Transpose(Quad* rows) {
-  using Index = int64_t __attribute__((vector_size(32)));
-  const Quad ab_even = __builtin_shuffle(rows[0], rows[1], Index{0, 4, 2, 6});
-  const Quad ab_odd = __builtin_shuffle(rows[0], rows[1], Index{1, 5, 3, 7});
-  const Quad cd_even = __builtin_shuffle(rows[2], rows[3], Index{0, 4, 2, 6});
-  const Quad cd_odd = __builtin_shuffle(rows[2], rows[3], Index{1, 5, 3, 7});
-  rows[0] = __builtin_shuffle(ab_even, cd_even, Index{0, 1, 4, 5});
-  rows[1] = __builtin_shuffle(ab_odd, cd_odd, Index{0, 1, 4, 5});
-  rows[2] = __builtin_shuffle(ab_even, cd_even, Index{2, 3, 6, 7});
-  rows[3] = __builtin_shuffle(ab_odd, cd_odd, Index{2, 3, 6, 7});
+  const Quad ab_even = BUNDLE_SHUFFLE(rows[0], rows[1], 0, 4, 2, 6);
+  const Quad ab_odd = BUNDLE_SHUFFLE(rows[0], rows[1], 1, 5, 3, 7);
+  const Quad cd_even = BUNDLE_SHUFFLE(rows[2], rows[3], 0, 4, 2, 6);
+  const Quad cd_odd = BUNDLE_SHUFFLE(rows[2], rows[3], 1, 5, 3, 7);
+  rows[0] = BUNDLE_SHUFFLE(ab_even, cd_even, 0, 1, 4, 5);
+  rows[1] = BUNDLE_SHUFFLE(ab_odd, cd_odd, 0, 1, 4, 5);
+  rows[2] = BUNDLE_SHUFFLE(ab_even, cd_even, 2, 3, 6, 7);
+  rows[3] = BUNDLE_SHUFFLE(ab_odd, cd_odd, 2, 3, 6, 7);
 }
+
+#undef BUNDLE_SHUFFLE
 
 /// packs[j] = entry j of each lane's record; `count` a multiple of 4.
 inline void GatherRecords(const double* const* records, int count, Pack* packs) {
