@@ -32,7 +32,9 @@ def table() -> str:
         )
         header = _header_of(model)
         path = header.relative_to(ROOT).as_posix()
-        lines.append(f"| {model} | {params} | [{header.name}](../{path}) | {_source(header, model)} |")
+        lines.append(
+            f"| {model} | {params} | [{header.name}](../{path}) | {_source(header, model)} |"
+        )
     return "\n".join(lines) + "\n"
 
 

@@ -109,7 +109,7 @@ TEST(TrustRegion, ShrinksToNothingWhereNoStepIsFinite) {
     SolveOptions options = Endless(strategy);
     options.max_num_iterations = 1000;
     ExpectEndsAsCeres(pole, options,
-                      "MinimizerSummary trust region radius reached. Trust region radius: ");
+                      "Minimum trust region radius reached. Trust region radius: ");
   }
 }
 
