@@ -153,10 +153,10 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
     if (layout.point_is_free(p)) (is_far[p] ? far_squared : near_squared) += SquaredNorm(point, 3);
   }
   for (int64_t i = 0; i < problem.num_observations; ++i) {
+    if (!layout.IsRefined(problem, i)) continue;
     const int point = problem.observation_point[i];
-    if (!is_far[point] || !layout.IsRefined(problem, i)) continue;
     is_used[point] = 1;
-    result.observations.push_back(i);
+    (is_far[point] ? result.observations : result.others).push_back(i);
   }
   if (result.observations.empty()) return result;
   if (far_squared > 0) result.norm_without = 1 / std::sqrt(1 + far_squared / near_squared);
@@ -164,7 +164,7 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
   double farthest = 0;
   int worst = -1;
   for (int p = 0; p < problem.num_points; ++p) {
-    if (!is_used[p]) continue;
+    if (!is_far[p] || !is_used[p]) continue;
     ++count;
     num_free += layout.point_is_free(p) ? 1 : 0;
     const double distance = frame.DistanceTo(problem.points + 3 * static_cast<int64_t>(p));
@@ -194,20 +194,19 @@ void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const Solv
   refined.points = output->points.data();
   const std::vector<double> before = SquaredErrors(problem, options);
   const std::vector<double> after = SquaredErrors(refined, options);
-  std::vector<uint8_t> is_far(problem.num_observations);
-  for (const int64_t i : far.observations) is_far[i] = 1;
-  double far_cost = 0, weighted = 0, near_cost = 0, near_cost_before = 0;
-  for (int64_t i = 0; i < problem.num_observations; ++i) {
-    if (std::isnan(before[i]) || std::isnan(after[i])) continue;
-    const auto [rho, derivative] = loss(after[i]);
-    if (is_far[i]) {
-      far_cost += 0.5 * rho;
-      weighted += derivative * after[i];
-    } else {
-      near_cost += 0.5 * rho;
-      near_cost_before += 0.5 * loss(before[i]).first;
-    }
+  double weighted = 0;
+  for (const int64_t i : far.observations) {
+    if (!std::isnan(after[i])) weighted += loss(after[i]).second * after[i];
   }
+  const auto cost = [&](const std::vector<int64_t>& observations, const std::vector<double>& at) {
+    double sum = 0;
+    for (const int64_t i : observations) {
+      if (!std::isnan(before[i]) && !std::isnan(after[i])) sum += 0.5 * loss(at[i]).first;
+    }
+    return sum;
+  };
+  const double far_cost = cost(far.observations, after);
+  const double near_cost = cost(far.others, after), near_cost_before = cost(far.others, before);
   const double bound = options.loss == LossType::kTrivial ? 1 : std::max(1.0, options.loss_scale);
   const auto count = static_cast<double>(far.observations.size());
   const bool pulls = std::sqrt(weighted / count) > kFarPull * bound;

@@ -81,7 +81,8 @@ class CenteredProblem {
 /// refine.
 struct FarPoints {
   double norm_without = 1;  ///< ||x without them|| / ||x|| at the start, x all that is free
-  std::vector<int64_t> observations;  ///< theirs, without those that have nothing to refine
+  std::vector<int64_t> observations;  ///< theirs, of those that have something to refine
+  std::vector<int64_t> others;        ///< and all other points', where there are far ones
   std::string warning;                ///< a sentence; empty: there are none
 };
 
