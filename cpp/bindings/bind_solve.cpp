@@ -1,10 +1,12 @@
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
 
 #include <functional>
 #include <string>
 #include <utility>
 
+#include "bindings/graph_from_python.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
@@ -12,6 +14,8 @@
 #include "bindings/summary_to_python.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/checking/check_solution.h"
+#include "core/graph/factor_graph.h"
+#include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"
 #include "core/solver/solve.h"
 
@@ -23,12 +27,44 @@ std::string WatchConvergence(const py::dict& iterations) {
   return bundle::WatchConvergence(RecordsFromPython(iterations));
 }
 
-py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress) {
-  const bundle::ProblemView view = ViewProblem(problem);
+/// Of (variables, factors, what each variable is in the problem), the first two as in bind_graph.
+struct GivenFactors {
+  bundle::FactorGraph graph;  ///< until it is checked
+  bundle::ProblemFactors factors;
+
+  explicit GivenFactors(const py::object& given) {
+    if (given.is_none()) return;
+    const auto parts = py::cast<py::tuple>(given);
+    graph = GraphFromPython(py::cast<py::list>(parts[0]), py::cast<py::list>(parts[1]));
+    for (const py::handle& place : py::cast<py::sequence>(parts[2])) {
+      const auto [kind, index] = py::cast<std::pair<std::string, int>>(place);
+      using Kind = bundle::ProblemVariable::Kind;
+      factors.variables.push_back({kind == "image"    ? Kind::kImage
+                                   : kind == "camera" ? Kind::kCamera
+                                                      : Kind::kPoint,
+                                   index});
+    }
+  }
+
+  /// nullptr: there are none.
+  const bundle::ProblemFactors* Check() {
+    if (graph.factors.empty()) return nullptr;
+    bundle::ValidateGraph(graph);
+    factors.factors = std::move(graph.factors);
+    return &factors;
+  }
+};
+
+py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress,
+               const py::object& given_factors) {
+  bundle::ProblemView view = ViewProblem(problem);
+  GivenFactors factors(given_factors);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   PythonProgress report(progress);
-  bundle::SolveOutput output =
-      RunWatched(&report, [&] { return bundle::Solve(view, solve_options, std::ref(report)); });
+  bundle::SolveOutput output = RunWatched(&report, [&] {
+    view.factors = factors.Check();
+    return bundle::Solve(view, solve_options, std::ref(report));
+  });
   report.Rethrow();
   py::dict result;
   const py::ssize_t num_images = view.num_images, num_cameras = view.num_cameras;
@@ -37,6 +73,11 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   result["camera_params"] =
       ToImmutableNumpy(std::move(output.camera_params), {num_cameras, stride});
   result["points"] = ToImmutableNumpy(std::move(output.points), {num_points, 3});
+  const auto num_factors = static_cast<py::ssize_t>(output.factor_costs_after.size());
+  result["factor_costs_before"] =
+      ToImmutableNumpy(std::move(output.factor_costs_before), {num_factors});
+  result["factor_costs_after"] =
+      ToImmutableNumpy(std::move(output.factor_costs_after), {num_factors});
   PutRecord(output, &result);
   return result;
 }
@@ -49,5 +90,6 @@ void BindSolve(py::module_& m) {
   m.def("option_choices", &OptionChoices);
   m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });
   m.def("watch_convergence", &WatchConvergence, py::arg("iterations"));
-  m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"));
+  m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"),
+        py::arg("factors") = py::none());
 }

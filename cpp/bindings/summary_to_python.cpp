@@ -74,6 +74,7 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   BUNDLE_FIELD(num_residual_evaluations);
   BUNDLE_FIELD(num_jacobian_evaluations);
   BUNDLE_FIELD(num_linear_solves);
+  BUNDLE_FIELD(num_factors);
   BUNDLE_FIELD(backend_given);
   BUNDLE_FIELD(backend_used);
   BUNDLE_FIELD(backend_choice);

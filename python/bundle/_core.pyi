@@ -110,6 +110,7 @@ def solve(
     problem: Problem,
     options: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
 ) -> dict[str, Any]: ...
 
 # bind_check.cpp

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bundle.display import Display
 from bundle.problem import Problem
@@ -27,10 +30,15 @@ class Result(SolveRecord):
         iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
         build_time_in_seconds: from the arrays to a solver's problem and back, outside the solver.
         solve_time_in_seconds: inside the solver.
+        factor_costs_before: (num_factors,) 1/2 rho(||r||^2) of each factor beside the observations,
+            in the order given, at the input; nan where it has no value.
+        factor_costs_after: the same at the output.
     """
 
     problem: Problem
     initial_problem: Problem
+    factor_costs_before: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    factor_costs_after: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:
@@ -52,6 +60,13 @@ class Result(SolveRecord):
         """Measure all of these now, so that asking for them takes no time."""
         _ = self.reprojection_error_before, self.reprojection_error_after, self.worst_images
 
+    def _factor_facts(self) -> tuple[tuple[str, str], ...]:
+        count = self.summary.num_factors
+        if count == 0:
+            return ()
+        before, after = float(self.factor_costs_before.sum()), float(self.factor_costs_after.sum())
+        return (("factors", f"{count}, cost {change(before, after)}"),)
+
     def _measure(self, problem: Problem) -> ReprojectionError:
         options = self.options
         return reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
@@ -66,6 +81,7 @@ class Result(SolveRecord):
             ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
             ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),
             ("problem", contents(self.problem)),
+            *self._factor_facts(),
             *(("warning", warning) for warning in summary.warnings),
         ]
         return Display(title=f"Result: {self.outcome}", facts=tuple(facts))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,9 @@ from bundle.options import SolveOptions
 from bundle.summary import Summary
 from bundle.termination import sentence
 
-__all__ = ["SolveRecord", "record_fields"]
+__all__ = ["Progress", "SolveRecord", "record_fields"]
+
+Progress = Callable[[dict[str, Any]], None]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 from bundle import _core
 from bundle.arguments import check_function
@@ -12,30 +12,53 @@ from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.result import Result
-from bundle.solve_record import record_fields
+from bundle.solve_record import Progress, record_fields
+
+if TYPE_CHECKING:
+    from bundle.graph import Factor
+    from bundle.graph.problem_factors import ProblemFactors
 
 __all__ = ["Progress", "resolve_defaults", "solve"]
-
-Progress = Callable[[dict[str, Any]], None]
 
 
 def solve(
     problem: Source,
     options: SolveOptions | None = None,
     *,
+    factors: Iterable[Factor] = (),
     progress: Progress | None = None,
     **changes: Any,
 ) -> Result:
     """Refine a problem: minimise 1/2 sum rho(||r||^2) over what ``options.refine`` names.
 
-    r is the reprojection error of an observation in pixels, rho the loss. The GIL is released while
-    the solver runs. Ctrl-C stops it, within a step where the solver can be left (Ceres' own linear
+    r is the reprojection error of an observation in pixels, rho the loss. Factors add their own
+    1/2 rho(||r||^2), r whitened, rho their own loss. Their keys name variables of the problem:
+    ``("image", image_id)`` is cam_from_world on se3 (qx qy qz qw tx ty tz; its tangent coordinates
+    are rotation, then translation, in the frame of cam_from_world: :class:`bundle.FactorGraph`),
+    ``("camera", camera_id)`` the camera's parameters in COLMAP's order and ``("point", point_id)``
+    the coordinates, both Euclidean. For instance GPS positions of the images' centres::
+
+        factors = [
+            bundle.PositionFactor(("image", i), gps[i], information=1 / 0.02**2) for i in gps
+        ]
+        bundle.solve(problem, factors=factors)
+
+    What a factor touches is refined even if no observation sees it. What is held stays, and the
+    cost of its factors counts. Both backends take factors of images and cameras, and of one point;
+    those that couple a point with something else that is refined, and functions in Python, are for
+    Ceres. With factors of images or points gauge "auto" holds nothing: they say where the world
+    is, as far as they do, and the trust region holds the rest; "two_cameras" and "three_points"
+    hold what they always do, and warn (``gauge_beside_factors``). Factors keep to the world of the
+    problem where a far scene is solved about its centre.
+
+    The GIL is released while the solver runs. Ctrl-C stops it, within a step where the solver can be left (Ceres' own linear
     solvers cannot); the result then holds the best state and ``summary.interrupted``. Not
     converging is a result as well, not an exception.
 
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
+        factors: beside the observations, such as :class:`bundle.PriorFactor`.
         progress: called after each iteration with a dict under the names of Ceres'
             IterationSummary. What it raises stops the solve and comes out of this function;
             KeyboardInterrupt stops it as Ctrl-C does.
@@ -45,15 +68,19 @@ def solve(
         KeyboardInterrupt: Ctrl-C before the start was evaluated, so that there is nothing to keep.
         MemoryError: memory or a limit of it does not suffice.
         InputError: an option that does not exist, a camera model that is not supported, a fixed id
-            that does not exist, options that exclude each other or the backend asked for, or dense
-            matrices beyond the memory of this machine.
+            that does not exist, options that exclude each other or the backend asked for, dense
+            matrices beyond the memory of this machine, or a factor with an unknown key, numbers
+            that do not fit its variables, or no finite value at the start.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
+    known = _problem_factors(problem, factors)
+    if known is not None and known.locate and options.gauge == "auto":
+        options = options.replace(gauge="none")
     options = resolve_defaults(problem, options)
-    output = _core.solve(problem, options.asdict(), progress)
+    output = _core.solve(problem, options.asdict(), progress, known and known.core())
     refined = problem.replace(
         cam_from_world=output["cam_from_world"],
         camera_params=output["camera_params"],
@@ -63,8 +90,19 @@ def solve(
         problem=refined,
         initial_problem=problem,
         options=options,
+        factor_costs_before=output["factor_costs_before"],
+        factor_costs_after=output["factor_costs_after"],
         **record_fields(output),
     )
+
+
+def _problem_factors(problem: Problem, factors: Iterable[Factor]) -> ProblemFactors | None:
+    """Return the factors; their modules are imported only where there are some."""
+    if isinstance(factors, tuple | list) and not factors:
+        return None
+    from bundle.graph.problem_factors import ProblemFactors
+
+    return ProblemFactors(problem, factors)
 
 
 def resolve_defaults(problem: Problem, options: SolveOptions) -> SolveOptions:

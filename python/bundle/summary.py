@@ -28,7 +28,8 @@ class Summary(Displayed):
     that could not be held, ...) and ``warning_kinds`` (for each of them its name in
     ``bundle.warning_kinds.WARNING_KINDS``, for programs), ``interrupted``, ``origin`` (x, y, z: the
     centre that a scene far from its origin was solved about; None where it was solved as given).
-    Costs are 1/2 sum rho(||r||^2), r in pixels.
+    ``num_factors`` beside the observations. Costs are 1/2 sum rho(||r||^2), r in pixels, and in
+    sigmas for factors.
 
     What each step factorises (None, or "", where it factorises nothing or nobody can tell; blocks
     count as full, matrices by both triangles and the diagonal, the factor L by its lower triangle
@@ -113,6 +114,7 @@ class Summary(Displayed):
     factor_ordering: str = ""
     symbolic_time_in_seconds: float | None = None
     origin: tuple[float, float, float] | None = None
+    num_factors: int = 0
 
     def full_report(self) -> str:
         """Return everything in lines of text, in the order of Ceres' FullReport."""

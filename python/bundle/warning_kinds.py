@@ -9,11 +9,12 @@ __all__ = ["WARNING_KINDS"]
 
 WARNING_KINDS = {
     "gauge_not_held": "the problem has too little to hold the gauge that was asked for",
+    "gauge_beside_factors": "the gauge is held although factors say where the world is",
     "points_seen_once": "free points with one observation have no depth of their own",
     "far_origin": "the scene is far from its origin and was solved about its centre",
     "far_points": "points lie more than 1000 times the size of the scene away",
     "far_points_dominate": "far points bent the solution to fit them: not usable",
-    "single_thread": "a deterministic solve with Ceres ran on one thread",
+    "single_thread": "Ceres ran on one thread, to be deterministic or for a function in Python",
     "preconditioner_not_used": "a direct solver has no use for the preconditioner",
     "ordering_not_used": "the linear solver has no use for the elimination ordering",
     "ordering_replaced": "nothing of the ordering's first group is refined: Ceres chose its own",

@@ -65,6 +65,52 @@ std::unique_ptr<ceres::Manifold> MakeManifold(const std::string& name, int size,
       name + "'");
 }
 
+namespace {
+
+class ChartedCost final : public ceres::CostFunction {
+ public:
+  ChartedCost(ChartedFactor factor, const CameraStates& states, Abandonment* abandonment)
+      : factor_(std::move(factor)), states_(states), abandonment_(abandonment) {
+    set_num_residuals(factor_.num_residuals());
+    const std::vector<int>& begin = factor_.column_begin();
+    for (size_t b = 0; b + 1 < begin.size(); ++b) {
+      mutable_parameter_block_sizes()->push_back(begin[b + 1] - begin[b]);
+    }
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
+    return abandonment_->Guard([&] {
+      if (jacobians == nullptr) return factor_.Evaluate(states_, parameters, residuals, nullptr);
+      const int rows = num_residuals(), columns = factor_.num_columns();
+      std::vector<double> jacobian(static_cast<size_t>(rows) * columns);
+      if (!factor_.Evaluate(states_, parameters, residuals, jacobian.data())) return false;
+      const std::vector<int>& begin = factor_.column_begin();
+      for (size_t b = 0; b + 1 < begin.size(); ++b) {
+        if (jacobians[b] == nullptr) continue;
+        const int size = begin[b + 1] - begin[b];
+        for (int r = 0; r < rows; ++r) {
+          std::copy_n(jacobian.data() + r * columns + begin[b], size, jacobians[b] + r * size);
+        }
+      }
+      return true;
+    });
+  }
+
+ private:
+  const ChartedFactor factor_;
+  const CameraStates& states_;
+  Abandonment* const abandonment_;
+};
+
+}  // namespace
+
+std::unique_ptr<ceres::CostFunction> MakeFactorCost(ChartedFactor factor,
+                                                    const CameraStates& states,
+                                                    Abandonment* abandonment) {
+  return std::make_unique<ChartedCost>(std::move(factor), states, abandonment);
+}
+
 class CeresGraph::Cost final : public ceres::CostFunction {
  public:
   Cost(const Factor& factor, const CeresGraph& graph) : factor_(factor), graph_(graph) {
@@ -74,20 +120,11 @@ class CeresGraph::Cost final : public ceres::CostFunction {
     }
   }
 
-  /// Nothing may leave through Ceres, which does not expect exceptions.
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
-    if (graph_.abandoned_.load(std::memory_order_relaxed)) return false;
-    try {
-      if (!factor_.Evaluate(parameters, residuals, jacobians)) return false;
-    } catch (const Interrupted&) {
-      graph_.abandoned_.store(true);
-      return false;
-    } catch (...) {
-      graph_.exception_.Keep();
-      graph_.abandoned_.store(true);
-      return false;
-    }
+    const bool has_value = graph_.abandonment_.Guard(
+        [&] { return factor_.Evaluate(parameters, residuals, jacobians); });
+    if (!has_value) return false;
     const int rows = num_residuals();
     if (!std::all_of(residuals, residuals + rows, [](double r) { return std::isfinite(r); })) {
       return false;
@@ -169,7 +206,7 @@ class CeresGraph::BlockManifold final : public ceres::Manifold {
 };
 
 CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
-    : graph_(graph), watch_(std::make_unique<Watch>(&abandoned_)) {
+    : graph_(graph), watch_(std::make_unique<Watch>(&abandonment_.happened)) {
   ceres::Problem::Options options;
   options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;

@@ -8,6 +8,8 @@
 #include "core/ceres/ceres_version.h"
 #include "core/graph/factor_graph.h"
 #include "core/interface/summary.h"
+#include "core/model/problem_factors.h"
+#include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
 
 namespace bundle {
@@ -19,6 +21,33 @@ namespace bundle {
 /// for any other name or a size that does not fit.
 std::unique_ptr<ceres::Manifold> MakeManifold(const std::string& name, int size,
                                               const std::vector<int>& constant);
+
+/// Why costs have no value any more, so that Ceres ends: the user wants it, or a factor threw.
+struct Abandonment {
+  std::atomic<bool> happened{false};
+  FirstException exception;  ///< that a factor threw; Interrupted is none of it
+
+  /// What `evaluate` returns, but no exception leaves: Ceres does not expect any.
+  template <typename Evaluate>
+  bool Guard(const Evaluate& evaluate) noexcept {
+    if (happened.load(std::memory_order_relaxed)) return false;
+    try {
+      return evaluate();
+    } catch (const Interrupted&) {
+    } catch (...) {
+      exception.Keep();
+    }
+    happened.store(true);
+    return false;
+  }
+};
+
+/// A factor beside the observations of a problem as Ceres sees it. Its parameter blocks are its
+/// free points, then its blocks of the layout (ChartedFactor::unknowns). Values of the camera side
+/// are read from `states`, as MakeReprojectionCost does.
+std::unique_ptr<ceres::CostFunction> MakeFactorCost(ChartedFactor factor,
+                                                    const CameraStates& states,
+                                                    Abandonment* abandonment);
 
 /// A factor graph as a ceres::Problem.
 ///
@@ -47,9 +76,9 @@ class CeresGraph {
   /// True once no factor has a value any more, because the user wants the solve to end or a factor
   /// threw. Looks for the user's wish before a candidate is evaluated, when Ceres can still be left
   /// with the best state.
-  const std::atomic<bool>& abandoned() const { return abandoned_; }
+  const std::atomic<bool>& abandoned() const { return abandonment_.happened; }
   /// Throws what a factor threw, if one did; Interrupted is none of it.
-  void RethrowFactorException() { exception_.Rethrow(); }
+  void RethrowFactorException() { abandonment_.exception.Rethrow(); }
 
  private:
   class Cost;
@@ -63,8 +92,7 @@ class CeresGraph {
   std::vector<std::unique_ptr<ceres::LossFunction>> losses_;
   std::unique_ptr<ceres::EvaluationCallback> watch_;
   std::unique_ptr<ceres::Problem> problem_;
-  mutable std::atomic<bool> abandoned_{false};
-  mutable FirstException exception_;
+  mutable Abandonment abandonment_;
 };
 
 }  // namespace bundle

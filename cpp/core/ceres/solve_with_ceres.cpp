@@ -2,16 +2,19 @@
 
 #include <algorithm>
 #include <atomic>
+#include <limits>
 #include <memory>
 #include <set>
 #include <string>
 #include <utility>
 
+#include "core/ceres/factor_adapter.h"
 #include "core/ceres/reprojection_cost.h"
 #include "core/ceres/summarize.h"
 #include "core/ceres/translate_options.h"
 #include "core/checking/check_solution.h"
 #include "core/model/parameter_layout.h"
+#include "core/model/problem_factors.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
@@ -28,20 +31,19 @@ namespace {
 /// From then on no cost can be evaluated, and the candidate is rejected.
 class UpdateCameraStates final : public ceres::EvaluationCallback {
  public:
-  UpdateCameraStates(const double* state, CameraStates* states) : state_(state), states_(states) {}
+  UpdateCameraStates(const double* state, CameraStates* states, Abandonment* abandonment)
+      : state_(state), states_(states), abandonment_(abandonment) {}
 
   void PrepareForEvaluation(bool evaluate_jacobians, bool new_evaluation_point) override {
     if (!evaluate_jacobians && InterruptionRequested())
-      abandoned_.store(true, std::memory_order_relaxed);
+      abandonment_->happened.store(true, std::memory_order_relaxed);
     if (new_evaluation_point) states_->Update(state_);
   }
-
-  const std::atomic<bool>& abandoned() const { return abandoned_; }
 
  private:
   const double* state_;
   CameraStates* states_;
-  std::atomic<bool> abandoned_{false};
+  Abandonment* abandonment_;
 };
 
 /// Remembers in which iterations other observations counted at the candidate than at the state.
@@ -72,9 +74,8 @@ class CeresSolve {
         states_(problem, layout_),
         points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
         state_(layout_.InitialState(problem)),
-        update_states_(state_.data(), &states_),
-        context_{problem_,           layout_, states_,
-                 options.cheirality, &watch_, &update_states_.abandoned()},
+        update_states_(state_.data(), &states_, &abandonment_),
+        context_{problem_, layout_, states_, options.cheirality, &watch_, &abandonment_.happened},
         loss_(MakeLoss(options.loss, options.loss_scale)) {}
 
   SolveOutput Run(const ProgressCallback& progress) {
@@ -84,9 +85,10 @@ class CeresSolve {
     ThrowIfInterrupted();
     ceres::Solver::Options ceres_options = ChooseSolver();
     // Ceres would not start otherwise where the system has no more threads.
-    ceres_options.num_threads = CountStartableThreads(ceres_options.num_threads);
+    ceres_options.num_threads =
+        UseOneThread() ? 1 : CountStartableThreads(ceres_options.num_threads);
     ThrowIfInterrupted();
-    ReportProgress report(progress, fixed_cost_, update_states_.abandoned());
+    ReportProgress report(progress, fixed_cost_, abandonment_.happened);
     ceres_options.callbacks.push_back(&record_changes_);
     ceres_options.callbacks.push_back(&report);
 
@@ -94,11 +96,12 @@ class CeresSolve {
     const Stopwatch solve_time;
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, ceres_problem_.get(), &summary);
-    if (update_states_.abandoned()) ForgetAbandonedStep(&summary);
+    abandonment_.exception.Rethrow();
+    if (abandonment_.happened) ForgetAbandonedStep(&summary);
     SolveOutput output;
     output.solve_time_in_seconds = solve_time.seconds();
     output.summary = Summarize(summary, fixed_cost_);
-    output.summary.interrupted = report.interrupted() || update_states_.abandoned();
+    output.summary.interrupted = report.interrupted() || abandonment_.happened;
     Collect(summary, &output);
     return output;
   }
@@ -121,6 +124,43 @@ class CeresSolve {
     }
     costs_.reserve(problem_.num_observations);
     for (int64_t i = 0; i < problem_.num_observations; ++i) AddObservation(i);
+    num_residuals_ = 2 * static_cast<int64_t>(costs_.size());
+    if (problem_.factors == nullptr) return;
+    for (const auto& factor : problem_.factors->factors) AddFactor(*factor);
+  }
+
+  /// Of a factor that is not safe for threads, Ceres would evaluate none at the same time as
+  /// others.
+  bool UseOneThread() {
+    if (problem_.factors == nullptr || options_.num_threads == 1) return false;
+    for (const auto& factor : problem_.factors->factors) {
+      if (factor->IsThreadSafe()) continue;
+      Warn(WarningKind::kSingleThread, factor->name() + " needs one thread, and so Ceres got one.",
+           &warnings_);
+      return true;
+    }
+    return false;
+  }
+
+  void AddFactor(const Factor& factor) {
+    ChartedFactor charted(factor, problem_, layout_);
+    if (charted.is_fixed()) {
+      std::vector<double> residual(charted.num_residuals());
+      // Without a value no cost of the solve has one, in Ceres' way.
+      fixed_cost_ += charted.Evaluate(states_, nullptr, residual.data(), nullptr)
+                         ? ApplyLoss(factor, 0, residual.data(), nullptr)
+                         : std::numeric_limits<double>::quiet_NaN();
+      return;
+    }
+    std::vector<double*> blocks;
+    for (const int point : charted.unknowns().points) blocks.push_back(PointData(point));
+    for (const int block : charted.unknowns().blocks) {
+      blocks.push_back(state_.data() + layout_.blocks()[block].offset);
+    }
+    num_residuals_ += charted.num_residuals();
+    factor_losses_.push_back(MakeLoss(factor.loss(), factor.loss_scale()));
+    costs_.push_back(MakeFactorCost(std::move(charted), states_, &abandonment_));
+    ceres_problem_->AddResidualBlock(costs_.back().get(), factor_losses_.back().get(), blocks);
   }
 
   void AddObservation(int64_t i) {
@@ -154,7 +194,7 @@ class CeresSolve {
   }
 
   ceres::Solver::Options ChooseSolver() {
-    const ProblemShape shape = ShapeOf(layout_, 2 * static_cast<int64_t>(costs_.size()));
+    const ProblemShape shape = ShapeOf(layout_, num_residuals_);
     SolveOptions options = options_;
     if (options.linear_solver_type == LinearSolverType::kAuto) {
       SolverChoice choice = ChooseLinearSolver(problem_, layout_, shape);
@@ -178,9 +218,8 @@ class CeresSolve {
       result.max_linear_solver_iterations = static_cast<int>(
           std::min<int64_t>(result.max_linear_solver_iterations, shape.num_camera_columns));
     }
-    result.linear_solver_ordering =
-        MakeOrdering(options.linear_solver_ordering, layout_, problem_.num_points, points_.data(),
-                     state_.data());
+    result.linear_solver_ordering = MakeOrdering(options.linear_solver_ordering, problem_, layout_,
+                                                 points_.data(), state_.data());
     return result;
   }
 
@@ -222,10 +261,13 @@ class CeresSolve {
   RecordChanges record_changes_{&watch_};
   std::vector<double> points_;
   std::vector<double> state_;
+  Abandonment abandonment_;
   UpdateCameraStates update_states_;
   ReprojectionContext context_;
   std::unique_ptr<ceres::LossFunction> loss_;
+  std::vector<std::unique_ptr<ceres::LossFunction>> factor_losses_;
   std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
+  int64_t num_residuals_ = 0;
   std::unique_ptr<ceres::Problem> ceres_problem_;
   double fixed_cost_ = 0;
 };

@@ -69,8 +69,9 @@ FactorSummary CountCeresFactor(const ProblemView& problem, const ParameterLayout
   const bool is_dense = type == ceres::DENSE_SCHUR || type == ceres::DENSE_NORMAL_CHOLESKY;
   if (!is_schur && !is_dense && type != ceres::SPARSE_NORMAL_CHOLESKY) return result;
   // Ceres says how many blocks it eliminated where the choice was its own, not which.
-  const bool is_known =
-      ordering != EliminationOrdering::kAutomatic && !NothingToEliminate(ordering, layout);
+  const bool is_known = ordering != EliminationOrdering::kAutomatic &&
+                        !NothingToEliminate(ordering, layout) &&
+                        !FactorsCoupleFirstGroup(ordering, problem, layout);
   if (is_schur && !is_known) return result;
 
   result.num_columns = NumColumns(layout, ordering, is_schur);

@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <memory>
 #include <mutex>
+#include <set>
 #include <string>
 #include <vector>
 
 #include "core/ceres/robust_kernels.h"
 #include "core/error.h"
+#include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 
@@ -95,25 +97,74 @@ std::unique_ptr<ceres::LossFunction> MakeLoss(LossType type, double scale) {
   return nullptr;
 }
 
-std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering ordering,
-                                                            const ParameterLayout& layout,
-                                                            int num_points, double* points,
-                                                            double* state) {
-  if (ordering == EliminationOrdering::kAutomatic) return nullptr;
-  const bool points_first = ordering == EliminationOrdering::kPointsFirst;
-  auto result = std::make_shared<ceres::ParameterBlockOrdering>();
-  for (int p = 0; p < num_points; ++p) {
-    if (layout.point_is_free(p)) {
-      result->AddElementToGroup(points + 3 * static_cast<int64_t>(p), points_first ? 0 : 1);
+namespace {
+
+/// The blocks and points of group 0, an independent set.
+struct FirstGroup {
+  std::set<int> points_left_out;
+  std::set<int> blocks_left_out;
+};
+
+/// Of the unknowns of one kind that a factor touches, all but the first leave the group.
+FirstGroup FindFirstGroup(bool points_first, const ProblemView& problem,
+                          const ParameterLayout& layout) {
+  FirstGroup group;
+  const auto keep_one = [](const std::vector<int>& members, std::set<int>* left_out) {
+    bool is_first = true;
+    for (const int member : members) {
+      if (left_out->count(member) > 0) continue;
+      if (!is_first) left_out->insert(member);
+      is_first = false;
+    }
+  };
+  if (!points_first && layout.has_shared_intrinsics()) {
+    // An image's block and its shared camera's block stand in the same residuals.
+    for (size_t b = 0; b < layout.blocks().size(); ++b) {
+      if (layout.blocks()[b].columns[0] >= kPoseSize) {
+        group.blocks_left_out.insert(static_cast<int>(b));
+      }
     }
   }
-  // Group 0 must be an independent set: an image's block and its shared camera's block stand in the
-  // same residuals, so only one of them can be in it. Blocks of images come first in the layout.
-  for (const CameraSideBlock& block : layout.blocks()) {
-    const bool is_shared_camera = block.columns[0] >= kPoseSize && layout.has_shared_intrinsics();
-    result->AddElementToGroup(state + block.offset, points_first || is_shared_camera ? 1 : 0);
+  for (const FactorUnknowns& unknowns : FindFactorUnknowns(problem, layout)) {
+    if (points_first) {
+      keep_one(unknowns.points, &group.points_left_out);
+    } else {
+      keep_one(unknowns.blocks, &group.blocks_left_out);
+    }
+  }
+  return group;
+}
+
+}  // namespace
+
+std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering ordering,
+                                                            const ProblemView& problem,
+                                                            const ParameterLayout& layout,
+                                                            double* points, double* state) {
+  if (ordering == EliminationOrdering::kAutomatic) return nullptr;
+  const bool points_first = ordering == EliminationOrdering::kPointsFirst;
+  const FirstGroup first = FindFirstGroup(points_first, problem, layout);
+  auto result = std::make_shared<ceres::ParameterBlockOrdering>();
+  for (int p = 0; p < problem.num_points; ++p) {
+    if (!layout.point_is_free(p)) continue;
+    const bool is_first = points_first && first.points_left_out.count(p) == 0;
+    result->AddElementToGroup(points + 3 * static_cast<int64_t>(p), is_first ? 0 : 1);
+  }
+  // Blocks of images come first in the layout.
+  for (size_t b = 0; b < layout.blocks().size(); ++b) {
+    const bool is_first = !points_first && first.blocks_left_out.count(static_cast<int>(b)) == 0;
+    result->AddElementToGroup(state + layout.blocks()[b].offset, is_first ? 0 : 1);
   }
   return result;
+}
+
+bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const ProblemView& problem,
+                             const ParameterLayout& layout) {
+  const auto unknowns = FindFactorUnknowns(problem, layout);
+  return std::any_of(unknowns.begin(), unknowns.end(), [ordering](const FactorUnknowns& of) {
+    return ordering == EliminationOrdering::kPointsFirst ? of.points.size() > 1
+                                                         : of.blocks.size() > 1;
+  });
 }
 
 bool NothingToEliminate(EliminationOrdering ordering, const ParameterLayout& layout) {

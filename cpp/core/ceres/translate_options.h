@@ -19,9 +19,14 @@ std::unique_ptr<ceres::LossFunction> MakeLoss(LossType type, double scale);
 /// else is group 1. nullptr for kAutomatic. `points` and `state` are where the parameter blocks
 /// live.
 std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering ordering,
+                                                            const ProblemView& problem,
                                                             const ParameterLayout& layout,
-                                                            int num_points, double* points,
-                                                            double* state);
+                                                            double* points, double* state);
+
+/// True if factors couple unknowns of one kind, so that some of them are not in the group that an
+/// ordering eliminates.
+bool FactorsCoupleFirstGroup(EliminationOrdering ordering, const ProblemView& problem,
+                             const ParameterLayout& layout);
 
 /// True if group 0 would be empty although group 1 is not. Ceres then takes the one group for no
 /// ordering at all and finds an independent set by itself.

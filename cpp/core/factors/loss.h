@@ -32,6 +32,7 @@
 /// that.
 
 #include <cmath>
+#include <limits>
 #include <optional>
 
 namespace bundle {
@@ -41,6 +42,52 @@ enum class LossType { kTrivial, kHuber, kSoftL1, kCauchy, kArctan, kTukey };
 
 /// rho, rho', rho'' at s, in this order, as ceres::LossFunction::Evaluate has them.
 using LossValue = const double*;
+
+/// The loss of this type at s = ||r||^2, with the residual's norm in units of `scale` as
+/// options.h has them.
+inline void ValueOfLoss(LossType type, double scale, double s, double rho[3]) {
+  constexpr double kTiny = std::numeric_limits<double>::min();
+  const double b = scale * scale;
+  rho[0] = s, rho[1] = 1, rho[2] = 0;
+  switch (type) {
+    case LossType::kTrivial:
+      return;
+    case LossType::kHuber:
+      if (s <= b) return;
+      rho[0] = 2 * scale * std::sqrt(s) - b;
+      rho[1] = std::fmax(kTiny, scale / std::sqrt(s));
+      rho[2] = -rho[1] / (2 * s);
+      return;
+    case LossType::kSoftL1: {
+      const double sum = 1 + s / b, root = std::sqrt(sum);
+      rho[0] = 2 * b * (root - 1);
+      rho[1] = std::fmax(kTiny, 1 / root);
+      rho[2] = -rho[1] / (2 * b * sum);
+      return;
+    }
+    case LossType::kCauchy: {
+      const double sum = 1 + s / b;
+      rho[0] = b * std::log(sum);
+      rho[1] = std::fmax(kTiny, 1 / sum);
+      rho[2] = -1 / (b * sum * sum);
+      return;
+    }
+    case LossType::kArctan: {
+      const double sum = 1 + s * s / (b * b);
+      rho[0] = b * std::atan2(s, b);
+      rho[1] = std::fmax(kTiny, 1 / sum);
+      rho[2] = -2 * s / (b * b * sum * sum);
+      return;
+    }
+    case LossType::kTukey: {
+      const double rest = s <= b ? 1 - s / b : 0;
+      rho[0] = b / 3 * (1 - rest * rest * rest);
+      rho[1] = rest * rest;
+      rho[2] = -2 / b * rest;
+      return;
+    }
+  }
+}
 
 enum class SecondOrderTerm {
   kFull,     ///< Triggs'

@@ -17,6 +17,7 @@ namespace bundle {
 /// python/bundle/warning_kinds.py says what each means (a test holds the names against each other).
 enum class WarningKind {
   kGaugeNotHeld,
+  kGaugeBesideFactors,
   kPointsSeenOnce,
   kFarOrigin,
   kFarPoints,
@@ -39,6 +40,7 @@ enum class WarningKind {
 
 inline constexpr NamedValue<WarningKind> kWarningKinds[] = {
     {"gauge_not_held", WarningKind::kGaugeNotHeld},
+    {"gauge_beside_factors", WarningKind::kGaugeBesideFactors},
     {"points_seen_once", WarningKind::kPointsSeenOnce},
     {"far_origin", WarningKind::kFarOrigin},
     {"far_points", WarningKind::kFarPoints},
@@ -106,7 +108,8 @@ struct FactorSummary {
 struct SolveSummary {
   double initial_cost = -1;
   double final_cost = -1;
-  double fixed_cost = -1;  ///< of observations with nothing to refine; part of the other two
+  /// Of observations and factors with nothing to refine; part of the other two.
+  double fixed_cost = -1;
   std::string termination_type;
   std::string message;
   bool is_solution_usable = false;
@@ -146,6 +149,7 @@ struct SolveSummary {
   int num_linear_solves = -1;
 
   // Beyond Ceres.
+  int num_factors = 0;  ///< beside the observations
   std::string backend_given;
   std::string backend_used;
   std::string backend_choice;             ///< why this backend, where we chose it
@@ -175,6 +179,10 @@ struct SolveOutput : SolveRecord {
   std::vector<double> cam_from_world;  ///< as in ProblemView
   std::vector<double> camera_params;   ///< as in ProblemView
   std::vector<double> points;          ///< as in ProblemView
+  /// Of each factor beside the observations 1/2 rho(||r||^2), at the start and at the solution; NaN
+  /// where it has no value.
+  std::vector<double> factor_costs_before;
+  std::vector<double> factor_costs_after;
 };
 
 }  // namespace bundle

@@ -11,6 +11,7 @@
 /// than the blocks in it, and stand among others, as the solver of a sparse S wants it
 /// (supernodal_cholesky.h).
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -34,6 +35,16 @@ struct BlockStructure {
   int num_blocks() const { return static_cast<int>(panel_begin.size()); }
   int num_columns() const { return offset.back(); }
   int block_size(int block) const { return offset[block + 1] - offset[block]; }
+
+  /// The entry of block (row, column) on or below the diagonal, which is one of those that may be
+  /// nonzero.
+  int64_t Entry(int column, int row) const {
+    const int64_t begin = column_begin[column];
+    if (dense) return begin + (row - column);
+    const auto first = row_block.begin() + begin;
+    const auto last = row_block.begin() + column_begin[column + 1];
+    return std::lower_bound(first, last, row) - row_block.begin();
+  }
 
   /// Offset of entry (r, c) of block e in block column j.
   int64_t ValueIndex(int j, int64_t e, int r, int c) const {

@@ -10,9 +10,12 @@
 #include <cstdint>
 #include <new>
 #include <numeric>
+#include <set>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
+#include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"
 #include "core/problem/problem_view.h"
 #include "core/symbolic/symbolic.h"
@@ -93,8 +96,55 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& probl
     const int pose = layout.image_block(i), camera = layout.camera_block(problem.image_camera[i]);
     if (pose >= 0 && camera >= 0) columns[std::min(pose, camera)].push_back(std::max(pose, camera));
   }
+  for (const FactorUnknowns& unknowns : FindFactorUnknowns(problem, layout)) {
+    const std::vector<int>& blocks = unknowns.blocks;
+    for (size_t b = 1; b < blocks.size(); ++b) {
+      for (size_t a = 0; a < b; ++a) columns[blocks[a]].push_back(blocks[b]);
+    }
+  }
+  if (problem.factors == nullptr) return columns;
+  for (std::vector<int>& rows : columns) {
+    std::sort(rows.begin(), rows.end());
+    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+  }
   return columns;
 }
+
+namespace {
+
+/// For each free point that factors couple with other unknowns, these: blocks of the layout, and
+/// free points with a higher index.
+struct Neighbours {
+  std::vector<int> blocks;
+  std::vector<int> points;
+};
+
+std::unordered_map<int, Neighbours> FindPointNeighbours(const ProblemView& problem,
+                                                        const ParameterLayout& layout) {
+  std::unordered_map<int, Neighbours> result;
+  for (const FactorUnknowns& unknowns : FindFactorUnknowns(problem, layout)) {
+    if (LeavesPointsApart(unknowns)) continue;
+    for (const int point : unknowns.points) {
+      Neighbours& neighbours = result[point];
+      neighbours.blocks.insert(neighbours.blocks.end(), unknowns.blocks.begin(),
+                               unknowns.blocks.end());
+      for (const int other : unknowns.points) {
+        if (other > point) neighbours.points.push_back(other);
+      }
+    }
+  }
+  return result;
+}
+
+void AddBlocks(const std::unordered_map<int, Neighbours>& neighbours, int point,
+               std::vector<int>* blocks) {
+  const auto found = neighbours.find(point);
+  if (found == neighbours.end()) return;
+  const std::vector<int>& more = found->second.blocks;
+  blocks->insert(blocks->end(), more.begin(), more.end());
+}
+
+}  // namespace
 
 std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
                                                 const ParameterLayout& layout, int num_threads) {
@@ -106,6 +156,7 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
   const int64_t room = std::max(kSmallTable, 4 * problem.num_observations);
   const auto width = static_cast<int>(
       std::clamp<int64_t>(room / ColumnBits::BytesPerColumn(num_blocks), 1, num_blocks));
+  const auto neighbours = FindPointNeighbours(problem, layout);
   ColumnBits bits(width, num_blocks);
   for (int first = 0; first < num_blocks; first += width) {
     const int last = std::min(first + width, num_blocks);
@@ -120,6 +171,7 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
         if (!layout.point_is_free(static_cast<int>(p))) continue;
         CollectBlocks(problem, layout, tracks.images.data() + tracks.starts[p],
                       tracks.images.data() + tracks.starts[p + 1], &blocks);
+        if (!neighbours.empty()) AddBlocks(neighbours, static_cast<int>(p), &blocks);
         MarkPairs(blocks, first, last, &bits);
       }
     });
@@ -142,6 +194,11 @@ std::vector<int> BlockSizes(const ParameterLayout& layout) {
 void AddPoints(const ProblemView& problem, const ParameterLayout& layout, BlockPattern* pattern) {
   const Tracks tracks = GroupByPoint(problem);
   const int first_block = layout.num_free_points();
+  const auto neighbours = FindPointNeighbours(problem, layout);
+  std::vector<int> place(neighbours.empty() ? 0 : problem.num_points);  // among the free points
+  for (int point = 0, next = 0; point < static_cast<int>(place.size()); ++point) {
+    place[point] = layout.point_is_free(point) ? next++ : -1;
+  }
   std::vector<int> rows;
   for (int point = 0; point < problem.num_points; ++point) {
     if (!layout.point_is_free(point)) continue;
@@ -152,6 +209,10 @@ void AddPoints(const ProblemView& problem, const ParameterLayout& layout, BlockP
       const int camera = layout.camera_block(problem.image_camera[image]);
       if (pose >= 0) rows.push_back(first_block + pose);
       if (camera >= 0) rows.push_back(first_block + camera);
+    }
+    if (const auto found = neighbours.find(point); found != neighbours.end()) {
+      for (const int block : found->second.blocks) rows.push_back(first_block + block);
+      for (const int other : found->second.points) rows.push_back(place[other]);
     }
     std::sort(rows.begin(), rows.end());
     rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
@@ -193,18 +254,27 @@ int64_t NumInformationNonzeros(const ProblemView& problem, const ParameterLayout
   int64_t count = static_cast<int64_t>(NumNonzeros(cameras)) + kPointSize * kPointSize * num_points;
 
   const Tracks tracks = GroupByPoint(problem);
+  const auto neighbours = FindPointNeighbours(problem, layout);
   std::vector<int> last_point(sizes.size(), -1);  // that a block was counted for
+  const auto count_block = [&](int point, int block) {
+    if (block < 0 || last_point[block] == point) return;
+    last_point[block] = point;
+    count += 2 * kPointSize * sizes[block];
+  };
   for (int point = 0; point < problem.num_points; ++point) {
     if (!layout.point_is_free(point)) continue;
     for (int64_t k = tracks.starts[point]; k < tracks.starts[point + 1]; ++k) {
       const int image = tracks.images[k];
       for (const int block :
            {layout.image_block(image), layout.camera_block(problem.image_camera[image])}) {
-        if (block < 0 || last_point[block] == point) continue;
-        last_point[block] = point;
-        count += 2 * kPointSize * sizes[block];
+        count_block(point, block);
       }
     }
+    const auto found = neighbours.find(point);
+    if (found == neighbours.end()) continue;
+    for (const int block : found->second.blocks) count_block(point, block);
+    const std::set<int> others(found->second.points.begin(), found->second.points.end());
+    count += 2 * kPointSize * kPointSize * static_cast<int64_t>(others.size());
   }
   return count;
 }

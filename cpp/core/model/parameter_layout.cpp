@@ -12,6 +12,7 @@
 #include "core/error.h"
 #include "core/geometry/rotation.h"
 #include "core/model/coupled_blocks.h"
+#include "core/model/problem_factors.h"
 
 namespace bundle {
 
@@ -56,6 +57,24 @@ uint32_t FreeCameraParameters(const CameraModel& model, const SolveOptions& opti
   return free;
 }
 
+/// What factors touch may be seen by no observation.
+void FreeTouched(const ProblemView& problem, const SolveOptions& options, FreeParameters* free) {
+  for (const ProblemVariable& variable : problem.factors->variables) {
+    switch (variable.kind) {
+      case ProblemVariable::Kind::kImage:
+        if (options.refine_poses) free->pose[variable.index] = FreeParameters::kWholePose;
+        break;
+      case ProblemVariable::Kind::kCamera:
+        free->camera[variable.index] =
+            FreeCameraParameters(*problem.camera_models[variable.index], options);
+        break;
+      case ProblemVariable::Kind::kPoint:
+        if (options.refine_points) free->point[variable.index] = 1;
+        break;
+    }
+  }
+}
+
 }  // namespace
 
 FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptions& options) {
@@ -73,6 +92,7 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
       free.camera[camera] = FreeCameraParameters(*problem.camera_models[camera], options);
     }
   }
+  if (problem.factors != nullptr) FreeTouched(problem, options, &free);
   ForEachIndex("camera", options.fixed_camera_ids, problem.camera_ids, problem.num_cameras,
                [&](int index) { free.camera[index] = 0; });
   ForEachIndex("image", options.fixed_image_ids, problem.image_ids, problem.num_images,
@@ -95,7 +115,8 @@ std::vector<uint8_t> FindObservedImages(const ProblemView& problem) {
 ParameterLayout::ParameterLayout(const ProblemView& problem, FreeParameters free)
     : free_(std::move(free)),
       image_block_(problem.num_images, -1),
-      camera_block_(problem.num_cameras, -1) {
+      camera_block_(problem.num_cameras, -1),
+      params_block_(problem.num_cameras, -1) {
   const std::vector<uint8_t> observed = FindObservedImages(problem);
   std::vector<int> users(problem.num_cameras);  // observed images of each camera
   for (int i = 0; i < problem.num_images; ++i) users[problem.image_camera[i]] += observed[i];
@@ -103,9 +124,10 @@ ParameterLayout::ParameterLayout(const ProblemView& problem, FreeParameters free
     const int camera = problem.image_camera[i];
     const bool own_camera = observed[i] && users[camera] == 1;
     image_block_[i] = AddBlock(free_.pose[i], own_camera ? free_.camera[camera] : 0);
+    if (own_camera && free_.camera[camera] != 0) params_block_[camera] = image_block_[i];
   }
   for (int c = 0; c < problem.num_cameras; ++c) {
-    if (users[c] > 1) camera_block_[c] = AddBlock(0, free_.camera[c]);
+    if (users[c] != 1) params_block_[c] = camera_block_[c] = AddBlock(0, free_.camera[c]);
   }
   for (int i = 0; i < problem.num_images; ++i) {
     has_shared_intrinsics_ |= image_block_[i] >= 0 && camera_block_[problem.image_camera[i]] >= 0;
@@ -137,7 +159,7 @@ void ParameterLayout::Reorder(const std::vector<int>& order) {
     offset += blocks.back().size;
   }
   blocks_ = std::move(blocks);
-  for (std::vector<int>* index : {&image_block_, &camera_block_}) {
+  for (std::vector<int>* index : {&image_block_, &camera_block_, &params_block_}) {
     for (int& block : *index) block = block < 0 ? -1 : position[block];
   }
 }
@@ -241,20 +263,23 @@ void CameraStates::Update(const double* state) {
   }
 }
 
+void CameraStates::CamFromWorld(int image, double pose[7]) const {
+  const double* const w = chart(image);
+  std::copy_n(problem_.cam_from_world + 7 * static_cast<int64_t>(image), 4, pose);
+  std::copy_n(w + 3, 3, pose + 4);
+  if (w[0] == 0 && w[1] == 0 && w[2] == 0) return;
+  double increment[4], rotated[4];
+  ExpQuaternion(w, increment);
+  QuaternionProduct(increment, pose, rotated);
+  const double norm =
+      std::hypot(std::hypot(rotated[0], rotated[1]), std::hypot(rotated[2], rotated[3]));
+  for (int j = 0; j < 4; ++j) pose[j] = rotated[j] / norm;
+}
+
 std::vector<double> CameraStates::CamFromWorld() const {
-  std::vector<double> cam_from_world(problem_.cam_from_world,
-                                     problem_.cam_from_world + 7 * poses_.size());
+  std::vector<double> cam_from_world(7 * poses_.size());
   for (size_t i = 0; i < poses_.size(); ++i) {
-    const double* w = &charts_[kPoseSize * i];
-    double* pose = &cam_from_world[7 * i];
-    std::copy(w + 3, w + 6, pose + 4);
-    if (w[0] == 0 && w[1] == 0 && w[2] == 0) continue;
-    double increment[4], rotated[4];
-    ExpQuaternion(w, increment);
-    QuaternionProduct(increment, pose, rotated);
-    const double norm =
-        std::hypot(std::hypot(rotated[0], rotated[1]), std::hypot(rotated[2], rotated[3]));
-    for (int j = 0; j < 4; ++j) pose[j] = rotated[j] / norm;
+    CamFromWorld(static_cast<int>(i), &cam_from_world[7 * i]);
   }
   return cam_from_world;
 }

@@ -21,18 +21,18 @@ struct FreeParameters {
   std::vector<uint8_t> point;    ///< num_points: 0 or 1
 };
 
-/// What the options leave free. Nothing is free that no observation sees. Throws InputError if an
-/// id to be fixed is not in the problem.
+/// What the options leave free. Nothing is free that neither an observation nor a factor touches.
+/// Throws InputError if an id to be fixed is not in the problem.
 FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptions& options);
 
 /// How the free parameters of a problem lie in one state vector.
 ///
 /// The state is [block 0 | block 1 | ...], each block the free numbers of one image (pose, then its
 /// camera's intrinsics if no other image uses that camera) or of one camera that several images
-/// share; points stay an array of their own. A block holds only what is refined, so nothing
-/// constant reaches a solver: no subset manifolds, no zero columns, and blocks of one size wherever
-/// the problem allows it, which is what fixed-size Schur kernels such as Ceres' (2,3,6) and (2,3,9)
-/// ask for.
+/// share, or that a factor touches and no observation; points stay an array of their own. A block
+/// holds only what is refined, so nothing constant reaches a solver: no subset manifolds, no zero
+/// columns, and blocks of one size wherever the problem allows it, which is what fixed-size Schur
+/// kernels such as Ceres' (2,3,6) and (2,3,9) ask for.
 ///
 /// Column j of a camera-side Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
 
@@ -60,6 +60,8 @@ class ParameterLayout {
   int image_block(int image) const { return image_block_[image]; }
   /// Index of the block with a shared camera's intrinsics; -1 if merged or fixed.
   int camera_block(int camera) const { return camera_block_[camera]; }
+  /// Index of the block with a camera's intrinsics, its own or an image's; -1 if all are fixed.
+  int params_block(int camera) const { return params_block_[camera]; }
   /// True if an observation depends on something free.
   bool IsRefined(const ProblemView& problem, int64_t observation) const;
   /// True if some image has both kinds of block.
@@ -80,6 +82,7 @@ class ParameterLayout {
   std::vector<CameraSideBlock> blocks_;
   std::vector<int> image_block_;
   std::vector<int> camera_block_;
+  std::vector<int> params_block_;
   int state_size_ = 0;
   int num_free_points_ = 0;
   bool has_shared_intrinsics_ = false;
@@ -124,6 +127,7 @@ class CameraStates {
   /// The refined poses as quaternion and translation (num_images x 7): Exp(w) q0. A pose that did
   /// not move keeps every bit of what it was.
   std::vector<double> CamFromWorld() const;
+  void CamFromWorld(int image, double pose[7]) const;
   const std::vector<double>& camera_params() const { return camera_params_; }
 
  private:

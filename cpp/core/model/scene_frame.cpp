@@ -110,6 +110,7 @@ CenteredProblem::CenteredProblem(const ProblemView& problem, const SceneFrame& f
   for (size_t k = 0; k < points_.size(); ++k) points_[k] -= frame.origin[k % 3];
   centered_.cam_from_world = cam_from_world_.data();
   centered_.points = points_.data();
+  for (int j = 0; j < 3; ++j) centered_.origin[j] = problem.origin[j] + frame.origin[j];
 }
 
 void CenteredProblem::MoveBack(SolveOutput* output) const {

@@ -9,22 +9,55 @@
 #include "core/interface/options.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
+#include "core/model/problem_factors.h"
 #include "core/prepare/memory.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 
 namespace bundle {
 
+namespace {
+
+std::string FindFactorForCeres(const ProblemView& problem, const ParameterLayout& layout) {
+  const std::vector<FactorUnknowns> unknowns = FindFactorUnknowns(problem, layout);
+  for (size_t f = 0; f < unknowns.size(); ++f) {
+    const Factor& factor = *problem.factors->factors[f];
+    if (!factor.IsThreadSafe()) return factor.name() + ", a function in Python";
+    if (!LeavesPointsApart(unknowns[f])) {
+      return factor.name() + ", of a point and something else that is refined";
+    }
+  }
+  return "";
+}
+
+/// A gauge that takes degrees of freedom away although factors may hold them.
+std::string FindSuperfluousGauge(const ProblemView& problem, const FreeParameters& before,
+                                 const FreeParameters& after) {
+  const bool is_held = before.pose != after.pose || before.point != after.point;
+  if (!is_held || !MayFixGauge(problem)) return "";
+  return "The gauge is held although factors say where images or points are: what it holds does "
+         "not follow them. Use gauge none to let the factors decide.";
+}
+
+}  // namespace
+
 PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options) {
   CheckCameraModelsKnown(problem);
   FreeParameters free = SelectFreeParameters(problem, options);
   std::vector<Warning> warnings;
+  const FreeParameters without_gauge = problem.factors != nullptr ? free : FreeParameters();
   Warn(WarningKind::kGaugeNotHeld, FixGauge(problem, options.gauge, &free), &warnings);
+  if (problem.factors != nullptr) {
+    Warn(WarningKind::kGaugeBesideFactors, FindSuperfluousGauge(problem, without_gauge, free),
+         &warnings);
+  }
   ParameterLayout layout(problem, std::move(free));
   std::vector<int64_t> track_lengths = TrackLengths(problem);
   Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),
        &warnings);
-  return {std::move(layout), std::move(warnings), std::move(track_lengths)};
+  std::string factor_for_ceres = FindFactorForCeres(problem, layout);
+  return {std::move(layout), std::move(warnings), std::move(track_lengths),
+          std::move(factor_for_ceres)};
 }
 
 namespace {

@@ -16,6 +16,9 @@ struct PreparedSolve {
   ParameterLayout layout;
   std::vector<Warning> warnings;
   std::vector<int64_t> track_lengths;  ///< observations of each point
+  /// The first factor that couples a point with something else, or that only Ceres evaluates, and
+  /// what is special about it; "": there is none.
+  std::string factor_for_ceres;
 };
 
 /// Decides what is free and how it is laid out. The problem is valid (problem_view.h).

@@ -7,6 +7,7 @@
 namespace bundle {
 
 struct CameraModel;
+struct ProblemFactors;  // model/problem_factors.h
 
 /// The arrays of a bundle adjustment problem, owned by somebody else (NumPy, a test), row-major.
 /// Units are pixels for everything in an image and the reconstruction's length unit elsewhere.
@@ -34,6 +35,10 @@ struct ProblemView {
   const int32_t* observation_image = nullptr;  ///< num_observations
   const int32_t* observation_point = nullptr;  ///< num_observations
   const double* observation_xy = nullptr;      ///< num_observations x 2
+
+  const ProblemFactors* factors = nullptr;  ///< beside the observations; nullptr: none
+  /// The origin of these arrays' world in that of the factors.
+  double origin[3] = {};
 
   const double* ParamsOf(int camera) const {
     return camera_params + static_cast<int64_t>(camera) * camera_params_stride;

@@ -53,14 +53,6 @@ void Assembler::AddColumn(const Segment& rows, const double* from, double* colum
   }
 }
 
-int64_t Assembler::Entry(int column, int row) const {
-  const int64_t begin = structure_.column_begin[column];
-  if (structure_.dense) return begin + (row - column);
-  const auto first = structure_.row_block.begin() + begin;
-  const auto last = structure_.row_block.begin() + structure_.column_begin[column + 1];
-  return std::lower_bound(first, last, row) - structure_.row_block.begin();
-}
-
 void Assembler::AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                          size_t i, size_t first_pair, size_t last_pair, CameraSums* sums) const {
   const int64_t block_size = static_cast<int64_t>(input.num_rows) * input.num_columns;

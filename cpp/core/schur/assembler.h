@@ -71,7 +71,7 @@ class Assembler {
                double* values) const;
   static void AddColumn(const Segment& rows, const double* from, double* column);
   void PrefetchPair(int first, int second, const double* values) const;
-  int64_t Entry(int column, int row) const;
+  int64_t Entry(int column, int row) const { return structure_.Entry(column, row); }
 
   const BlockStructure& structure_;
   std::vector<ImageSegments> images_;

@@ -9,6 +9,7 @@
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/assembler.h"
+#include "core/schur/camera_factors.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
@@ -47,7 +48,8 @@ class SchurProblem::Impl {
         groups_(GroupImages(problem, layout)),
         plan_(PlanPoints(problem, layout, groups_.block_size() * static_cast<int>(sizeof(double)),
                          options.num_threads)),
-        input_(MakeEliminationInput(options, plan_)),
+        factors_(problem, layout, structure_, plan_),
+        input_(WithPriors(MakeEliminationInput(options, plan_))),
         assembler_(problem, layout, groups_.groups, groups_.image_group, structure_),
         pool_(EffectiveNumThreads(options.num_threads)),
         memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_))),
@@ -62,7 +64,7 @@ class SchurProblem::Impl {
     d_squared_.resize(n);
     newton_.resize(n);
     state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
-    fixed_cost_ = FixedCost(options);
+    fixed_cost_ = FixedCost(options) + factors_.fixed_cost();
   }
 
   Linearization Linearize(double damping) {
@@ -70,6 +72,7 @@ class SchurProblem::Impl {
     sums_.Clear(&pool_);
     const bool first = !scaled_;
     Linearization result;
+    result.cost = factors_.Linearize(x_->cameras(), x_->points.data());
     double gradient_squared = 0, gradient_max = 0;
     std::vector<ChunkSum> parts(plan_.chunks.size());
     ForChunks(
@@ -90,6 +93,7 @@ class SchurProblem::Impl {
       gradient_squared += part.gradient_squared;
       if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
     }
+    factors_.AddTo(&sums_.sums());
     DampCameras(damping, first);
     for (const double g : gradient()) {
       gradient_squared += g * g;
@@ -131,7 +135,9 @@ class SchurProblem::Impl {
                                     step_.records(), candidate_->CandidateRecords(x, c),
                                     candidate_->points.data(), Memory(thread), &parts[c]);
     });
-    return Finish(newton_, Total(parts));
+    CandidateSum total = Total(parts);
+    total.model_cost_change += factors_.ModelCostChange(newton_);
+    return Finish(newton_, total);
   }
 
   DoglegProducts Products() {
@@ -160,6 +166,7 @@ class SchurProblem::Impl {
       total.d_pq += p * d_squared_[j] * q;
       total.d_qq += q * d_squared_[j] * q;
     }
+    factors_.AddProducts(gradient_direction_, newton_, &total);
     products_ = total;
     return total;
   }
@@ -191,6 +198,7 @@ class SchurProblem::Impl {
   double state_norm() const { return state_norm_; }
   int64_t num_observations() const { return plan_.num_observations(); }
   double fixed_cost() const { return fixed_cost_; }
+  const CameraFactors& factors() const { return factors_; }
   int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
   const char* instruction_set() const { return kernels_.name; }
   const CameraStates& cameras() const { return x_->cameras(); }
@@ -225,6 +233,12 @@ class SchurProblem::Impl {
     for (int p = 0; p < plan.num_points(); ++p) {
       input.longest_track = std::max(input.longest_track, plan.first[p + 1] - plan.first[p]);
     }
+    return input;
+  }
+
+  EliminationInput WithPriors(EliminationInput input) const {
+    input.point_prior = factors_.point_prior();
+    input.prior_sums = factors_.prior_sums();
     return input;
   }
 
@@ -321,7 +335,7 @@ class SchurProblem::Impl {
     result.changes_what_counts = !candidate_->held.HasSameObservations(x_->held);
     result.model_cost_change = sum.model_cost_change;
     result.step_norm = std::sqrt(Dot(step, step) + sum.step_squared);
-    result.cost = sum.cost;
+    result.cost = sum.cost + factors_.Cost(candidate_->cameras(), candidate_->points.data());
     return result;
   }
 
@@ -340,6 +354,7 @@ class SchurProblem::Impl {
   const Kernels& kernels_;
   const ModelGroups groups_;
   const EliminationPlan plan_;
+  CameraFactors factors_;
   const EliminationInput input_;
   const Assembler assembler_;
   ThreadPool pool_;
@@ -383,6 +398,7 @@ void SchurProblem::FreeSystem() { impl_->FreeSystem(); }
 double SchurProblem::StateNorm() const { return impl_->state_norm(); }
 int64_t SchurProblem::num_active_observations() const { return impl_->num_observations(); }
 double SchurProblem::fixed_cost() const { return impl_->fixed_cost(); }
+const CameraFactors& SchurProblem::factors() const { return impl_->factors(); }
 int64_t SchurProblem::num_held() const { return impl_->num_held(); }
 const char* SchurProblem::instruction_set() const { return impl_->instruction_set(); }
 const CameraStates& SchurProblem::cameras() const { return impl_->cameras(); }

@@ -12,6 +12,8 @@
 
 namespace bundle::fused {
 
+class CameraFactors;
+
 /// Bundle adjustment with the points eliminated: a LeastSquares made of passes over the points.
 class SchurProblem final : public LeastSquares {
  public:
@@ -30,8 +32,10 @@ class SchurProblem final : public LeastSquares {
 
   /// Observations that reach the solver: those with something to refine.
   int64_t num_active_observations() const;
-  /// Cost of the others; not part of Linearization::cost.
+  /// Cost of the others, and of factors with nothing to refine; not part of Linearization::cost.
   double fixed_cost() const;
+  /// Those beside the observations.
+  const CameraFactors& factors() const;
   /// The name of the instruction set that its kernels were compiled for: "baseline", "avx2+fma",
   /// "avx512".
   const char* instruction_set() const;

@@ -92,9 +92,12 @@ class PointSorter {
       return at < begin_[point + 1] ? static_cast<uint64_t>(RankOf(by_point_[at])) + 1 : 0;
     };
     const int first = static_cast<int>(rank(0)) - 1;
-    const bool fixed_and_seen = first >= 0 && !layout_.point_is_free(point);
+    const bool is_free = layout_.point_is_free(point);
+    const bool fixed_and_seen = first >= 0 && !is_free;
+    // A point that only factors know comes before those of the first image.
+    const bool unseen = first < 0 && is_free && active_ && problem_.factors != nullptr;
     return {rank(1) << 32 | rank(2), rank(3) << 32 | rank(4),
-            first + (fixed_and_seen ? problem_.num_images : 0), point};
+            unseen ? 0 : first + (fixed_and_seen ? problem_.num_images : 0), point};
   }
 
   /// Into buckets, those of the fixed points behind the others.

@@ -15,6 +15,7 @@
 #include "core/ceres/translate_options.h"
 #include "core/error.h"
 #include "core/interface/options.h"
+#include "core/model/problem_factors.h"
 #include "core/model/scene_frame.h"
 #include "core/parallel/blas.h"
 #include "core/prepare/memory.h"
@@ -78,6 +79,10 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
         "backend", "at most " + std::to_string(fused::kMaxTrackLength) + " observations a point",
         "one with " + std::to_string(longest_track)};
   }
+  if (!prepared.factor_for_ceres.empty()) {
+    return Unsupported{"factors", "factors of images and cameras, or of one point,",
+                       prepared.factor_for_ceres};
+  }
   return std::nullopt;
 }
 
@@ -113,6 +118,18 @@ SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions optio
   return SolveWithCeres(problem, options, std::move(prepared), progress);
 }
 
+/// At the start and at the solution, in the world of the factors.
+void SetFactorCosts(const ProblemView& given, SolveOutput* output) {
+  if (given.factors == nullptr) return;
+  output->summary.num_factors = static_cast<int>(given.factors->factors.size());
+  output->factor_costs_before = FactorCosts(given);
+  ProblemView refined = given;
+  refined.cam_from_world = output->cam_from_world.data();
+  refined.camera_params = output->camera_params.data();
+  refined.points = output->points.data();
+  output->factor_costs_after = FactorCosts(refined);
+}
+
 LossFunction MakeLossFunction(const SolveOptions& options) {
   return [loss = std::shared_ptr<ceres::LossFunction>(MakeLoss(options.loss, options.loss_scale))](
              double squared_norm) {
@@ -144,6 +161,7 @@ SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
                            : SolveWithCeresAsAsked(problem, options, std::move(prepared), progress);
   JudgeFarPoints(problem, far, options, MakeLossFunction(options), &output);
   centered.MoveBack(&output);
+  SetFactorCosts(given, &output);
   output.summary.backend_given = UpperName(options.backend, kBackends);
   output.summary.backend_used = UpperName(choice.backend, kBackends);
   output.summary.backend_choice = std::move(choice.reason);

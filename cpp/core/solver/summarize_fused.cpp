@@ -6,18 +6,21 @@
 
 #include "core/interface/options.h"
 #include "core/prepare/prepare.h"
+#include "core/schur/camera_factors.h"
 #include "core/solver/solve_with_fused.h"
 
 namespace bundle::fused {
 namespace {
 
-/// Sizes of a residual, a point and the camera-side blocks, "2,3,9"; "d" where the latter differ.
-std::string SchurStructure(const ParameterLayout& layout) {
+/// Sizes of a residual that meets a point, a point and the camera-side blocks, "2,3,9"; "d" where
+/// they differ.
+std::string SchurStructure(const ParameterLayout& layout, const CameraFactors& factors) {
   const std::vector<CameraSideBlock>& blocks = layout.blocks();
   const bool equal = std::all_of(blocks.begin(), blocks.end(), [&](const CameraSideBlock& block) {
     return block.size == blocks.front().size;
   });
-  return "2,3," + (equal ? std::to_string(blocks.front().size) : "d");
+  return std::string(factors.has_other_rows() ? "d" : "2") + ",3," +
+         (equal ? std::to_string(blocks.front().size) : "d");
 }
 
 void SetCosts(const MinimizerSummary& minimum, double fixed_cost, SolveSummary* result) {
@@ -29,12 +32,13 @@ void SetCosts(const MinimizerSummary& minimum, double fixed_cost, SolveSummary* 
   result->final_cost = least + fixed_cost;
 }
 
-void SetSizes(const ParameterLayout& layout, int64_t num_observations, SolveSummary* result) {
+void SetSizes(const ParameterLayout& layout, int64_t num_observations, const CameraFactors& factors,
+              SolveSummary* result) {
   const int num_blocks = static_cast<int>(layout.blocks().size());
   result->num_parameter_blocks = layout.num_free_points() + num_blocks;
   result->num_parameters = 3 * layout.num_free_points() + layout.state_size();
-  result->num_residual_blocks = static_cast<int>(num_observations);
-  result->num_residuals = static_cast<int>(2 * num_observations);
+  result->num_residual_blocks = static_cast<int>(num_observations) + factors.num_factors();
+  result->num_residuals = static_cast<int>(2 * num_observations) + factors.num_residuals();
   // Nothing constant is ever part of the problem.
   result->num_parameter_blocks_reduced = result->num_parameter_blocks;
   result->num_parameters_reduced = result->num_parameters;
@@ -42,7 +46,7 @@ void SetSizes(const ParameterLayout& layout, int64_t num_observations, SolveSumm
   result->num_residuals_reduced = result->num_residuals;
   result->linear_solver_ordering_given = {layout.num_free_points(), num_blocks};
   result->linear_solver_ordering_used = result->linear_solver_ordering_given;
-  result->schur_structure_given = SchurStructure(layout);
+  result->schur_structure_given = SchurStructure(layout, factors);
   result->schur_structure_used = result->schur_structure_given;
 }
 
@@ -86,7 +90,7 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
                        const SolveTimes& times) {
   SolveSummary result;
   SetCosts(minimum, schur.fixed_cost(), &result);
-  SetSizes(layout, schur.num_active_observations(), &result);
+  SetSizes(layout, schur.num_active_observations(), schur.factors(), &result);
   SetChoices(options, &result);
   SetTimes(minimum, times, &result);
   result.termination_type = minimum.termination_type;

@@ -27,8 +27,7 @@ from bundle.graph.variables import (
     variable_name,
 )
 from bundle.options import SolveOptions
-from bundle.solve_record import record_fields
-from bundle.solver import Progress
+from bundle.solve_record import Progress, record_fields
 from bundle.words import plural
 
 __all__ = ["FactorGraph"]
@@ -359,6 +358,10 @@ class FactorGraph(Displayed):
                 factor.core_arguments(name, sizes),
             ))  # fmt: skip
         return [self._variables[key].core() for key in members], described
+
+    def core(self) -> tuple[list[Any], list[Any]]:
+        """Return variables and factors as ``_core`` takes them."""
+        return self._core()
 
     def _known(self, argument: str, key: Key) -> Variable:
         check_key(argument, key)

@@ -63,6 +63,15 @@ inline double CandidateCost(const EliminationInput& input, const StateRecords& x
   return 0.5 * cost;
 }
 
+/// p^T J^T J q and p^T J^T r, of the factors of a point.
+inline double PriorProduct(const double* prior, const double* p, const double* q) {
+  return p[0] * Dot3(prior, q) + p[1] * Dot3(prior + 4, q) + p[2] * Dot3(prior + 8, q);
+}
+
+inline double PriorGradient(const double* prior, const double* p) {
+  return p[0] * prior[3] + p[1] * prior[7] + p[2] * prior[11];
+}
+
 inline void EvaluateNewtonStep(const EliminationInput& input, const StateRecords& x,
                                const Chunk& chunk, double damping, const double* squared_scale,
                                const StepRecords& step, const StateRecords& candidate,
@@ -88,6 +97,9 @@ inline void EvaluateNewtonStep(const EliminationInput& input, const StateRecords
         if (p >= input.plan->num_free_points) continue;
         sum->step_squared += d[j] * d[j];
         sum->state_squared += moved * moved;
+      }
+      if (const double* const prior = input.PriorOf(p)) {
+        sum->model_cost_change -= PriorGradient(prior, d) + 0.5 * PriorProduct(prior, d, d);
       }
       for (const double* at = records; at < records + count * kStepRecord; at += kStepRecord) {
         for (int row = 0; row < 2; ++row) {
@@ -140,6 +152,11 @@ inline void Products(const EliminationInput& input, const StateRecords& x, const
         }
       }
       for (int64_t k = 0; k < count; ++k) AddProducts(records + k * kStepRecord, p, q, sum);
+      if (const double* const prior = input.PriorOf(i)) {
+        sum->j_pp += PriorProduct(prior, p, p);
+        sum->j_pq += PriorProduct(prior, p, q);
+        sum->j_qq += PriorProduct(prior, q, q);
+      }
     }
     point = strip.last;
   }

@@ -38,6 +38,16 @@ struct EliminationInput {
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
   int64_t longest_track = 0;
+  /// Of each point of the plan: its place in `prior_sums`, or -1. nullptr: no factor is of a point.
+  const int32_t* point_prior = nullptr;
+  /// Of each place what factors add to the point's block, 12 numbers: rows of J^T J, each followed
+  /// by its entry of J^T r. They are those of the last linearisation.
+  const double* prior_sums = nullptr;
+
+  const double* PriorOf(int point) const {
+    const int place = point_prior == nullptr ? -1 : point_prior[point];
+    return place < 0 ? nullptr : prior_sums + 12 * static_cast<int64_t>(place);
+  }
 };
 
 /// One state as the passes read it: a record an image (rotation 9, translation 3, left Jacobian 9,

@@ -90,8 +90,9 @@ inline void Factorize(PointBlock* blocks, int count, double damping, bool first)
   }
 }
 
-/// Sums up the blocks of a strip's points and factorises them. `rows` points at (a_0, r_0, a_1,
-/// r_1) of the strip's first observation; the next one's are `stride` doubles on.
+/// Sums up the blocks of a strip's points, from what factors say of them on, and factorises them.
+/// `rows` points at (a_0, r_0, a_1, r_1) of the strip's first observation; the next one's are
+/// `stride` doubles on.
 inline void FormPointBlocks(const EliminationInput& input, const Strip& strip, const double* rows,
                             int stride, double damping, bool first, const double* squared_scale,
                             PointBlock* blocks) {
@@ -99,6 +100,9 @@ inline void FormPointBlocks(const EliminationInput& input, const Strip& strip, c
   for (int p = strip.first; p < strip.last; ++p) {
     PointBlock& block = blocks[p - strip.first];
     for (Quad& row : block.sum) row = Quad{};
+    if (const double* const prior = input.PriorOf(p)) {
+      for (int i = 0; i < 3; ++i) block.sum[i] = LoadQuad(prior + 4 * i);
+    }
     for (int64_t i = begin[p]; i < begin[p + 1]; ++i) {
       const double* const at = rows + (i - strip.begin) * stride;
       block.Add(LoadQuad(at));

@@ -1,0 +1,245 @@
+#include "core/model/problem_factors.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <utility>
+
+#include "core/cameras/camera_model.h"
+#include "core/geometry/rotation.h"
+
+namespace bundle {
+namespace {
+
+using Kind = ProblemVariable::Kind;
+
+constexpr int kImageSize = 7;  // numbers of an image's variable
+
+const ProblemVariable& VariableOf(const Factor& factor, const ProblemView& problem, size_t place) {
+  return problem.factors->variables[factor.blocks()[place]];
+}
+
+/// The block of the layout that has unknowns of a camera-side variable; -1: it is held.
+int BlockOf(const ProblemVariable& variable, const ParameterLayout& layout) {
+  return variable.kind == Kind::kImage ? layout.image_block(variable.index)
+                                       : layout.params_block(variable.index);
+}
+
+void NormalizeQuaternion(double* value) {
+  const double norm = std::hypot(std::hypot(value[0], value[1]), std::hypot(value[2], value[3]));
+  for (int j = 0; j < 4; ++j) value[j] /= norm;
+}
+
+/// The free columns of a variable within its block: what each is in the block, and of the variable.
+template <typename Visit>
+void ForFreeColumns(Kind kind, const CameraSideBlock& block, const Visit& visit) {
+  for (int k = 0; k < block.size; ++k) {
+    const int column = block.columns[k];
+    const bool is_pose = column < kPoseSize;
+    if (is_pose == (kind == Kind::kImage)) visit(k, is_pose ? column : column - kPoseSize);
+  }
+}
+
+FactorUnknowns UnknownsOf(const Factor& factor, const ProblemView& problem,
+                          const ParameterLayout& layout) {
+  FactorUnknowns unknowns;
+  for (size_t v = 0; v < factor.blocks().size(); ++v) {
+    const ProblemVariable& variable = VariableOf(factor, problem, v);
+    if (variable.kind == Kind::kPoint) {
+      if (layout.point_is_free(variable.index)) unknowns.points.push_back(variable.index);
+      continue;
+    }
+    const int block = BlockOf(variable, layout);
+    if (block < 0) continue;
+    bool is_free = false;
+    ForFreeColumns(variable.kind, layout.blocks()[block], [&](int, int) { is_free = true; });
+    if (is_free) unknowns.blocks.push_back(block);
+  }
+  std::vector<int>& blocks = unknowns.blocks;
+  std::sort(blocks.begin(), blocks.end());
+  blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());
+  return unknowns;
+}
+
+}  // namespace
+
+std::vector<FactorUnknowns> FindFactorUnknowns(const ProblemView& problem,
+                                               const ParameterLayout& layout) {
+  std::vector<FactorUnknowns> result;
+  if (problem.factors == nullptr) return result;
+  for (const auto& factor : problem.factors->factors) {
+    result.push_back(UnknownsOf(*factor, problem, layout));
+  }
+  return result;
+}
+
+bool MayFixGauge(const ProblemView& problem) {
+  if (problem.factors == nullptr) return false;
+  const auto& variables = problem.factors->variables;
+  return std::any_of(variables.begin(), variables.end(), [](const ProblemVariable& variable) {
+    return variable.kind != Kind::kCamera;
+  });
+}
+
+double ApplyLoss(const Factor& factor, int columns, double* residual, double* jacobian) {
+  const int rows = factor.num_residuals();
+  const double squared_norm = SquaredNorm(residual, rows);
+  double rho[3];
+  ValueOfLoss(factor.loss(), factor.loss_scale(), squared_norm, rho);
+  if (jacobian != nullptr && factor.loss() != LossType::kTrivial) {
+    // It exists: no loss of ours has rho'' > 0.
+    const auto correction = SolveTriggs(rho, squared_norm, SecondOrderTerm::kClamped);
+    ApplyTriggs(*correction, rows, columns, residual, jacobian);
+  }
+  return 0.5 * rho[0];
+}
+
+std::vector<double> FactorCosts(const ProblemView& problem) {
+  std::vector<double> costs;
+  if (problem.factors == nullptr) return costs;
+  for (const auto& factor : problem.factors->factors) {
+    std::vector<const double*> values;
+    std::vector<double> poses(kImageSize * factor->blocks().size());
+    for (size_t v = 0; v < factor->blocks().size(); ++v) {
+      const ProblemVariable& variable = VariableOf(*factor, problem, v);
+      const int64_t index = variable.index;
+      if (variable.kind == Kind::kImage) {
+        double* const pose = poses.data() + kImageSize * v;
+        std::copy_n(problem.cam_from_world + kImageSize * index, kImageSize, pose);
+        NormalizeQuaternion(pose);
+        values.push_back(pose);
+      } else {
+        values.push_back(variable.kind == Kind::kCamera ? problem.ParamsOf(variable.index)
+                                                        : problem.points + 3 * index);
+      }
+    }
+    std::vector<double> residual(factor->num_residuals());
+    const bool has_value = factor->Evaluate(values.data(), residual.data(), nullptr);
+    costs.push_back(has_value ? ApplyLoss(*factor, 0, residual.data(), nullptr)
+                              : std::numeric_limits<double>::quiet_NaN());
+  }
+  return costs;
+}
+
+ChartedFactor::ChartedFactor(const Factor& factor, const ProblemView& problem,
+                             const ParameterLayout& layout)
+    : factor_(factor), problem_(problem), unknowns_(UnknownsOf(factor, problem, layout)) {
+  for (size_t p = 0; p < unknowns_.points.size(); ++p) {
+    column_begin_.push_back(num_columns_);
+    num_columns_ += 3;
+  }
+  for (const int block : unknowns_.blocks) {
+    column_begin_.push_back(num_columns_);
+    num_columns_ += layout.blocks()[block].size;
+  }
+  column_begin_.push_back(num_columns_);
+  int num_points = 0;
+  for (size_t v = 0; v < factor.blocks().size(); ++v) {
+    const ProblemVariable& given = VariableOf(factor, problem, v);
+    Variable variable;
+    variable.kind = given.kind;
+    variable.index = given.index;
+    if (given.kind == Kind::kPoint) {
+      if (layout.point_is_free(given.index)) {
+        variable.free_point = num_points;
+        for (int j = 0; j < 3; ++j) {
+          variable.columns.push_back(static_cast<int8_t>(j));
+          variable.jacobian_column.push_back(column_begin_[num_points] + j);
+        }
+        ++num_points;
+      }
+    } else if (const int block = BlockOf(given, layout); block >= 0) {
+      const auto& blocks = unknowns_.blocks;
+      const auto place = std::lower_bound(blocks.begin(), blocks.end(), block) - blocks.begin();
+      ForFreeColumns(given.kind, layout.blocks()[block], [&](int k, int column) {
+        variable.columns.push_back(static_cast<int8_t>(column));
+        variable.jacobian_column.push_back(column_begin_[unknowns_.points.size() + place] + k);
+      });
+    }
+    variables_.push_back(std::move(variable));
+  }
+}
+
+namespace {
+
+/// A row by (phi, rho) to one by (w, t), as the header derives it.
+void ToChart(const PoseState& pose, const double* origin, const double* row, double* out) {
+  double a[3], turned[3];
+  Cross3(row + 3, origin, a);
+  for (int j = 0; j < 3; ++j) a[j] += row[j];
+  MatrixVector3(pose.rotation, a, turned);
+  VectorMatrix3(turned, pose.left_jacobian, out);
+  MatrixVector3(pose.rotation, row + 3, out + 3);
+}
+
+/// An image's variable at a state, in the world of the factors.
+void PoseOf(const CameraStates& cameras, int image, const double* origin, double* value) {
+  cameras.CamFromWorld(image, value);
+  NormalizeQuaternion(value);
+  double moved[3];
+  MatrixVector3(cameras.pose(image).rotation, origin, moved);
+  for (int j = 0; j < 3; ++j) value[4 + j] -= moved[j];
+}
+
+}  // namespace
+
+bool ChartedFactor::Evaluate(const CameraStates& cameras, const double* const* points,
+                             double* residual, double* jacobian) const {
+  const int rows = num_residuals();
+  const size_t count = variables_.size();
+  std::vector<const double*> values(count);
+  std::vector<double*> jacobians(count, nullptr);
+  // Values of images and points, then the Jacobians by the variables' own coordinates.
+  size_t num_doubles = kImageSize * count;
+  for (size_t v = 0; v < count && jacobian != nullptr; ++v) {
+    num_doubles += static_cast<size_t>(rows) * factor_.retractions()[v].tangent_size();
+  }
+  std::vector<double> doubles(num_doubles);
+  double* next = doubles.data() + kImageSize * count;
+  for (size_t v = 0; v < count; ++v) {
+    const Variable& variable = variables_[v];
+    double* const value = doubles.data() + kImageSize * v;
+    values[v] = value;
+    if (variable.kind == Kind::kImage) {
+      PoseOf(cameras, variable.index, problem_.origin, value);
+    } else if (variable.kind == Kind::kCamera) {
+      values[v] = cameras.params(variable.index);
+    } else {
+      const double* const point = variable.free_point >= 0
+                                      ? points[variable.free_point]
+                                      : problem_.points + 3 * int64_t{variable.index};
+      for (int j = 0; j < 3; ++j) value[j] = point[j] + problem_.origin[j];
+    }
+    if (jacobian == nullptr || variable.columns.empty()) continue;
+    jacobians[v] = next;
+    next += static_cast<size_t>(rows) * factor_.retractions()[v].tangent_size();
+  }
+  if (!factor_.Evaluate(values.data(), residual, jacobian != nullptr ? jacobians.data() : nullptr))
+    return false;
+  if (!std::all_of(residual, residual + rows, [](double r) { return std::isfinite(r); })) {
+    return false;
+  }
+  if (jacobian == nullptr) return true;
+  std::fill(jacobian, jacobian + static_cast<size_t>(rows) * num_columns_, 0.0);
+  for (size_t v = 0; v < count; ++v) {
+    const Variable& variable = variables_[v];
+    if (jacobians[v] == nullptr) continue;
+    const int width = factor_.retractions()[v].tangent_size();
+    for (int r = 0; r < rows; ++r) {
+      const double* row = jacobians[v] + static_cast<size_t>(r) * width;
+      double by_chart[kPoseSize];
+      if (variable.kind == Kind::kImage) {
+        ToChart(cameras.pose(variable.index), problem_.origin, row, by_chart);
+        row = by_chart;
+      }
+      double* const out = jacobian + static_cast<size_t>(r) * num_columns_;
+      for (size_t k = 0; k < variable.columns.size(); ++k) {
+        out[variable.jacobian_column[k]] = row[variable.columns[k]];
+      }
+    }
+  }
+  return true;
+}
+
+}  // namespace bundle

@@ -1,0 +1,115 @@
+#pragma once
+
+/// Factors beside the observations of a problem, as functions of a solver's unknowns.
+///
+/// A factor (factors/factor.h) is differentiated by the tangent coordinates of its variables. An
+/// image is the variable cam_from_world on SE(3), T = (R, t), which moves to T Exp(phi, rho): to
+/// first order R to R Exp(phi) and t to t + R rho. A solver's unknowns are the chart (w, t) of
+/// factors/reprojection.h, R = Exp(w) R0. A step (dw, dt) of these makes
+///
+///   R Exp(phi) = Exp(J_l(w) dw) R        =>   phi = R^T J_l(w) dw,
+///   t + R rho  = t + dt                  =>   rho = R^T dt.
+///
+/// A scene that is solved about another origin c (model/scene_frame.h) has t' = t + R c for its
+/// translations and X' = X - c for its points, but factors stay where the world of the user is. As
+/// t = t' - R c, and R c moves to R Exp(phi) c = R (c + phi x c),
+///
+///   t + R rho  = t' + dt - R (c + phi x c)   =>   rho = R^T dt + c x phi.
+///
+/// So a row (a, b) of a Jacobian by (phi, rho) becomes, with b . (c x phi) = (b x c) . phi,
+///
+///   by w: (R (a + b x c))^T J_l(w),        by t: (R b)^T.
+///
+/// Cameras and points are Euclidean: their coordinates are the unknowns themselves. Of all these a
+/// layout keeps the columns that are free (CameraSideBlock::columns).
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "core/factors/factor.h"
+#include "core/model/parameter_layout.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+/// A variable of a problem: an image's cam_from_world (qx qy qz qw tx ty tz, SE(3)), a camera's
+/// parameters in COLMAP's order, or a point's coordinates.
+struct ProblemVariable {
+  enum class Kind { kImage, kCamera, kPoint };
+  Kind kind = Kind::kImage;
+  int index = 0;  ///< in the problem's arrays
+};
+
+struct ProblemFactors {
+  std::vector<ProblemVariable> variables;  ///< Factor::blocks() are places in it
+  std::vector<std::unique_ptr<Factor>> factors;
+};
+
+/// The unknowns that a factor touches.
+struct FactorUnknowns {
+  std::vector<int> points;  ///< free points, in the order of the factor
+  std::vector<int> blocks;  ///< of the layout, ascending
+};
+
+/// Of each factor of the problem; empty without factors.
+std::vector<FactorUnknowns> FindFactorUnknowns(const ProblemView& problem,
+                                               const ParameterLayout& layout);
+
+/// True if the factor touches the camera side only, or exactly one point and nothing else that is
+/// free: then eliminating the points leaves it as it is, or is no more than another start of the
+/// point's block.
+inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
+  return unknowns.points.empty() || (unknowns.points.size() == 1 && unknowns.blocks.empty());
+}
+
+/// True if a factor touches an image or a point, and so may say where the world is.
+bool MayFixGauge(const ProblemView& problem);
+
+/// 1/2 rho(||r||^2) of each factor at the problem's own values; NaN where it has none.
+std::vector<double> FactorCosts(const ProblemView& problem);
+
+/// A factor by the unknowns of a solver. Threads may evaluate one at the same time if the factor
+/// allows it.
+class ChartedFactor {
+ public:
+  /// Keeps references to the factor, the problem and the layout's blocks.
+  ChartedFactor(const Factor& factor, const ProblemView& problem, const ParameterLayout& layout);
+
+  const Factor& factor() const { return factor_; }
+  const FactorUnknowns& unknowns() const { return unknowns_; }
+  bool is_fixed() const { return num_columns_ == 0; }
+  int num_residuals() const { return factor_.num_residuals(); }
+  /// Of the Jacobian: three a free point, then those of the blocks.
+  int num_columns() const { return num_columns_; }
+  /// First column of each free point, then of each block, and the end.
+  const std::vector<int>& column_begin() const { return column_begin_; }
+
+  /// The residual, without a loss, and unless it is nullptr the Jacobian, num_residuals x
+  /// num_columns, row-major. `points`: one pointer a free point of the factor. False where there is
+  /// no value, or no finite residual.
+  bool Evaluate(const CameraStates& cameras, const double* const* points, double* residual,
+                double* jacobian) const;
+
+ private:
+  struct Variable {
+    ProblemVariable::Kind kind;
+    int index;
+    int free_point = -1;               ///< place in unknowns().points
+    std::vector<int8_t> columns;       ///< that are free: of the chart, or parameters
+    std::vector<int> jacobian_column;  ///< and where they go
+  };
+
+  const Factor& factor_;
+  const ProblemView& problem_;
+  FactorUnknowns unknowns_;
+  std::vector<Variable> variables_;
+  std::vector<int> column_begin_;
+  int num_columns_ = 0;
+};
+
+/// Turns r and J (rows x columns) of a factor into those that a solver sees, and returns the cost
+/// 1/2 rho(||r||^2). Without a Jacobian, `jacobian` is nullptr and the residual stays as it is.
+double ApplyLoss(const Factor& factor, int columns, double* residual, double* jacobian);
+
+}  // namespace bundle

@@ -1,0 +1,193 @@
+#include "core/schur/camera_factors.h"
+
+#include <algorithm>
+#include <limits>
+#include <utility>
+
+namespace bundle::fused {
+namespace {
+
+constexpr double kNoValue = std::numeric_limits<double>::quiet_NaN();
+constexpr int kPriorSums = 12;
+
+}  // namespace
+
+CameraFactors::CameraFactors(const ProblemView& problem, const ParameterLayout& layout,
+                             const BlockStructure& structure, const EliminationPlan& plan)
+    : structure_(structure), diagonal_begin_(DiagonalBlockOffsets(structure)) {
+  if (problem.factors == nullptr) return;
+  const CameraStates start(problem, layout);
+  std::vector<int> place;  // in the plan, of each point of the problem
+  for (const auto& factor : problem.factors->factors) {
+    ChartedFactor charted(*factor, problem, layout);
+    if (charted.is_fixed()) {
+      std::vector<double> residual(charted.num_residuals());
+      fixed_cost_ += charted.Evaluate(start, nullptr, residual.data(), nullptr)
+                         ? ApplyLoss(*factor, 0, residual.data(), nullptr)
+                         : kNoValue;
+      continue;
+    }
+    num_residuals_ += charted.num_residuals();
+    if (charted.unknowns().points.empty()) {
+      AddCameras(std::move(charted), layout);
+      continue;
+    }
+    if (place.empty()) {
+      place.assign(problem.num_points, -1);
+      for (int p = 0; p < plan.num_free_points; ++p) place[plan.point[p]] = p;
+      point_prior_.assign(plan.num_points(), -1);
+    }
+    const int point = place[charted.unknowns().points.front()];
+    AddPoint(std::move(charted), point);
+  }
+}
+
+void CameraFactors::AddCameras(ChartedFactor factor, const ParameterLayout& layout) {
+  OfCameras of{std::move(factor), 0, 0, {}, {}};
+  of.first_residual = static_cast<int64_t>(residuals_.size());
+  of.first_entry = static_cast<int64_t>(jacobians_.size());
+  const std::vector<int>& blocks = of.factor.unknowns().blocks;
+  for (size_t a = 0; a < blocks.size(); ++a) {
+    const CameraSideBlock& block = layout.blocks()[blocks[a]];
+    for (int k = 0; k < block.size; ++k) of.unknown.push_back(block.offset + k);
+    for (size_t b = a; b < blocks.size(); ++b) {
+      of.entry.push_back(structure_.Entry(blocks[a], blocks[b]));
+    }
+  }
+  const auto rows = static_cast<size_t>(of.factor.num_residuals());
+  residuals_.resize(residuals_.size() + rows);
+  jacobians_.resize(jacobians_.size() + rows * of.unknown.size());
+  of_cameras_.push_back(std::move(of));
+}
+
+void CameraFactors::AddPoint(ChartedFactor factor, int point) {
+  has_other_rows_ = has_other_rows_ || factor.num_residuals() != 2;
+  if (point_prior_[point] < 0) {
+    point_prior_[point] = static_cast<int32_t>(prior_sums_.size() / kPriorSums);
+    prior_sums_.resize(prior_sums_.size() + kPriorSums);
+  }
+  of_points_.push_back({std::move(factor), point});
+}
+
+double CameraFactors::Linearize(const CameraStates& cameras, const double* points) {
+  double cost = 0;
+  for (const OfCameras& of : of_cameras_) {
+    double* const residual = residuals_.data() + of.first_residual;
+    double* const jacobian = jacobians_.data() + of.first_entry;
+    if (!of.factor.Evaluate(cameras, nullptr, residual, jacobian)) return kNoValue;
+    cost += ApplyLoss(of.factor.factor(), of.factor.num_columns(), residual, jacobian);
+  }
+  std::fill(prior_sums_.begin(), prior_sums_.end(), 0.0);
+  std::vector<double> residual, jacobian;
+  for (const OfPoint& of : of_points_) {
+    const int rows = of.factor.num_residuals();
+    residual.resize(rows);
+    jacobian.resize(3 * static_cast<size_t>(rows));
+    const double* const point = points + 3 * int64_t{of.point};
+    if (!of.factor.Evaluate(cameras, &point, residual.data(), jacobian.data())) return kNoValue;
+    cost += ApplyLoss(of.factor.factor(), 3, residual.data(), jacobian.data());
+    double* const sums = prior_sums_.data() + int64_t{kPriorSums} * point_prior_[of.point];
+    for (int r = 0; r < rows; ++r) {
+      const double* const row = jacobian.data() + 3 * static_cast<size_t>(r);
+      for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) sums[4 * i + j] += row[i] * row[j];
+        sums[4 * i + 3] += row[i] * residual[r];
+      }
+    }
+  }
+  return cost;
+}
+
+void CameraFactors::AddTo(CameraSums* sums) const {
+  double* const values = sums->system.values.data();
+  std::vector<double>& camera_diagonal = sums->system.camera_diagonal;
+  for (const OfCameras& of : of_cameras_) {
+    const double* const residual = residuals_.data() + of.first_residual;
+    const double* const jacobian = jacobians_.data() + of.first_entry;
+    const int rows = of.factor.num_residuals(), columns = of.factor.num_columns();
+    const auto product = [&](int i, int j) {
+      double sum = 0;
+      for (int r = 0; r < rows; ++r) sum += jacobian[r * columns + i] * jacobian[r * columns + j];
+      return sum;
+    };
+    for (int j = 0; j < columns; ++j) {
+      const double gradient = ResidualTimesColumn(residual, jacobian, rows, columns, j);
+      sums->gradient[of.unknown[j]] += gradient;
+      sums->system.rhs[of.unknown[j]] -= gradient;
+    }
+    const std::vector<int>& blocks = of.factor.unknowns().blocks;
+    const std::vector<int>& begin = of.factor.column_begin();
+    size_t pair = 0;
+    for (size_t a = 0; a < blocks.size(); ++a) {
+      const int size = begin[a + 1] - begin[a];
+      for (size_t b = a; b < blocks.size(); ++b, ++pair) {
+        for (int i = 0; i < size; ++i) {
+          const int first = a == b ? i : 0;  // of a diagonal block the lower triangle
+          for (int j = first; j < begin[b + 1] - begin[b]; ++j) {
+            const double sum = product(begin[a] + i, begin[b] + j);
+            values[structure_.ValueIndex(blocks[a], of.entry[pair], j, i)] += sum;
+            if (a != b) continue;
+            if (i == j) sums->squared_norms[of.unknown[begin[a] + i]] += sum;
+            if (!camera_diagonal.empty()) {
+              camera_diagonal[diagonal_begin_[blocks[a]] + int64_t{i} * size + j] += sum;
+            }
+          }
+        }
+      }
+    }
+  }
+}
+
+double CameraFactors::Cost(const CameraStates& cameras, const double* points) const {
+  double cost = 0;
+  std::vector<double> residual;
+  const auto add = [&](const ChartedFactor& factor, const double* const* point) {
+    residual.resize(factor.num_residuals());
+    cost += factor.Evaluate(cameras, point, residual.data(), nullptr)
+                ? ApplyLoss(factor.factor(), 0, residual.data(), nullptr)
+                : kNoValue;
+  };
+  for (const OfCameras& of : of_cameras_) add(of.factor, nullptr);
+  for (const OfPoint& of : of_points_) {
+    const double* const point = points + 3 * int64_t{of.point};
+    add(of.factor, &point);
+  }
+  return cost;
+}
+
+namespace {
+
+double Along(const double* row, const std::vector<int>& unknown, const std::vector<double>& step) {
+  double sum = 0;
+  for (size_t k = 0; k < unknown.size(); ++k) sum += row[k] * step[unknown[k]];
+  return sum;
+}
+
+}  // namespace
+
+double CameraFactors::ModelCostChange(const std::vector<double>& step) const {
+  double change = 0;
+  for (const OfCameras& of : of_cameras_) {
+    const double* row = jacobians_.data() + of.first_entry;
+    for (int r = 0; r < of.factor.num_residuals(); ++r, row += of.unknown.size()) {
+      const double model = Along(row, of.unknown, step);
+      change -= model * (residuals_[of.first_residual + r] + 0.5 * model);
+    }
+  }
+  return change;
+}
+
+void CameraFactors::AddProducts(const std::vector<double>& p, const std::vector<double>& q,
+                                DoglegProducts* products) const {
+  for (const OfCameras& of : of_cameras_) {
+    const double* row = jacobians_.data() + of.first_entry;
+    for (int r = 0; r < of.factor.num_residuals(); ++r, row += of.unknown.size()) {
+      const double along_p = Along(row, of.unknown, p), along_q = Along(row, of.unknown, q);
+      products->j_pp += along_p * along_p;
+      products->j_pq += along_p * along_q;
+      products->j_qq += along_q * along_q;
+    }
+  }
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,99 @@
+#pragma once
+
+/// Factors beside the reprojections, in the reduced camera system: Ceres' NoEBlockRowsUpdate.
+///
+/// A factor with residual r and Jacobian J by the camera side alone (model/problem_factors.h; both
+/// corrected for its loss) meets no point: eliminating the points leaves it as it is. It adds
+///
+///   S += J^T J,    b -= J^T r,    gradient += J^T r,    ||J e_j||^2 to the squared norms,
+///
+/// before the damping, whose scale is that of the whole Jacobian. For a step d it adds
+/// -(J d)^T (r + J d / 2) to the model's decrease, and for the two directions of a dogleg the
+/// products of J p and J q.
+///
+/// A factor of one free point and nothing else that is free adds J^T J and J^T r to V and g of that
+/// point (kernels/point_block.h), from where the passes over the points do the rest; only its cost
+/// is summed up here.
+///
+/// Serial, in the order of the factors: no bit depends on the number of threads.
+
+#include <cstdint>
+#include <vector>
+
+#include "core/linear/block_structure.h"
+#include "core/minimize/least_squares.h"
+#include "core/model/parameter_layout.h"
+#include "core/model/problem_factors.h"
+#include "core/problem/problem_view.h"
+#include "core/schur/assembler.h"
+#include "core/schur/elimination_plan.h"
+
+namespace bundle::fused {
+
+class CameraFactors {
+ public:
+  /// Keeps references to the problem and the structure. Every factor leaves the points apart
+  /// (LeavesPointsApart).
+  CameraFactors(const ProblemView& problem, const ParameterLayout& layout,
+                const BlockStructure& structure, const EliminationPlan& plan);
+
+  /// Of factors with something to refine.
+  int num_factors() const { return static_cast<int>(of_cameras_.size() + of_points_.size()); }
+  int num_residuals() const { return num_residuals_; }
+  /// Of those without; not finite where one has no value.
+  double fixed_cost() const { return fixed_cost_; }
+  /// True if a factor of a point has not the two rows of an observation.
+  bool has_other_rows() const { return has_other_rows_; }
+
+  /// Linearises at a state, whose points are three numbers for each of the plan. Sets what the
+  /// passes read of points and keeps what the methods below need of the camera side. Returns the
+  /// cost, which is not finite where a factor has no value.
+  double Linearize(const CameraStates& cameras, const double* points);
+  /// Adds the camera side's part of the normal equations.
+  void AddTo(CameraSums* sums) const;
+
+  double Cost(const CameraStates& cameras, const double* points) const;
+
+  /// -(J d)^T (r + J d / 2) of the camera side's factors.
+  double ModelCostChange(const std::vector<double>& step) const;
+  /// Adds the products of J p and J q of the camera side's factors.
+  void AddProducts(const std::vector<double>& p, const std::vector<double>& q,
+                   DoglegProducts* products) const;
+
+  /// For EliminationInput; nullptr without factors of points.
+  const int32_t* point_prior() const {
+    return point_prior_.empty() ? nullptr : point_prior_.data();
+  }
+  const double* prior_sums() const { return prior_sums_.data(); }
+
+ private:
+  struct OfCameras {
+    ChartedFactor factor;
+    int64_t first_residual = 0;  ///< in residuals_
+    int64_t first_entry = 0;     ///< in jacobians_
+    std::vector<int> unknown;    ///< of the state, for each column of the Jacobian
+    std::vector<int64_t> entry;  ///< of S, for each pair of its blocks, the smaller first
+  };
+  struct OfPoint {
+    ChartedFactor factor;
+    int point = 0;  ///< in the plan
+  };
+
+  void AddCameras(ChartedFactor factor, const ParameterLayout& layout);
+  void AddPoint(ChartedFactor factor, int point);
+
+  const BlockStructure& structure_;
+  const std::vector<int64_t> diagonal_begin_;
+  std::vector<OfCameras> of_cameras_;
+  std::vector<OfPoint> of_points_;
+  int num_residuals_ = 0;
+  double fixed_cost_ = 0;
+  bool has_other_rows_ = false;
+  std::vector<double> residuals_;  ///< of camera-side factors, one after the other
+  std::vector<double> jacobians_;
+  std::vector<int32_t> point_prior_;  ///< of each point of the plan: place in prior_sums_, or -1
+  /// Twelve numbers a point with factors: rows of J^T J, each followed by its entry of J^T r.
+  std::vector<double> prior_sums_;
+};
+
+}  // namespace bundle::fused
