@@ -31,29 +31,28 @@ def solve(
 ) -> Result:
     """Refine a problem: minimise 1/2 sum rho(||r||^2) over what ``options.refine`` names.
 
-    r is the reprojection error of an observation in pixels, rho the loss. Factors add their own
-    1/2 rho(||r||^2), r whitened, rho their own loss. Their keys name variables of the problem:
-    ``("image", image_id)`` is cam_from_world on se3 (qx qy qz qw tx ty tz; its tangent coordinates
-    are rotation, then translation, in the frame of cam_from_world: :class:`bundle.FactorGraph`),
-    ``("camera", camera_id)`` the camera's parameters in COLMAP's order and ``("point", point_id)``
-    the coordinates, both Euclidean. For instance GPS positions of the images' centres::
+    r is the reprojection error of an observation in pixels, rho the loss. The GIL is released while
+    the solver runs. Ctrl-C stops it, within a step where the solver can be left (Ceres' own linear
+    solvers cannot); the result then holds the best state and ``summary.interrupted``. Not
+    converging is a result as well, not an exception.
 
-        factors = [
-            bundle.PositionFactor(("image", i), gps[i], information=1 / 0.02**2) for i in gps
-        ]
+    Factors add their own 1/2 rho(||r||^2), r whitened, rho the factor's loss. Their keys name
+    variables of the problem: ``("image", image_id)`` is cam_from_world on se3 (qx qy qz qw tx ty
+    tz; its tangent coordinates are rotation, then translation, in the frame of cam_from_world, as
+    :class:`bundle.FactorGraph` has them), ``("camera", camera_id)`` the camera's parameters in
+    COLMAP's order and ``("point", point_id)`` the coordinates, both Euclidean. For instance
+    measured positions of the images' centres, to 2 cm::
+
+        factors = [bundle.PositionFactor(("image", i), xyz, 1 / 0.02**2) for i, xyz in gps.items()]
         bundle.solve(problem, factors=factors)
 
     What a factor touches is refined even if no observation sees it. What is held stays, and the
     cost of its factors counts. Both backends take factors of images and cameras, and of one point;
     those that couple a point with something else that is refined, and functions in Python, are for
     Ceres. With factors of images or points gauge "auto" holds nothing: they say where the world
-    is, as far as they do, and the trust region holds the rest; "two_cameras" and "three_points"
-    hold what they always do, and warn (``gauge_beside_factors``). Factors keep to the world of the
-    problem where a far scene is solved about its centre.
-
-    The GIL is released while the solver runs. Ctrl-C stops it, within a step where the solver can be left (Ceres' own linear
-    solvers cannot); the result then holds the best state and ``summary.interrupted``. Not
-    converging is a result as well, not an exception.
+    is, as far as they do, and the damping of the trust region holds the rest; "two_cameras" and
+    "three_points" hold what they always do, and warn (``gauge_beside_factors``). The world of the
+    factors is that of the problem, also where a far scene is solved about its centre.
 
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
@@ -80,7 +79,7 @@ def solve(
     if known is not None and known.locate and options.gauge == "auto":
         options = options.replace(gauge="none")
     options = resolve_defaults(problem, options)
-    output = _core.solve(problem, options.asdict(), progress, known and known.core())
+    output = _core.solve(problem, options.asdict(), progress, None if known is None else known.core())
     refined = problem.replace(
         cam_from_world=output["cam_from_world"],
         camera_params=output["camera_params"],

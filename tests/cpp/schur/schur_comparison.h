@@ -55,8 +55,9 @@ inline void ExpectNear(double found, Real expected, Real tolerance, const char* 
 /// A SchurProblem next to the same in extended precision.
 class Comparison {
  public:
-  Comparison(const Scene& scene, const SolveOptions& options, bool dense = true)
-      : problem_(scene.View()),
+  Comparison(const Scene& scene, const SolveOptions& options, bool dense = true,
+             const ProblemFactors* factors = nullptr)
+      : problem_(WithFactors(scene.View(), factors)),
         options_(options),
         prepared_(Prepare(problem_, options, dense)),
         solver_(Structure(problem_, layout(), dense)),
@@ -93,6 +94,11 @@ class Comparison {
   }
 
  private:
+  static ProblemView WithFactors(ProblemView problem, const ProblemFactors* factors) {
+    problem.factors = factors;
+    return problem;
+  }
+
   void CheckLinearization(const Linearization& found, const LinearizedProblem& expected) const {
     EXPECT_TRUE(found.is_finite);
     EXPECT_EQ(schur_.num_active_observations(), expected.num_active);

@@ -14,6 +14,7 @@
 #include "core/factors/reprojection.h"
 #include "core/interface/options.h"
 #include "core/model/parameter_layout.h"
+#include "core/model/problem_factors.h"
 #include "core/problem/problem_view.h"
 #include "support/cost.h"
 
@@ -76,6 +77,11 @@ class LinearizedProblem {
         AddObservation<decltype(model)>(problem, layout, options, cameras, points, i);
       });
     }
+    if (problem.factors != nullptr) {
+      for (const auto& factor : problem.factors->factors) {
+        AddFactor(ChartedFactor(*factor, problem, layout), layout, cameras, points);
+      }
+    }
     gradient = RealVector::Zero(num_columns);
     squared_norms = RealVector::Zero(num_columns);
     for (const SparseRow& row : rows) {
@@ -102,6 +108,43 @@ class LinearizedProblem {
   }
 
  private:
+  /// By the factor's own Jacobian (problem_factors_test.cpp has differences).
+  void AddFactor(const ChartedFactor& charted, const ParameterLayout& layout,
+                 const CameraStates& cameras, const std::vector<double>& points) {
+    const Factor& factor = charted.factor();
+    const int size = charted.num_residuals();
+    std::vector<double> residual(size), jacobian(size * charted.num_columns() + 1);
+    std::vector<const double*> at;
+    std::vector<int> columns;
+    for (const int point : charted.unknowns().points) {
+      at.push_back(&points[3 * static_cast<size_t>(point)]);
+      for (int k = 0; k < 3; ++k) columns.push_back(point_column_[point] + k);
+    }
+    for (const int index : charted.unknowns().blocks) {
+      const CameraSideBlock& block = layout.blocks()[index];
+      for (int k = 0; k < block.size; ++k) columns.push_back(block.offset + k);
+    }
+    charted.Evaluate(cameras, at.data(), residual.data(), jacobian.data());
+    Real s = 0;
+    for (const double r : residual) s += Real(r) * r;
+    const Real cost_here = Rho(factor.loss(), factor.loss_scale(), s) / 2;
+    if (columns.empty()) {
+      fixed_cost += cost_here;
+      return;
+    }
+    cost += cost_here;
+    const Real weight = std::sqrt(LossSlope(factor.loss(), factor.loss_scale(), s));
+    for (int r = 0; r < size; ++r) {
+      SparseRow row;
+      row.residual = weight * residual[r];
+      for (size_t k = 0; k < columns.size(); ++k) {
+        row.columns.push_back(columns[k]);
+        row.values.push_back(weight * jacobian[r * columns.size() + k]);
+      }
+      rows.push_back(row);
+    }
+  }
+
   template <typename Model>
   void AddObservation(const ProblemView& problem, const ParameterLayout& layout,
                       const SolveOptions& options, const CameraStates& cameras,

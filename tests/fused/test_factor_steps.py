@@ -1,0 +1,300 @@
+"""Factors beside the observations: both backends take the same steps, which are the right ones."""
+
+import functools
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+import bundle
+from bundle import _core
+from bundle.options import LOSSES
+from tests import scenes
+from tests.fused.covering import covering
+from tests.fused.test_mixed_widths import with_full_opencv
+
+KINDS = ("prior", "position", "between", "linear", "camera", "cameras", "point", "mixed")
+SCENES = ("own intrinsics", "shared intrinsics", "mixed models")
+SOLVERS = {
+    "dense": ("dense_schur", "auto"),
+    "sparse": ("sparse_schur", "auto"),
+    "iterative": ("iterative_schur", "schur_jacobi"),
+}
+HELD = {
+    "nothing": {},
+    "images": {"fixed_image_ids": (1, 3)},
+    "a camera": {"fixed_camera_ids": (1,)},
+    "points": {"fixed_point_ids": tuple(range(1, 13))},
+    "intrinsics": {"refine": "poses,points"},
+    "two cameras": {"gauge": "two_cameras"},
+    "all that some factors touch": {
+        "fixed_image_ids": (1, 2),
+        "fixed_camera_ids": (1,),
+        "fixed_point_ids": (3, 5, 8),
+    },
+}
+FACTORS = {
+    "kind": KINDS,
+    "scene": SCENES,
+    "loss": LOSSES,
+    "solver": tuple(SOLVERS),
+    "trust region": ("levenberg_marquardt", "dogleg", "subspace_dogleg"),
+    "held": tuple(HELD),
+}
+
+
+def allowed(row):
+    return row["trust region"] == "levenberg_marquardt" or row["solver"] != "iterative"
+
+
+ROWS = covering(FACTORS, allowed, seed=2)
+
+
+def problem_of(scene):
+    problem = scenes.make_problem(
+        num_images=6, num_points=60, shared=scene == "shared intrinsics", perturbation=2e-2
+    )
+    return with_full_opencv(problem, [1, 4]) if scene == "mixed models" else problem
+
+
+def spd(rng, n, scale=1.0):
+    root = np.eye(n) + 0.3 * rng.standard_normal((n, n))
+    return scale * root @ root.T
+
+
+class Maker:
+    """Factors near the values of a problem, of about the weight of some observations."""
+
+    def __init__(self, problem, loss="trivial"):
+        self.problem = problem
+        self.rng = np.random.default_rng(5)
+        self.loss = {"loss": loss, "loss_scale": 2.0}
+
+    def pose(self, image):
+        delta = 0.02 * self.rng.standard_normal(6)
+        return _core.retract("se3", self.problem.cam_from_world[image], delta)
+
+    def params(self, camera):
+        size = len(bundle.camera_models()[self.problem.camera_models[camera]])
+        params = self.problem.camera_params[camera, :size]
+        return params + self.rng.standard_normal(size) * np.where(params > 10, 5, 0.01)
+
+    def camera_information(self, camera):
+        params = self.params(camera)
+        sigma = np.where(params > 10, 5, 0.05)
+        return spd(self.rng, len(params)) / np.outer(sigma, sigma)
+
+    def prior(self):
+        for image in (1, 4):
+            key = ("image", image + 1)
+            yield bundle.PriorFactor(key, self.pose(image), spd(self.rng, 6, 2e4), **self.loss)
+
+    def position(self):
+        for image in range(0, 6, 2):
+            center = self.problem.projection_centers[image]
+            yield bundle.PositionFactor(
+                ("image", image + 1),
+                center + 0.05 * self.rng.standard_normal(3),
+                spd(self.rng, 3, 1e4),
+                lever_arm=(0.05, -0.02, 0.1),
+                **self.loss,
+            )
+
+    def between(self):
+        for a, b in ((1, 3), (5, 2), (0, 4)):
+            measured = np.asarray(_core.retract("se3", [0, 0, 0, 1.0, 0, 0, 0], np.zeros(6)))
+            x, y = self.pose(a), self.pose(b)
+            delta = _core.local_coordinates("se3", x, y)
+            measured = _core.retract("se3", measured, delta)
+            yield bundle.BetweenFactor(
+                ("image", a + 1), ("image", b + 1), measured, spd(self.rng, 6, 2e4), **self.loss
+            )
+
+    def linear(self):
+        poses = {("image", 2): self.pose(1), ("image", 6): self.pose(5)}
+        points = {**poses, ("camera", 1): self.params(0)}
+        scale = np.r_[np.full(12, 100), 1 / np.where(self.params(0) > 10, 5, 0.05)]
+        root = self.rng.standard_normal((8, len(scale))) * scale  # of rank 8
+        yield bundle.LinearPrior(
+            root.T @ root,
+            root.T @ self.rng.standard_normal(8),
+            points,
+            tuple(points),
+            manifolds=dict.fromkeys(poses, "se3"),
+            **self.loss,
+        )
+
+    def camera(self):
+        for camera in {0, self.problem.num_cameras - 1}:
+            key = ("camera", camera + 1)
+            information = self.camera_information(camera)
+            yield bundle.PriorFactor(key, self.params(camera), information, **self.loss)
+
+    def cameras(self):
+        models = self.problem.camera_models
+        for a in range(self.problem.num_cameras - 1):
+            if models[a] != models[a + 1]:
+                continue
+            information = self.camera_information(a)
+            measured = self.params(a + 1) - self.params(a)
+            keys = ("camera", a + 1), ("camera", a + 2)
+            yield bundle.BetweenFactor(*keys, measured, information, **self.loss)
+
+    def point(self):
+        for point in (2, 4, 7, 7, 20):
+            key = ("point", point + 1)
+            value = self.problem.points[point] + 0.05 * self.rng.standard_normal(3)
+            yield bundle.PriorFactor(key, value, spd(self.rng, 3, 1e4), **self.loss)
+
+    def mixed(self):
+        for kind in KINDS[:-1]:
+            yield from getattr(self, kind)()
+
+
+def factors_of(problem, row):
+    return list(getattr(Maker(problem, row["loss"]), row["kind"])())
+
+
+@functools.cache
+def solves(number):
+    """A row by Ceres, by Ceres otherwise, and by the fused backend."""
+    row = ROWS[number]
+    problem = problem_of(row["scene"])
+    factors = factors_of(problem, row)
+    solver, preconditioner = SOLVERS[row["solver"]]
+    options = {
+        "linear_solver_type": solver,
+        "preconditioner_type": preconditioner,
+        "trust_region_strategy_type": row["trust region"],
+        "loss": row["loss"],
+        "loss_scale": 1.0 if row["loss"] == "trivial" else 5.0,
+        "gauge": "none",
+        "max_num_iterations": 10,
+        "function_tolerance": 1e-12,
+        "num_threads": 2,
+        **HELD[row["held"]],
+    }
+    exact = solver != "iterative_schur"
+    witness = {**options, "linear_solver_type": "dense_qr"} if exact else options
+    return (
+        bundle.solve(problem, factors=factors, backend="ceres", **options),
+        bundle.solve(problem, factors=factors[::-1], backend="ceres", **witness),
+        bundle.solve(problem, factors=factors, backend="fused", **options),
+    )
+
+
+TRACES = ("cost", "gradient_max_norm", "step_norm", "trust_region_radius")
+
+
+def deviation(found, expected, name, n):
+    """Of each iteration, in units of the largest value where values fall to rounding."""
+    found, expected = (np.asarray(x.iterations[name][:n], float) for x in (found, expected))
+    unit = np.abs(expected)
+    if name in ("gradient_max_norm", "step_norm"):
+        unit = np.maximum(unit, 1e-3 * unit.max())
+    return np.abs(found - expected) / np.maximum(unit, 1e-300)
+
+
+def num_comparable(number):
+    """Iterations over which the rounding of Ceres itself stays well below the tolerance."""
+    expected, other, _ = solves(number)
+    n = min(len(expected.iterations["cost"]), len(other.iterations["cost"]))
+    same = (
+        expected.iterations["step_is_successful"][:n] == other.iterations["step_is_successful"][:n]
+    )
+    for name in TRACES:
+        same &= deviation(other, expected, name, n) < 3e-10
+    return n if same.all() else int(np.argmin(same))
+
+
+@pytest.mark.parametrize("number", range(len(ROWS)), ids=lambda n: "-".join(ROWS[n].values()))
+def test_same_steps_as_ceres(number):
+    expected, _, found = solves(number)
+    n = num_comparable(number)
+    assert n > 0
+    for name in TRACES:
+        assert deviation(found, expected, name, n).max() < 1e-9, name
+    names = [
+        f"num_{what}{suffix}"
+        for what in ("parameter_blocks", "parameters", "residual_blocks", "residuals")
+        for suffix in ("", "_reduced")
+    ]
+    for name in [*names, "num_factors", "num_information_nonzeros", "schur_structure_given"]:
+        assert getattr(found.summary, name) == getattr(expected.summary, name), name
+    assert found.summary.fixed_cost == pytest.approx(expected.summary.fixed_cost, rel=1e-12)
+    np.testing.assert_allclose(found.factor_costs_before, expected.factor_costs_before, rtol=1e-12)
+
+
+def test_the_design_compares_what_it_says():
+    numbers = range(len(ROWS))
+    assert 30 < len(ROWS) < 70
+    assert np.mean([num_comparable(n) >= 8 for n in numbers]) > 0.7
+    assert sum(not solves(n)[0].iterations["step_is_successful"].all() for n in numbers) >= 3
+    # Factors matter: they are a good part of the cost.
+    shares = [
+        solves(n)[0].factor_costs_before.sum() / solves(n)[0].summary.initial_cost for n in numbers
+    ]
+    assert np.median(shares) > 0.01
+
+
+def residuals(problem, factors, x):
+    """Of observations and position factors, by formulas of SciPy, at x = (poses, points)."""
+    n = problem.num_images
+    poses, points = x[: 6 * n].reshape(n, 6), x[6 * n :].reshape(-1, 3)
+    rotation = Rotation.from_rotvec(poses[:, :3]) * Rotation.from_quat(
+        problem.cam_from_world[:, :4]
+    )
+    image = problem.observation_image
+    in_camera = rotation[image].apply(points[problem.observation_point]) + poses[image, 3:]
+    parts = []
+    for i in range(n):
+        mine = image == i
+        params = problem.camera_params[problem.image_camera[i]]
+        parts.append((scenes.project("SIMPLE_RADIAL", params, in_camera[mine])
+                      - problem.observation_xy[mine]).ravel())  # fmt: skip
+    for factor in factors:
+        kind, number = factor.keys[0]
+        root = np.linalg.cholesky(factor.information).T
+        if kind == "image":
+            antenna = rotation[number - 1].inv().apply(factor.lever_arm - poses[number - 1, 3:])
+            parts.append(root @ (antenna - factor.position))
+        else:
+            parts.append(root @ (points[number - 1] - factor.value))
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("backend", ["fused", "ceres"])
+def test_the_optimum_is_that_of_scipy(backend):
+    problem = scenes.make_problem(num_images=4, num_points=15)
+    maker = Maker(problem)
+    factors = []
+    for image in range(4):
+        center = problem.projection_centers[image] + 0.05 * maker.rng.standard_normal(3)
+        factors.append(
+            bundle.PositionFactor(
+                ("image", image + 1), center, spd(maker.rng, 3, 1e4), lever_arm=(0.1, 0.2, -0.1)
+            )
+        )
+    for point in (0, 3):
+        value = problem.points[point] + 0.02 * maker.rng.standard_normal(3)
+        factors.append(bundle.PriorFactor(("point", point + 1), value, spd(maker.rng, 3, 1e4)))
+    result = bundle.solve(
+        problem,
+        factors=factors,
+        refine="poses,points",
+        backend=backend,
+        function_tolerance=1e-14,
+        parameter_tolerance=1e-12,
+    )
+    start = np.zeros((4, 6))
+    start[:, 3:] = problem.cam_from_world[:, 4:]
+    x = np.concatenate([start.ravel(), problem.points.ravel()])
+    assert result.summary.initial_cost == pytest.approx(
+        0.5 * np.sum(residuals(problem, factors, x) ** 2), rel=1e-11
+    )
+    best = least_squares(lambda x: residuals(problem, factors, x), x, xtol=1e-14, ftol=1e-14)
+    assert result.summary.final_cost == pytest.approx(best.cost, rel=1e-9)
+    np.testing.assert_allclose(result.problem.points.ravel(), best.x[24:], atol=1e-5)
+    costs = 0.5 * residuals(problem, factors, best.x)[2 * problem.num_observations :] ** 2
+    np.testing.assert_allclose(result.factor_costs_after, costs.reshape(-1, 3).sum(1), rtol=1e-3)
