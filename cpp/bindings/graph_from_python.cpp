@@ -50,6 +50,9 @@ class FactorReader {
     if (kind_ == "between") {
       return std::make_unique<bundle::BetweenFactor>(head_, retractions_.at(0), At(0), At(1));
     }
+    if (kind_ == "relative_pose") {
+      return std::make_unique<bundle::RelativePoseFactor>(head_, At(0), At(1));
+    }
     if (kind_ == "position") {
       return std::make_unique<bundle::PositionFactor>(head_, At(0), At(1), At(2));
     }

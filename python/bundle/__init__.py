@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         LinearPrior,
         PositionFactor,
         PriorFactor,
+        RelativePoseFactor,
         ReprojectionFactor,
     )
     from bundle.headers import get_include
@@ -56,6 +57,7 @@ __all__ = [
     "PositionFactor",
     "PriorFactor",
     "Problem",
+    "RelativePoseFactor",
     "ReprojectionError",
     "ReprojectionFactor",
     "Result",

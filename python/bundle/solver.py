@@ -46,13 +46,16 @@ def solve(
         factors = [bundle.PositionFactor(("image", i), xyz, 1 / 0.02**2) for i, xyz in gps.items()]
         bundle.solve(problem, factors=factors)
 
-    What a factor touches is refined even if no observation sees it. What is held stays, and the
-    cost of its factors counts. Both backends take factors of images and cameras, and of one point;
-    those that couple a point with something else that is refined, and functions in Python, are for
-    Ceres. With factors of images or points gauge "auto" holds nothing: they say where the world
-    is, as far as they do, and the damping of the trust region holds the rest; "two_cameras" and
-    "three_points" hold what they always do, and warn (``gauge_beside_factors``). The world of the
-    factors is that of the problem, also where a far scene is solved about its centre.
+    As images are cam_from_world, a relative pose of two of them is a
+    :class:`bundle.RelativePoseFactor`. What a factor touches is refined even if no observation sees
+    it. What is held stays, and the cost of its factors counts.
+
+    Both backends take factors of images and cameras, and of one point; those that couple a point
+    with something else that is refined, and functions in Python, are for Ceres. With factors of
+    images or points gauge "auto" holds nothing: they say where the world is, as far as they do, and
+    the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what they
+    always do, and warn (``gauge_beside_factors``). The world of the factors is that of the problem,
+    also where a far scene is solved about its centre.
 
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
@@ -79,7 +82,8 @@ def solve(
     if known is not None and known.locate and options.gauge == "auto":
         options = options.replace(gauge="none")
     options = resolve_defaults(problem, options)
-    output = _core.solve(problem, options.asdict(), progress, None if known is None else known.core())
+    given = None if known is None else known.core()
+    output = _core.solve(problem, options.asdict(), progress, given)
     refined = problem.replace(
         cam_from_world=output["cam_from_world"],
         camera_params=output["camera_params"],

@@ -14,7 +14,17 @@ from tests import scenes
 from tests.fused.covering import covering
 from tests.fused.test_mixed_widths import with_full_opencv
 
-KINDS = ("prior", "position", "between", "linear", "camera", "cameras", "point", "mixed")
+KINDS = (
+    "prior",
+    "position",
+    "between",
+    "relative",
+    "linear",
+    "camera",
+    "cameras",
+    "point",
+    "mixed",
+)
 SCENES = ("own intrinsics", "shared intrinsics", "mixed models")
 SOLVERS = {
     "dense": ("dense_schur", "auto"),
@@ -103,13 +113,20 @@ class Maker:
 
     def between(self):
         for a, b in ((1, 3), (5, 2), (0, 4)):
-            measured = np.asarray(_core.retract("se3", [0, 0, 0, 1.0, 0, 0, 0], np.zeros(6)))
-            x, y = self.pose(a), self.pose(b)
-            delta = _core.local_coordinates("se3", x, y)
-            measured = _core.retract("se3", measured, delta)
+            difference = _core.local_coordinates("se3", self.pose(a), self.pose(b))
+            measured = _core.retract("se3", [0, 0, 0, 1.0, 0, 0, 0], difference)
             yield bundle.BetweenFactor(
                 ("image", a + 1), ("image", b + 1), measured, spd(self.rng, 6, 2e4), **self.loss
             )
+
+    def relative(self):
+        for a, b in ((0, 5), (3, 2)):
+            x, y = (Rotation.from_quat(self.pose(i)[:4]) for i in (a, b))
+            s, t = (self.pose(i)[4:] for i in (a, b))
+            turn = y * x.inv()
+            measured = np.r_[turn.as_quat(), t - turn.apply(s)]
+            keys = ("image", a + 1), ("image", b + 1)
+            yield bundle.RelativePoseFactor(*keys, measured, spd(self.rng, 6, 2e4), **self.loss)
 
     def linear(self):
         poses = {("image", 2): self.pose(1), ("image", 6): self.pose(5)}

@@ -43,6 +43,25 @@ def test_positions_decide_where_the_world_is(backend):
     np.testing.assert_array_equal(again.factor_costs_after, result.factor_costs_after)
 
 
+def test_relative_poses_leave_the_world_alone():
+    problem = scenes.make_problem(num_images=4, num_points=30)
+    rotation = Rotation.from_quat(problem.cam_from_world[:, :4])
+    turn = rotation[2] * rotation[0].inv()
+    t = problem.cam_from_world[:, 4:]
+    measured = np.r_[turn.as_quat(), t[2] - turn.apply(t[0]) + 0.1]
+    factor = bundle.RelativePoseFactor(("image", 1), ("image", 3), measured, 100.0)
+    before = bundle.solve(problem, factors=[factor], max_num_iterations=0)
+    assert before.factor_costs_before[0] == pytest.approx(0.5 * 100 * 3 * 0.01, rel=1e-9)
+    world = Rotation.from_rotvec([0.3, -0.4, 0.5])
+    moved = np.hstack([(rotation * world).as_quat(), t + rotation.apply([3, 2, 1])])
+    elsewhere = bundle.solve(
+        problem.replace(cam_from_world=moved), factors=[factor], max_num_iterations=0
+    )
+    np.testing.assert_allclose(
+        elsewhere.factor_costs_before, before.factor_costs_before, rtol=1e-10
+    )
+
+
 def test_no_factors_change_no_bit():
     problem = scenes.make_problem()
     plain, empty = bundle.solve(problem), bundle.solve(problem, factors=[])

@@ -89,6 +89,39 @@ bool BetweenFactor::Evaluate(const double* const* values, double* residual,
   return true;
 }
 
+RelativePoseFactor::RelativePoseFactor(FactorHead head, std::vector<double> measurement,
+                                       std::vector<double> information)
+    : Factor(std::move(head), {Retraction(Manifold::kSe3, 7), Retraction(Manifold::kSe3, 7)}, 6),
+      measurement_(
+          CheckedValue(name() + ": measurement", retractions()[0], std::move(measurement))),
+      whitening_(name() + ": information", std::move(information), 6) {}
+
+bool RelativePoseFactor::Evaluate(const double* const* values, double* residual,
+                                  double* const* jacobians) const {
+  constexpr int kSize = 6;
+  constexpr double kIdentity[7] = {0, 0, 0, 1, 0, 0, 0};
+  const Retraction& pose = retractions()[0];
+  double inverse[2][7], relative[7];
+  for (int k = 0; k < 2; ++k) pose.Between(values[k], kIdentity, inverse[k]);
+  pose.Between(inverse[1], inverse[0], relative);
+  pose.Local(measurement_.data(), relative, residual);
+  if (jacobians != nullptr) {
+    double by_error[kSize * kSize], adjoint[kSize * kSize];
+    pose.InverseRightJacobian(residual, by_error);
+    pose.Adjoint(values[0], adjoint);
+    for (int r = 0; r < kSize; ++r) {
+      for (int c = 0; c < kSize; ++c) {
+        double sum = 0;
+        for (int k = 0; k < kSize; ++k) sum += by_error[r * kSize + k] * adjoint[k * kSize + c];
+        if (jacobians[0] != nullptr) jacobians[0][r * kSize + c] = -sum;
+        if (jacobians[1] != nullptr) jacobians[1][r * kSize + c] = sum;
+      }
+    }
+  }
+  whitening_.Apply(residual, jacobians, {kSize, kSize});
+  return true;
+}
+
 namespace {
 
 PoseState StateOf(const double* pose) {

@@ -80,6 +80,35 @@ class BetweenFactor final : public Factor {
   Whitening whitening_;
 };
 
+/// A measured relative pose of two images: r = W Log(Z^-1 X_j X_i^-1).
+///
+/// X_i and X_j are cam_from_world, so that X_j X_i^-1 is cam_j_from_cam_i, which Z is as measured
+/// and which no motion of the world changes. (A BetweenFactor of them would have the world's motion
+/// from one camera to the other, X_i^-1 X_j.)
+///
+/// With e = Log(Z^-1 X_j X_i^-1), moving X_j to X_j Exp(d) makes it
+///
+///   Z^-1 X_j Exp(d) X_i^-1 = Exp(e) X_i Exp(d) X_i^-1 = Exp(e) Exp(Ad_{X_i} d),
+///
+/// and moving X_i to X_i Exp(d) puts Exp(-d) there, so that
+///
+///   J_j = W J_r(e)^-1 Ad_{X_i},        J_i = -J_j.
+
+class RelativePoseFactor final : public Factor {
+ public:
+  /// Throws InputError if the measurement is no pose or the information (6 x 6) is not positive
+  /// definite.
+  RelativePoseFactor(FactorHead head, std::vector<double> measurement,
+                     std::vector<double> information);
+
+  bool Evaluate(const double* const* values, double* residual,
+                double* const* jacobians) const override;
+
+ private:
+  std::vector<double> measurement_;
+  Whitening whitening_;
+};
+
 /// A point seen in an image: r = W (pi(theta, R X + t) - m), by the residual of
 /// factors/reprojection.h.
 ///

@@ -65,6 +65,7 @@ void FreeTouched(const ProblemView& problem, const SolveOptions& options, FreePa
         if (options.refine_poses) free->pose[variable.index] = FreeParameters::kWholePose;
         break;
       case ProblemVariable::Kind::kCamera:
+        if (problem.camera_models[variable.index] == nullptr) break;
         free->camera[variable.index] =
             FreeCameraParameters(*problem.camera_models[variable.index], options);
         break;

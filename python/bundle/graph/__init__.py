@@ -7,6 +7,7 @@ from bundle.graph.factors import (
     Factor,
     PositionFactor,
     PriorFactor,
+    RelativePoseFactor,
     ReprojectionFactor,
 )
 from bundle.graph.function_factor import FunctionFactor
@@ -23,5 +24,6 @@ __all__ = [
     "LinearPrior",
     "PositionFactor",
     "PriorFactor",
+    "RelativePoseFactor",
     "ReprojectionFactor",
 ]

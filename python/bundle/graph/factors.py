@@ -22,7 +22,14 @@ from bundle.graph.variables import Array, Key, as_row, check_key
 from bundle.option_fields import choice, number
 from bundle.options import LOSSES
 
-__all__ = ["BetweenFactor", "Factor", "PositionFactor", "PriorFactor", "ReprojectionFactor"]
+__all__ = [
+    "BetweenFactor",
+    "Factor",
+    "PositionFactor",
+    "PriorFactor",
+    "RelativePoseFactor",
+    "ReprojectionFactor",
+]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -181,6 +188,48 @@ class BetweenFactor(Factor):
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
         """See :meth:`Factor.core_arguments`."""
         return self.measurement, as_information(name, np.asarray(self.information), sizes[0])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RelativePoseFactor(Factor):
+    """A measured relative pose of two images A and B: e = Log(Z^-1 B A^-1).
+
+    The variables are cam_from_world, so that B A^-1 is cam_b_from_cam_a, which no motion of the
+    world changes. (:class:`BetweenFactor` of the same variables would compare A^-1 B, which means
+    something where variables are world_from_camera.)
+
+    Attributes:
+        a: key of the pose A, on se3.
+        b: key of the pose B, on se3.
+        measurement: Z, cam_b_from_cam_a as measured: qx qy qz qw tx ty tz.
+        information: (6, 6) symmetric positive definite, rotation first, or a number.
+
+    Raises:
+        InputError: these are no numbers, or both keys are the same.
+    """
+
+    a: Key
+    b: Key
+    measurement: ArrayLike
+    information: ArrayLike
+
+    kind = "relative_pose"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.a == self.b:
+            raise InputError(f"{self.name}: expected two different variables, found one twice")
+        self._freeze_row("measurement")
+        self._freeze_matrix("information")
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The variables, in the order of the Jacobians."""
+        return self.a, self.b
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return self.measurement, as_information(name, np.asarray(self.information), 6)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -147,6 +147,25 @@ TEST(BetweenFactor, JacobiansOnEveryManifold) {
   }
 }
 
+TEST(RelativePoseFactor, JacobiansAndTheFrameOfTheMeasurement) {
+  std::mt19937_64 random(8);
+  const Retraction pose(Manifold::kSe3, 7);
+  for (int repeat = 0; repeat < 5; ++repeat) {
+    const std::vector<double> a = RandomValue(pose, &random);
+    const std::vector<double> z = RandomValue(pose, &random);
+    // With A as the motion from the world, B = Z A: (Z^-1)^-1 A, without an error.
+    std::vector<double> z_inverse(7), b(7);
+    const std::vector<double> identity = {0, 0, 0, 1, 0, 0, 0};
+    pose.Between(z.data(), identity.data(), z_inverse.data());
+    pose.Between(z_inverse.data(), a.data(), b.data());
+    const std::vector<double> information = RandomInformation(6, &random);
+    const RelativePoseFactor exact(Head({0, 1}), z, information);
+    for (const double r : Evaluate(exact, {a, b}, nullptr)) EXPECT_NEAR(r, 0, 1e-12);
+    const RelativePoseFactor factor(Head({0, 1}), Near(pose, z, &random), information);
+    ExpectJacobiansAreDerivatives(factor, {a, b});
+  }
+}
+
 TEST(BetweenFactor, SquaredNormIsThatOfTheInformation) {
   const Retraction plane(Manifold::kEuclidean, 2);
   const std::vector<double> information = {4, 1, 1, 9};

@@ -46,6 +46,12 @@ class FactorMaker {
                                         Information(retraction.tangent_size(), kind)));
   }
 
+  void RelativePose(int a, int b, LossType loss) {
+    made_.factors.push_back(std::make_unique<RelativePoseFactor>(
+        Head({{Kind::kImage, a}, {Kind::kImage, b}}, loss),
+        std::vector<double>{0.1, 0.2, 0, 1, 0.3, 0, 0.1}, Information(6, Kind::kImage)));
+  }
+
   /// Of an image, a camera and another image.
   void Linear(int image, int camera, int other, LossType loss) {
     const std::vector<std::pair<Kind, int>> of = {
@@ -71,6 +77,7 @@ class FactorMaker {
     Position(2, loss);
     Between(Kind::kImage, 0, 3, loss);
     Between(Kind::kImage, 2, 1, loss);
+    RelativePose(1, 3, loss);
     Prior(Kind::kCamera, num_cameras - 1, loss);
     if (num_cameras > 1) Between(Kind::kCamera, 1, 0, loss);
     Linear(3, 0, 1, loss);
