@@ -35,6 +35,7 @@ def everything():
         bundle.FunctionFactor(["plain"], Twice()),
         bundle.LinearPrior(np.eye(2), [1, 2], {"plain": [0, 0]}, ["plain"]),
         bundle.PositionFactor("pose", [0.1, 0, 0], 1.0, lever_arm=[0.5, 0, 0]),
+        bundle.RelativePoseFactor("pose", "next", [0, 0, 0, 1, 1, 0, 0], 4.0),
         bundle.BetweenFactor("pose", "next", [*EYE, 0.1, 0, 1], 4.0),
         bundle.ReprojectionFactor("pose", "camera", ("point", 7), [300, 200], "SIMPLE_PINHOLE"),
         bundle.PriorFactor("camera", [500, 320, 240], 1.0),
