@@ -100,6 +100,7 @@ _DEFERRED = {
         "LinearPrior",
         "PositionFactor",
         "PriorFactor",
+        "RelativePoseFactor",
         "ReprojectionFactor",
     ),
     "headers": ("get_include",),

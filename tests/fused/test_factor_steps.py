@@ -12,7 +12,7 @@ from bundle import _core
 from bundle.options import LOSSES
 from tests import scenes
 from tests.fused.covering import covering
-from tests.fused.test_mixed_widths import with_full_opencv
+from tests.fused.test_same_steps_as_ceres import shuffled
 
 KINDS = (
     "prior",
@@ -38,7 +38,7 @@ HELD = {
     "points": {"fixed_point_ids": tuple(range(1, 13))},
     "intrinsics": {"refine": "poses,points"},
     "two cameras": {"gauge": "two_cameras"},
-    "all that some factors touch": {
+    "all factors": {
         "fixed_image_ids": (1, 2),
         "fixed_camera_ids": (1,),
         "fixed_point_ids": (3, 5, 8),
@@ -55,7 +55,10 @@ FACTORS = {
 
 
 def allowed(row):
-    return row["trust region"] == "levenberg_marquardt" or row["solver"] != "iterative"
+    if row["trust region"] == "levenberg_marquardt":
+        return True
+    # Without damping a free gauge is a singular system, whose steps are all rounding.
+    return row["solver"] != "iterative" and row["held"] in ("images", "two cameras", "all factors")
 
 
 ROWS = covering(FACTORS, allowed, seed=2)
@@ -63,9 +66,16 @@ ROWS = covering(FACTORS, allowed, seed=2)
 
 def problem_of(scene):
     problem = scenes.make_problem(
-        num_images=6, num_points=60, shared=scene == "shared intrinsics", perturbation=2e-2
+        num_images=6, num_points=40, shared=scene == "shared intrinsics", perturbation=1e-2
     )
-    return with_full_opencv(problem, [1, 4]) if scene == "mixed models" else problem
+    if scene != "mixed models":
+        return problem
+    params, models = np.zeros((6, 8)), list(problem.camera_models)
+    params[:, :4] = problem.camera_params
+    for image in (1, 4):
+        focal, x, y, k = problem.camera_params[image]
+        params[image, :5], models[image] = [focal, focal, x, y, k], "OPENCV"
+    return problem.replace(camera_models=models, camera_params=params)
 
 
 def spd(rng, n, scale=1.0):
@@ -98,7 +108,7 @@ class Maker:
     def prior(self):
         for image in (1, 4):
             key = ("image", image + 1)
-            yield bundle.PriorFactor(key, self.pose(image), spd(self.rng, 6, 2e4), **self.loss)
+            yield bundle.PriorFactor(key, self.pose(image), spd(self.rng, 6, 1e6), **self.loss)
 
     def position(self):
         for image in range(0, 6, 2):
@@ -106,7 +116,7 @@ class Maker:
             yield bundle.PositionFactor(
                 ("image", image + 1),
                 center + 0.05 * self.rng.standard_normal(3),
-                spd(self.rng, 3, 1e4),
+                spd(self.rng, 3, 1e6),
                 lever_arm=(0.05, -0.02, 0.1),
                 **self.loss,
             )
@@ -116,7 +126,7 @@ class Maker:
             difference = _core.local_coordinates("se3", self.pose(a), self.pose(b))
             measured = _core.retract("se3", [0, 0, 0, 1.0, 0, 0, 0], difference)
             yield bundle.BetweenFactor(
-                ("image", a + 1), ("image", b + 1), measured, spd(self.rng, 6, 2e4), **self.loss
+                ("image", a + 1), ("image", b + 1), measured, spd(self.rng, 6, 1e6), **self.loss
             )
 
     def relative(self):
@@ -126,7 +136,7 @@ class Maker:
             turn = y * x.inv()
             measured = np.r_[turn.as_quat(), t - turn.apply(s)]
             keys = ("image", a + 1), ("image", b + 1)
-            yield bundle.RelativePoseFactor(*keys, measured, spd(self.rng, 6, 2e4), **self.loss)
+            yield bundle.RelativePoseFactor(*keys, measured, spd(self.rng, 6, 1e6), **self.loss)
 
     def linear(self):
         poses = {("image", 2): self.pose(1), ("image", 6): self.pose(5)}
@@ -162,7 +172,7 @@ class Maker:
         for point in (2, 4, 7, 7, 20):
             key = ("point", point + 1)
             value = self.problem.points[point] + 0.05 * self.rng.standard_normal(3)
-            yield bundle.PriorFactor(key, value, spd(self.rng, 3, 1e4), **self.loss)
+            yield bundle.PriorFactor(key, value, spd(self.rng, 3, 1e6), **self.loss)
 
     def mixed(self):
         for kind in KINDS[:-1]:
@@ -185,7 +195,7 @@ def solves(number):
         "preconditioner_type": preconditioner,
         "trust_region_strategy_type": row["trust region"],
         "loss": row["loss"],
-        "loss_scale": 1.0 if row["loss"] == "trivial" else 5.0,
+        "loss_scale": 1.0 if row["loss"] == "trivial" else 20.0,
         "gauge": "none",
         "max_num_iterations": 10,
         "function_tolerance": 1e-12,
@@ -196,7 +206,7 @@ def solves(number):
     witness = {**options, "linear_solver_type": "dense_qr"} if exact else options
     return (
         bundle.solve(problem, factors=factors, backend="ceres", **options),
-        bundle.solve(problem, factors=factors[::-1], backend="ceres", **witness),
+        bundle.solve(shuffled(problem), factors=factors[::-1], backend="ceres", **witness),
         bundle.solve(problem, factors=factors, backend="fused", **options),
     )
 
@@ -221,7 +231,7 @@ def num_comparable(number):
         expected.iterations["step_is_successful"][:n] == other.iterations["step_is_successful"][:n]
     )
     for name in TRACES:
-        same &= deviation(other, expected, name, n) < 3e-10
+        same &= deviation(other, expected, name, n) < 1e-10
     return n if same.all() else int(np.argmin(same))
 
 
@@ -245,14 +255,15 @@ def test_same_steps_as_ceres(number):
 
 def test_the_design_compares_what_it_says():
     numbers = range(len(ROWS))
-    assert 30 < len(ROWS) < 70
-    assert np.mean([num_comparable(n) >= 8 for n in numbers]) > 0.7
-    assert sum(not solves(n)[0].iterations["step_is_successful"].all() for n in numbers) >= 3
+    assert len(ROWS) < 90
+    ends = [len(solves(n)[0].iterations["cost"]) for n in numbers]
+    assert np.mean([num_comparable(n) == end for n, end in zip(numbers, ends, strict=True)]) > 0.7
+    assert min(ends) > 3
     # Factors matter: they are a good part of the cost.
     shares = [
         solves(n)[0].factor_costs_before.sum() / solves(n)[0].summary.initial_cost for n in numbers
     ]
-    assert np.median(shares) > 0.01
+    assert np.median(shares) > 0.005
 
 
 def residuals(problem, factors, x):

@@ -47,7 +47,7 @@ def test_relative_poses_leave_the_world_alone():
     problem = scenes.make_problem(num_images=4, num_points=30)
     rotation = Rotation.from_quat(problem.cam_from_world[:, :4])
     turn = rotation[2] * rotation[0].inv()
-    t = problem.cam_from_world[:, 4:]
+    t = problem.cam_from_world[:, 4:].copy()
     measured = np.r_[turn.as_quat(), t[2] - turn.apply(t[0]) + 0.1]
     factor = bundle.RelativePoseFactor(("image", 1), ("image", 3), measured, 100.0)
     before = bundle.solve(problem, factors=[factor], max_num_iterations=0)
@@ -199,7 +199,7 @@ def test_points_coupled_with_others_are_for_ceres(ordering, solver):
     result = bundle.solve(problem, factors=factors, linear_solver_type=solver, **options)
     assert result.summary.backend_used == "CERES"
     np.testing.assert_allclose(
-        result.iterations["cost"][:5], expected.iterations["cost"][:5], rtol=1e-7
+        result.iterations["cost"][:5], expected.iterations["cost"][:5], rtol=1e-5
     )
     assert result.summary.num_parameters == 3 * 20 + 4 * 8
     assert result.summary.num_information_nonzeros == count_nonzeros(problem, factors)
