@@ -153,6 +153,7 @@ PYTHON_MAY_IMPORT = {
         "errors",
         "option_fields",
         "options",
+        "problem",
         "solve_record",
         "words",
     },

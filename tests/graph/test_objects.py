@@ -97,7 +97,7 @@ def test_no_array_of_a_graph_can_be_written(how):
     arrays = list(graph.values.values())
     for factor in graph.factors:
         arrays += [value for value in arrays_of(factor) if isinstance(value, np.ndarray)]
-    assert len(arrays) == 8 + 2 * 6 + 4 + 3 + 3
+    assert len(arrays) == 8 + 2 * 7 + 4 + 3 + 3
     for array in arrays:
         with pytest.raises(ValueError, match=r"read-only|WRITEABLE"):
             array[...] = 0
