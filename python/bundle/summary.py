@@ -31,9 +31,9 @@ class Summary(Displayed):
     ``num_factors`` beside the observations. Costs are 1/2 sum rho(||r||^2), r in pixels, and in
     sigmas for factors.
 
-    What each step factorises (None, or "", where it factorises nothing or nobody can tell; blocks
-    count as full, matrices by both triangles and the diagonal, the factor L by its lower triangle
-    with the diagonal, all as in ``bundle.inspect``):
+    What each step factorises (None, or "", where it factorises nothing or the number is unknown;
+    blocks count as full, matrices by both triangles and the diagonal, the factor L by its lower
+    triangle with the diagonal, all as in ``bundle.inspect``):
 
     - ``num_information_nonzeros``: of J^T J, J the Jacobian of all that is refined; never None.
     - ``num_factor_columns``: n of the factorised matrix, which is the reduced camera system S with
