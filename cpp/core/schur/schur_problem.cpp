@@ -315,9 +315,9 @@ class SchurProblem::Impl {
   const Kernels& kernels_ = setup_.kernels;
   const EliminationPlan& plan_ = setup_.plan;
   const Assembler& assembler_ = setup_.assembler;
+  LinearSolver* const solver_;
   CameraFactors factors_;
   const EliminationInput input_;
-  LinearSolver* const solver_;
   ThreadPool pool_;
   std::vector<std::vector<double>> memory_;  ///< of each thread
   State states_[2];
