@@ -34,7 +34,8 @@ class Summary(Displayed):
     count as full, matrices by both triangles and the diagonal, the factor L by its lower triangle
     with the diagonal, all as in ``bundle.inspect``):
 
-    - ``num_information_nonzeros``: of J^T J, J the Jacobian of all that is refined; never None.
+    - ``num_information_nonzeros``: of J^T J, J the Jacobian of all that is refined; None only
+      without ``check_solution``.
     - ``num_factor_columns``: n of the factorised matrix, which is the reduced camera system S with
       a Schur solver (the points' system where the cameras are eliminated) and J^T J without.
     - ``num_reduced_nonzeros``: of S as its solver holds it, n^2 where that is dense.
