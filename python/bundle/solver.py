@@ -132,12 +132,10 @@ class Solver(Displayed):
         if changes:
             options = SolveOptions.of(options, changes, "Solver.solve")
             for name in changes:
-                if name not in CHANGEABLE and getattr(options, name) != getattr(
-                    self._options, name
-                ):
+                if name not in CHANGEABLE:
                     raise InputError(
-                        f"{name}: expected one of {', '.join(CHANGEABLE)} to change between solves "
-                        "of one solver, found another option; make another solver"
+                        f"{name}: expected one of {', '.join(CHANGEABLE)}, which may differ from "
+                        "solve to solve; other options need another Solver"
                     )
         output = self._core.solve(problem, options.asdict() if changes else None, progress)
         return _result(problem, options, output)

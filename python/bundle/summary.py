@@ -43,7 +43,7 @@ class Summary(Displayed):
       entries below the diagonal.
     - ``factor_ordering``: "natural", "amd", "metis", or "points first, amd".
     - ``symbolic_time_in_seconds``: of finding the pattern, the ordering and L's structure; part of
-      the fused backend's preprocessor time.
+      the fused backend's preprocessor time; 0 of a ``bundle.Solver``, whose constructor spent it.
 
     The fused backend's numbers are exact, those of the factor that it stores without the zeros that
     its panels add. Ceres tells nothing of its factor. With it a dense one is exact as well; a

@@ -30,7 +30,8 @@ def test_an_impossible_solution_is_found_out_in_any_case(backend):
             mirrored,
             backend=backend,
             check_solution=check,
-            refine=["focal"],
+            refine=["points", "focal"],
+            fixed_point_ids=mirrored.point_ids[1:],
             max_num_iterations=50,
         )
         assert "invalid_solution" in result.summary.warning_kinds

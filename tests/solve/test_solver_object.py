@@ -8,6 +8,7 @@ import threading
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle.options import CHANGEABLE
@@ -90,9 +91,7 @@ def test_each_solve_has_the_bits_of_a_new_one(name):
     if name == "fixed cost":
         assert solver.solve().summary.fixed_cost > 0
     if name == "held":
-        assert "observations_left_out" in solver.solve().summary.warning_kinds or (
-            solver.solve().summary.warning_kinds
-        )
+        assert solver.solve().summary.warning_kinds
 
 
 @pytest.mark.parametrize("num_threads", [1, 2, 3])
@@ -138,32 +137,51 @@ def test_solvers_of_several_structures_take_turns():
             assert_same(solver.solve(values), bundle.solve(values, num_threads=2))
 
 
-@pytest.mark.parametrize("backend", ["fused", "ceres"])
-def test_solving_again_does_no_symbolic_work(backend):
+def test_no_solve_does_symbolic_work():
     problem = scenes.make_problem(num_images=20, num_points=300, track=4)
-    solver = bundle.Solver(problem, backend=backend, linear_solver_type="sparse_schur")
-    times = [solver.solve().summary.symbolic_time_in_seconds for _ in range(2)]
-    if backend == "fused":
-        assert times[1] == 0
-    assert_same(
-        solver.solve(),
-        bundle.solve(problem, backend=backend, linear_solver_type="sparse_schur"),
+    options = {"backend": "fused", "linear_solver_type": "sparse_schur"}
+    solver = bundle.Solver(problem, **options)
+    for values in (problem, with_other_values(problem)):
+        result = solver.solve(values)
+        assert result.summary.symbolic_time_in_seconds == 0
+        assert result.build_time_in_seconds >= 0
+        assert_same(result, bundle.solve(values, **options))
+    assert bundle.solve(problem, **options).summary.symbolic_time_in_seconds > 0
+
+
+def test_ceres_solves_from_scratch():
+    problem = scenes.make_problem()
+    options = {"backend": "ceres", "num_threads": 1}
+    solver = bundle.Solver(problem, **options)
+    for values in (with_other_values(problem), problem):
+        assert_same(solver.solve(values), bundle.solve(values, **options))
+
+
+def rolled(problem):
+    """The same scene by cameras that were turned about their axes by 90 degrees."""
+    turn = Rotation.from_rotvec([0, 0, np.pi / 2])
+    poses = problem.cam_from_world
+    rotations = turn * Rotation.from_quat(poses[:, :4].copy())
+    middle = problem.camera_params[problem.image_camera[problem.observation_image], 1:3]
+    x, y = (problem.observation_xy - middle).T
+    return problem.replace(
+        cam_from_world=np.hstack([rotations.as_quat(), turn.apply(poses[:, 4:].copy())]),
+        observation_xy=middle + np.column_stack([-y, x]),
     )
 
 
 def test_values_that_hold_another_gauge_are_laid_out_anew():
-    """The coordinate that holds the scale is the second camera's largest."""
+    """The coordinate that holds the scale is the largest of the second camera's baseline."""
     problem = scenes.make_problem(num_images=5, seed=2)
-    poses = problem.cam_from_world.copy()
-    poses[:, 4:] = poses[:, [5, 6, 4]]  # elsewhere, and not where the pixels are from
-    turned = problem.replace(cam_from_world=poses)
-    options = {"backend": "fused", "max_num_iterations": 3, "gauge": "two_cameras"}
+    options = {"backend": "fused", "gauge": "two_cameras"}
     solver = bundle.Solver(problem, **options)
-    for values in (turned, problem, turned):
+    held = []
+    for values in (rolled(problem), problem, rolled(problem)):
         result = solver.solve(values)
         assert_same(result, bundle.solve(values, **options))
-        moved_at_all = result.problem.cam_from_world[1, 4:] != values.cam_from_world[1, 4:]
-        assert moved_at_all.sum() == 2
+        stayed = result.problem.cam_from_world[1, 4:] == values.cam_from_world[1, 4:]
+        held.append(np.flatnonzero(stayed).tolist())
+    assert held == [[1], [0], [1]]
 
 
 def test_a_scene_may_move_away_from_its_origin_and_back():
@@ -201,7 +219,7 @@ def test_options_that_lay_out_the_solver_do_not(name, value):
     solver = bundle.Solver(scenes.make_problem(), num_threads=0, backend="fused")
     if getattr(solver.options, name) == value:
         pytest.skip("already so")
-    with pytest.raises(bundle.InputError, match=f"^{name}: .*Solver"):
+    with pytest.raises(bundle.InputError, match=f"^{name}: expected one of loss, "):
         solver.solve(**{name: value})
     with pytest.raises(bundle.InputError, match="max_num_iteration"):
         solver.solve(max_num_iteration=3)
@@ -216,24 +234,31 @@ def changed_at(array, index, value):
 @pytest.mark.parametrize(
     ("field", "change"),
     [
-        ("observation_image", lambda p: changed_at(p.observation_image, 7, 0)),
-        ("observation_point", lambda p: changed_at(p.observation_point, 9, 3)),
+        (
+            "observation_image",
+            lambda p: changed_at(p.observation_image, 7, (p.observation_image[7] + 1) % 5),
+        ),
+        ("observation_point", lambda p: changed_at(p.observation_point, 9, 5)),
         ("image_camera", lambda p: changed_at(p.image_camera, 2, 0)),
         ("image_ids", lambda p: changed_at(p.image_ids, 1, 99)),
         ("camera_ids", lambda p: changed_at(p.camera_ids, 1, 99)),
         ("point_ids", lambda p: changed_at(p.point_ids, 5, 999)),
-        ("camera_models", lambda p: changed_at(np.array(p.camera_models), 1, "FOV")),
+        (
+            "camera_models",
+            lambda p: changed_at(np.array(p.camera_models, "U20"), 1, "SIMPLE_RADIAL"),
+        ),
     ],
 )
 @pytest.mark.parametrize("backend", ["fused", "ceres"])
 def test_another_structure_is_refused(field, change, backend):
     problem = scenes.make_problem(model="PINHOLE", num_points=30, track=3)
-    solver = bundle.Solver(problem, backend=backend)
+    options = {"backend": backend, "num_threads": 1}  # with more, no two solves of Ceres' agree
+    solver = bundle.Solver(problem, **options)
     values = change(problem)
     given = problem.replace(**{field: list(values) if field == "camera_models" else values})
     with pytest.raises(bundle.InputError, match=rf"^{field}: expected .* at index \d+, found "):
         solver.solve(given)
-    assert_same(solver.solve(), bundle.solve(problem, backend=backend))
+    assert_same(solver.solve(), bundle.solve(problem, **options))
 
 
 @pytest.mark.parametrize("backend", ["fused", "ceres"])
@@ -280,10 +305,10 @@ def test_it_recovers_from_whatever_ended_a_solve(linear):
     assert len(stopped.iterations["cost"]) == 2
     assert_same(solver.solve(), expected)
 
-    failing = problem.replace(points=changed_at(problem.points, (0, slice(None)), 1e200))
+    failing = problem.replace(camera_params=problem.camera_params * [1e200, 1, 1, 1])
     failed = solver.solve(failing)
     assert_same(failed, bundle.solve(failing, **options))
-    assert not failed.summary.is_solution_usable
+    assert failed.summary.termination_type == "FAILURE"
     assert_same(solver.solve(), expected)
 
 
@@ -315,7 +340,7 @@ def test_one_solve_at_a_time():
 
 @pytest.mark.parametrize("backend", ["fused", "ceres"])
 def test_threads_need_a_solver_each(backend):
-    solver = bundle.Solver(scenes.make_problem(), backend=backend)
+    solver = bundle.Solver(scenes.make_problem(), backend=backend, num_threads=1)
     inside, leave = threading.Event(), threading.Event()
 
     def wait(_):

@@ -33,7 +33,9 @@ FusedSolver::FusedSolver(const ProblemView& problem, const SolveOptions& options
   const Stopwatch time;
   ChooseSolver();
   BuildProblem();
-  build_time_ = time.seconds();
+  // Of a solver that is reused, no solve spends it.
+  build_time_ = is_reused ? 0 : time.seconds();
+  if (is_reused) factor_.symbolic_time_in_seconds = 0;
 }
 
 SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning> warnings,
@@ -42,8 +44,7 @@ SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning>
   CopyChangeable(options, &options_);
   if (is_reused_) schur_->Reset(options_);
   SolveTimes times;
-  const double build_time = std::exchange(build_time_, 0);
-  times.preprocessor = build_time + total.seconds();
+  times.preprocessor = build_time_ + total.seconds();
 
   const Stopwatch minimizer;
   MinimizerSummary minimum = Minimize(options_, AddFixedCost(progress), schur_.get());
@@ -54,13 +55,12 @@ SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning>
   SolveOutput output;
   CollectState(&output);
   times.postprocessor = postprocessor.seconds();
-  times.total = build_time + total.seconds();
+  times.total = build_time_ + total.seconds();
   output.solve_time_in_seconds = times.total;
 
   output.summary = Summarize(options_, layout_, *schur_, minimum, times);
   output.summary.linear_solver_choice = linear_solver_choice_;
   output.summary.factor = factor_;
-  factor_.symbolic_time_in_seconds = 0;  // the next solve will have none
   if (options_.check_solution) output.summary.num_information_nonzeros = CountInformation();
   output.iterations = std::move(minimum.iterations);
   for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
@@ -151,7 +151,7 @@ void FusedSolver::BuildProblem() {
                       sizeof(double) * static_cast<double>(structure_.num_values), working_bytes_);
   ThrowIfInterrupted();
   schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure_),
-                                          solver_.get());
+                                          solver_.get(), is_reused_);
 }
 
 void FusedSolver::SummarizeFactor() {

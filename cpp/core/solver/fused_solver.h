@@ -74,7 +74,7 @@ class FusedSolver {
   std::unique_ptr<SchurProblem> schur_;
   FactorSummary factor_;
   double symbolic_time_ = 0;  ///< of finding the structure, its ordering and the solver's panels
-  double build_time_ = 0;     ///< of the constructor, until a solve has reported it
+  double build_time_ = 0;     ///< of the constructor, where a solve is to report it
   int64_t num_information_nonzeros_ = -1;  ///< -1: not counted yet
 };
 
