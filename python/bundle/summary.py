@@ -30,9 +30,9 @@ class Summary(Displayed):
     centre that a scene far from its origin was solved about; None where it was solved as given).
     Costs are 1/2 sum rho(||r||^2), r in pixels.
 
-    What each step factorises (None, or "", where it factorises nothing or nobody can tell; blocks
-    count as full, matrices by both triangles and the diagonal, the factor L by its lower triangle
-    with the diagonal, all as in ``bundle.inspect``):
+    What each step factorises (None, or "", where it factorises nothing or the number is unknown;
+    blocks count as full, matrices by both triangles and the diagonal, the factor L by its lower
+    triangle with the diagonal, all as in ``bundle.inspect``):
 
     - ``num_information_nonzeros``: of J^T J, J the Jacobian of all that is refined; None only
       without ``check_solution``.

@@ -1,5 +1,8 @@
 #pragma once
 
+/// Checks of Jacobians without a header of Ceres: of any residual function, and of the reprojection
+/// residuals of a problem.
+
 #include <cstdint>
 #include <functional>
 #include <string>
@@ -23,7 +26,7 @@ struct ReferenceJacobians {
 };
 
 /// What GradientChecker found. Matrices are num_residuals x tangent columns, row-major; empty where
-/// the cost function could not be evaluated at a point that it asked for.
+/// the cost function has no value at one of the points it needs.
 struct GradientCheckerProbe {
   bool agrees = false;  ///< its own verdict at the given relative precision
   std::vector<double> local_jacobian;
@@ -31,10 +34,8 @@ struct GradientCheckerProbe {
   std::string message;  ///< its error_log
 };
 
-/// gradient_check.h for residuals that are not Ceres' classes; no header of Ceres is needed here.
-
-/// As ceres::CostFunction::Evaluate: Jacobians row-major, `jacobians` or single ones may be
-/// nullptr; false where there is no value.
+/// A residual, as ceres::CostFunction::Evaluate: Jacobians row-major, `jacobians` or single ones
+/// may be nullptr; false where there is no value.
 using ResidualFunction =
     std::function<bool(double const* const* parameters, double* residuals, double** jacobians)>;
 
@@ -61,16 +62,6 @@ GradientCheckerProbe RunGradientChecker(const FunctionAtPoint& at, double relati
 int ManifoldTangentSize(const ManifoldSpec& spec, int size);
 std::vector<double> ManifoldPlus(const ManifoldSpec& spec, const std::vector<double>& x,
                                  const std::vector<double>& delta);
-
-/// The projection is singular at the camera's centre and, for some models, in the plane through it.
-/// With L the distance of the point to the nearest of these, steps of the reference move the point
-/// by less than L / 4 within its camera's frame, where central differences are a convergent power
-/// series in step / L. The point's coordinates in that frame, R X + t, are only known to about
-///
-///   delta = eps (|R X| + |t|),
-///
-/// so that every derivative by pose and point is only known to delta / L: where that is large,
-/// as for points that an earlier solve left at a camera's centre, there is nothing to compare with.
 
 /// Where the Jacobians of checked observations go: num_checked x 2 x columns, row-major, columns
 /// (w, t) of the pose, the camera's parameters (camera_params_stride), the point. What the model

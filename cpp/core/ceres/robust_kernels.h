@@ -1,6 +1,6 @@
 #pragma once
 
-/// What Ceres computes for a robust loss, for those who have no Ceres at hand.
+/// What Ceres computes for a robust loss, without a header of Ceres.
 
 #include <cstdint>
 

@@ -1,11 +1,10 @@
-#include "core/ceres/solve_graph.h"
-
 #include <algorithm>
 #include <limits>
 #include <string>
 #include <utility>
 
 #include "core/ceres/factor_adapter.h"
+#include "core/ceres/solve_with_ceres.h"
 #include "core/ceres/summarize.h"
 #include "core/ceres/translate_options.h"
 #include "core/error.h"

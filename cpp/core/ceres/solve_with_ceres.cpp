@@ -158,7 +158,7 @@ class CeresSolve {
     const ProblemShape shape = ShapeOf(layout_, 2 * static_cast<int64_t>(costs_.size()));
     SolveOptions options = options_;
     if (options.linear_solver_type == LinearSolverType::kAuto) {
-      SolverChoice choice = ChooseLinearSolver(problem_, layout_, shape);
+      SolverChoice choice = ChooseCeresSolver(problem_, layout_, shape);
       options.linear_solver_type = choice.type;
       linear_solver_choice_ = std::move(choice.reason);
     }

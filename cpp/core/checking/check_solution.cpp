@@ -19,6 +19,12 @@ namespace bundle {
 
 namespace {
 
+// Checking an observation takes 3 to 5 microseconds, about as long as a step of a solve spends on
+// it: a hundredth of them is a thousandth of a solve.
+constexpr int64_t kSmallestSample = 32;
+constexpr int64_t kLargestSample = 256;
+constexpr int64_t kObservationsPerSample = 100;
+
 /// splitmix64 (Steele, Lea and Flood, OOPSLA 2014) of a counter: a uniform number in [0, 1).
 double Uniform(int counter) {
   uint64_t z = (static_cast<uint64_t>(counter) + 1) * 0x9e3779b97f4a7c15u;
@@ -112,16 +118,6 @@ std::string FindOverflow(const ProblemView& problem, Cheirality cheirality) {
   }
   return "";
 }
-
-namespace {
-
-// Checking an observation costs 3 to 5 microseconds, about what a step of a solve spends on it: a
-// hundredth of them is a thousandth of a solve.
-constexpr int64_t kSmallestSample = 32;
-constexpr int64_t kLargestSample = 256;
-constexpr int64_t kObservationsPerSample = 100;
-
-}  // namespace
 
 SolutionUnderCheck::SolutionUnderCheck(const ProblemView& problem, const ParameterLayout& layout,
                                        const CameraStates& states,

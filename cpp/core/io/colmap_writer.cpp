@@ -1,3 +1,5 @@
+/// Writes a COLMAP model: the files as they were read, with refined values in place of the old.
+
 #include <array>
 #include <cstring>
 #include <string>

@@ -58,6 +58,15 @@ std::string Printable(std::string_view bytes, size_t max_bytes) {
   return text;
 }
 
+std::string Quoted(std::string_view text) {
+  // Appended piece by piece: GCC 12 sees a phantom overlap in a chain of operator+ (-Wrestrict).
+  constexpr size_t kMaxQuotedLength = 40;
+  std::string result = "'";
+  result += Printable(text, kMaxQuotedLength);
+  result += "'";
+  return result;
+}
+
 namespace {
 
 /// The file as stored. Its first bytes can be looked at before they are read, pipe or not.

@@ -1,5 +1,7 @@
 #pragma once
 
+/// Files to read as streams, decompressed on the way, and their bytes in messages.
+
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
@@ -13,6 +15,9 @@ namespace bundle {
 /// characters, line separators and bytes that are no UTF-8 become \xNN, and from `max_bytes` input
 /// bytes on there is "...".
 std::string Printable(std::string_view bytes, size_t max_bytes = std::string_view::npos);
+
+/// The text, fit for a message and not too long for it, in quotes.
+std::string Quoted(std::string_view text);
 
 /// A file as a stream of bytes, decompressed on the way if its first bytes say gzip or bzip2 (the
 /// name does not matter). Concatenated streams, as pigz and pbzip2 write them, are read as one.

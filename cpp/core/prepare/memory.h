@@ -1,5 +1,7 @@
 #pragma once
 
+/// Memory that this process may take, and that each solver will.
+
 #include <cstdint>
 #include <string>
 #include <vector>

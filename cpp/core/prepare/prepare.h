@@ -1,5 +1,7 @@
 #pragma once
 
+/// From a problem and options to a layout, or a refusal before any work is done.
+
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -27,8 +29,6 @@ FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptio
 ///
 /// Throws InputError if a camera model is not supported or an id to be fixed does not exist.
 PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options);
-
-/// What goes with a linear solver and what does not, whichever backend it belongs to.
 
 /// True for the solvers that have a preconditioner and no exact steps.
 bool IsIterative(LinearSolverType type);

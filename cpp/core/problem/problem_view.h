@@ -1,5 +1,7 @@
 #pragma once
 
+/// The arrays of a bundle adjustment problem, validated, and its observations grouped by point.
+
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -8,7 +10,7 @@ namespace bundle {
 
 struct CameraModel;
 
-/// The arrays of a bundle adjustment problem, owned by somebody else (NumPy, a test), row-major.
+/// The arrays of a bundle adjustment problem, owned by the caller (NumPy, a test), row-major.
 /// Units are pixels for everything in an image and the reconstruction's length unit elsewhere.
 ///
 /// One struct serves readers and the solver: it never writes through these pointers.
@@ -64,8 +66,7 @@ void ValidateState(const ProblemView& problem);
 ///
 /// Throws InputError at the first value that is not finite, index out of range, repeated id, zero
 /// quaternion, non-positive focal length or parameter row that is too short, naming what has it by
-/// its id. Camera models that are not known (nullptr) are let through: whoever needs the model says
-/// so.
+/// its id. Unknown camera models (nullptr) pass: a function that needs the model throws.
 void ValidateProblem(const ProblemView& problem);
 
 }  // namespace bundle

@@ -99,7 +99,7 @@ double FusedSolver::BufferBytes() const {
 /// Below a few hundred columns even the structure costs more than a dense factorisation.
 void FusedSolver::ChooseBySize(const ProblemShape& shape) {
   constexpr int64_t kColumnsWorthALook = 300;
-  LinearSolverChoice choice;
+  SolverChoice choice;
   if (shape.num_camera_columns < kColumnsWorthALook) {
     choice.reason = "The reduced camera system (" + std::to_string(shape.num_camera_columns) +
                     " columns) is small: its dense factorisation costs less than a millisecond.";

@@ -223,7 +223,7 @@ def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> str
 
 
 def _factors(methods: Sequence[MethodInspection]) -> str:
-    """Return a row for each factor, whoever makes it."""
+    """Return a row for each factor, of any backend."""
     head = [
         "factor L", "nonzeros of S", "nonzeros of L", "fill edges", "flops", "CHOLMOD's flops",
         "tree height",
