@@ -19,28 +19,34 @@ PACKAGE = ROOT / "python" / "bundle"
 # Folders of cpp/core; the files directly in it (errors, threads) are open to all.
 CORE_MAY_INCLUDE = {
     "geometry": set(),
-    "cameras": {"geometry"},
-    "residuals": {"cameras", "geometry"},
-    "problem": {"residuals", "cameras", "geometry"},
-    "io": {"problem", "cameras", "geometry"},
+    "parallel": set(),
     "symbolic": set(),
-    "solve": {"symbolic", "problem", "residuals", "cameras", "geometry"},
-    "model": {"geometry"},
-    "factors": {"model", "solve", "residuals", "cameras", "geometry"},
-    "graph": {"factors", "model"},
-    "ceres": {
-        "graph",
-        "factors",
-        "model",
-        "solve",
-        "symbolic",
-        "problem",
-        "residuals",
-        "cameras",
-        "geometry",
+    "cameras": {"geometry"},
+    "factors": {"cameras", "geometry"},
+    "graph": {"factors", "geometry"},
+    "problem": {"factors", "cameras", "geometry", "parallel"},
+    "io": {"cameras"},
+    "interface": {"problem", "factors"},
+    "model": {"interface", "problem", "factors", "cameras", "geometry", "symbolic", "parallel"},
+    "linear": {"interface", "symbolic", "parallel", "cameras"},
+    "minimize": {"interface", "parallel"},
+    "checking": {"model", "interface", "problem", "factors", "cameras"},
+    "prepare": {
+        *{"checking", "linear", "model", "interface", "problem", "factors"},
+        *{"symbolic", "parallel"},
     },
-    "fused": {"solve", "symbolic", "problem", "residuals", "cameras", "geometry"},
-    "backend": {"ceres", "fused", "solve", "symbolic", "problem"},
+    "schur": {
+        *{"linear", "minimize", "model", "interface", "problem", "factors", "cameras"},
+        "parallel",
+    },
+    "ceres": {
+        *{"prepare", "checking", "graph", "model", "interface", "problem", "factors"},
+        *{"cameras", "symbolic", "parallel"},
+    },
+    "solver": {
+        *{"ceres", "schur", "prepare", "checking", "minimize", "linear", "model"},
+        *{"interface", "problem", "parallel"},
+    },
 }
 
 # Modules and packages directly in python/bundle.

@@ -10,7 +10,9 @@ from bundle.warning_kinds import WARNING_KINDS
 from tests import scenes
 
 CORE = Path(__file__).parents[1] / "cpp" / "core"
-DECLARED = re.findall(r'\{"(\w+)", WarningKind::(\w+)\}', (CORE / "solve/warning.h").read_text())
+DECLARED = re.findall(
+    r'\{"(\w+)", WarningKind::(\w+)\}', (CORE / "interface/summary.h").read_text()
+)
 
 
 def test_names_agree() -> None:

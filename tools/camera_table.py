@@ -32,7 +32,9 @@ def table() -> str:
         )
         header = _header_of(model)
         path = header.relative_to(ROOT).as_posix()
-        lines.append(f"| {model} | {params} | [{header.name}](../{path}) | {_source(header)} |")
+        lines.append(
+            f"| {model} | {params} | [{header.name}](../{path}) | {_source(header, model)} |"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -55,11 +57,13 @@ def _header_of(model: str) -> Path:
     return header
 
 
-def _source(header: Path) -> str:
-    comment = re.search(r"^/// Source: (.*(?:\n/// .+)*)", header.read_text(), re.MULTILINE)
-    if comment is None:
-        raise ValueError(f"{header}: expected a line that begins with '/// Source:'")
-    text = comment[1].replace("\n/// ", " ").rstrip(".")
+def _source(header: Path, model: str) -> str:
+    before, _ = header.read_text().split(f'kName[] = "{model}";')
+    comments = re.findall(r"^/// Source: (.*(?:\n/// .+)*)", before, re.MULTILINE)
+    if not comments:
+        raise ValueError(f"{header}: expected a line that begins with '/// Source:' above {model}")
+    text: str = comments[-1]
+    text = text.replace("\n/// ", " ").rstrip(".")
     return re.sub(r"^COLMAP, src/colmap/sensor/models\.h(?:[;,] (?:and |after )?)?", "", text)
 
 

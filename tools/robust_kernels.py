@@ -28,7 +28,7 @@ PAGE = """\
 
 A residual r costs 1/2 rho(s), s = ‖r‖². A least-squares solver knows residuals and Jacobians only,
 so Ceres hands it corrected ones. Every number below is computed by `bundle.losses`, that is by the
-core as in a solve; [triggs.h](../cpp/core/solve/triggs.h) derives the formulas.
+core as in a solve; [loss.h](../cpp/core/factors/loss.h) derives the formulas.
 
 ## The losses
 

@@ -11,8 +11,7 @@
 
 #include "bindings/immutable_array.h"
 #include "core/error.h"
-#include "core/io/bal_reader.h"
-#include "core/io/bal_writer.h"
+#include "core/io/bal.h"
 
 namespace py = pybind11;
 

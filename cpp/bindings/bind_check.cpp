@@ -12,11 +12,10 @@
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
-#include "core/ceres/function_check.h"
-#include "core/ceres/reprojection_check.h"
+#include "core/ceres/jacobian_checks.h"
+#include "core/checking/check_solution.h"
 #include "core/error.h"
-#include "core/solve/check_solution.h"
-#include "core/solve/gauge.h"
+#include "core/model/gauge.h"
 
 namespace py = pybind11;
 

@@ -13,8 +13,7 @@
 
 #include "bindings/immutable_array.h"
 #include "core/error.h"
-#include "core/io/colmap_checker.h"
-#include "core/io/colmap_writer.h"
+#include "core/io/colmap_model.h"
 
 namespace py = pybind11;
 

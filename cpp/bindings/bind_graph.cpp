@@ -14,12 +14,11 @@
 #include "bindings/python_progress.h"
 #include "bindings/summary_to_python.h"
 #include "bindings/to_numpy.h"
-#include "core/ceres/linearize_graph.h"
 #include "core/ceres/solve_graph.h"
 #include "core/error.h"
-#include "core/factors/checked_value.h"
-#include "core/graph/marginal_information.h"
-#include "core/interruption.h"
+#include "core/factors/factor.h"
+#include "core/graph/factor_graph.h"
+#include "core/parallel/interruption.h"
 
 namespace py = pybind11;
 

@@ -9,13 +9,12 @@
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
-#include "core/fused/eliminate/plan_size.h"
-#include "core/fused/eliminate/point_plan.h"
-#include "core/fused/reduced/pattern_costs.h"
-#include "core/solve/memory.h"
-#include "core/solve/option_names.h"
-#include "core/solve/prepare.h"
-#include "core/symbolic/block_pattern.h"
+#include "core/interface/options.h"
+#include "core/prepare/choose_solver.h"
+#include "core/prepare/memory.h"
+#include "core/prepare/prepare.h"
+#include "core/schur/elimination_plan.h"
+#include "core/symbolic/symbolic.h"
 
 namespace py = pybind11;
 

@@ -5,7 +5,7 @@
 
 #include "bindings/options_from_python.h"
 #include "core/ceres/robust_kernels.h"
-#include "core/solve/triggs.h"
+#include "core/factors/loss.h"
 
 namespace py = pybind11;
 

@@ -7,10 +7,9 @@
 #include "bindings/immutable_array.h"
 #include "bindings/problem_from_python.h"
 #include "core/error.h"
-#include "core/io/printable.h"
-#include "core/problem/linearize.h"
+#include "core/io/input_file.h"
+#include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
-#include "core/problem/validate.h"
 
 namespace py = pybind11;
 

@@ -10,10 +10,10 @@
 #include "bindings/problem_from_python.h"
 #include "bindings/python_progress.h"
 #include "bindings/summary_to_python.h"
-#include "core/backend/solve.h"
 #include "core/ceres/solve_with_ceres.h"
-#include "core/parallel_for.h"
-#include "core/solve/convergence_watch.h"
+#include "core/checking/check_solution.h"
+#include "core/parallel/thread_pool.h"
+#include "core/solver/solve.h"
 
 namespace py = pybind11;
 

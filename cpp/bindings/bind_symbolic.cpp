@@ -11,11 +11,9 @@
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
 #include "core/error.h"
-#include "core/solve/block_patterns.h"
-#include "core/solve/prepare.h"
-#include "core/symbolic/block_pattern.h"
-#include "core/symbolic/factor_counts.h"
-#include "core/symbolic/orderings.h"
+#include "core/model/coupled_blocks.h"
+#include "core/prepare/prepare.h"
+#include "core/symbolic/symbolic.h"
 
 namespace py = pybind11;
 

@@ -12,12 +12,9 @@
 #include "bindings/python_factor.h"
 #include "core/cameras/registry.h"
 #include "core/error.h"
-#include "core/factors/between_factor.h"
-#include "core/factors/checked_value.h"
+#include "core/factors/factor.h"
 #include "core/factors/linear_prior.h"
-#include "core/factors/position_factor.h"
-#include "core/factors/prior_factor.h"
-#include "core/factors/reprojection_factor.h"
+#include "core/factors/measurement_factors.h"
 
 namespace py = pybind11;
 

@@ -5,7 +5,7 @@
 #include <string>
 
 #include "core/error.h"
-#include "core/solve/option_names.h"
+#include "core/interface/options.h"
 
 namespace py = pybind11;
 

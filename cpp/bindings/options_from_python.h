@@ -4,7 +4,7 @@
 
 #include <string>
 
-#include "core/solve/options.h"
+#include "core/interface/options.h"
 
 /// Reads bundle.SolveOptions.asdict(), whose values Python has checked.
 bundle::SolveOptions OptionsFromPython(const pybind11::dict& options);

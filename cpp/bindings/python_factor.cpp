@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "core/error.h"
-#include "core/interruption.h"
+#include "core/parallel/interruption.h"
 
 namespace py = pybind11;
 

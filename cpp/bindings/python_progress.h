@@ -7,8 +7,8 @@
 #include <functional>
 #include <optional>
 
-#include "core/interruption.h"
-#include "core/solve/summary.h"
+#include "core/interface/summary.h"
+#include "core/parallel/interruption.h"
 
 /// Tells Python of each iteration and looks for Ctrl-C. KeyboardInterrupt stops the solve, whether
 /// a signal raised it or the callback, in which a signal may have done so. Any other exception, of

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "core/error.h"
-#include "core/solve/option_names.h"
+#include "core/interface/options.h"
 
 namespace py = pybind11;
 

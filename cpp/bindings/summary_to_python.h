@@ -4,7 +4,7 @@
 
 #include <vector>
 
-#include "core/solve/solve.h"
+#include "core/interface/summary.h"
 
 /// By the names of the C++ fields.
 pybind11::dict ToDict(const bundle::SolveSummary& summary);

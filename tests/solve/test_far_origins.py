@@ -134,3 +134,102 @@ def test_a_real_model_in_utm_coordinates(solve, bundle_data):
     assert far.termination_type == "CONVERGENCE"
     np.testing.assert_allclose(far.final_cost, near.final_cost, rtol=1e-6)
     assert far.num_successful_steps == near.num_successful_steps
+
+
+def held(problem):
+    return {"fixed_point_ids": problem.point_ids[[3]]}
+
+
+def with_point_out_of_view(problem, sizes):
+    """Point 3 far away: in front of every camera, but not where it was observed."""
+    points = problem.points.copy()
+    points[3] = np.median(centers(problem), axis=0) + np.array([0.3, 0.2, 1]) * sizes * size(
+        problem
+    )
+    return problem.replace(points=points)
+
+
+@pytest.mark.parametrize("perturbation", [0.01, 0.05])
+def test_a_held_point_far_away_is_told_and_its_solution_is_not_usable(solve, perturbation):
+    """From the worse start all other points still get better."""
+    problem = scenes.make_problem(num_images=11, num_points=60, perturbation=perturbation)
+    given = with_point_out_of_view(problem, 1e10)
+    summary = solve(given, **held(problem)).summary
+    assert summary.termination_type == "CONVERGENCE"
+    assert set(summary.warning_kinds) >= {"far_points", "far_points_dominate"}
+    assert f"point {problem.point_ids[3]}" in warning(summary, "far_points")
+    assert not summary.is_solution_usable
+    assert solve(problem, **held(problem)).summary.is_solution_usable
+
+
+def test_far_points_that_a_loss_keeps_from_pulling_leave_the_solution_usable(solve):
+    """They have nearly all of the cost, and no weight."""
+    problem = scenes.make_problem(num_points=30, noise=0.05, perturbation=1e-3)
+    given = with_point_out_of_view(problem, 1e10)
+    summary = solve(given, **held(problem), loss="cauchy", max_num_iterations=200).summary
+    assert "far_points" in summary.warning_kinds
+    assert "far_points_dominate" not in summary.warning_kinds
+    assert summary.is_solution_usable
+
+
+def test_a_far_point_that_fits_keeps_the_solution_usable(solve):
+    """A far point may well have most of a cost that is all rounding."""
+    scene = scenes.make_problem(
+        num_images=6, num_points=300, model="PINHOLE", noise=0, perturbation=0
+    )
+    points = scene.points.copy()
+    points[3] = [3000.0, 2000.0, 1e5]
+    xy = scene.observation_xy.copy()
+    for k in np.flatnonzero(scene.observation_point == 3):
+        image = scene.observation_image[k]
+        pose = scene.cam_from_world[image]
+        in_camera = Rotation.from_quat(pose[:4]).apply(points[3]) + pose[4:]
+        params = scene.camera_params[scene.image_camera[image]]
+        xy[k] = scenes.project("PINHOLE", params[:4], in_camera[None])[0] + 0.1
+    start = scene.points + 1e-3 * (np.arange(300) != 3)[:, None]
+    start[3] = points[3]
+    far = scene.replace(points=start, observation_xy=xy)
+    fixed = {"fixed_point_ids": [far.point_ids[3]], "fixed_image_ids": far.image_ids[1:]}
+    summary = solve(far, **fixed, refine=["poses", "points"], gauge="none").summary
+    cost = summary.final_cost - summary.fixed_cost
+    # Linear algebra: the pose takes a share h of the one residual that is not all held, and the
+    # others pay for it. They leave (1 - h) of its cost, of which 1 - h is its own.
+    assert 0.5 < cost / (0.5 * 2 * 0.1**2) < 1
+    assert summary.warning_kinds == ("far_points",)
+    assert summary.is_solution_usable
+
+
+def test_without_iterations_nothing_is_judged(solve, problem):
+    given = with_point_out_of_view(problem, 1e10)
+    summary = solve(given, **held(problem), max_num_iterations=0).summary
+    assert summary.warning_kinds == ("far_points",)
+    assert summary.is_solution_usable
+
+
+def test_far_points_of_held_images_take_no_part(solve, problem):
+    """Nothing is refined by them."""
+    given = with_point_out_of_view(problem, 1e10)
+    keep = (given.observation_point != 3) | (given.observation_image == 0)
+    given = given.replace(
+        observation_xy=given.observation_xy[keep],
+        observation_image=given.observation_image[keep],
+        observation_point=given.observation_point[keep],
+        observation_keypoint=given.observation_keypoint[keep],
+    )
+    fixed = {"fixed_image_ids": given.image_ids[:3], "fixed_camera_ids": given.camera_ids[:3]}
+    summary = solve(given, **held(problem), **fixed, gauge="none").summary
+    assert summary.warning_kinds == ()
+    assert summary.is_solution_usable
+
+
+@pytest.mark.parametrize("options", [{}, {"loss": "huber"}])
+def test_points_that_bend_the_others_leave_no_usable_solution(solve, bundle_data, options):
+    """Three near observations go behind their cameras, and hold most of the cost."""
+    problem = bundle.load(bundle_data / "colmap" / "bartoszek")
+    points = problem.points.copy()
+    points[100] = 1e10
+    far = problem.replace(points=points)
+    summary = solve(far, fixed_point_ids=[far.point_ids[100]], **options).summary
+    assert set(summary.warning_kinds) >= {"far_points"}
+    assert summary.is_solution_usable == bool(options)
+    assert ("far_points_dominate" in summary.warning_kinds) == (not options)

@@ -1,6 +1,6 @@
 """Observations that go behind their cameras: what they cost, and what a solve says of them.
 
-The rule is derived at the top of core/residuals/held_residual.h.
+The rule is derived at the top of core/factors/reprojection.h.
 """
 
 import functools

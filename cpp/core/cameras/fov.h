@@ -15,7 +15,7 @@
 /// its border for w = 1, 3e-6 for w = 2.5. The first is the series in w of the inverse mapping;
 /// that of d has the other signs, hence a step of up to 5e-5 at |w| = 0.01. We keep both: the
 /// parameters in a model's files mean the pixels that COLMAP makes of them. Derivatives are those
-/// of the piece. With dt/dw = (1 + t^2) / 2 and A(q) = atan(sqrt(q)) / sqrt(q) of arctan_ratio.h,
+/// of the piece. With dt/dw = (1 + t^2) / 2 and A(q) = atan(sqrt(q)) / sqrt(q) of fisheye.h,
 ///
 ///   d = (2 t / w) A(q),   dd/ds = (2 t / w) 4 t^2 A'(q),   dd/dw = ((1 + t^2) / (1 + q) - d) / w,
 ///
@@ -34,8 +34,8 @@
 
 #include <cmath>
 
-#include "core/cameras/arctan_ratio.h"
-#include "core/cameras/lens.h"
+#include "core/cameras/camera_model.h"
+#include "core/cameras/fisheye.h"
 #include "core/cameras/perspective.h"
 
 namespace bundle {

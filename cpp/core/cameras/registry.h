@@ -14,13 +14,8 @@
 #include "core/cameras/eucm.h"
 #include "core/cameras/fisheye.h"
 #include "core/cameras/fov.h"
-#include "core/cameras/full_opencv.h"
 #include "core/cameras/opencv.h"
-#include "core/cameras/pinhole.h"
-#include "core/cameras/rad_tan_thin_prism_fisheye.h"
-#include "core/cameras/radial.h"
-#include "core/cameras/radial_fisheye.h"
-#include "core/cameras/simple_pinhole.h"
+#include "core/cameras/perspective.h"
 #include "core/cameras/thin_prism_fisheye.h"
 
 namespace bundle {

@@ -1,5 +1,25 @@
 #pragma once
 
+#include <atomic>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/ceres/ceres_version.h"
+#include "core/graph/factor_graph.h"
+#include "core/interface/summary.h"
+#include "core/parallel/thread_pool.h"
+
+namespace bundle {
+
+/// A Ceres manifold by name, for a block of `size` numbers; nullptr for "euclidean".
+///
+/// "quaternion_wxyz", "quaternion_xyzw" (4), "se3" (7: qx qy qz qw tx ty tz, as COLMAP stores a
+/// pose), "sphere" (at least 2), "subset" with the entries that stay `constant`. Throws InputError
+/// for any other name or a size that does not fit.
+std::unique_ptr<ceres::Manifold> MakeManifold(const std::string& name, int size,
+                                              const std::vector<int>& constant);
+
 /// A factor graph as a ceres::Problem.
 ///
 /// A factor's Jacobian J is by tangent coordinates, but Ceres asks a cost function for derivatives
@@ -7,16 +27,6 @@
 /// that matrix for nothing else, both are chosen so that the product is J itself: the cost function
 /// writes [J 0], as wide as the stored value, and PlusJacobian is [I 0]^T, without the columns of
 /// coordinates that are held. No digit is lost and nothing is differentiated twice.
-
-#include <atomic>
-#include <memory>
-#include <vector>
-
-#include "core/ceres/ceres_version.h"
-#include "core/first_exception.h"
-#include "core/graph/factor_graph.h"
-
-namespace bundle {
 
 /// Lives as long as the ceres::Problem does. The graph stays where it is and is not changed.
 class CeresGraph {

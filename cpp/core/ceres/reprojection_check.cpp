@@ -1,5 +1,3 @@
-#include "core/ceres/reprojection_check.h"
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -8,10 +6,11 @@
 
 #include "core/cameras/registry.h"
 #include "core/ceres/gradient_check.h"
+#include "core/ceres/jacobian_checks.h"
 #include "core/ceres/reprojection_cost.h"
-#include "core/parallel_for.h"
+#include "core/model/parameter_layout.h"
+#include "core/parallel/thread_pool.h"
 #include "core/problem/reprojection_errors.h"
-#include "core/solve/free_parameters.h"
 
 namespace bundle {
 namespace {

@@ -3,8 +3,7 @@
 #include <algorithm>
 
 #include "core/cameras/registry.h"
-#include "core/residuals/held_residual.h"
-#include "core/residuals/reprojection.h"
+#include "core/factors/reprojection.h"
 
 namespace bundle {
 namespace {

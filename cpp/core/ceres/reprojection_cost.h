@@ -5,9 +5,8 @@
 #include <memory>
 
 #include "core/ceres/ceres_version.h"
+#include "core/model/parameter_layout.h"
 #include "core/problem/problem_view.h"
-#include "core/solve/camera_states.h"
-#include "core/solve/parameter_layout.h"
 
 namespace bundle {
 
@@ -35,7 +34,7 @@ struct ReprojectionContext {
 /// The camera side is read from `context.states`, not from the parameters: an EvaluationCallback
 /// keeps the two equal. The model is one of the registry's and known.
 ///
-/// An observation that does not count has the residual that it holds (residuals/held_residual.h),
+/// An observation that does not count has the residual that it holds (factors/reprojection.h),
 /// which depends on the states of the solve. Ceres' trust region asks for derivatives at these
 /// only, and for the residual alone at candidates.
 std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,

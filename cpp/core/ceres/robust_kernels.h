@@ -4,7 +4,7 @@
 
 #include <cstdint>
 
-#include "core/solve/options.h"
+#include "core/interface/options.h"
 
 namespace bundle {
 

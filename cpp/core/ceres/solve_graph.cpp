@@ -1,23 +1,49 @@
 #include "core/ceres/solve_graph.h"
 
+#include <algorithm>
+#include <limits>
 #include <string>
 #include <utility>
 
-#include "core/blas_threads.h"
 #include "core/ceres/factor_adapter.h"
-#include "core/ceres/interruptible.h"
-#include "core/ceres/process_settings.h"
 #include "core/ceres/summarize.h"
 #include "core/ceres/translate_options.h"
 #include "core/error.h"
-#include "core/interruption.h"
-#include "core/parallel_for.h"
-#include "core/solve/memory.h"
-#include "core/solve/option_names.h"
-#include "core/solve/solver_checks.h"
+#include "core/interface/options.h"
+#include "core/parallel/blas.h"
+#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
+#include "core/prepare/memory.h"
+#include "core/prepare/prepare.h"
 #include "core/stopwatch.h"
 
 namespace bundle {
+
+LinearizedGraph LinearizeGraph(const FactorGraph& graph, int num_threads) {
+  CeresGraph adapted(graph, /*all_free=*/true);
+  ceres::Problem::EvaluateOptions options;
+  options.num_threads = adapted.IsThreadSafe() ? EffectiveNumThreads(num_threads) : 1;
+  for (const auto& value : adapted.values()) {
+    options.parameter_blocks.push_back(const_cast<double*>(value.data()));
+  }
+  LinearizedGraph result;
+  ceres::CRSMatrix jacobian;
+  const ProcessSettings settings(1);
+  const bool done =
+      adapted.problem().Evaluate(options, &result.cost, &result.residual, nullptr, &jacobian);
+  adapted.RethrowFactorException();
+  if (adapted.abandoned()) throw Interrupted();
+  if (!done) throw InputError("factor graph: a factor has no value, or no finite one");
+  result.block_begin.push_back(0);
+  for (const Block& block : graph.blocks) {
+    result.block_begin.push_back(result.block_begin.back() + block.retraction.tangent_size());
+  }
+  result.row_begin.assign(jacobian.rows.begin(), jacobian.rows.end());
+  result.columns = std::move(jacobian.cols);
+  result.values = std::move(jacobian.values);
+  return result;
+}
+
 namespace {
 
 /// Below so many columns and entries of a dense Jacobian the dense normal equations are faster than

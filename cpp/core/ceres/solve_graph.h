@@ -3,10 +3,13 @@
 #include <vector>
 
 #include "core/graph/factor_graph.h"
-#include "core/solve/options.h"
-#include "core/solve/solve.h"
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
 
 namespace bundle {
+
+/// Of a valid graph (graph/factor_graph.h). Throws what a factor throws.
+LinearizedGraph LinearizeGraph(const FactorGraph& graph, int num_threads);
 
 struct GraphOutput : SolveRecord {
   std::vector<std::vector<double>> values;  ///< one a variable

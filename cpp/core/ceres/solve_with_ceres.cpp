@@ -7,24 +7,17 @@
 #include <string>
 #include <utility>
 
-#include "core/blas_threads.h"
-#include "core/ceres/count_factor.h"
-#include "core/ceres/interruptible.h"
-#include "core/ceres/losses.h"
-#include "core/ceres/ordering.h"
-#include "core/ceres/process_settings.h"
 #include "core/ceres/reprojection_cost.h"
 #include "core/ceres/summarize.h"
 #include "core/ceres/translate_options.h"
-#include "core/interruption.h"
-#include "core/parallel_for.h"
-#include "core/solve/camera_states.h"
-#include "core/solve/choose_solver.h"
-#include "core/solve/finish.h"
-#include "core/solve/memory.h"
-#include "core/solve/parameter_layout.h"
-#include "core/solve/problem_shape.h"
-#include "core/solve/solver_checks.h"
+#include "core/checking/check_solution.h"
+#include "core/model/parameter_layout.h"
+#include "core/parallel/blas.h"
+#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
+#include "core/prepare/choose_solver.h"
+#include "core/prepare/memory.h"
+#include "core/prepare/prepare.h"
 #include "core/stopwatch.h"
 
 namespace bundle {

@@ -1,7 +1,7 @@
 #pragma once
 
-#include "core/solve/prepare.h"
-#include "core/solve/solve.h"
+#include "core/interface/summary.h"
+#include "core/prepare/prepare.h"
 
 namespace bundle {
 

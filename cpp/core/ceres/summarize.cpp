@@ -1,6 +1,93 @@
 #include "core/ceres/summarize.h"
 
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <new>
+
+#include "core/ceres/translate_options.h"
+#include "core/model/coupled_blocks.h"
+#include "core/parallel/interruption.h"
+#include "core/stopwatch.h"
+#include "core/symbolic/symbolic.h"
+
 namespace bundle {
+
+namespace {
+
+constexpr int64_t kPointSize = 3;
+
+bool IsSchur(ceres::LinearSolverType type) {
+  return type == ceres::DENSE_SCHUR || type == ceres::SPARSE_SCHUR;
+}
+
+/// Columns that are left when the images' blocks are eliminated (translate_options.cpp).
+int64_t NumColumnsWithoutImages(const ParameterLayout& layout) {
+  int64_t num_columns = kPointSize * layout.num_free_points();
+  if (!layout.has_shared_intrinsics()) return num_columns;
+  for (const CameraSideBlock& block : layout.blocks()) {
+    if (block.columns[0] >= kPoseSize) num_columns += block.size;
+  }
+  return num_columns;
+}
+
+int64_t NumColumns(const ParameterLayout& layout, EliminationOrdering ordering, bool is_schur) {
+  if (!is_schur) return kPointSize * layout.num_free_points() + layout.state_size();
+  return ordering == EliminationOrdering::kPointsFirst ? layout.state_size()
+                                                       : NumColumnsWithoutImages(layout);
+}
+
+void SetDense(bool is_schur, FactorSummary* result) {
+  const int64_t n = *result->num_columns;
+  if (is_schur) result->num_reduced_nonzeros = n * n;
+  result->num_nonzeros = n * (n + 1) / 2;
+  result->flops = DenseFactorFlops(static_cast<double>(n));
+  result->ordering = "natural";
+  result->symbolic_time_in_seconds = 0;
+}
+
+void SetSparse(const ProblemView& problem, const ParameterLayout& layout, bool is_schur,
+               FactorSummary* result) {
+  const Stopwatch symbolic;
+  const OrderedPattern ordered =
+      is_schur ? OrderReducedPattern(problem, layout) : OrderFullPattern(problem, layout);
+  const FactorCounts counts = CountFactor(ordered.pattern, ordered.order);
+  if (is_schur) result->num_reduced_nonzeros = std::llround(NumNonzeros(ordered.pattern));
+  result->num_nonzeros = std::llround(counts.entries);
+  result->flops = counts.flops;
+  result->ordering = ordered.points_first ? "points first, amd" : "amd";
+  result->symbolic_time_in_seconds = symbolic.seconds();
+}
+
+}  // namespace
+
+FactorSummary CountCeresFactor(const ProblemView& problem, const ParameterLayout& layout,
+                               EliminationOrdering ordering, ceres::LinearSolverType type) {
+  FactorSummary result;
+  const bool is_schur = IsSchur(type);
+  const bool is_dense = type == ceres::DENSE_SCHUR || type == ceres::DENSE_NORMAL_CHOLESKY;
+  if (!is_schur && !is_dense && type != ceres::SPARSE_NORMAL_CHOLESKY) return result;
+  // Ceres says how many blocks it eliminated where the choice was its own, not which.
+  const bool is_known =
+      ordering != EliminationOrdering::kAutomatic && !NothingToEliminate(ordering, layout);
+  if (is_schur && !is_known) return result;
+
+  result.num_columns = NumColumns(layout, ordering, is_schur);
+  if (is_dense) {
+    SetDense(is_schur, &result);
+    return result;
+  }
+  // All points that an image sees meet when it is eliminated: to find who meets whom, pairs of
+  // points that would be, takes far longer than it is worth.
+  if (is_schur && ordering == EliminationOrdering::kCamerasFirst) return result;
+  try {
+    SetSparse(problem, layout, is_schur, &result);
+  } catch (const std::bad_alloc&) {
+    // The solve is done and its result worth more than these numbers.
+  }
+  return result;
+}
 
 SolveSummary Summarize(const ceres::Solver::Summary& summary, double fixed_cost) {
   SolveSummary result;
@@ -88,6 +175,31 @@ IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_
   record.iteration_time_in_seconds = iteration.iteration_time_in_seconds;
   record.cumulative_time_in_seconds = iteration.cumulative_time_in_seconds;
   return record;
+}
+
+ceres::CallbackReturnType ReportProgress::operator()(const ceres::IterationSummary& iteration) {
+  // An abandoned step is none to tell of.
+  if (abandoned_) return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
+  const bool goes_on = !progress_ || progress_(ToRecord(iteration, fixed_cost_));
+  if (goes_on && !InterruptionRequested()) return ceres::SOLVER_CONTINUE;
+  interrupted_ = true;
+  return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
+}
+
+void ForgetAbandonedStep(ceres::Solver::Summary* summary) {
+  const auto unfinished = [](const ceres::IterationSummary& iteration) {
+    return iteration.iteration > 0 && !(iteration.cost < std::numeric_limits<double>::max());
+  };
+  if (unfinished(summary->iterations.back())) {
+    summary->iterations.pop_back();
+    --summary->num_unsuccessful_steps;
+  }
+  summary->termination_type = ceres::USER_SUCCESS;
+  summary->message = "User callback returned SOLVER_TERMINATE_SUCCESSFULLY.";
+  summary->final_cost = summary->initial_cost;
+  for (const ceres::IterationSummary& iteration : summary->iterations) {
+    summary->final_cost = std::min(summary->final_cost, iteration.cost);
+  }
 }
 
 }  // namespace bundle

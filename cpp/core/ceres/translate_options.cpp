@@ -1,12 +1,148 @@
 #include "core/ceres/translate_options.h"
 
+#include <algorithm>
+#include <memory>
+#include <mutex>
 #include <string>
+#include <vector>
 
+#include "core/ceres/robust_kernels.h"
 #include "core/error.h"
-#include "core/parallel_for.h"
-#include "core/solve/solver_checks.h"
+#include "core/parallel/thread_pool.h"
+#include "core/prepare/prepare.h"
 
 namespace bundle {
+
+namespace {
+
+/// A residual and its Jacobian that are what they are.
+class ConstantCost final : public ceres::CostFunction {
+ public:
+  ConstantCost(int rows, int columns, const double* residual, const double* jacobian)
+      : residual_(residual, residual + rows), jacobian_(jacobian, jacobian + rows * columns) {
+    set_num_residuals(rows);
+    mutable_parameter_block_sizes()->push_back(columns);
+  }
+
+  bool Evaluate(double const* const* /*parameters*/, double* residual,
+                double** jacobians) const override {
+    std::copy(residual_.begin(), residual_.end(), residual);
+    if (jacobians != nullptr && jacobians[0] != nullptr) {
+      std::copy(jacobian_.begin(), jacobian_.end(), jacobians[0]);
+    }
+    return true;
+  }
+
+ private:
+  const std::vector<double> residual_;
+  const std::vector<double> jacobian_;
+};
+
+class ConstantLoss final : public ceres::LossFunction {
+ public:
+  explicit ConstantLoss(const double* rho) : rho_(rho) {}
+
+  void Evaluate(double /*squared_norm*/, double* rho) const override {
+    std::copy(rho_, rho_ + 3, rho);
+  }
+
+ private:
+  const double* rho_;
+};
+
+}  // namespace
+
+void EvaluateLoss(LossType type, double scale, int64_t count, const double* squared_norms,
+                  double* values) {
+  const std::unique_ptr<ceres::LossFunction> made = MakeLoss(type, scale);
+  const ceres::TrivialLoss trivial;
+  const ceres::LossFunction* loss = &trivial;
+  if (made != nullptr) loss = made.get();
+  for (int64_t i = 0; i < count; ++i) loss->Evaluate(squared_norms[i], values + 3 * i);
+}
+
+void CorrectWithCeres(const double* rho, int rows, int columns, double* residual,
+                      double* jacobian) {
+  std::vector<double> parameters(columns);
+  ceres::Problem problem;  // owns the two
+  problem.AddResidualBlock(new ConstantCost(rows, columns, residual, jacobian),
+                           new ConstantLoss(rho), parameters.data());
+  ceres::Problem::EvaluateOptions options;
+  options.apply_loss_function = true;
+  std::vector<double> residuals;
+  ceres::CRSMatrix matrix;  // one dense block: its values are row-major
+  problem.Evaluate(options, nullptr, &residuals, nullptr, &matrix);
+  std::copy(residuals.begin(), residuals.end(), residual);
+  std::copy(matrix.values.begin(), matrix.values.end(), jacobian);
+}
+
+std::unique_ptr<ceres::LossFunction> MakeLoss(LossType type, double scale) {
+  switch (type) {
+    case LossType::kTrivial:
+      return nullptr;
+    case LossType::kHuber:
+      return std::make_unique<ceres::HuberLoss>(scale);
+    case LossType::kSoftL1:
+      return std::make_unique<ceres::SoftLOneLoss>(scale);
+    case LossType::kCauchy:
+      return std::make_unique<ceres::CauchyLoss>(scale);
+    case LossType::kArctan:
+      // Ceres compares s itself, not its root, with the scale of this one.
+      return std::make_unique<ceres::ArctanLoss>(scale * scale);
+    case LossType::kTukey:
+      return std::make_unique<ceres::TukeyLoss>(scale);
+  }
+  return nullptr;
+}
+
+std::shared_ptr<ceres::ParameterBlockOrdering> MakeOrdering(EliminationOrdering ordering,
+                                                            const ParameterLayout& layout,
+                                                            int num_points, double* points,
+                                                            double* state) {
+  if (ordering == EliminationOrdering::kAutomatic) return nullptr;
+  const bool points_first = ordering == EliminationOrdering::kPointsFirst;
+  auto result = std::make_shared<ceres::ParameterBlockOrdering>();
+  for (int p = 0; p < num_points; ++p) {
+    if (layout.point_is_free(p)) {
+      result->AddElementToGroup(points + 3 * static_cast<int64_t>(p), points_first ? 0 : 1);
+    }
+  }
+  // Group 0 must be an independent set: an image's block and its shared camera's block stand in the
+  // same residuals, so only one of them can be in it. Blocks of images come first in the layout.
+  for (const CameraSideBlock& block : layout.blocks()) {
+    const bool is_shared_camera = block.columns[0] >= kPoseSize && layout.has_shared_intrinsics();
+    result->AddElementToGroup(state + block.offset, points_first || is_shared_camera ? 1 : 0);
+  }
+  return result;
+}
+
+bool NothingToEliminate(EliminationOrdering ordering, const ParameterLayout& layout) {
+  const bool no_points = layout.num_free_points() == 0;
+  const bool no_cameras = layout.blocks().empty();
+  if (ordering == EliminationOrdering::kPointsFirst) return no_points && !no_cameras;
+  if (ordering == EliminationOrdering::kCamerasFirst) return no_cameras && !no_points;
+  return false;
+}
+
+namespace {
+
+std::mutex mutex;
+int num_holders = 0;
+int saved_log_level = 0;
+
+}  // namespace
+
+ProcessSettings::ProcessSettings(int blas_threads) : blas_threads_(blas_threads) {
+  const std::lock_guard<std::mutex> lock(mutex);
+  if (num_holders++ > 0) return;
+  saved_log_level = ExchangeLogLevel(kPrintNothing);
+}
+
+ProcessSettings::~ProcessSettings() {
+  const std::lock_guard<std::mutex> lock(mutex);
+  if (--num_holders == 0) ExchangeLogLevel(saved_log_level);
+}
+
 namespace {
 
 bool IsSparseDirect(LinearSolverType type) {

@@ -3,16 +3,18 @@
 /// A factor: a residual of some variables, with its Jacobians and a loss.
 ///
 /// A problem's cost is the sum of 1/2 rho(||r||^2) over its factors. Residuals are whitened: of a
-/// measurement with information Omega, r^T r = e^T Omega e for its error e (whitening.h). Jacobians
-/// are by the tangent coordinates of each variable's manifold (model/retraction.h), so that a
+/// measurement with information Omega, r^T r = e^T Omega e for its error e (Whitening). Jacobians
+/// are by the tangent coordinates of each variable's manifold (geometry/retraction.h), so that a
 /// factor knows nothing of how a solver stores its variables.
 
+#include <cmath>
 #include <string>
 #include <utility>
 #include <vector>
 
-#include "core/model/retraction.h"
-#include "core/solve/options.h"
+#include "core/error.h"
+#include "core/factors/loss.h"
+#include "core/geometry/retraction.h"
 
 namespace bundle {
 
@@ -58,5 +60,51 @@ class Factor {
   std::vector<Retraction> retractions_;
   int num_residuals_;
 };
+
+/// Whitening: with information Omega = L L^T (Cholesky), a residual e and its Jacobian J become
+/// L^T e and L^T J, so that squared norms are e^T Omega e and normal equations J^T Omega J.
+
+class Whitening {
+ public:
+  /// From n x n numbers, row-major. Throws InputError, beginning with `subject`, unless they are
+  /// finite, symmetric and positive definite. Pivots are judged beside their diagonal entries:
+  /// coordinates may have any units.
+  Whitening(const std::string& subject, std::vector<double> information, int n);
+
+  int size() const { return n_; }
+  /// m <- L^T m, n x columns, row-major.
+  void Apply(double* m, int columns) const;
+  /// The residual, and each Jacobian of `columns` entries a row that is wanted.
+  void Apply(double* residual, double* const* jacobians, const std::vector<int>& columns) const;
+
+ private:
+  int n_;
+  std::vector<double> upper_;  ///< L^T, row-major
+};
+
+/// Throws InputError, beginning with `subject`, unless an n x n matrix is finite and symmetric.
+void CheckSymmetric(const std::string& subject, const std::vector<double>& matrix, int n);
+
+/// "1.5", "-6.2e+06": a number in a message.
+std::string ShortNumber(double value);
+
+/// The value as the manifold stores it, quaternions of norm 1. Throws InputError, beginning with
+/// `subject`, if it has another size, is not finite, or its quaternion is zero.
+inline std::vector<double> CheckedValue(const std::string& subject, const Retraction& retraction,
+                                        std::vector<double> value) {
+  if (static_cast<int>(value.size()) != retraction.ambient_size()) {
+    throw InputError(subject + ": expected " + std::to_string(retraction.ambient_size()) +
+                     " numbers (" + retraction.name() + "), found " + std::to_string(value.size()));
+  }
+  for (size_t i = 0; i < value.size(); ++i) {
+    if (std::isfinite(value[i])) continue;
+    throw InputError(subject + ": expected finite numbers, found " + std::to_string(value[i]) +
+                     " at [" + std::to_string(i) + "]");
+  }
+  if (!retraction.Normalize(value.data())) {
+    throw InputError(subject + ": expected a quaternion (qx qy qz qw), found one of norm 0");
+  }
+  return value;
+}
 
 }  // namespace bundle

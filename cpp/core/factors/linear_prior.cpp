@@ -5,8 +5,7 @@
 #include <limits>
 #include <utility>
 
-#include "core/factors/checked_value.h"
-#include "core/factors/whitening.h"
+#include "core/factors/factor.h"
 
 namespace bundle {
 namespace {

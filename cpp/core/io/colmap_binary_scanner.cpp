@@ -18,7 +18,6 @@
 #include <string>
 
 #include "core/io/colmap_index.h"
-#include "core/io/colmap_values.h"
 
 namespace bundle {
 namespace {

@@ -1,14 +1,18 @@
-#include "core/io/colmap_checker.h"
-
+#include <algorithm>
 #include <filesystem>
 #include <string>
 #include <system_error>
+#include <unordered_map>
+#include <utility>
+#include <vector>
 
 #include "core/error.h"
 #include "core/io/colmap_index.h"
-#include "core/io/printable.h"
+#include "core/io/colmap_model.h"
+#include "core/io/input_file.h"
 
 namespace bundle {
+
 namespace {
 
 std::string JoinPath(const std::string& folder, const char* stem, const char* extension) {
@@ -71,6 +75,210 @@ ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents) {
 
 void CheckColmapModel(const std::string& folder) {
   CheckColmapReferences(ScanColmapModel(folder, /*keep_contents=*/false));
+}
+
+namespace {
+
+// Bytes of the fixed part of a point and of what follows it, in points3D.bin and images.bin.
+constexpr uint64_t kPointSize = 51;
+constexpr uint64_t kTrackElementSize = 8;
+constexpr uint64_t kKeypointSize = 24;
+
+/// Position of a record by its id.
+class IdMap {
+ public:
+  static constexpr int64_t kNone = -1;
+
+  /// `record` is "camera"; a repeated id is an error at the record that repeats it.
+  template <typename Record>
+  IdMap(const std::vector<Record>& records, const ModelFile& file, const std::string& record) {
+    uint64_t max_id = 0;
+    for (const Record& entry : records) max_id = std::max<uint64_t>(max_id, entry.id);
+    // Ids are dense in practice, and tracks look up an image for every observation.
+    if (max_id < 16 * records.size() + 1024) dense_.assign(max_id + 1, kNone);
+    for (size_t i = 0; i < records.size(); ++i) {
+      const uint32_t id = records[i].id;
+      const bool inserted = dense_.empty()
+                                ? sparse_.emplace(id, i).second
+                                : std::exchange(dense_[id], static_cast<int64_t>(i)) == kNone;
+      if (!inserted) {
+        file.Fail(records[i].at, "expected each " + record + " once, found " + record + " " +
+                                     std::to_string(id) + " again");
+      }
+    }
+  }
+
+  int64_t Find(uint64_t id) const {
+    if (!dense_.empty()) return id < dense_.size() ? dense_[id] : kNone;
+    const auto found = sparse_.find(id);
+    return found == sparse_.end() ? kNone : static_cast<int64_t>(found->second);
+  }
+
+ private:
+  std::vector<int64_t> dense_;
+  std::unordered_map<uint64_t, size_t> sparse_;
+};
+
+std::string Name(const char* kind, uint64_t id) { return kind + (" " + std::to_string(id)); }
+
+std::string Name(const ColmapIndex::Sensor& sensor) {
+  return Name(sensor.type == SensorType::kCamera ? "camera" : "IMU", sensor.id);
+}
+
+void CheckRigs(const ColmapIndex& index, const IdMap& cameras) {
+  for (const ColmapIndex::Rig& rig : index.rigs) {
+    for (auto sensor = rig.sensors.begin(); sensor != rig.sensors.end(); ++sensor) {
+      if (std::find(rig.sensors.begin(), sensor, *sensor) != sensor) {
+        index.rigs_file.Fail(rig.at, Name("rig", rig.id) + ": expected each sensor once, found " +
+                                         Name(*sensor) + " again");
+      }
+      if (sensor->type == SensorType::kCamera && cameras.Find(sensor->id) == IdMap::kNone) {
+        index.rigs_file.Fail(
+            rig.at,
+            Name("rig", rig.id) + ": expected a camera of the model, found " + Name(*sensor));
+      }
+    }
+  }
+}
+
+/// Frames against rigs and images; on return `frame_of_image` tells which frame holds which image.
+void CheckFrames(const ColmapIndex& index, const IdMap& rigs, const IdMap& images,
+                 std::vector<int64_t>* frame_of_image) {
+  for (size_t f = 0; f < index.frames.size(); ++f) {
+    const ColmapIndex::Frame& frame = index.frames[f];
+    const auto fail = [&](const std::string& message) {
+      index.frames_file.Fail(frame.at, Name("frame", frame.id) + ": " + message);
+    };
+    const int64_t r = rigs.Find(frame.rig_id);
+    if (r == IdMap::kNone) fail("expected a rig of the model, found " + Name("rig", frame.rig_id));
+    const std::vector<ColmapIndex::Sensor>& sensors = index.rigs[static_cast<size_t>(r)].sensors;
+    for (const ColmapIndex::Datum& datum : frame.data) {
+      if (std::find(sensors.begin(), sensors.end(), datum.sensor) == sensors.end()) {
+        fail("expected a sensor of " + Name("rig", frame.rig_id) + ", found " + Name(datum.sensor));
+      }
+      if (datum.sensor.type != SensorType::kCamera) continue;
+      const int64_t i = images.Find(datum.id);
+      if (i == IdMap::kNone)
+        fail("expected an image of the model, found " + Name("image", datum.id));
+      const ColmapIndex::Image& image = index.images[static_cast<size_t>(i)];
+      if (image.camera_id != datum.sensor.id) {
+        fail("expected " + Name("image", image.id) + " with its " +
+             Name("camera", image.camera_id) + ", found " + Name(datum.sensor));
+      }
+      if (std::exchange((*frame_of_image)[static_cast<size_t>(i)], static_cast<int64_t>(f)) !=
+          IdMap::kNone) {
+        fail("expected each image in one frame, found " + Name("image", image.id) + " again");
+      }
+    }
+  }
+}
+
+void CheckImages(const ColmapIndex& index, const IdMap& cameras,
+                 const std::vector<int64_t>& frame_of_image) {
+  // Models older than rigs and frames: COLMAP makes one rig a camera and one frame an image.
+  const bool has_frames = !index.rigs.empty() || !index.frames.empty();
+  for (size_t i = 0; i < index.images.size(); ++i) {
+    const ColmapIndex::Image& image = index.images[i];
+    if (cameras.Find(image.camera_id) == IdMap::kNone) {
+      index.images_file.Fail(image.at, Name("image", image.id) +
+                                           ": expected a camera of the model, found " +
+                                           Name("camera", image.camera_id));
+    }
+    if (has_frames && frame_of_image[i] == IdMap::kNone) {
+      index.images_file.Fail(
+          image.at, Name("image", image.id) + ": expected a frame that holds it, found none");
+    }
+  }
+}
+
+void CheckPointIdsUnique(const ColmapIndex& index) {
+  std::vector<std::pair<uint64_t, uint64_t>> ids;  // id and place
+  ids.reserve(index.points.size());
+  for (const ColmapIndex::Point& point : index.points) ids.emplace_back(point.id, point.at);
+  if (!std::is_sorted(ids.begin(), ids.end())) std::sort(ids.begin(), ids.end());
+  const auto same_id = [](const auto& a, const auto& b) { return a.first == b.first; };
+  const auto twin = std::adjacent_find(ids.begin(), ids.end(), same_id);
+  if (twin == ids.end()) return;
+  const auto& [id, at] = *std::next(twin);
+  index.points_file.Fail(at, "expected each point once, found " + Name("point", id) + " again");
+}
+
+/// Tracks against keypoints: each names the other, once. Returns each keypoint's point.
+std::vector<int64_t> CheckTracks(const ColmapIndex& index, const IdMap& images) {
+  std::vector<int64_t> point_of_keypoint(index.keypoint_point_ids.size(), IdMap::kNone);
+  for (size_t p = 0; p < index.points.size(); ++p) {
+    const ColmapIndex::Point& point = index.points[p];
+    const uint64_t last = p + 1 < index.points.size() ? index.points[p + 1].first_element
+                                                      : index.track_elements.size();
+    for (uint64_t e = point.first_element; e < last; ++e) {
+      const ColmapIndex::TrackElement& element = index.track_elements[e];
+      const auto fail = [&](const std::string& message) {
+        index.points_file.Fail(index.TrackElementPlace(point, e - point.first_element),
+                               Name("point", point.id) + ": " + message);
+      };
+      const int64_t i = images.Find(element.image_id);
+      if (i == IdMap::kNone) {
+        fail("expected an image of the model in the track, found " +
+             Name("image", element.image_id));
+      }
+      const ColmapIndex::Image& image = index.images[static_cast<size_t>(i)];
+      if (element.keypoint >= image.num_keypoints) {
+        fail("expected one of the " + std::to_string(image.num_keypoints) + " keypoints of " +
+             Name("image", image.id) + " in the track, found " +
+             Name("keypoint", element.keypoint));
+      }
+      const uint64_t keypoint = image.first_keypoint + element.keypoint;
+      const uint64_t point_id = index.keypoint_point_ids[keypoint];
+      if (point_id != point.id) {
+        fail("expected " + Name("keypoint", element.keypoint) + " of " + Name("image", image.id) +
+             " to refer back to it, found " +
+             (point_id == kInvalidPoint3DId ? "no point" : Name("point", point_id)));
+      }
+      if (point_of_keypoint[keypoint] != IdMap::kNone) {
+        fail("expected each keypoint once in the track, found " +
+             Name("keypoint", element.keypoint) + " of " + Name("image", image.id) + " again");
+      }
+      point_of_keypoint[keypoint] = static_cast<int64_t>(p);
+    }
+  }
+  for (const ColmapIndex::Image& image : index.images) {
+    for (uint64_t k = 0; k < image.num_keypoints; ++k) {
+      const uint64_t point_id = index.keypoint_point_ids[image.first_keypoint + k];
+      if (point_id == kInvalidPoint3DId ||
+          point_of_keypoint[image.first_keypoint + k] != IdMap::kNone) {
+        continue;
+      }
+      index.images_file.Fail(index.KeypointPlace(image, k),
+                             Name("image", image.id) + ", " + Name("keypoint", k) +
+                                 ": expected a point with this keypoint in its track, found " +
+                                 Name("point", point_id));
+    }
+  }
+  return point_of_keypoint;
+}
+
+}  // namespace
+
+uint64_t ColmapIndex::KeypointPlace(const Image& image, uint64_t keypoint) const {
+  return image.keypoints_at + (kind == ModelFile::Kind::kBinary ? keypoint * kKeypointSize : 0);
+}
+
+uint64_t ColmapIndex::TrackElementPlace(const Point& point, uint64_t element) const {
+  return point.at +
+         (kind == ModelFile::Kind::kBinary ? kPointSize + element * kTrackElementSize : 0);
+}
+
+std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index) {
+  const IdMap cameras(index.cameras, index.cameras_file, "camera");
+  const IdMap rigs(index.rigs, index.rigs_file, "rig");
+  const IdMap frames(index.frames, index.frames_file, "frame");
+  const IdMap images(index.images, index.images_file, "image");
+  std::vector<int64_t> frame_of_image(index.images.size(), IdMap::kNone);
+  CheckRigs(index, cameras);
+  CheckFrames(index, rigs, images, &frame_of_image);
+  CheckImages(index, cameras, frame_of_image);
+  CheckPointIdsUnique(index);
+  return CheckTracks(index, images);
 }
 
 }  // namespace bundle

@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "core/cameras/camera_model.h"
-#include "core/io/model_file.h"
+#include "core/io/output_file.h"
 
 namespace bundle {
 
@@ -37,7 +37,7 @@ struct ColmapSpan {
 /// what can be checked on the spot; CheckColmapReferences does the rest.
 ///
 /// `at` is the place of a record: its line in a text file, the byte it begins at in a binary one. A
-/// span is where the numbers stand that `colmap_writer.h` replaces. Poses are qw qx qy qz tx ty tz,
+/// span is where the numbers stand that `colmap_model.h` replaces. Poses are qw qx qy qz tx ty tz,
 /// as in the files.
 struct ColmapIndex {
   struct Sensor {
@@ -144,5 +144,44 @@ extern const ColmapScanner kColmapBinaryScanner;
 /// Checks that ids are unique and references resolve. Throws InputError as the scanners do. Returns
 /// the position in `points` of each keypoint's point, -1 where it has none.
 std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index);
+
+/// nullptr where COLMAP 4.2 has no such model. Our models stand in the order of COLMAP's ids.
+const CameraModel* FindColmapCameraModel(int32_t id);
+
+// Checks of single values, the same in both formats. Each throws InputError at `position`;
+// `subject` is "camera 3".
+
+/// Parameters finite, focal lengths and image sizes above zero.
+void CheckCameraParams(const ModelFile& file, uint64_t position, const std::string& subject,
+                       const CameraModel& model, const double* params);
+
+/// `pose` is qw qx qy qz tx ty tz, as in the files: finite, with a quaternion that gives a
+/// rotation.
+void CheckPose(const ModelFile& file, uint64_t position, const std::string& subject,
+               const double* pose);
+
+/// Image sizes must fit our signed 64-bit numbers.
+void CheckCameraSize(const ModelFile& file, uint64_t position, const std::string& subject,
+                     uint64_t width, uint64_t height);
+
+/// An image name is UTF-8 without control characters: what pycolmap can hand to Python.
+void CheckImageName(const ModelFile& file, uint64_t position, const std::string& subject,
+                    std::string_view name);
+
+/// The shortest decimal number that reads back as `value`.
+std::string FormatNumber(double value);
+
+/// The observations of a model as our problem has them: images and points are counted in the order
+/// of their ids, the rows sorted by point, then image, then keypoint.
+struct ColmapObservations {
+  std::vector<int32_t> image;
+  std::vector<int32_t> point;
+  std::vector<int32_t> keypoint;
+  std::vector<double> xy;  ///< two a row
+};
+
+/// `point_of_keypoint` is what CheckColmapReferences returned for this index.
+ColmapObservations SortColmapObservations(const ColmapIndex& index,
+                                          const std::vector<int64_t>& point_of_keypoint);
 
 }  // namespace bundle

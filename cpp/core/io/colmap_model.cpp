@@ -1,14 +1,19 @@
 #include "core/io/colmap_model.h"
 
 #include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <limits>
 #include <unordered_map>
 #include <utility>
 
+#include "core/cameras/registry.h"
 #include "core/error.h"
-#include "core/io/colmap_checker.h"
-#include "core/io/printable.h"
+#include "core/io/colmap_index.h"
+#include "core/io/input_file.h"
 
 namespace bundle {
+
 namespace {
 
 /// The rows of the images by their ids.
@@ -87,6 +92,124 @@ ColmapModel ReadColmapModel(const std::string& folder) {
   model.index.triangulated_xy = {};
   model.index.track_elements = {};
   return model;
+}
+
+namespace {
+
+/// Number of the first row of each point, by position of the point, where rows go by point id.
+std::vector<size_t> FirstRows(const std::vector<size_t>& points_by_id,
+                              const std::vector<int64_t>& point_of_keypoint) {
+  std::vector<size_t> num_rows(points_by_id.size(), 0);
+  for (const int64_t point : point_of_keypoint) {
+    if (point >= 0) ++num_rows[static_cast<size_t>(point)];
+  }
+  std::vector<size_t> first_rows(points_by_id.size());
+  size_t row = 0;
+  for (const size_t point : points_by_id) {
+    first_rows[point] = row;
+    row += num_rows[point];
+  }
+  return first_rows;
+}
+
+}  // namespace
+
+ColmapObservations SortColmapObservations(const ColmapIndex& index,
+                                          const std::vector<int64_t>& point_of_keypoint) {
+  const std::vector<size_t> images_by_id = OrderById(index.images);
+  const std::vector<size_t> points_by_id = OrderById(index.points);
+  std::vector<int32_t> point_rank(points_by_id.size());
+  for (size_t rank = 0; rank < points_by_id.size(); ++rank) {
+    point_rank[points_by_id[rank]] = static_cast<int32_t>(rank);
+  }
+  // The coordinates stand in the order of the file, which need not be that of the ids.
+  std::vector<size_t> first_xy(index.images.size());
+  size_t num_rows = 0;
+  for (size_t i = 0; i < index.images.size(); ++i) {
+    first_xy[i] = num_rows;
+    const auto begin =
+        point_of_keypoint.begin() + static_cast<std::ptrdiff_t>(index.images[i].first_keypoint);
+    num_rows += static_cast<size_t>(
+        std::count_if(begin, begin + static_cast<std::ptrdiff_t>(index.images[i].num_keypoints),
+                      [](int64_t point) { return point >= 0; }));
+  }
+
+  ColmapObservations result;
+  result.image.resize(num_rows);
+  result.point.resize(num_rows);
+  result.keypoint.resize(num_rows);
+  result.xy.resize(2 * num_rows);
+  std::vector<size_t> next_row = FirstRows(points_by_id, point_of_keypoint);
+  for (size_t rank = 0; rank < images_by_id.size(); ++rank) {
+    const ColmapIndex::Image& image = index.images[images_by_id[rank]];
+    size_t xy = 2 * first_xy[images_by_id[rank]];
+    for (uint64_t k = 0; k < image.num_keypoints; ++k) {
+      const int64_t point = point_of_keypoint[image.first_keypoint + k];
+      if (point < 0) continue;
+      const size_t row = next_row[static_cast<size_t>(point)]++;
+      result.image[row] = static_cast<int32_t>(rank);
+      result.point[row] = point_rank[static_cast<size_t>(point)];
+      result.keypoint[row] = static_cast<int32_t>(k);
+      result.xy[2 * row] = index.triangulated_xy[xy++];
+      result.xy[2 * row + 1] = index.triangulated_xy[xy++];
+    }
+  }
+  return result;
+}
+
+const CameraModel* FindColmapCameraModel(int32_t id) {
+  return id >= 0 && id < kNumCameraModels ? AllCameraModels() + id : nullptr;
+}
+
+void CheckCameraParams(const ModelFile& file, uint64_t position, const std::string& subject,
+                       const CameraModel& model, const double* params) {
+  for (int i = 0; i < model.num_params; ++i) {
+    const CameraParam::Kind kind = model.params[i].kind;
+    const bool is_positive = kind == CameraParam::kFocal || kind == CameraParam::kMetadata;
+    if (std::isfinite(params[i]) && (!is_positive || params[i] > 0.0)) continue;
+    const std::string expected = kind == CameraParam::kFocal      ? "a focal length above 0"
+                                 : kind == CameraParam::kMetadata ? "an image size above 0"
+                                                                  : "a finite number";
+    file.Fail(position, subject + ": expected " + expected + " as parameter " + std::to_string(i) +
+                            " of " + model.name + ", found " + FormatNumber(params[i]));
+  }
+}
+
+void CheckPose(const ModelFile& file, uint64_t position, const std::string& subject,
+               const double* pose) {
+  for (int i = 0; i < 7; ++i) {
+    if (!std::isfinite(pose[i])) {
+      file.Fail(position, subject + ": expected a finite pose, found " + FormatNumber(pose[i]));
+    }
+  }
+  const double squared_norm =
+      pose[0] * pose[0] + pose[1] * pose[1] + pose[2] * pose[2] + pose[3] * pose[3];
+  if (!(squared_norm > 0.0) || !std::isfinite(squared_norm)) {
+    file.Fail(position, subject + ": expected a quaternion of norm 1, found norm " +
+                            FormatNumber(std::hypot(std::hypot(pose[0], pose[1]),
+                                                    std::hypot(pose[2], pose[3]))));
+  }
+}
+
+void CheckCameraSize(const ModelFile& file, uint64_t position, const std::string& subject,
+                     uint64_t width, uint64_t height) {
+  constexpr uint64_t kMaxSize = std::numeric_limits<int64_t>::max();
+  if (width <= kMaxSize && height <= kMaxSize) return;
+  file.Fail(position, subject + ": expected an image size below 2^63, found " +
+                          std::to_string(width) + " x " + std::to_string(height));
+}
+
+void CheckImageName(const ModelFile& file, uint64_t position, const std::string& subject,
+                    std::string_view name) {
+  if (Printable(name) == name) return;
+  file.Fail(position, subject + ": expected a name in UTF-8 without control characters, found " +
+                          Quoted(name));
+}
+
+std::string FormatNumber(double value) {
+  char text[32];
+  const auto [end, error] = std::to_chars(text, text + sizeof(text), value);
+  return error == std::errc() ? std::string(text, end) : "?";
 }
 
 }  // namespace bundle

@@ -1,16 +1,16 @@
 #pragma once
 
 #include <cstdint>
+#include <filesystem>
 #include <string>
 #include <vector>
 
 #include "core/io/colmap_index.h"
-#include "core/io/colmap_observations.h"
 
 namespace bundle {
 
 /// A COLMAP model as it was read: its files, checked, what stands in them, and the order of our
-/// arrays, which is that of the ids. The files stay in memory, so that `colmap_writer.h` can write
+/// arrays, which is that of the ids. The files stay in memory, so that `WriteColmapModel` can write
 /// them again with other numbers whatever has become of them on the disk.
 struct ColmapModel {
   ColmapIndex index;
@@ -32,5 +32,38 @@ struct ColmapModel {
 /// Reads a model as CheckColmapModel does, and keeps it. Throws InputError as that does, and for a
 /// rig of several sensors or a frame of several images, which our problem does not have.
 ColmapModel ReadColmapModel(const std::string& folder);
+
+/// Reads the files of a COLMAP model from end to end and throws InputError at the first thing that
+/// is wrong with them, naming file and line (or byte). COLMAP's own reader, for which this stands
+/// guard, may take such a file silently, allocate what a corrupt count says, or give up without
+/// saying where.
+///
+/// What COLMAP writes passes, and so does what is strange but legal: points without or with one
+/// observation, several keypoints of one image in one track, models without rigs and frames.
+void CheckColmapModel(const std::string& folder);
+
+/// The scan alone, without the check of references, of the format that COLMAP reads where the
+/// folder holds both; the index may keep the contents of the files.
+ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents);
+
+/// The numbers that a solve changes, one row a record in the order of the ids.
+struct ColmapValues {
+  const double* cam_from_world = nullptr;  ///< (num_images, 7) qx qy qz qw tx ty tz
+  const double* camera_params = nullptr;   ///< (num_cameras, params_width)
+  size_t params_width = 0;
+  const double* points = nullptr;        ///< (num_points, 3)
+  const double* point_errors = nullptr;  ///< (num_points,) mean reprojection error in pixels
+};
+
+/// Writes the files of a model into an existing folder, in the format in which it was read.
+///
+/// Every byte but the given numbers is that of the files that were read: keypoints, tracks,
+/// colours, rigs, comments. A model from before there were rigs and frames gets them as COLMAP
+/// makes them: a rig a camera and a frame an image, of the same ids. Text has the shortest digits
+/// that read back as the same number.
+///
+/// Throws std::system_error when the system refuses.
+void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
+                      const std::filesystem::path& folder);
 
 }  // namespace bundle

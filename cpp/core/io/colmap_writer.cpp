@@ -1,11 +1,10 @@
-#include "core/io/colmap_writer.h"
-
 #include <array>
 #include <cstring>
 #include <string>
 #include <string_view>
 
-#include "core/io/colmap_values.h"
+#include "core/io/colmap_index.h"
+#include "core/io/colmap_model.h"
 #include "core/io/output_file.h"
 
 namespace bundle {

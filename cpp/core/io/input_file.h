@@ -5,8 +5,14 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <string_view>
 
 namespace bundle {
+
+/// Bytes of a file or of its name, fit for one line of a message: valid UTF-8 stays, control
+/// characters, line separators and bytes that are no UTF-8 become \xNN, and from `max_bytes` input
+/// bytes on there is "...".
+std::string Printable(std::string_view bytes, size_t max_bytes = std::string_view::npos);
 
 /// A file as a stream of bytes, decompressed on the way if its first bytes say gzip or bzip2 (the
 /// name does not matter). Concatenated streams, as pigz and pbzip2 write them, are read as one.

@@ -40,4 +40,24 @@ struct ProblemView {
   }
 };
 
+/// Observations grouped by point: those of point p are in images[starts[p]] to images[starts[p + 1]
+/// - 1], in the order of the problem.
+struct Tracks {
+  std::vector<int64_t> starts;  ///< num_points + 1
+  std::vector<int32_t> images;  ///< of each observation
+};
+
+Tracks GroupByPoint(const ProblemView& problem);
+
+/// The number of observations of each point.
+std::vector<int64_t> TrackLengths(const ProblemView& problem);
+
+/// Checks the values of a problem whose arrays have the right sizes.
+///
+/// Throws InputError at the first value that is not finite, index out of range, repeated id, zero
+/// quaternion, non-positive focal length or parameter row that is too short, naming what has it by
+/// its id. Camera models that are not known (nullptr) are let through: whoever needs the model says
+/// so.
+void ValidateProblem(const ProblemView& problem);
+
 }  // namespace bundle

@@ -1,11 +1,10 @@
-#include "core/symbolic/block_pattern.h"
-
 #include <algorithm>
 #include <numeric>
 #include <string>
 #include <utility>
 
 #include "core/error.h"
+#include "core/symbolic/symbolic.h"
 
 namespace bundle {
 namespace {

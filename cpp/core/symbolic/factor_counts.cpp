@@ -17,12 +17,12 @@
 /// diagonal. The counts are those of a scalar analysis (a test holds them against CHOLMOD's) at 1 /
 /// m^2 of its cost.
 
-#include "core/symbolic/factor_counts.h"
-
 #include <algorithm>
 #include <cstddef>
 #include <numeric>
 #include <utility>
+
+#include "core/symbolic/symbolic.h"
 
 namespace bundle {
 namespace {

@@ -1,5 +1,3 @@
-#include "core/symbolic/orderings.h"
-
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
@@ -8,7 +6,7 @@
 #include <utility>
 
 #include "core/error.h"
-#include "core/symbolic/cholmod_session.h"
+#include "core/symbolic/symbolic.h"
 
 namespace bundle {
 namespace {
@@ -113,10 +111,10 @@ constexpr int kBlocksWorthSorting = 20000;
 
 /// Blocks by their number of neighbours, then by the first and the last of these.
 ///
-/// Minimum degree takes blocks of equal degree in the order of their numbers. The points of a
-/// reconstruction come in any order, and each leaves an element in the lists of the cameras that
-/// see it until one with all of its cameras absorbs it. With points of the same cameras next to
-/// each other the lists stay short: AMD took 7 s in place of 34 for 5000 cameras and 1,000,000
+/// MinimizerSummary degree takes blocks of equal degree in the order of their numbers. The points
+/// of a reconstruction come in any order, and each leaves an element in the lists of the cameras
+/// that see it until one with all of its cameras absorbs it. With points of the same cameras next
+/// to each other the lists stay short: AMD took 7 s in place of 34 for 5000 cameras and 1,000,000
 /// points of a street, COLAMD half its time, for the same fill.
 std::vector<int> SortByNeighbours(const BlockPatternView& pattern) {
   const int n = pattern.num_blocks;

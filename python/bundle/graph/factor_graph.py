@@ -17,7 +17,15 @@ from bundle.graph.check_factors import FactorCheck, check_factors
 from bundle.graph.factors import Factor
 from bundle.graph.graph_result import GraphResult
 from bundle.graph.linear_prior import LinearPrior
-from bundle.graph.variables import Array, Key, Variable, as_keys, check_key, variable_name
+from bundle.graph.variables import (
+    Array,
+    Key,
+    Variable,
+    as_keys,
+    as_list,
+    check_key,
+    variable_name,
+)
 from bundle.options import SolveOptions
 from bundle.solve_record import record_fields
 from bundle.solver import Progress
@@ -300,7 +308,7 @@ class FactorGraph(Displayed):
         every = {id(factor): i for i, factor in enumerate(self._factors)}
         chosen = list(range(len(self._factors)))
         if wanted is not None:
-            for factor in (wanted := list(wanted)):
+            for factor in (wanted := as_list("factors", "factors", wanted)):
                 if id(factor) not in every:
                     raise InputError(f"factors: expected some of the graph, found {brief(factor)}")
             chosen = [every[id(factor)] for factor in wanted]
@@ -361,7 +369,7 @@ class FactorGraph(Displayed):
         return self._variables[key]
 
     def _checked_keys(self, keys: Iterable[Key]) -> tuple[Key, ...]:
-        found = as_keys("keys", keys)
+        found = as_keys("keys", keys, ordered=False)
         if not found:
             raise InputError("keys: expected at least one variable, found none")
         for key in found:

@@ -17,7 +17,7 @@ from bundle.arguments import as_array
 from bundle.arrays import freeze
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief
-from bundle.graph.variables import Array, Key, check_key
+from bundle.graph.variables import Array, Key, as_row, check_key
 from bundle.option_fields import choice, number
 from bundle.options import LOSSES
 
@@ -67,15 +67,14 @@ class Factor(Displayed):
     def _set(self, attribute: str, value: Any) -> None:
         object.__setattr__(self, attribute, value)
 
-    def _freeze(self, *attributes: str) -> None:
+    def _freeze_row(self, *attributes: str) -> None:
         for attribute in attributes:
-            given = getattr(self, attribute)
-            if isinstance(given, str):
-                raise InputError(
-                    f"{self.name}: {attribute}: expected numbers, found {brief(given)}"
-                )
-            array = as_array(f"{self.name}: {attribute}", given)
-            self._set(attribute, freeze(array.copy()))
+            row = as_row(f"{self.name}: {attribute}", getattr(self, attribute))
+            self._set(attribute, freeze(row.copy()))
+
+    def _freeze_matrix(self, attribute: str) -> None:
+        array = as_array(f"{self.name}: {attribute}", getattr(self, attribute))
+        self._set(attribute, freeze(array.copy()))
 
     def _display(self) -> Display:
         facts = [("variables", ", ".join(brief(key) for key in self.keys))]
@@ -125,7 +124,8 @@ class PriorFactor(Factor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._freeze("value", "information")
+        self._freeze_row("value")
+        self._freeze_matrix("information")
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -166,7 +166,8 @@ class BetweenFactor(Factor):
         super().__post_init__()
         if self.a == self.b:
             raise InputError(f"{self.name}: expected two different variables, found one twice")
-        self._freeze("measurement", "information")
+        self._freeze_row("measurement")
+        self._freeze_matrix("information")
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -201,7 +202,8 @@ class PositionFactor(Factor):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._freeze("position", "information", "lever_arm")
+        self._freeze_row("position", "lever_arm")
+        self._freeze_matrix("information")
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -246,7 +248,8 @@ class ReprojectionFactor(Factor):
         from bundle.cameras import camera_models
 
         self._set("model", choice(f"{self.name}: model", self.model, camera_models()))
-        self._freeze("observation", "information")
+        self._freeze_row("observation")
+        self._freeze_matrix("information")
 
     @property
     def keys(self) -> tuple[Key, ...]:

@@ -83,7 +83,12 @@ class _CheckedFunction:
                 f"{self.name}: expected (residual, list of Jacobians), "
                 f"found {type(answer).__name__}"
             )
-        residual = as_array(f"{self.name}: residual", answer[0]).reshape(-1)
+        residual = as_array(f"{self.name}: residual", answer[0])
+        if residual.size != max(residual.shape, default=1):  # a column is a row as well
+            raise InputError(
+                f"{self.name}: residual: expected numbers in one row, found shape {residual.shape}"
+            )
+        residual = residual.reshape(-1)
         if not self.num_residuals:
             if not len(residual):
                 raise InputError(f"{self.name}: expected at least one residual, found none")

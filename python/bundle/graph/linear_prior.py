@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle import _core
-from bundle.arguments import as_array
 from bundle.errors import InputError, brief
 from bundle.graph.factors import Factor
-from bundle.graph.variables import MANIFOLDS, Key, as_keys, variable_name
+from bundle.graph.variables import MANIFOLDS, Key, as_keys, as_row, variable_name
 from bundle.option_fields import choice
 
 __all__ = ["LinearPrior"]
@@ -50,7 +49,8 @@ class LinearPrior(Factor):
     def __post_init__(self) -> None:
         object.__setattr__(self, "keys", as_keys("LinearPrior: keys", self.keys))
         super().__post_init__()
-        self._freeze("Lambda", "eta")
+        self._freeze_matrix("Lambda")
+        self._freeze_row("eta")
         for what in ("linearization_point", "manifolds"):
             given = getattr(self, what)
             if not isinstance(given, Mapping):
@@ -67,7 +67,7 @@ class LinearPrior(Factor):
                 raise InputError(f"{self.name}: linearization_point: expected one of {brief(key)}")
             where = f"{self.name}: linearization_point of {brief(key)}"
             manifolds[key] = choice(where, self.manifolds.get(key, "euclidean"), MANIFOLDS)
-            value = np.atleast_1d(as_array(where, self.linearization_point[key]))
+            value = as_row(where, self.linearization_point[key])
             points[key], names = _core.check_value(where, manifolds[key], value)
             size += len(names)
         if np.shape(self.Lambda) != (size, size) or np.shape(self.eta) != (size,):
@@ -92,11 +92,13 @@ class LinearPrior(Factor):
             InputError: a value is missing or none of its manifold.
         """
         points, steps = {}, []
+        if not isinstance(values, Mapping):
+            raise InputError(f"values: expected a dict by key, found {brief(values)}")
         for key in self.keys:
             if key not in values:
                 raise InputError(f"values: expected one of {variable_name(key)}, found none")
             manifold = self.manifolds[key]
-            value = np.atleast_1d(as_array(variable_name(key), values[key]))
+            value = as_row(variable_name(key), values[key])
             points[key], _ = _core.check_value(variable_name(key), manifold, value)
             old = np.asarray(self.linearization_point[key])
             steps.append(_core.local_coordinates(manifold, old, points[key]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,17 @@ from bundle.arrays import freeze
 from bundle.errors import InputError, brief
 from bundle.option_fields import choice
 
-__all__ = ["MANIFOLDS", "Array", "Key", "Variable", "as_keys", "variable_name"]
+__all__ = [
+    "MANIFOLDS",
+    "Array",
+    "Key",
+    "Variable",
+    "as_keys",
+    "as_list",
+    "as_row",
+    "check_key",
+    "variable_name",
+]
 
 Key = Hashable
 Array = NDArray[np.float64]
@@ -66,10 +76,7 @@ class Variable:
         """
         name = variable_name(key)
         manifold = choice(f"{name}: manifold", manifold, MANIFOLDS)
-        given = np.atleast_1d(as_array(name, value))
-        if given.ndim != 1:
-            raise InputError(f"{name}: expected numbers in one row, found shape {given.shape}")
-        checked, coordinates = _core.check_value(name, manifold, given)
+        checked, coordinates = _core.check_value(name, manifold, as_row(name, value))
         held = _held(name, fixed, len(coordinates))
         bounds = [
             _bound(name, what, manifold, bound, len(checked), none)
@@ -95,15 +102,32 @@ class Variable:
         )
 
 
-def as_keys(argument: str, keys: Any) -> tuple[Key, ...]:
+def as_row(name: str, value: Any) -> Array:
+    """Return numbers as an array (n,); one number has n = 1.
+
+    Raises:
+        InputError: these are no real numbers, or not in one row.
+    """
+    row = np.atleast_1d(as_array(name, value))
+    if row.ndim != 1:
+        raise InputError(f"{name}: expected numbers in one row, found shape {row.shape}")
+    return row
+
+
+def as_keys(argument: str, keys: Any, *, ordered: bool = True) -> tuple[Key, ...]:
     """Return distinct keys in the order given.
+
+    Args:
+        argument: whose keys they are.
+        keys: a list of them, or anything else to iterate over.
+        ordered: whether their order matters, so that a set will not do.
 
     Raises:
         InputError: this is no list of keys, or one is named twice.
     """
-    if isinstance(keys, str | bytes) or not isinstance(keys, Iterable):
-        raise InputError(f"{argument}: expected a list of keys, found {brief(keys)}")
-    listed = tuple(keys)
+    listed = as_list(argument, "keys", keys)
+    if ordered and isinstance(keys, Set):
+        raise InputError(f"{argument}: expected keys in an order, found a set")
     seen: set[Key] = set()
     for key in listed:
         check_key(argument, key)
@@ -111,6 +135,20 @@ def as_keys(argument: str, keys: Any) -> tuple[Key, ...]:
             raise InputError(f"{argument}: expected different variables, found {brief(key)} twice")
         seen.add(key)
     return listed
+
+
+def as_list(argument: str, things: str, given: Any) -> tuple[Any, ...]:
+    """Return the members of anything that can be iterated over, but for text.
+
+    Raises:
+        InputError: it cannot.
+    """
+    try:
+        if not isinstance(given, str | bytes):
+            return tuple(given)
+    except TypeError:
+        pass
+    raise InputError(f"{argument}: expected a list of {things}, found {brief(given)}")
 
 
 def check_key(argument: str, key: Any) -> None:
@@ -121,7 +159,7 @@ def check_key(argument: str, key: Any) -> None:
     """
     try:
         hash(key)
-    except TypeError:
+    except Exception:  # whatever a __hash__ of the user's raises
         raise InputError(
             f"{argument}: expected a key, such as a word or a number, found {brief(key)}"
         ) from None

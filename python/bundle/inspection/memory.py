@@ -27,7 +27,7 @@ _PACKED_COLUMNS = 384
 _SUPERNODE_PADDING = 1.15
 
 # Buffers of chunks that each thread of the fused backend fills. It has three, and takes the last of
-# them only when it is two chunks ahead of the others (ordered_sums.h): small problems seldom, large
+# them only when it is two chunks ahead of the others (assembler.h): small problems seldom, large
 # ones always.
 _CHUNK_BUFFERS = 2.5
 

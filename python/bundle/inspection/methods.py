@@ -68,7 +68,7 @@ def all_methods() -> tuple[Method, ...]:
 
 
 def _who_takes(ordering: str) -> tuple[str, ...]:
-    """Return whose sparse solver may take an order of S (fill_ordering.cpp, Ceres' defaults)."""
+    """Return whose sparse solver may take an order of S (supernodes.cpp, Ceres' defaults)."""
     if ordering == "amd":
         return ("FUSED", "CERES")
     return ("FUSED",) if ordering in ("natural", "metis") else ("",)

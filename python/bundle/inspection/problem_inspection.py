@@ -189,6 +189,6 @@ class _Inspector:
         return method.backend != ""
 
     def _taken_by_fused(self) -> str:
-        """Return the cheapest of the orders that fill_ordering.cpp tries, the first of equals."""
+        """Return the cheapest of the orders that supernodes.cpp tries, the first of equals."""
         tried = ("natural", "amd", "metis")
         return min(tried, key=lambda name: self._counter.sparse(name).factor.cholmod_flops)

@@ -1,6 +1,6 @@
 """The pattern of a problem: unknowns, nonzeros, and who meets whom, before any arithmetic.
 
-With the free points p and the camera side's blocks c (``cpp/core/solve/parameter_layout.h``: an
+With the free points p and the camera side's blocks c (``cpp/core/model/parameter_layout.h``: an
 image's pose and intrinsics, or a shared camera's intrinsics) as unknowns,
 
     J   two rows an observation, nonzero in its point's and its image's blocks,

@@ -103,7 +103,7 @@ class Inspection(Displayed):
         recommended: index into methods of the fastest that fits; -1 if none does.
         recommendation: the same in a sentence, with its reason.
         auto_choice: linear solver that the fused backend's ``auto`` takes, which goes by rates of
-            its own (cpp/core/fused/reduced/reduced_cost.cpp); "" where it does not come into it.
+            its own (cpp/core/prepare/choose_solver.cpp); "" where it does not come into it.
     """
 
     num_observations: int

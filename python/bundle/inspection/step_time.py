@@ -13,7 +13,7 @@ __all__ = ["COARSE_FACTOR_SHARE", "ceres_time", "factor_rate", "fused_time", "pr
 
 PRODUCTS_PER_STEP, PRODUCTS_WITH_TWO_LEVELS = 200, 80
 """Products with S that a step by conjugate gradients is taken to need: from 2 to 500 were seen,
-more towards the end; from 2 to 100 with two levels (cpp/core/fused/reduced/reduced_cost.cpp)."""
+more towards the end; from 2 to 100 with two levels (cpp/core/prepare/choose_solver.cpp)."""
 
 # Of the coarse system of two levels: putting it together, for each value of S and thread, and its
 # factor's entries against those of the whole factor. As `auto` takes them, in the same place.
@@ -29,7 +29,7 @@ _COLUMNS, _BLOCK_DOUBLES = 9, 108
 _CACHED_BYTES = 8e6
 
 # From here on a factorisation gets BLAS threads: the columns of a dense matrix, or the entries of
-# the average column of a sparse factor (cpp/core/blas_threads.h, sparse_solver.cpp).
+# the average column of a sparse factor (cpp/core/blas_threads.h, direct_solvers.cpp).
 _COLUMNS_WORTH_THREADS = 1000
 
 

@@ -1,7 +1,7 @@
 """Bundle Adjustment in the Large: text files, plain or compressed by gzip or bzip2.
 
 A BAL camera is COLMAP's RADIAL model with principal point (0, 0), its frame turned by
-diag(1, -1, -1) and the image's y negated; ``cpp/core/io/bal_convention.h`` derives it. Reading and
+diag(1, -1, -1) and the image's y negated; ``cpp/core/io/bal.h`` derives it. Reading and
 writing again gives every number back, bit by bit. The way from a rotation vector over the
 quaternion and back would cost its last bits, and whole turns: so a problem keeps the vectors of its
 file, and those whose quaternion did not change are written as they were.

@@ -1,8 +1,7 @@
-#include "core/ceres/count_factor.h"
-
 #include <gtest/gtest.h>
 
-#include "core/solve/prepare.h"
+#include "core/ceres/summarize.h"
+#include "core/prepare/prepare.h"
 #include "support/scene.h"
 
 namespace bundle {

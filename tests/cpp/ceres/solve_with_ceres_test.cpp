@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "core/error.h"
-#include "core/solve/option_names.h"
-#include "core/solve/prepare.h"
+#include "core/interface/options.h"
+#include "core/prepare/prepare.h"
 #include "support/checked_solve.h"
 #include "support/cost.h"
 #include "support/scene.h"

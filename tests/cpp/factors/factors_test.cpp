@@ -8,13 +8,10 @@
 #include <vector>
 
 #include "core/cameras/registry.h"
-#include "core/ceres/function_check.h"
+#include "core/ceres/jacobian_checks.h"
 #include "core/error.h"
-#include "core/factors/between_factor.h"
 #include "core/factors/linear_prior.h"
-#include "core/factors/position_factor.h"
-#include "core/factors/prior_factor.h"
-#include "core/factors/reprojection_factor.h"
+#include "core/factors/measurement_factors.h"
 
 namespace bundle {
 namespace {

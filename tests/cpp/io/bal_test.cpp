@@ -1,3 +1,5 @@
+#include "core/io/bal.h"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -9,8 +11,7 @@
 #include <vector>
 
 #include "core/error.h"
-#include "core/io/bal_reader.h"
-#include "core/io/bal_writer.h"
+#include "core/io/bal.h"
 #include "support/damage.h"
 #include "support/scene.h"
 #include "support/temporary_folder.h"

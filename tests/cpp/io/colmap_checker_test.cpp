@@ -1,5 +1,3 @@
-#include "core/io/colmap_checker.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -10,7 +8,7 @@
 
 #include "core/error.h"
 #include "core/io/colmap_index.h"
-#include "core/io/colmap_observations.h"
+#include "core/io/colmap_model.h"
 #include "support/colmap_files.h"
 #include "support/damage.h"
 #include "support/scene.h"

@@ -1,10 +1,9 @@
-#include "core/problem/linearize.h"
-
 #include <gtest/gtest.h>
 
 #include <limits>
 #include <vector>
 
+#include "core/problem/reprojection_errors.h"
 #include "support/scene.h"
 
 namespace bundle {

@@ -1,5 +1,3 @@
-#include "core/problem/validate.h"
-
 #include <gtest/gtest.h>
 
 #include <functional>
@@ -7,6 +5,7 @@
 #include <string>
 
 #include "core/error.h"
+#include "core/problem/problem_view.h"
 #include "support/scene.h"
 
 namespace bundle {

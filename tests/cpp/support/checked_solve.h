@@ -2,10 +2,10 @@
 
 #include <gtest/gtest.h>
 
-#include "core/backend/solve.h"
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
 #include "core/problem/problem_view.h"
-#include "core/solve/options.h"
-#include "core/solve/solve.h"
+#include "core/solver/solve.h"
 #include "support/cost.h"
 #include "support/scene.h"
 

@@ -7,9 +7,9 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
 #include "core/problem/problem_view.h"
-#include "core/solve/options.h"
-#include "core/solve/solve.h"
 #include "support/scene.h"
 
 namespace bundle::testing {

@@ -1,7 +1,7 @@
 #pragma once
 
 /// The normal equations of a bundle adjustment problem as least_squares.h writes them, in extended
-/// precision, out of EvaluateReprojection (residuals/reprojection.h) one observation at a time.
+/// precision, out of EvaluateReprojection (factors/reprojection.h) one observation at a time.
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
@@ -11,11 +11,10 @@
 #include <vector>
 
 #include "core/cameras/registry.h"
+#include "core/factors/reprojection.h"
+#include "core/interface/options.h"
+#include "core/model/parameter_layout.h"
 #include "core/problem/problem_view.h"
-#include "core/residuals/reprojection.h"
-#include "core/solve/camera_states.h"
-#include "core/solve/options.h"
-#include "core/solve/parameter_layout.h"
 #include "support/cost.h"
 
 namespace bundle::testing {

@@ -1,5 +1,3 @@
-#include "core/symbolic/factor_counts.h"
-
 #include <cholmod.h>
 #include <gtest/gtest.h>
 
@@ -8,6 +6,7 @@
 #include <numeric>
 #include <vector>
 
+#include "core/symbolic/symbolic.h"
 #include "symbolic/graphs.h"
 
 namespace bundle {

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/symbolic/block_pattern.h"
+#include "core/symbolic/symbolic.h"
 
 namespace bundle {
 

@@ -1,5 +1,3 @@
-#include "core/symbolic/orderings.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -8,7 +6,7 @@
 #include <vector>
 
 #include "core/error.h"
-#include "core/symbolic/factor_counts.h"
+#include "core/symbolic/symbolic.h"
 #include "symbolic/graphs.h"
 
 namespace bundle {

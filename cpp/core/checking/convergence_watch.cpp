@@ -1,0 +1,221 @@
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <iomanip>
+#include <limits>
+#include <sstream>
+
+#include "core/checking/check_solution.h"
+
+namespace bundle {
+namespace {
+
+// Decreases below this share of the cost may be rounding errors.
+constexpr double kLadderNoise = 1e-10;
+constexpr double kTailNoise = 1e-12;
+
+// A ladder: how often p has to fall by, over rejected and over accepted steps; how well it follows
+// R from rung to rung; how constant 1 - q is, which true derivatives make fall as p does; how wrong
+// q is at its end; and, on the way down accepted steps, how constant the gradient and how many
+// rungs.
+constexpr double kRejectedShrink = 32;
+constexpr double kAcceptedShrink = 100;
+constexpr double kRejectedRungFollows = 1.75;
+constexpr double kAcceptedRungFollows = 1.25;
+constexpr double kConstant = 4.0 / 3;
+constexpr double kWrongBelow = 0.75;
+constexpr double kWrongAbove = -1.5;
+constexpr double kRadiusFalls = 0.8;
+constexpr size_t kAcceptedRungs = 6;
+
+// A tail: spread of |l| and q; how well steps and gradient keep to |l|; the margin inside what true
+// derivatives exclude.
+constexpr double kTailSpread = 0.03;
+constexpr double kTailKeeps = 0.05;
+constexpr double kTailMargin = 0.1;
+// A quick one, as a column too large leaves it: steps; the |l| that tell anything; the change of R
+// that shows m = 0. A slow one, as a column too small leaves it: more steps, with R falling.
+constexpr size_t kQuickTail = 5;
+constexpr double kQuickFrom = 0.2;
+constexpr double kQuickTo = 0.7;
+constexpr double kQuickRadiusChange = 1.5;
+constexpr size_t kSlowTail = 10;
+constexpr double kSlowTo = 0.85;
+
+/// A step that was tried; the first record is the start and no step.
+struct Step {
+  int iteration;
+  bool accepted;
+  double cost;
+  double decrease;
+  double predicted;  ///< p, NaN if unknown
+  double quality;    ///< q
+  double radius;     ///< R with which it was computed
+  double length;
+  double gradient_before;
+  double gradient_after;
+};
+
+std::vector<Step> StepsOf(const std::vector<IterationRecord>& iterations) {
+  std::vector<Step> steps;
+  for (size_t k = 1; k < iterations.size(); ++k) {
+    const IterationRecord& record = iterations[k];
+    const double q = record.relative_decrease;
+    const bool known = std::isfinite(q) && q != 0 && std::isfinite(record.cost_change) &&
+                       record.cost_change / q > 0 && !record.changes_what_counts;
+    steps.push_back({record.iteration, record.step_is_successful, record.cost, record.cost_change,
+                     known ? record.cost_change / q : std::numeric_limits<double>::quiet_NaN(), q,
+                     iterations[k - 1].trust_region_radius, record.step_norm,
+                     iterations[k - 1].gradient_max_norm, record.gradient_max_norm});
+  }
+  return steps;
+}
+
+bool IsEvidence(const Step& step, double noise) {
+  return std::isfinite(step.predicted) && std::abs(step.decrease) > noise * std::abs(step.cost);
+}
+
+bool IsConstant(double from, double to) { return to < kConstant * from && from < kConstant * to; }
+
+/// True if p shrank from one step to the next because R did.
+bool IsNextRung(const Step& above, const Step& below) {
+  const double radii = below.radius / above.radius;
+  const double follows = below.predicted / above.predicted / radii;
+  const double bound = above.accepted ? kAcceptedRungFollows : kRejectedRungFollows;
+  return radii < kRadiusFalls && follows < bound && follows > 1 / bound;
+}
+
+/// True if p fell between two rungs and 1 - q did not.
+bool StaysWrong(const Step& top, const Step& bottom) {
+  return bottom.quality < kWrongBelow && bottom.quality > kWrongAbove &&
+         IsConstant(1 - top.quality, 1 - bottom.quality) &&
+         std::abs(bottom.quality) < kConstant * std::abs(top.quality);
+}
+
+bool FromOnePoint(const std::vector<Step>& steps, size_t top, size_t bottom) {
+  return std::none_of(steps.begin() + top, steps.begin() + bottom,
+                      [](const Step& step) { return step.accepted; });
+}
+
+bool DownOneSlope(const std::vector<Step>& steps, size_t top, size_t bottom) {
+  const double gradient = steps[top].gradient_before;
+  return bottom - top + 1 >= kAcceptedRungs &&
+         std::all_of(steps.begin() + top, steps.begin() + bottom + 1,
+                     [&](const Step& step) { return IsConstant(gradient, step.gradient_before); });
+}
+
+/// Looks for the ladder's signature between `bottom` and a rung from `first` on.
+std::string DescribeLadder(const std::vector<Step>& steps, size_t first, size_t bottom) {
+  for (size_t top = first; top < bottom; ++top) {
+    const double shrink = steps[top].predicted / steps[bottom].predicted;
+    if (shrink < kRejectedShrink) return "";
+    if (!FromOnePoint(steps, top, bottom) &&
+        !(shrink > kAcceptedShrink && DownOneSlope(steps, top, bottom))) {
+      continue;
+    }
+    if (!StaysWrong(steps[top], steps[bottom])) continue;
+    std::ostringstream text;
+    text << std::setprecision(2) << "with " << shrink
+         << " times less to gain from ever shorter steps, the cost still changed by "
+         << steps[bottom].quality
+         << " of what was predicted, which tends to 1 with true derivatives"
+         << " (iterations " << steps[top].iteration << " to " << steps[bottom].iteration << ")";
+    return text.str();
+  }
+  return "";
+}
+
+std::string FindLadder(const std::vector<Step>& steps) {
+  size_t first = 0;
+  for (size_t k = 1; k < steps.size(); ++k) {
+    const bool continues = IsEvidence(steps[k - 1], kLadderNoise) &&
+                           IsEvidence(steps[k], kLadderNoise) && IsNextRung(steps[k - 1], steps[k]);
+    if (!continues) {
+      first = k;
+      continue;
+    }
+    std::string found = DescribeLadder(steps, first, k);
+    if (!found.empty()) return found;
+  }
+  return "";
+}
+
+struct Range {
+  double lowest = std::numeric_limits<double>::infinity();
+  double highest = -std::numeric_limits<double>::infinity();
+  double sum = 0;
+  int count = 0;
+
+  void Add(double value) {
+    lowest = std::min(lowest, value);
+    highest = std::max(highest, value);
+    sum += value;
+    ++count;
+  }
+  double spread() const { return highest - lowest; }
+  double mean() const { return sum / count; }
+};
+
+struct Tail {
+  Range quality, rate, radius;
+};
+
+/// Measures `length` steps from `first` on; false if they are no linear convergence.
+bool MeasureTail(const std::vector<Step>& steps, size_t first, size_t length, Tail* tail) {
+  for (size_t k = first; k < first + length; ++k) {
+    const Step& step = steps[k];
+    if (!step.accepted || !IsEvidence(step, kTailNoise)) return false;
+    tail->quality.Add(step.quality);
+    tail->radius.Add(step.radius);
+    if (k == first) continue;
+    const double l = std::sqrt(step.decrease / steps[k - 1].decrease);
+    if (std::abs(step.length / steps[k - 1].length - l) > kTailKeeps ||
+        std::abs(step.gradient_after / step.gradient_before - l) > kTailKeeps) {
+      return false;
+    }
+    tail->rate.Add(l);
+  }
+  return tail->quality.spread() < kTailSpread && tail->rate.spread() < kTailSpread;
+}
+
+/// True if true derivatives cannot converge at this rate with this q.
+bool IsQuickLie(const Tail& tail) {
+  const double l = tail.rate.mean(), q = tail.quality.mean();
+  if (tail.rate.lowest < kQuickFrom || tail.rate.highest > kQuickTo) return false;
+  if (q < 1 - l + kTailMargin) return false;
+  const bool undamped = tail.radius.highest > kQuickRadiusChange * tail.radius.lowest;
+  return (undamped && std::abs(q - (1 - l * l)) < kTailSpread) || q < (1 + l) / 2 - kTailMargin;
+}
+
+bool IsSlowLie(const Tail& tail) {
+  const double l = tail.rate.mean();
+  return tail.rate.lowest > kQuickTo && tail.rate.highest < kSlowTo &&
+         tail.quality.lowest > 1 - l + kTailMargin && tail.quality.highest < 0.5;
+}
+
+std::string FindTail(const std::vector<Step>& steps, size_t length, bool (*is_lie)(const Tail&)) {
+  for (size_t first = 0; first + length <= steps.size(); ++first) {
+    Tail tail;
+    if (!MeasureTail(steps, first, length, &tail) || !is_lie(tail)) continue;
+    std::ostringstream text;
+    text << std::setprecision(2) << "convergence was linear, the error falling to "
+         << tail.rate.mean() << " of itself a step, at " << tail.quality.mean()
+         << " of the predicted decrease, which true derivatives exclude (iterations "
+         << steps[first].iteration << " to " << steps[first + length - 1].iteration << ")";
+    return text.str();
+  }
+  return "";
+}
+
+}  // namespace
+
+std::string WatchConvergence(const std::vector<IterationRecord>& iterations) {
+  const std::vector<Step> steps = StepsOf(iterations);
+  std::string seen = FindLadder(steps);
+  if (seen.empty()) seen = FindTail(steps, kQuickTail, IsQuickLie);
+  if (seen.empty()) seen = FindTail(steps, kSlowTail, IsSlowLie);
+  if (seen.empty()) return "";
+  return "A Jacobian may be wrong: " + seen + "; `bundle check` finds out.";
+}
+
+}  // namespace bundle

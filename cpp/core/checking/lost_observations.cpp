@@ -1,0 +1,114 @@
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <numeric>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "core/checking/check_solution.h"
+#include "core/problem/reprojection_errors.h"
+
+namespace bundle {
+namespace {
+
+/// 1 for observations that do not count.
+std::vector<uint8_t> FindBehind(const ProblemView& problem, const SolveOptions& options) {
+  std::vector<double> errors(problem.num_observations);
+  std::vector<uint8_t> behind(problem.num_observations);
+  ComputeReprojectionErrors(problem, options.num_threads, errors.data(), behind.data());
+  if (options.cheirality == Cheirality::kAlgebraic) {
+    for (size_t i = 0; i < behind.size(); ++i) behind[i] = std::isnan(errors[i]) ? 1 : 0;
+  }
+  return behind;
+}
+
+int64_t Count(const std::vector<uint8_t>& flags) {
+  return std::accumulate(flags.begin(), flags.end(), int64_t{0});
+}
+
+/// Ids of the images that have observations and all of them behind.
+std::vector<int64_t> ImagesWithNoneInFront(const ProblemView& problem,
+                                           const std::vector<uint8_t>& behind) {
+  std::vector<uint8_t> seen(problem.num_images), in_front(problem.num_images);
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    seen[problem.observation_image[i]] = 1;
+    if (!behind[i]) in_front[problem.observation_image[i]] = 1;
+  }
+  std::vector<int64_t> ids;
+  for (int i = 0; i < problem.num_images; ++i) {
+    if (seen[i] && !in_front[i]) ids.push_back(problem.image_ids[i]);
+  }
+  return ids;
+}
+
+/// "image 3", "images 3, 5 and 9", "images 1, 2, 3, 4, 5 and 12 more"
+std::string NameImages(const std::vector<int64_t>& ids) {
+  constexpr size_t kNamed = 5;
+  const size_t named = ids.size() > kNamed + 1 ? kNamed : ids.size();
+  std::ostringstream text;
+  text << (ids.size() == 1 ? "image " : "images ");
+  for (size_t i = 0; i < named; ++i) {
+    text << (i == 0 ? "" : i + 1 == ids.size() ? " and " : ", ") << ids[i];
+  }
+  if (named < ids.size()) text << " and " << ids.size() - named << " more";
+  return text.str();
+}
+
+}  // namespace
+
+void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& layout,
+                           const SolveOptions& options, int64_t num_held, SolveOutput* output) {
+  ProblemView refined = problem;
+  refined.cam_from_world = output->cam_from_world.data();
+  refined.camera_params = output->camera_params.data();
+  refined.points = output->points.data();
+  const std::vector<uint8_t> before = FindBehind(problem, options);
+  const std::vector<uint8_t> after = FindBehind(refined, options);
+  const int64_t num_before = Count(before), num_after = Count(after);
+  int64_t num_lost = 0, num_left_out = num_held;
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    if (!after[i]) continue;
+    if (!before[i]) ++num_lost;
+    if (layout.IsRefined(problem, i)) --num_left_out;
+  }
+  const int64_t num_counted = problem.num_observations - num_before;
+  const bool unusable =
+      static_cast<double>(num_lost) > kMaxLostShare * static_cast<double>(num_counted);
+  const auto warn = [output](WarningKind kind, const std::ostringstream& sentence) {
+    Warn(kind, sentence.str(), &output->summary.warnings);
+  };
+  const std::vector<int64_t> images = ImagesWithNoneInFront(problem, after);
+  if (num_after > num_before || !images.empty() || unusable) {
+    std::ostringstream sentence;
+    sentence << num_after << " of " << problem.num_observations
+             << (options.cheirality == Cheirality::kZero ? " observations are behind their cameras"
+                                                         : " observations have no projection")
+             << " at the end, " << num_before << " at the start";
+    if (!images.empty()) {
+      sentence << "; " << NameImages(images) << (images.size() == 1 ? " has" : " have")
+               << " none in front";
+    }
+    sentence << ".";
+    warn(WarningKind::kObservationsBehind, sentence);
+  }
+  if (unusable) {
+    output->summary.is_solution_usable = false;
+    std::ostringstream sentence;
+    sentence << "The solution is not usable: of the " << num_counted
+             << " observations in front of their cameras at the start, " << num_lost
+             << " went behind, more than 1 %.";
+    warn(WarningKind::kTooManyBehind, sentence);
+  }
+  if (num_left_out > 0) {
+    std::ostringstream sentence;
+    const bool one = num_left_out == 1;
+    sentence << num_left_out << (one ? " observation" : " observations")
+             << " in front of the camera at the end " << (one ? "was" : "were")
+             << " left out of the solve, having been behind before; refine again to include "
+             << (one ? "it" : "them") << ".";
+    warn(WarningKind::kObservationsLeftOut, sentence);
+  }
+}
+
+}  // namespace bundle

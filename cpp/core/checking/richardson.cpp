@@ -1,0 +1,297 @@
+#include "core/checking/richardson.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+namespace bundle {
+namespace {
+
+constexpr int kRows = 8;             ///< of a tableau
+constexpr int kTableaux = 5;         ///< before we give up
+constexpr double kRestart = 64;      ///< by which the first step of the next tableau is smaller
+constexpr double kEnough = 1e-10;    ///< relative error that needs no further step
+constexpr double kSafety = 4;        ///< on the estimated error
+constexpr int kProbes = 4;           ///< smaller steps against which a settled result is held
+constexpr double kNoise = 8;         ///< disagreement that rounding explains, in its estimates
+constexpr double kSameSlopes = 0.1;  ///< relative change of s(h) from scale to scale at a kink
+constexpr int kKinkScales = 3;       ///< at which s(h) is the same
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+
+/// A derivative of each value, and what is known of its error.
+struct Estimate {
+  explicit Estimate(int num_values)
+      : derivative(num_values),
+        uncertainty(num_values, kInfinity),
+        spread(num_values, kInfinity),
+        curvature(num_values),
+        row(num_values, -1),
+        order(num_values) {}
+
+  std::vector<double> derivative, uncertainty;
+  std::vector<double> spread;     ///< max - min of D(h) over the smaller half of the steps
+  std::vector<double> curvature;  ///< |D(h) - derivative| / h^2 of the first step
+  std::vector<int> row, order;    ///< k and m of the derivative T(k, m) in its tableau
+};
+
+/// Looks for a kink at step 0, from scale to scale.
+class KinkFinder {
+ public:
+  explicit KinkFinder(int num_values) : last_(num_values), scales_(num_values), kink_(num_values) {}
+
+  /// `half_jump`: s(h) of value i, of which rounding explains as much as `rounding`.
+  void Add(int i, double half_jump, double rounding) {
+    const bool same =
+        half_jump > rounding && std::abs(half_jump - last_[i]) <= kSameSlopes * half_jump;
+    scales_[i] = same ? scales_[i] + 1 : 1;
+    last_[i] = half_jump;
+    if (scales_[i] >= kKinkScales) kink_[i] = std::max(kink_[i], half_jump);
+  }
+
+  /// s of the kink, 0 if there is none.
+  double kink(int i) const { return kink_[i]; }
+
+ private:
+  std::vector<double> last_;
+  std::vector<int> scales_;
+  std::vector<double> kink_;
+};
+
+class Search {
+ public:
+  Search(const LineFunction& f, int num_values, const double* noise)
+      : f_(f),
+        n_(num_values),
+        noise_(noise, noise + num_values),
+        best_(num_values),
+        kinks_(num_values),
+        center_(num_values),
+        plus_(num_values),
+        minus_(num_values),
+        table_(static_cast<size_t>(kRows) * num_values),
+        next_(static_cast<size_t>(kRows) * num_values),
+        differences_(static_cast<size_t>(kRows) * num_values) {
+    has_center_ = f_(0, center_.data());
+  }
+
+  const Estimate& best() const { return best_; }
+
+  /// Raises the noise to the resolution of values that stand still where rounding does not explain
+  /// it: what was computed in single precision moves by jumps.
+  void FindResolution(double largest_step) {
+    std::vector<char> stood_still(n_, 0), moves(n_, 0);
+    double h = largest_step * std::pow(kRestart, -kTableaux);
+    for (; h < largest_step && has_center_; h *= kRestart) {
+      if (!f_(h, plus_.data())) return;
+      for (int i = 0; i < n_; ++i) {
+        const double change = std::abs(plus_[i] - center_[i]);
+        // By the step before it should have moved by this.
+        const bool unexplained = stood_still[i] && change / kRestart > kNoise * noise_[i];
+        if (!moves[i] && unexplained) noise_[i] = change;
+        (change > 0 ? moves : stood_still)[i] = 1;
+      }
+      if (std::find(moves.begin(), moves.end(), 0) == moves.end()) return;
+    }
+  }
+
+  /// Fills a tableau from step h on. Keeps of it what is more certain than what there is, and what
+  /// contradicts that: then the larger steps went across something.
+  void Run(double h) {
+    const Estimate found = Tableau(h);
+    for (int i = 0; i < n_; ++i) {
+      if (found.uncertainty[i] < best_.uncertainty[i] || Contradicts(found, i)) {
+        best_.derivative[i] = found.derivative[i];
+        best_.uncertainty[i] = found.uncertainty[i];
+        best_.curvature[i] = found.curvature[i];
+      }
+    }
+  }
+
+  /// True if nothing is gained by smaller steps than h, unless Confirm finds otherwise: errors are
+  /// small beside the largest derivative, or are the rounding of the values.
+  bool Enough(double h) const { return Enough(best_, h); }
+
+  /// Holds what has settled at steps of h against smaller ones, and adds to the bounds what these
+  /// leave open.
+  void Confirm(double h) {
+    const Estimate settled = best_;
+    std::vector<double> disagreement(n_);
+    for (int probe = 0; probe < kProbes; ++probe) {
+      h /= kRestart;
+      if (!CentralDifference(h)) continue;
+      LookForKinks(h);
+      bool is_doubtful = false;
+      for (int i = 0; i < n_; ++i) {
+        if (IsPlateau(i)) continue;
+        const double change = std::abs(next_[i] - settled.derivative[i]);
+        const double explained = settled.uncertainty[i] + settled.curvature[i] * h * h;
+        if (change <= kSafety * explained + kNoise * noise_[i] / h) continue;
+        disagreement[i] = std::max(disagreement[i], change);
+        is_doubtful = true;
+      }
+      if (is_doubtful) Run(h);
+    }
+    for (int i = 0; i < n_; ++i) {
+      if (best_.derivative[i] != settled.derivative[i]) continue;
+      best_.uncertainty[i] = std::max(best_.uncertainty[i], disagreement[i]);
+    }
+  }
+
+  /// At a kink any slope between those of both sides will do.
+  void AddKinks() {
+    for (int i = 0; i < n_; ++i) {
+      best_.uncertainty[i] = std::max(best_.uncertainty[i], (1 + kSameSlopes) * kinks_.kink(i));
+    }
+  }
+
+ private:
+  Estimate Tableau(double h) {
+    Estimate found(n_);
+    double first_step = 0;
+    int row = 0;
+    for (int k = 0; k < kRows; ++k, h *= 0.5) {
+      if (!CentralDifference(h)) {
+        row = 0;  // what was extrapolated from larger steps is worth nothing now
+        continue;
+      }
+      if (row == 0) {
+        first_step = h;
+        LookForKinks(h);
+      }
+      for (int i = 0; i < n_; ++i) differences_[row * n_ + i] = IsPlateau(i) ? kNone : next_[i];
+      Extrapolate(row, h, &found);
+      std::swap(table_, next_);
+      ++row;
+      if (row >= 3 && Enough(found, h)) break;
+    }
+    for (int i = 0; row > 1 && i < n_; ++i) {
+      found.spread[i] = Spread(i, row / 2, row);
+      const double first = differences_[i];
+      if (std::isnan(first)) continue;
+      found.curvature[i] = std::abs(first - found.derivative[i]) / (first_step * first_step);
+    }
+    return found;
+  }
+
+  /// Of the differences of some rows; infinite if the value stood still in one of them.
+  double Spread(int i, int begin, int end) const {
+    double lowest = kInfinity, highest = -kInfinity;
+    for (int row = begin; row < end; ++row) {
+      const double difference = differences_[row * n_ + i];
+      if (std::isnan(difference)) return kInfinity;
+      lowest = std::min(lowest, difference);
+      highest = std::max(highest, difference);
+    }
+    return highest - lowest;
+  }
+
+  bool Enough(const Estimate& estimate, double h) const {
+    double largest = 0;
+    for (const double derivative : estimate.derivative) {
+      largest = std::max(largest, std::abs(derivative));
+    }
+    for (int i = 0; i < n_; ++i) {
+      if (estimate.uncertainty[i] > kEnough * largest + 2 * noise_[i] / h) return false;
+    }
+    return true;
+  }
+
+  /// True if smaller steps have clearly settled on something else. Their bound alone is not enough:
+  /// among many differences of noise some agree by chance.
+  bool Contradicts(const Estimate& finer, int i) const {
+    const double change = std::abs(finer.derivative[i] - best_.derivative[i]);
+    return change > kSafety * finer.spread[i] + finer.uncertainty[i] + best_.uncertainty[i];
+  }
+
+  /// With s(h) of the last central difference.
+  void LookForKinks(double h) {
+    if (!has_center_ || h == last_kink_step_) return;
+    last_kink_step_ = h;
+    for (int i = 0; i < n_; ++i) {
+      const double change = (plus_[i] - center_[i]) + (minus_[i] - center_[i]);
+      kinks_.Add(i, std::abs(change) / (2 * h), kNoise * noise_[i] / h);
+    }
+  }
+
+  /// True if the value did not move at all: a step below its resolution, or a constant.
+  bool IsPlateau(int i) const {
+    return plus_[i] == minus_[i] && (!has_center_ || plus_[i] == center_[i]);
+  }
+
+  /// Writes D(h) to the head of `next_`.
+  bool CentralDifference(double h) {
+    if (!f_(h, plus_.data()) || !f_(-h, minus_.data())) return false;
+    for (int i = 0; i < n_; ++i) {
+      next_[i] = (plus_[i] - minus_[i]) / (2 * h);
+      if (!std::isfinite(next_[i])) return false;
+    }
+    return true;
+  }
+
+  void Extrapolate(int row, double h, Estimate* found) {
+    double power = 1;
+    for (int m = 1; m <= row; ++m) {
+      power *= 4;
+      for (int i = 0; i < n_; ++i) {
+        const double left = next_[(m - 1) * n_ + i];
+        const double above = table_[(m - 1) * n_ + i];
+        const double entry = left + (left - above) / (power - 1);
+        next_[m * n_ + i] = entry;
+      }
+    }
+    for (int i = 0; i < n_; ++i) {
+      AskNextRow(row, i, h, found);
+      for (int m = 1; m <= row; ++m) {
+        const double entry = next_[m * n_ + i];
+        const double left = next_[(m - 1) * n_ + i], above = table_[(m - 1) * n_ + i];
+        const double error =
+            kSafety * std::max(std::abs(entry - left), std::abs(entry - above)) + noise_[i] / h;
+        if (error >= found->uncertainty[i]) continue;
+        found->uncertainty[i] = error;
+        found->derivative[i] = entry;
+        found->row[i] = row;
+        found->order[i] = m;
+      }
+    }
+  }
+
+  /// An entry that agrees with both parents by chance does not agree with the one below it.
+  void AskNextRow(int row, int i, double h, Estimate* found) const {
+    if (row == 0 || found->row[i] != row - 1) return;
+    const double change = std::abs(next_[found->order[i] * n_ + i] - found->derivative[i]);
+    found->uncertainty[i] = std::max(found->uncertainty[i], change - noise_[i] / h);
+  }
+
+  const LineFunction& f_;
+  const int n_;
+  std::vector<double> noise_;
+  Estimate best_;
+  KinkFinder kinks_;
+  double last_kink_step_ = 0;
+  bool has_center_ = false;
+  std::vector<double> center_, plus_, minus_;  ///< f(0), f(h), f(-h)
+  std::vector<double> table_, next_;  ///< the last row and the one being made, kRows x num_values
+  std::vector<double> differences_;   ///< D(h) of each row of a tableau; kNone where f stood still
+};
+
+}  // namespace
+
+void RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
+                          const double* noise, double* derivative, double* uncertainty) {
+  Search search(f, num_values, noise);
+  search.FindResolution(first_step);
+  double h = first_step;
+  for (int tableau = 0; tableau < kTableaux; ++tableau, h /= kRestart) {
+    search.Run(h);
+    if (!search.Enough(h)) continue;
+    search.Confirm(h);
+    break;
+  }
+  search.AddKinks();
+  std::copy_n(search.best().derivative.begin(), num_values, derivative);
+  std::copy_n(search.best().uncertainty.begin(), num_values, uncertainty);
+}
+
+}  // namespace bundle

@@ -1,0 +1,143 @@
+#include "core/factors/measurement_factors.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "core/cameras/registry.h"
+#include "core/factors/factor.h"
+#include "core/factors/reprojection.h"
+#include "core/geometry/rotation.h"
+
+namespace bundle {
+
+PriorFactor::PriorFactor(FactorHead head, const Retraction& retraction, std::vector<double> value,
+                         std::vector<double> information)
+    : Factor(std::move(head), {retraction}, retraction.tangent_size()),
+      value_(CheckedValue(name() + ": value", retraction, std::move(value))),
+      whitening_(name() + ": information", std::move(information), retraction.tangent_size()) {}
+
+bool PriorFactor::Evaluate(const double* const* values, double* residual,
+                           double* const* jacobians) const {
+  const Retraction& retraction = retractions()[0];
+  retraction.Local(value_.data(), values[0], residual);
+  if (jacobians != nullptr && jacobians[0] != nullptr) {
+    retraction.InverseRightJacobian(residual, jacobians[0]);
+  }
+  whitening_.Apply(residual, jacobians, {retraction.tangent_size()});
+  return true;
+}
+
+PositionFactor::PositionFactor(FactorHead head, std::vector<double> position,
+                               std::vector<double> lever_arm, std::vector<double> information)
+    : Factor(std::move(head), {Retraction(Manifold::kSe3, 7)}, 3),
+      position_(CheckedValue(name() + ": position", Retraction(Manifold::kEuclidean, 3),
+                             std::move(position))),
+      lever_arm_(CheckedValue(name() + ": lever_arm", Retraction(Manifold::kEuclidean, 3),
+                              std::move(lever_arm))),
+      whitening_(name() + ": information", std::move(information), 3) {}
+
+bool PositionFactor::Evaluate(const double* const* values, double* residual,
+                              double* const* jacobians) const {
+  const double* pose = values[0];
+  double rotation[9], antenna[3];
+  QuaternionToRotation(pose, rotation);
+  const double arm[3] = {lever_arm_[0] - pose[4], lever_arm_[1] - pose[5], lever_arm_[2] - pose[6]};
+  VectorMatrix3(arm, rotation, antenna);
+  for (int i = 0; i < 3; ++i) residual[i] = antenna[i] - position_[i];
+  if (jacobians != nullptr && jacobians[0] != nullptr) {
+    const double* y = antenna;
+    const double jacobian[18] = {0, -y[2], y[1], -1,    0,    0, y[2], 0, -y[0],
+                                 0, -1,    0,    -y[1], y[0], 0, 0,    0, -1};
+    std::copy(jacobian, jacobian + 18, jacobians[0]);
+  }
+  whitening_.Apply(residual, jacobians, {6});
+  return true;
+}
+
+BetweenFactor::BetweenFactor(FactorHead head, const Retraction& retraction,
+                             std::vector<double> measurement, std::vector<double> information)
+    : Factor(std::move(head), {retraction, retraction}, retraction.tangent_size()),
+      measurement_(CheckedValue(name() + ": measurement", retraction, std::move(measurement))),
+      whitening_(name() + ": information", std::move(information), retraction.tangent_size()) {}
+
+bool BetweenFactor::Evaluate(const double* const* values, double* residual,
+                             double* const* jacobians) const {
+  const Retraction& retraction = retractions()[0];
+  const int n = retraction.tangent_size();
+  std::vector<double> between(retraction.ambient_size());
+  retraction.Between(values[0], values[1], between.data());
+  retraction.Local(measurement_.data(), between.data(), residual);
+  if (jacobians == nullptr) {
+    whitening_.Apply(residual, 1);
+    return true;
+  }
+  std::vector<double> inverse(n * n), adjoint(n * n);
+  retraction.InverseRightJacobian(residual, inverse.data());
+  if (jacobians[0] != nullptr) {
+    retraction.Between(values[1], values[0], between.data());
+    retraction.Adjoint(between.data(), adjoint.data());
+    for (int r = 0; r < n; ++r) {
+      for (int c = 0; c < n; ++c) {
+        double sum = 0;
+        for (int k = 0; k < n; ++k) sum += inverse[r * n + k] * adjoint[k * n + c];
+        jacobians[0][r * n + c] = -sum;
+      }
+    }
+  }
+  if (jacobians[1] != nullptr) std::copy(inverse.begin(), inverse.end(), jacobians[1]);
+  whitening_.Apply(residual, jacobians, {n, n});
+  return true;
+}
+
+namespace {
+
+PoseState StateOf(const double* pose) {
+  PoseState state = {};
+  QuaternionToRotation(pose, state.rotation);
+  std::copy(pose + 4, pose + 7, state.translation);
+  for (int i = 0; i < 3; ++i) state.left_jacobian[4 * i] = 1;
+  return state;
+}
+
+}  // namespace
+
+ReprojectionFactor::ReprojectionFactor(FactorHead head, const CameraModel& model,
+                                       std::vector<double> observation,
+                                       std::vector<double> information)
+    : Factor(std::move(head),
+             {Retraction(Manifold::kSe3, 7), Retraction(Manifold::kEuclidean, model.num_params),
+              Retraction(Manifold::kEuclidean, 3)},
+             2),
+      model_(model),
+      observation_(CheckedValue(name() + ": observation", Retraction(Manifold::kEuclidean, 2),
+                                std::move(observation))),
+      whitening_(name() + ": information", std::move(information), 2) {}
+
+bool ReprojectionFactor::Evaluate(const double* const* values, double* residual,
+                                  double* const* jacobians) const {
+  const PoseState state = StateOf(values[0]);
+  bool has_value = false;
+  VisitCameraModel(model_, [&](auto model) {
+    using Model = decltype(model);
+    ReprojectionJacobian<kNumParams<Model>> jacobian;
+    has_value = EvaluateReprojection<Model>(state, values[1], values[2], observation_.data(),
+                                            Cheirality::kAlgebraic, residual,
+                                            jacobians == nullptr ? nullptr : &jacobian);
+    if (!has_value || jacobians == nullptr) return;
+    if (jacobians[0] != nullptr) {
+      for (int part = 0; part < 4; ++part) {  // of two rows: rotation, translation
+        VectorMatrix3(jacobian.pose + 3 * part, state.rotation, jacobians[0] + 3 * part);
+      }
+    }
+    if (jacobians[1] != nullptr) {
+      std::copy(std::begin(jacobian.params), std::end(jacobian.params), jacobians[1]);
+    }
+    if (jacobians[2] != nullptr) {
+      std::copy(std::begin(jacobian.point), std::end(jacobian.point), jacobians[2]);
+    }
+  });
+  if (has_value) whitening_.Apply(residual, jacobians, {6, model_.num_params, 3});
+  return has_value;
+}
+
+}  // namespace bundle

@@ -1,0 +1,111 @@
+#pragma once
+
+/// What is known of one variable: r = W Log(Z^-1 X), X near Z with information W^T W.
+///
+/// The manifold may be any; on a Euclidean one r = W (x - z), a prior on a point or on a camera's
+/// parameters. With e = Log(Z^-1 X), Log(Z^-1 X Exp(d)) = e + J_r(e)^-1 d + O(|d|^2), so that
+/// J = W J_r(e)^-1.
+
+#include <vector>
+
+#include "core/cameras/camera_model.h"
+#include "core/factors/factor.h"
+
+namespace bundle {
+
+class PriorFactor final : public Factor {
+ public:
+  /// Throws InputError if the value is none of the manifold or the information is not positive
+  /// definite.
+  PriorFactor(FactorHead head, const Retraction& retraction, std::vector<double> value,
+              std::vector<double> information);
+
+  bool Evaluate(const double* const* values, double* residual,
+                double* const* jacobians) const override;
+
+ private:
+  std::vector<double> value_;
+  Whitening whitening_;
+};
+
+/// A measured position of an antenna on a camera: r = W (R^T (a - t) - z).
+///
+/// (R, t) is the pose cam_from_world, a the lever arm, which is the antenna's place in the frame of
+/// the camera, and z its measured place in the world; for a = 0 it is the camera's centre, -R^T t.
+/// The antenna is at y = X^-1 a. Moving X to X Exp(d), d = (w, v), makes it
+///
+///   Exp(-d) y = y - w x y - v + O(|d|^2),        J = W [ [y]x  -I ].
+
+class PositionFactor final : public Factor {
+ public:
+  /// `lever_arm` and `position` have three numbers. Throws InputError if they are not finite or the
+  /// information (3 x 3) is not positive definite.
+  PositionFactor(FactorHead head, std::vector<double> position, std::vector<double> lever_arm,
+                 std::vector<double> information);
+
+  bool Evaluate(const double* const* values, double* residual,
+                double* const* jacobians) const override;
+
+ private:
+  std::vector<double> position_;
+  std::vector<double> lever_arm_;
+  Whitening whitening_;
+};
+
+/// A relative measurement of two variables on one manifold: r = W Log(Z^-1 X_i^-1 X_j).
+///
+/// Z is X_j in the frame of X_i: the error of an edge of a pose graph, with the full logarithm in
+/// SE(2) and SE(3); on Euclidean variables r = W (x_j - x_i - z). Differences of angles are taken
+/// by the logarithm, never beyond pi.
+///
+/// With e = Log(Z^-1 X_i^-1 X_j), moving X_j to X_j Exp(d) multiplies Exp(e) by Exp(d) on the
+/// right. Moving X_i to X_i Exp(d) puts Exp(-d) before X_j, and with B = X_j^-1 X_i
+///
+///   Z^-1 Exp(-d) X_i^-1 X_j = Z^-1 X_i^-1 X_j B Exp(-d) B^-1 = Exp(e) Exp(-Ad_B d),
+///
+///   J_i = -W J_r(e)^-1 Ad_B,        J_j = W J_r(e)^-1.
+
+class BetweenFactor final : public Factor {
+ public:
+  /// Of two variables on the same manifold. Throws InputError if the measurement is no value of it
+  /// or the information is not positive definite.
+  BetweenFactor(FactorHead head, const Retraction& retraction, std::vector<double> measurement,
+                std::vector<double> information);
+
+  bool Evaluate(const double* const* values, double* residual,
+                double* const* jacobians) const override;
+
+ private:
+  std::vector<double> measurement_;
+  Whitening whitening_;
+};
+
+/// A point seen in an image: r = W (pi(theta, R X + t) - m), by the residual of
+/// factors/reprojection.h.
+///
+/// Its variables are the pose cam_from_world (R, t) on SE(3), the parameters theta of a camera
+/// model in COLMAP's order, and the point X. reprojection.h differentiates by a left perturbation
+/// (u, s) of rotation and translation, P = Exp(u) R X + t + s. Moving the pose to X Exp(d), d = (w,
+/// v), turns by R Exp(w) = Exp(R w) R and moves by R v to first order, so that
+///
+///   dr/dw = dr/du R,        dr/dv = dr/ds R.
+///
+/// A point behind the camera keeps the residual that the formula gives.
+
+class ReprojectionFactor final : public Factor {
+ public:
+  /// `observation` is x and y in pixels. Throws InputError if it is not finite or the information
+  /// (2 x 2) is not positive definite.
+  ReprojectionFactor(FactorHead head, const CameraModel& model, std::vector<double> observation,
+                     std::vector<double> information);
+
+  bool Evaluate(const double* const* values, double* residual,
+                double* const* jacobians) const override;
+
+ private:
+  const CameraModel& model_;
+  std::vector<double> observation_;
+  Whitening whitening_;
+};
+
+}  // namespace bundle

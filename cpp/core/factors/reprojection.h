@@ -1,0 +1,140 @@
+#pragma once
+
+/// The reprojection residual and its derivatives.
+///
+/// Image i starts the solve with rotation R0 and translation t0. Its pose is parameterised by
+/// x = (w, t) in R^6, which starts at (0, t0), so that a world point X appears in the camera at
+///
+///   P = Exp(w) R0 X + t,          r = pi(theta, P) - m          [pixels],
+///
+/// where pi is the camera model with parameters theta and m the measurement (the difference is the
+/// model's, which may wrap around a seam). This chart is a vector
+/// space: Ceres adds steps to it without a manifold, hence without a dynamic-size product with a
+/// plus-Jacobian per residual block, and the Jacobian is written once, where it is needed. At w = 0
+/// it is the tangent space of the left perturbation Exp(d) R0; further out the left Jacobian J_l of
+/// SO(3) corrects for it, once an image and evaluation (`PoseState`). It is regular for |w| < 2 pi.
+///
+/// With q = Exp(w) R0 X, the derivative of P follows from Exp(w + d) ~ Exp(J_l d) Exp(w):
+///
+///   dP/dw = -[q]x J_l(w),    dP/dt = I,    dP/dX = Exp(w) R0 =: R.
+///
+/// With a row a^T of dpi/dP (2x3), -a^T [q]x = (q x a)^T, so that row of the residual's Jacobian is
+///
+///   d/dw = (q x a)^T J_l,    d/dt = a^T,    d/dX = a^T R,    d/dtheta as the model gives it.
+
+#include <limits>
+
+#include "core/cameras/camera_model.h"
+#include "core/geometry/rotation.h"
+
+namespace bundle {
+
+/// What all observations of an image share in one evaluation.
+struct PoseState {
+  double rotation[9];       ///< cam_from_world, Exp(w) R0
+  double translation[3];    ///< t
+  double left_jacobian[9];  ///< J_l(w)
+};
+
+/// The pose that the chart (w, t), six numbers, gives over the start rotation R0.
+inline void ExpandPose(const double* start_rotation, const double* chart, PoseState* pose) {
+  double increment[9];
+  ExpRotation(chart, increment, pose->left_jacobian);
+  MatrixProduct3(increment, start_rotation, pose->rotation);
+  for (int i = 0; i < 3; ++i) pose->translation[i] = chart[3 + i];
+}
+
+/// What becomes of an observation behind its camera.
+enum class Cheirality {
+  kAlgebraic,  ///< keeps the residual that the formula gives, as the BAL reference costs do
+  kZero,       ///< contributes nothing, as in COLMAP
+};
+
+/// Derivatives of one residual, rows x then y.
+template <int kNumModelParams>
+struct ReprojectionJacobian {
+  double pose[2 * 6];
+  double params[2 * kNumModelParams];
+  double point[2 * 3];
+};
+
+/// Pixels of a world point, and how it projects.
+template <typename Model>
+Projection ProjectWorldPoint(const PoseState& pose, const double* params, const double* point,
+                             double* xy) {
+  double camera_point[3];
+  MatrixVector3(pose.rotation, point, camera_point);
+  for (int i = 0; i < 3; ++i) camera_point[i] += pose.translation[i];
+  return Model::Project(params, camera_point, xy, nullptr, nullptr);
+}
+
+/// True if an observation contributes.
+inline bool Counts(Projection projection, Cheirality cheirality) {
+  return projection == Projection::kValid ||
+         (projection == Projection::kBehind && cheirality == Cheirality::kAlgebraic);
+}
+
+/// The residual, and its derivatives unless `jacobian` is nullptr. Returns false, with everything
+/// set to zero, if the observation does not count.
+template <typename Model, int kNumModelParams>
+bool EvaluateReprojection(const PoseState& pose, const double* params, const double* point,
+                          const double* measurement, Cheirality cheirality, double* residual,
+                          ReprojectionJacobian<kNumModelParams>* jacobian) {
+  double rotated[3], camera_point[3], xy[2], d_point[6];
+  MatrixVector3(pose.rotation, point, rotated);
+  for (int i = 0; i < 3; ++i) camera_point[i] = rotated[i] + pose.translation[i];
+  const Projection projection =
+      jacobian == nullptr ? Model::Project(params, camera_point, xy, nullptr, nullptr)
+                          : Model::Project(params, camera_point, xy, d_point, jacobian->params);
+  if (!Counts(projection, cheirality)) {
+    residual[0] = residual[1] = 0;
+    if (jacobian != nullptr) *jacobian = {};
+    return false;
+  }
+  ModelDifference<Model>(params, xy, measurement, residual);
+  if (jacobian == nullptr) return true;
+  for (int row = 0; row < 2; ++row) {
+    const double* a = d_point + 3 * row;
+    double* d_pose = jacobian->pose + 6 * row;
+    double torque[3];
+    Cross3(rotated, a, torque);
+    VectorMatrix3(torque, pose.left_jacobian, d_pose);
+    for (int i = 0; i < 3; ++i) d_pose[3 + i] = a[i];
+    VectorMatrix3(a, pose.rotation, jacobian->point + 3 * row);
+  }
+  return true;
+}
+
+/// What an observation costs that does not count (Counts() in reprojection.h): one behind its
+/// camera, or without a projection.
+///
+/// Were it nothing, as in COLMAP, a solve could lower its cost by turning a camera away from its
+/// points, or by moving a camera past points at its centre. Yet a step must not be rejected just
+/// because an observation crosses the plane of its camera: with points at camera centres every step
+/// makes some cross. So an observation is in one of two sets, which change at accepted steps only:
+///
+/// - It *counts*: its residual is r(x), of cost 1/2 rho(||r(x)||^2).
+/// - It *holds* a constant residual h without derivatives. Its cost is 1/2 rho(||h||^2); the
+///   gradient, the normal equations and the decrease that the model predicts are without it.
+///
+/// At the start h = 0 for those that do not count, as COLMAP has it. From a state x to a candidate
+/// y, an observation that
+///
+/// - counts at x and is behind at y holds h = 4 r(x) from y on: at least what it cost, so that
+///   it never gains by going behind, and more, so that a step which sends many behind has to pay;
+/// - holds h at x keeps it at y, unless it is in front of its camera there with ||r(y)|| <= ||h||:
+///   then it counts again. Its cost therefore never rises, and it never holds up a step. One that
+///   is behind at the start has nothing to return for and stays out of the solve.
+///
+/// The cost of a candidate is the cost of the state that it becomes: each state has one cost, which
+/// falls from one accepted step to the next as ever. With all observations in front nothing holds.
+///
+/// The factor 4 is measured, on 120 bad starts of synthetic scenes and a panorama whose 1,354
+/// points are at its camera centres: with 1 the latter still ends with 47 % of its observations
+/// behind, from 1.1 on with none; between 2 and 10 more of the bad starts converge than with zero
+/// cost, and most of them at 4.
+
+/// ||h|| / ||r|| of an observation that stops counting.
+inline constexpr double kHeldFactor = 4;
+
+}  // namespace bundle

@@ -1,0 +1,129 @@
+#pragma once
+
+/// What a solve is asked for, whichever backend runs it. No solver's header is included here:
+/// `ceres/translate_options.cpp` turns these into Ceres' options. Names, defaults and ranges are
+/// those of python/bundle/options.py (a test holds them against each other); values arrive here
+/// checked for range.
+
+#include <cctype>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "core/factors/loss.h"
+#include "core/factors/reprojection.h"
+
+namespace bundle {
+
+enum class Backend { kAuto, kFused, kCeres };
+enum class LinearSolverType {
+  kAuto,
+  kDenseSchur,
+  kSparseSchur,
+  kIterativeSchur,
+  kDenseNormalCholesky,
+  kSparseNormalCholesky,
+  kDenseQr,
+  kCgnr,
+};
+enum class EliminationOrdering { kPointsFirst, kCamerasFirst, kAutomatic };
+enum class PreconditionerType {
+  kAuto,
+  kIdentity,
+  kJacobi,
+  kSchurJacobi,
+  kClusterJacobi,
+  kClusterTridiagonal,
+  kSchurPowerSeriesExpansion,
+  kTwoLevel,
+};
+enum class TrustRegionStrategy { kLevenbergMarquardt, kDogleg, kSubspaceDogleg };
+enum class Gauge { kNone, kTwoCameras, kThreePoints };
+
+template <typename Enum>
+using NamedValue = std::pair<std::string_view, Enum>;
+
+inline constexpr NamedValue<Backend> kBackends[] = {
+    {"auto", Backend::kAuto}, {"fused", Backend::kFused}, {"ceres", Backend::kCeres}};
+inline constexpr NamedValue<LinearSolverType> kLinearSolverTypes[] = {
+    {"auto", LinearSolverType::kAuto},
+    {"dense_schur", LinearSolverType::kDenseSchur},
+    {"sparse_schur", LinearSolverType::kSparseSchur},
+    {"iterative_schur", LinearSolverType::kIterativeSchur},
+    {"dense_normal_cholesky", LinearSolverType::kDenseNormalCholesky},
+    {"sparse_normal_cholesky", LinearSolverType::kSparseNormalCholesky},
+    {"dense_qr", LinearSolverType::kDenseQr},
+    {"cgnr", LinearSolverType::kCgnr}};
+inline constexpr NamedValue<EliminationOrdering> kEliminationOrderings[] = {
+    {"points_first", EliminationOrdering::kPointsFirst},
+    {"cameras_first", EliminationOrdering::kCamerasFirst},
+    {"automatic", EliminationOrdering::kAutomatic}};
+inline constexpr NamedValue<PreconditionerType> kPreconditionerTypes[] = {
+    {"auto", PreconditionerType::kAuto},
+    {"identity", PreconditionerType::kIdentity},
+    {"jacobi", PreconditionerType::kJacobi},
+    {"schur_jacobi", PreconditionerType::kSchurJacobi},
+    {"cluster_jacobi", PreconditionerType::kClusterJacobi},
+    {"cluster_tridiagonal", PreconditionerType::kClusterTridiagonal},
+    {"schur_power_series_expansion", PreconditionerType::kSchurPowerSeriesExpansion},
+    {"two_level", PreconditionerType::kTwoLevel}};
+inline constexpr NamedValue<TrustRegionStrategy> kTrustRegionStrategies[] = {
+    {"levenberg_marquardt", TrustRegionStrategy::kLevenbergMarquardt},
+    {"dogleg", TrustRegionStrategy::kDogleg},
+    {"subspace_dogleg", TrustRegionStrategy::kSubspaceDogleg}};
+inline constexpr NamedValue<LossType> kLossTypes[] = {
+    {"trivial", LossType::kTrivial}, {"huber", LossType::kHuber},   {"soft_l1", LossType::kSoftL1},
+    {"cauchy", LossType::kCauchy},   {"arctan", LossType::kArctan}, {"tukey", LossType::kTukey}};
+inline constexpr NamedValue<Gauge> kGauges[] = {{"none", Gauge::kNone},
+                                                {"two_cameras", Gauge::kTwoCameras},
+                                                {"three_points", Gauge::kThreePoints}};
+inline constexpr NamedValue<Cheirality> kCheiralities[] = {{"algebraic", Cheirality::kAlgebraic},
+                                                           {"zero", Cheirality::kZero}};
+
+struct SolveOptions {
+  Backend backend = Backend::kAuto;
+  LinearSolverType linear_solver_type = LinearSolverType::kAuto;
+  EliminationOrdering linear_solver_ordering = EliminationOrdering::kPointsFirst;
+  PreconditionerType preconditioner_type = PreconditionerType::kAuto;
+  TrustRegionStrategy trust_region_strategy_type = TrustRegionStrategy::kLevenbergMarquardt;
+  LossType loss = LossType::kTrivial;
+  double loss_scale = 1.0;  ///< pixels
+  int max_num_iterations = 100;
+  double function_tolerance = 1e-6;
+  double gradient_tolerance = 1e-10;
+  double parameter_tolerance = 1e-8;
+  int num_threads = 0;         ///< 0: all cores
+  bool deterministic = false;  ///< the same bits for any number of threads
+  bool refine_poses = true;
+  bool refine_points = true;
+  bool refine_focal = true;
+  bool refine_principal_point = false;
+  bool refine_extra = true;
+  std::vector<int64_t> fixed_camera_ids;
+  std::vector<int64_t> fixed_image_ids;
+  std::vector<int64_t> fixed_point_ids;
+  Gauge gauge = Gauge::kNone;
+  Cheirality cheirality = Cheirality::kZero;
+};
+
+/// An option's value as users write it: "dense_schur".
+template <typename Enum, size_t kSize>
+std::string NameOf(Enum value, const NamedValue<Enum> (&names)[kSize]) {
+  for (const auto& [name, named] : names) {
+    if (named == value) return std::string(name);
+  }
+  return "";
+}
+
+/// As summaries and Ceres write it: "DENSE_SCHUR".
+template <typename Enum, size_t kSize>
+std::string UpperName(Enum value, const NamedValue<Enum> (&names)[kSize]) {
+  std::string name = NameOf(value, names);
+  for (char& c : name) c = static_cast<char>(std::toupper(static_cast<unsigned char>(c)));
+  return name;
+}
+
+}  // namespace bundle

@@ -1,0 +1,180 @@
+#pragma once
+
+/// What a user should know about a solve, in words and as a name that programs can rely on.
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/interface/options.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+/// python/bundle/warning_kinds.py says what each means (a test holds the names against each other).
+enum class WarningKind {
+  kGaugeNotHeld,
+  kPointsSeenOnce,
+  kFarOrigin,
+  kFarPoints,
+  kFarPointsDominate,
+  kSingleThread,
+  kPreconditionerNotUsed,
+  kOrderingNotUsed,
+  kOrderingReplaced,
+  kSolverReplaced,
+  kPreconditionerReplaced,
+  kFactorLargerThanPredicted,
+  kResidualNotFinite,
+  kSuspiciousSteps,
+  kSuspiciousJacobian,
+  kInvalidSolution,
+  kObservationsBehind,
+  kTooManyBehind,
+  kObservationsLeftOut,
+};
+
+inline constexpr NamedValue<WarningKind> kWarningKinds[] = {
+    {"gauge_not_held", WarningKind::kGaugeNotHeld},
+    {"points_seen_once", WarningKind::kPointsSeenOnce},
+    {"far_origin", WarningKind::kFarOrigin},
+    {"far_points", WarningKind::kFarPoints},
+    {"far_points_dominate", WarningKind::kFarPointsDominate},
+    {"single_thread", WarningKind::kSingleThread},
+    {"preconditioner_not_used", WarningKind::kPreconditionerNotUsed},
+    {"ordering_not_used", WarningKind::kOrderingNotUsed},
+    {"ordering_replaced", WarningKind::kOrderingReplaced},
+    {"solver_replaced", WarningKind::kSolverReplaced},
+    {"preconditioner_replaced", WarningKind::kPreconditionerReplaced},
+    {"factor_larger_than_predicted", WarningKind::kFactorLargerThanPredicted},
+    {"residual_not_finite", WarningKind::kResidualNotFinite},
+    {"suspicious_steps", WarningKind::kSuspiciousSteps},
+    {"suspicious_jacobian", WarningKind::kSuspiciousJacobian},
+    {"invalid_solution", WarningKind::kInvalidSolution},
+    {"observations_behind", WarningKind::kObservationsBehind},
+    {"too_many_behind", WarningKind::kTooManyBehind},
+    {"observations_left_out", WarningKind::kObservationsLeftOut}};
+
+struct Warning {
+  WarningKind kind;
+  std::string text;  ///< one sentence
+};
+
+/// Appends a warning, unless its sentence is "": there is nothing to say.
+inline void Warn(WarningKind kind, std::string text, std::vector<Warning>* warnings) {
+  if (!text.empty()) warnings->push_back({kind, std::move(text)});
+}
+
+/// What a solve reports, whichever backend ran it, in Ceres' vocabulary.
+
+/// ceres::IterationSummary; times in seconds.
+struct IterationRecord {
+  int iteration = 0;
+  double cost = 0;
+  double cost_change = 0;
+  double gradient_max_norm = 0;
+  double step_norm = 0;
+  double relative_decrease = 0;
+  double trust_region_radius = 0;
+  int linear_solver_iterations = 0;
+  bool step_is_successful = false;
+  double iteration_time_in_seconds = 0;
+  double cumulative_time_in_seconds = 0;
+
+  // Beyond Ceres, and not reported.
+  /// The step makes observations count that did not, or the reverse: what the model promised is no
+  /// measure of it.
+  bool changes_what_counts = false;
+};
+
+/// The matrix that each step factorises, and its Cholesky factor L. Matrices count both triangles
+/// and the diagonal, L its lower triangle with the diagonal; blocks count as full. Empty is what
+/// there is not (no factor, for conjugate gradients), or what nobody can tell.
+struct FactorSummary {
+  std::optional<int64_t> num_columns;           ///< n
+  std::optional<int64_t> num_reduced_nonzeros;  ///< of S as its solver holds it: n^2 if dense
+  std::optional<int64_t> num_nonzeros;          ///< of L
+  std::optional<double> flops;                  ///< FactorCounts::flops
+  std::string ordering;                         ///< by which the columns are eliminated
+  std::optional<double> symbolic_time_in_seconds;
+};
+
+/// ceres::Solver::Summary; enumerations by Ceres' names, times in seconds, -1 where not measured.
+struct SolveSummary {
+  double initial_cost = -1;
+  double final_cost = -1;
+  double fixed_cost = -1;  ///< of observations with nothing to refine; part of the other two
+  std::string termination_type;
+  std::string message;
+  bool is_solution_usable = false;
+  int num_successful_steps = -1;
+  int num_unsuccessful_steps = -1;
+  int num_parameter_blocks = -1;
+  int num_parameters = -1;
+  int num_residual_blocks = -1;
+  int num_residuals = -1;
+  int num_parameter_blocks_reduced = -1;
+  int num_parameters_reduced = -1;
+  int num_residual_blocks_reduced = -1;
+  int num_residuals_reduced = -1;
+  std::string trust_region_strategy_type;
+  std::string dogleg_type;
+  std::string linear_solver_type_given;
+  std::string linear_solver_type_used;
+  std::vector<int> linear_solver_ordering_given;
+  std::vector<int> linear_solver_ordering_used;
+  std::string schur_structure_given;
+  std::string schur_structure_used;
+  std::string preconditioner_type_given;
+  std::string preconditioner_type_used;
+  std::string dense_linear_algebra_library_type;
+  std::string sparse_linear_algebra_library_type;
+  int num_threads_given = -1;
+  int num_threads_used = -1;
+  double preprocessor_time_in_seconds = -1;
+  double residual_evaluation_time_in_seconds = -1;
+  double jacobian_evaluation_time_in_seconds = -1;
+  double linear_solver_time_in_seconds = -1;
+  double minimizer_time_in_seconds = -1;
+  double postprocessor_time_in_seconds = -1;
+  double total_time_in_seconds = -1;
+  int num_residual_evaluations = -1;
+  int num_jacobian_evaluations = -1;
+  int num_linear_solves = -1;
+
+  // Beyond Ceres.
+  std::string backend_given;
+  std::string backend_used;
+  std::string backend_choice;             ///< why this backend, where we chose it
+  std::string instruction_set;            ///< of the fused backend's kernels
+  std::string linear_solver_choice;       ///< why this solver, where we chose it
+  int64_t num_information_nonzeros = -1;  ///< of J^T J, all that is free
+  FactorSummary factor;
+  bool interrupted = false;
+  std::vector<double> origin;  ///< the centre that the scene was solved about; empty: as given
+  std::vector<Warning> warnings;
+};
+
+/// Called after each iteration; false stops the solve, which then keeps the best state. So does an
+/// InterruptionScope, within an iteration; before the first evaluation is complete there is nothing
+/// to keep, and Interrupted is thrown.
+using ProgressCallback = std::function<bool(const IterationRecord&)>;
+
+/// What every solve tells of itself.
+struct SolveRecord {
+  SolveSummary summary;
+  std::vector<IterationRecord> iterations;
+  double build_time_in_seconds = 0;  ///< outside the solver
+  double solve_time_in_seconds = 0;  ///< inside it
+};
+
+struct SolveOutput : SolveRecord {
+  std::vector<double> cam_from_world;  ///< as in ProblemView
+  std::vector<double> camera_params;   ///< as in ProblemView
+  std::vector<double> points;          ///< as in ProblemView
+};
+
+}  // namespace bundle

@@ -1,0 +1,117 @@
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <vector>
+
+#include "core/io/output_file.h"
+
+namespace bundle {
+
+// From Bundle Adjustment in the Large to COLMAP and back.
+//
+// BAL [1] projects a point X by
+//     P = R X + t,   p = -(Px, Py) / Pz,   (x, y) = f (1 + k1 |p|^2 + k2 |p|^4) p
+// with x to the right, y up, the camera looking along -z, and the image's origin at the principal
+// point. COLMAP's RADIAL model with principal point (cx, cy) = (0, 0) projects by
+//     P' = R' X + t',   p' = (P'x, P'y) / P'z,   (x', y') = f (1 + k1 |p'|^2 + k2 |p'|^4) p'.
+// Turn the camera frame by half a turn about its x axis, D = diag(1, -1, -1), P' = D P. Then
+//     p' = (Px, -Py) / (-Pz) = (px, -py),   |p'| = |p|,   so (x', y') = (x, -y)
+// with the same f, k1, k2. Of the numbers stored, the points, f, k1, k2 and x stay as they are, y
+// and two components of t change sign: all of this is exact in floating point.
+//
+// R becomes D R. The quaternion of D is the unit i, so with q = w + x i + y j + z k that of R,
+//     q' = i q = -x + w i - z j + y k,
+// again exact; and q = -i q' on the way back. Only the step between the angle-axis vector that BAL
+// stores and q rounds. It preserves the direction to a few ulp because all three components are
+// scaled by one factor. The sign of q is left as it comes, so that an angle in [0, 2 pi) is found
+// again as 2 atan2(|v|, w), also where it exceeds pi. A larger angle is reduced to [0, 2 pi): the
+// rotation is the same, the numbers are not.
+//
+// [1] https://grail.cs.washington.edu/projects/bal/
+
+/// From a BAL camera's rotation (angle-axis, radians) and translation, 6 numbers, to the 7 of
+/// cam_from_world: qx qy qz qw tx ty tz.
+inline void CamFromWorldFromBal(const double* bal, double* cam_from_world) {
+  const double angle = std::hypot(bal[0], bal[1], bal[2]);
+  // sin(angle / 2) / angle; the series' next term is below half an ulp.
+  const double scale = angle < 1e-3 ? 0.5 - angle * angle / 48.0 : std::sin(0.5 * angle) / angle;
+  const double x = scale * bal[0];
+  const double y = scale * bal[1];
+  const double z = scale * bal[2];
+  cam_from_world[0] = std::cos(0.5 * angle);
+  cam_from_world[1] = -z;
+  cam_from_world[2] = y;
+  cam_from_world[3] = -x;
+  cam_from_world[4] = bal[3];
+  cam_from_world[5] = -bal[4];
+  cam_from_world[6] = -bal[5];
+}
+
+/// The inverse. The quaternion may have any length but zero; its sign decides between an angle and
+/// the same rotation the other way round.
+inline void BalFromCamFromWorld(const double* cam_from_world, double* bal) {
+  const double w = cam_from_world[0];
+  const double x = -cam_from_world[3];
+  const double y = cam_from_world[2];
+  const double z = -cam_from_world[1];
+  const double sine = std::hypot(x, y, z);
+  // Where the axis has no direction the rotation is the identity, whatever the sign of w.
+  const double scale = sine > 0.0 ? 2.0 * std::atan2(sine, w) / sine : 0.0;
+  bal[0] = scale * x;
+  bal[1] = scale * y;
+  bal[2] = scale * z;
+  bal[3] = cam_from_world[4];
+  bal[4] = -cam_from_world[5];
+  bal[5] = -cam_from_world[6];
+}
+
+/// A BAL problem in COLMAP's conventions, arrays row-major, units pixels and the
+/// reconstruction's length unit. Image i has camera i, whose model is RADIAL.
+struct BalProblem {
+  std::vector<double> cam_from_world;  ///< num_images x 7: qx qy qz qw tx ty tz
+  std::vector<double> rotations;       ///< num_images x 3: the file's own angle-axis, radians
+  std::vector<double> camera_params;   ///< num_images x 5: f cx cy k1 k2 with cx = cy = 0
+  std::vector<double> points;          ///< num_points x 3
+  std::vector<int32_t> observation_image;
+  std::vector<int32_t> observation_point;
+  std::vector<double> observation_xy;  ///< num_observations x 2
+};
+
+/// Reads a BAL file, plain or compressed by gzip or bzip2, as a stream. The order of cameras,
+/// points and observations stays; observations may repeat and points may have any number of them.
+///
+/// Memory is taken only as the file proves to hold the numbers that its header promises.
+/// `on_block` is called between blocks of about a megabyte and may throw.
+///
+/// Throws InputError `NAME:LINE: expected ..., found ...` and std::system_error.
+BalProblem ReadBal(const std::filesystem::path& path, const std::function<void()>& on_block);
+
+/// What a BAL file can hold, in COLMAP's conventions; arrays owned by somebody else, row-major,
+/// units pixels and the reconstruction's length unit. Every image has its own camera.
+struct BalView {
+  int64_t num_images = 0;
+  int64_t num_points = 0;
+  int64_t num_observations = 0;
+  const double* cam_from_world = nullptr;      ///< num_images x 7: qx qy qz qw tx ty tz
+  const double* camera_params = nullptr;       ///< num_images x 5: f cx cy k1 k2
+  const double* points = nullptr;              ///< num_points x 3
+  const int32_t* observation_image = nullptr;  ///< num_observations
+  const int32_t* observation_point = nullptr;  ///< num_observations
+  const double* observation_xy = nullptr;      ///< num_observations x 2
+  /// num_images x 3, may be null: angle-axis to write in place of the one that cam_from_world
+  /// gives, where keeps_rotation is set. The way over a quaternion costs the last bits.
+  const double* rotations = nullptr;
+  const uint8_t* keeps_rotation = nullptr;  ///< num_images; null only where rotations is
+};
+
+/// Writes a BAL file. Numbers are the shortest that read back as the same double. A principal point
+/// is subtracted from the observations, since BAL measures from it.
+///
+/// `on_block` is called between blocks of about a megabyte and may throw. Throws std::system_error.
+void WriteBal(const BalView& problem, const std::filesystem::path& path, Compression compression,
+              const std::function<void()>& on_block);
+
+}  // namespace bundle

@@ -1,0 +1,111 @@
+#include "core/linear/block_structure.h"
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <numeric>
+
+namespace bundle::fused {
+
+namespace {
+
+std::vector<int> Offsets(const std::vector<int>& block_sizes) {
+  std::vector<int> offset(block_sizes.size() + 1, 0);
+  std::partial_sum(block_sizes.begin(), block_sizes.end(), offset.begin() + 1);
+  return offset;
+}
+
+}  // namespace
+
+std::vector<int64_t> DiagonalBlockOffsets(const BlockStructure& structure) {
+  std::vector<int64_t> begin = {0};
+  for (int j = 0; j < structure.num_blocks(); ++j) {
+    const int64_t size = structure.block_size(j);
+    begin.push_back(begin.back() + size * size);
+  }
+  return begin;
+}
+
+BlockStructure DenseStructure(const std::vector<int>& block_sizes) {
+  BlockStructure structure;
+  structure.dense = true;
+  structure.offset = Offsets(block_sizes);
+  const auto num_blocks = static_cast<int64_t>(block_sizes.size());
+  const int64_t n = structure.num_columns();
+  structure.num_values = n * n;
+  structure.panel_stride.assign(num_blocks, static_cast<int>(n));
+  structure.row_block.reserve(num_blocks * (num_blocks + 1) / 2);
+  structure.row_in_panel.reserve(num_blocks * (num_blocks + 1) / 2);
+  structure.column_begin.push_back(0);
+  for (int j = 0; j < num_blocks; ++j) {
+    const int64_t first = structure.offset[j];
+    structure.panel_begin.push_back(first * n + first);
+    for (int i = j; i < num_blocks; ++i) {
+      structure.row_block.push_back(i);
+      structure.row_in_panel.push_back(structure.offset[i] - structure.offset[j]);
+    }
+    structure.column_begin.push_back(static_cast<int64_t>(structure.row_block.size()));
+  }
+  return structure;
+}
+
+BlockStructure SparseStructure(const std::vector<int>& block_sizes,
+                               const std::vector<std::vector<int>>& columns) {
+  BlockStructure structure;
+  structure.offset = Offsets(block_sizes);
+  size_t num_entries = 0;
+  for (const std::vector<int>& rows : columns) num_entries += rows.size();
+  structure.row_block.reserve(num_entries);
+  structure.row_in_panel.reserve(num_entries);
+  structure.column_begin.push_back(0);
+  for (size_t j = 0; j < columns.size(); ++j) {
+    int height = 0;
+    for (const int i : columns[j]) {
+      structure.row_block.push_back(i);
+      structure.row_in_panel.push_back(height);
+      height += block_sizes[i];
+    }
+    structure.column_begin.push_back(static_cast<int64_t>(structure.row_block.size()));
+    structure.panel_begin.push_back(structure.num_values);
+    structure.panel_stride.push_back(height);
+    structure.num_values += static_cast<int64_t>(height) * block_sizes[j];
+  }
+  return structure;
+}
+
+BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& order) {
+  const int num_blocks = structure.num_blocks();
+  std::vector<int> position(num_blocks), sizes(num_blocks);
+  for (int k = 0; k < num_blocks; ++k) {
+    position[order[k]] = k;
+    sizes[k] = structure.block_size(order[k]);
+  }
+  std::vector<std::vector<int>> columns(num_blocks);
+  for (int j = 0; j < num_blocks; ++j) {
+    for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
+      const int a = position[j], b = position[structure.row_block[e]];
+      columns[std::min(a, b)].push_back(std::max(a, b));
+    }
+  }
+  for (std::vector<int>& rows : columns) std::sort(rows.begin(), rows.end());
+  return SparseStructure(sizes, columns);
+}
+
+#if defined(__linux__)
+void AdviseHugePages(void* begin, size_t num_bytes) {
+  constexpr uintptr_t kHugePage = uintptr_t{1} << 21;
+  const auto address = reinterpret_cast<uintptr_t>(begin);
+  const uintptr_t first = (address + kHugePage - 1) / kHugePage * kHugePage;
+  const uintptr_t last = (address + num_bytes) / kHugePage * kHugePage;
+  // Refusal changes nothing but the time.
+  if (last > first) madvise(reinterpret_cast<void*>(first), last - first, MADV_HUGEPAGE);
+}
+#else
+void AdviseHugePages(void*, size_t) {}
+#endif
+
+}  // namespace bundle::fused

@@ -1,0 +1,116 @@
+#pragma once
+
+/// The reduced camera system S x = b: what is left of the normal equations once the points are
+/// eliminated (eliminate/).
+///
+/// S is symmetric positive definite with one block row and column a block of the parameter layout.
+/// Its lower triangle is stored by block columns. Each is a panel of column-major values as tall as
+/// the blocks in it, so that a dense S is the matrix LAPACK takes and a sparse one has the value
+/// array of a compressed-column matrix, and neither is copied before it is factorised. Diagonal
+/// blocks are stored whole; only their lower triangle means anything. A panel may have more rows
+/// than the blocks in it, and stand among others, as the solver of a sparse S wants it
+/// (supernodal_cholesky.h).
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "core/cameras/camera_model.h"
+#include "core/parallel/thread_pool.h"
+
+namespace bundle::fused {
+
+/// Which blocks of S may be nonzero and where they lie.
+struct BlockStructure {
+  std::vector<int> offset;            ///< num_blocks + 1: first row and column of a block
+  std::vector<int64_t> column_begin;  ///< num_blocks + 1: first entry of a block column
+  std::vector<int> row_block;         ///< block row of each entry; ascending, the diagonal first
+  std::vector<int> row_in_panel;      ///< first row of each entry's block within its panel
+  std::vector<int64_t> panel_begin;   ///< num_blocks: where a block column's values begin
+  std::vector<int> panel_stride;      ///< num_blocks: from one column of a panel to the next
+  int64_t num_values = 0;
+  bool dense = false;  ///< one n x n column-major matrix
+
+  int num_blocks() const { return static_cast<int>(panel_begin.size()); }
+  int num_columns() const { return offset.back(); }
+  int block_size(int block) const { return offset[block + 1] - offset[block]; }
+
+  /// Offset of entry (r, c) of block e in block column j.
+  int64_t ValueIndex(int j, int64_t e, int r, int c) const {
+    return panel_begin[j] + static_cast<int64_t>(c) * panel_stride[j] + row_in_panel[e] + r;
+  }
+};
+
+/// Where the diagonal blocks begin when they stand one after the other, squares of their sizes, and
+/// the end.
+std::vector<int64_t> DiagonalBlockOffsets(const BlockStructure& structure);
+
+/// Every block nonzero. `block_sizes` in the order of the layout.
+BlockStructure DenseStructure(const std::vector<int>& block_sizes);
+
+/// `columns[j]`: the block rows i >= j of block column j, ascending, j itself first.
+BlockStructure SparseStructure(const std::vector<int>& block_sizes,
+                               const std::vector<std::vector<int>>& columns);
+
+/// A sparse structure with the blocks in another order: order[k] becomes the k-th.
+BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& order);
+
+struct BlockSystem {
+  std::vector<double> values;  ///< S, as the structure says; zero where it has no block
+  std::vector<double> rhs;     ///< b
+  /// The camera side of the normal equations before anything is eliminated, J_c^T J_c plus damping:
+  /// its block diagonal, each block square and column-major, one after the other. Empty unless a
+  /// preconditioner asks for it.
+  std::vector<double> camera_diagonal;
+  /// For each column of S, what the seven similarities of the world do to its unknown
+  /// (model/gauge.h). Empty unless a preconditioner asks for it.
+  std::vector<double> gauge_directions;
+
+  static constexpr int kNumGaugeDirections = 7;
+  static constexpr int kMaxBlockSize = 6 + kMaxCameraParams;
+};
+
+/// Asks the system for large pages where nothing has been touched yet. No more than a hint.
+void AdviseHugePages(void* begin, size_t num_bytes);
+
+/// Makes room for `size` values and asks the system for large pages before they are touched: sums
+/// into a large S go everywhere, and with pages of 4 kB nearly each of its columns is a miss of the
+/// address translation as well. Where large pages mean nothing, no more than a reserve.
+template <typename T>
+void ReserveHugePages(size_t size, std::vector<T>* values) {
+  if (size <= values->capacity()) return;
+  values->reserve(size);
+  AdviseHugePages(values->data(), size * sizeof(T));
+}
+
+/// Products with S, from its lower triangle.
+class SymmetricProduct {
+ public:
+  /// Keeps a reference to the structure.
+  SymmetricProduct(const BlockStructure& structure, int num_threads);
+
+  /// y = S x; the same for any number of threads.
+  void Multiply(const std::vector<double>& values, const double* x, double* y);
+
+ private:
+  /// Consecutive block columns and the rows that they reach.
+  struct Slice {
+    int begin_block = 0;
+    int end_block = 0;
+    int begin_row = 0;
+    int end_row = 0;
+    std::vector<double> sum;      ///< their share of y, from begin_row on
+    std::vector<double> panel_x;  ///< x and y of the rows of one panel, side by side
+    std::vector<double> panel_y;
+  };
+
+  void MakeSlices();
+  void MultiplySlice(const double* values, const double* x, Slice* slice) const;
+  void MultiplyPanel(const double* values, int block, const double* x, Slice* slice) const;
+
+  const BlockStructure& structure_;
+  ThreadPool pool_;
+  std::vector<Slice> slices_;
+};
+
+}  // namespace bundle::fused

@@ -1,0 +1,164 @@
+/// Conjugate gradients as Ceres' ITERATIVE_SCHUR runs them inside Levenberg-Marquardt: from x = 0,
+/// at least 0 and at most 500 of them, until the quadratic model Q(x) = x^T S x - 2 b^T x gains
+/// little,
+///
+///   i (Q_i - Q_{i-1}) / Q_i < eta   (Nash and Sofer, 1990),
+///
+/// with Q = -x^T (b + r) from the residual r = b - S x, which is computed afresh every 10th time.
+///
+/// Ceres iterates on the scaled unknowns y = C^-1 x, C = diag(scale): S' = C S C, b' = C b. With
+/// r' = C r, z' = C^-1 z and p' = C^-1 p every inner product is the same in both, r'^T z' = r^T z,
+/// p'^T S' p' = p^T S p and so is Q, provided that z = C M'^-1 C r. For M' = C M C, as M is cut out
+/// of S or U block by block, this is z = M^-1 r: the scaling drops out. It remains in the identity
+/// alone, M' = I, z = C^2 r. So nothing is scaled here.
+///
+/// A residual that is exactly 0 ends them too. In Ceres it makes the next step 0 / 0 and fails,
+/// which rounding saves it from as a rule; with one block and its exact inverse it is no exception
+/// here.
+///
+/// S is explicit. Its products are nearly all of the time, one an iteration and one more every
+/// 10th; 6 with the power series.
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <numeric>
+#include <string>
+#include <vector>
+
+#include "core/linear/block_structure.h"
+#include "core/linear/linear_solver.h"
+#include "core/linear/preconditioners.h"
+#include "core/parallel/interruption.h"
+
+namespace bundle::fused {
+namespace {
+
+using Status = LinearSolution::Status;
+
+constexpr int kMaxIterations = 500;       // Ceres' max_linear_solver_iterations
+constexpr int kResidualResetPeriod = 10;  // Ceres' ConjugateGradientsSolver
+
+double Dot(const std::vector<double>& a, const std::vector<double>& b) {
+  return std::inner_product(a.begin(), a.end(), b.begin(), 0.0);
+}
+
+bool IsZero(const std::vector<double>& a) {
+  return std::all_of(a.begin(), a.end(), [](double v) { return v == 0; });
+}
+
+bool IsUsable(double value) { return value != 0 && std::isfinite(value); }
+
+class IterativeSolver final : public LinearSolver {
+ public:
+  IterativeSolver(const BlockStructure& structure, PreconditionerType preconditioner,
+                  int num_threads)
+      : structure_(structure),
+        product_(structure_, num_threads),
+        preconditioner_(MakePreconditioner(preconditioner, structure_, &product_, num_threads)),
+        max_iterations_(std::min(kMaxIterations, structure_.num_columns())),
+        x_(structure_.num_columns()),
+        r_(structure_.num_columns()),
+        z_(structure_.num_columns()),
+        p_(structure_.num_columns()),
+        q_(structure_.num_columns()) {}
+
+  bool NeedsCameraDiagonal() const override { return preconditioner_->NeedsCameraDiagonal(); }
+  bool NeedsGaugeDirections() const override { return preconditioner_->NeedsGaugeDirections(); }
+
+  LinearSolution Solve(BlockSystem* system, const std::vector<double>& scale, double eta,
+                       double* x) override {
+    if (!preconditioner_->Update(*system, scale)) {
+      return {Status::kFailure, 0, "The preconditioner is not positive definite."};
+    }
+    std::fill(x_.begin(), x_.end(), 0.0);
+    const LinearSolution solution = Iterate(*system, eta * preconditioner_->ForcingFactor());
+    std::copy(x_.begin(), x_.end(), x);
+    return solution;
+  }
+
+ private:
+  LinearSolution Iterate(const BlockSystem& system, double eta) {
+    const std::vector<double>& b = system.rhs;
+    if (IsZero(b)) return {Status::kSuccess, 0, "Convergence. |b| = 0."};
+    r_ = b;
+    double last_rho = 1;
+    double last_model = 0;
+    for (int i = 1;; ++i) {
+      ThrowIfInterrupted();
+      if (IsZero(r_)) return {Status::kSuccess, i, "Convergence. |r| = 0."};
+      preconditioner_->Multiply(r_.data(), z_.data());
+      const double rho = Dot(r_, z_);
+      // An exact solution, as where S has a single block, which is its own preconditioner. Ceres
+      // would fail here, but its products with S round too much to come by.
+      if (i > 1 && rho == 0) return {Status::kSuccess, i, "Convergence. r'z = 0."};
+      const double beta = i == 1 ? 0 : rho / last_rho;
+      if (!IsUsable(rho) || (i > 1 && !IsUsable(beta))) return Broken(i, "r'z", rho);
+      for (size_t k = 0; k < p_.size(); ++k) p_[k] = z_[k] + (i == 1 ? 0 : beta * p_[k]);
+      last_rho = rho;
+
+      product_.Multiply(system.values, p_.data(), q_.data());
+      const double curvature = Dot(p_, q_);
+      if (curvature <= 0 || std::isinf(curvature)) {
+        // Ceres keeps what it has and lets the trust region judge it.
+        return {Status::kSuccess, i,
+                "The reduced camera system is indefinite: p'Sp = " + std::to_string(curvature)};
+      }
+      const double alpha = rho / curvature;
+      if (!std::isfinite(alpha)) return Broken(i, "p'Sp", curvature);
+      Advance(system, alpha, i);
+
+      const double model = Model(b);
+      const double zeta = i * (model - last_model) / model;
+      if (zeta < eta) {
+        return {Status::kSuccess, i, "Convergence: zeta = " + std::to_string(zeta) + "."};
+      }
+      last_model = model;
+      if (i >= max_iterations_) {
+        return {Status::kSuccess, i, "Maximum number of iterations reached."};
+      }
+    }
+  }
+
+  /// x += alpha p, and the residual that belongs to it.
+  void Advance(const BlockSystem& system, double alpha, int iteration) {
+    for (size_t k = 0; k < x_.size(); ++k) x_[k] += alpha * p_[k];
+    if (iteration % kResidualResetPeriod == 0) {
+      product_.Multiply(system.values, x_.data(), z_.data());
+      for (size_t k = 0; k < x_.size(); ++k) r_[k] = system.rhs[k] - z_[k];
+    } else {
+      for (size_t k = 0; k < x_.size(); ++k) r_[k] -= alpha * q_[k];
+    }
+  }
+
+  /// Q = x^T S x - 2 b^T x
+  double Model(const std::vector<double>& b) const {
+    double sum = 0;
+    for (size_t k = 0; k < x_.size(); ++k) sum -= x_[k] * (b[k] + r_[k]);
+    return sum;
+  }
+
+  static LinearSolution Broken(int iteration, const char* name, double value) {
+    return {Status::kFailure, iteration,
+            std::string("Conjugate gradients broke down: ") + name + " = " + std::to_string(value) +
+                "."};
+  }
+
+  const BlockStructure structure_;
+  SymmetricProduct product_;
+  std::unique_ptr<Preconditioner> preconditioner_;
+  const int max_iterations_;
+  std::vector<double> x_, r_, z_, p_, q_;
+};
+
+}  // namespace
+
+std::unique_ptr<LinearSolver> MakeIterativeSolver(const BlockStructure& structure,
+                                                  PreconditionerType preconditioner,
+                                                  int num_threads) {
+  return std::make_unique<IterativeSolver>(structure, preconditioner, num_threads);
+}
+
+}  // namespace bundle::fused

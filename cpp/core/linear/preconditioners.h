@@ -1,0 +1,64 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "core/interface/options.h"
+#include "core/linear/block_structure.h"
+
+namespace bundle::fused {
+
+/// z = M^-1 r, with M near S and easier to invert.
+class Preconditioner {
+ public:
+  virtual ~Preconditioner() = default;
+
+  /// Prepares for a system. False if M is not positive definite.
+  virtual bool Update(const BlockSystem& system, const std::vector<double>& scale) = 0;
+
+  virtual void Multiply(const double* r, double* z) = 0;
+
+  virtual bool NeedsCameraDiagonal() const { return false; }
+  virtual bool NeedsGaugeDirections() const { return false; }
+  /// Of the forcing term that conjugate gradients stop by.
+  virtual double ForcingFactor() const { return 1; }
+};
+
+/// `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi, kSchurPowerSeriesExpansion and
+/// kTwoLevel.
+/// Keeps references to the structure and the product.
+std::unique_ptr<Preconditioner> MakePreconditioner(PreconditionerType preconditioner,
+                                                   const BlockStructure& structure,
+                                                   SymmetricProduct* product, int num_threads);
+
+/// The inverse of a block-diagonal matrix with the blocks of a reduced system.
+class BlockDiagonalInverse {
+ public:
+  /// Keeps a reference to the structure.
+  explicit BlockDiagonalInverse(const BlockStructure& structure);
+
+  /// Inverts a block given by its lower triangle, column-major, `stride` from column to column.
+  /// False if it is not positive definite.
+  bool Invert(int block, const double* values, int stride);
+
+  /// Inverts the diagonal blocks of S. False if one of them is not positive definite.
+  bool InvertDiagonal(const std::vector<double>& values);
+
+  /// y = inverse x
+  void Multiply(const double* x, double* y) const;
+
+  /// Where a block's values begin among those of all blocks, one after the other.
+  int64_t begin(int block) const { return begin_[block]; }
+
+ private:
+  const BlockStructure& structure_;
+  std::vector<int64_t> begin_;  ///< num_blocks + 1
+  std::vector<double> values_;  ///< column-major squares
+};
+
+/// Schur-Jacobi and a correction on a coarse space. Keeps a reference to the structure.
+std::unique_ptr<Preconditioner> MakeTwoLevelPreconditioner(const BlockStructure& structure,
+                                                           int num_threads);
+
+}  // namespace bundle::fused

@@ -1,0 +1,196 @@
+/// Left-looking: a panel first takes what the panels before it give to its columns, then its
+/// diagonal block is factorised, D = L_D L_D^T, and its rows below become B L_D^-T. A panel with
+/// rows in columns of panel s gives them the product of its rows from there on with those rows, a
+/// matrix product, which then goes to the rows' places in s. It waits in the queue of the next
+/// panel that it has rows in, so that all panels together are in one queue each (Ng and Peyton,
+/// Block sparse Cholesky algorithms on advanced uniprocessor computers, 1993; so does CHOLMOD).
+///
+/// What differs from CHOLMOD, and why this is not CHOLMOD's: S is put together where L will be.
+/// CHOLMOD takes it as another array, with a row index for each value, and copies. Rows come as
+/// blocks and as runs of blocks here, which are added contiguously, and where all rows of a product
+/// are one run, it is added where it belongs by BLAS itself.
+///
+/// A product goes in strips of columns, so that it is in the cache when it is added.
+
+#include "core/linear/supernodal_cholesky.h"
+
+#include <algorithm>
+#include <utility>
+
+#include "core/parallel/blas.h"
+#include "core/parallel/interruption.h"
+
+namespace bundle::fused {
+namespace {
+
+constexpr int kStripColumns = 96;
+
+}  // namespace
+
+SupernodalCholesky::SupernodalCholesky(std::vector<int> offset, Supernodes supernodes)
+    : offset_(std::move(offset)),
+      supernodes_(std::move(supernodes)),
+      panel_of_(offset_.size() - 1),
+      position_(offset_.size() - 1),
+      next_update_(supernodes_.num_panels()),
+      next_row_(supernodes_.num_panels()) {
+  for (int s = 0; s < supernodes_.num_panels(); ++s) {
+    std::fill(panel_of_.begin() + supernodes_.first_block[s],
+              panel_of_.begin() + supernodes_.first_block[s + 1], s);
+  }
+}
+
+int SupernodalCholesky::BlockSize(int64_t row) const {
+  const int block = supernodes_.row_block[row];
+  return offset_[block + 1] - offset_[block];
+}
+
+int SupernodalCholesky::Factorize(double* values) {
+  constexpr char kRight = 'R', kLower = 'L', kTransposed = 'T', kNonUnit = 'N';
+  constexpr double kOne = 1;
+  first_update_.assign(supernodes_.num_panels(), -1);
+  for (int s = 0; s < supernodes_.num_panels(); ++s) {
+    LocateRows(s);
+    for (int by = first_update_[s]; by >= 0;) {
+      const int next = next_update_[by];
+      Update(s, by, values);
+      by = next;
+    }
+    double* const panel = values + supernodes_.values_begin[s];
+    const int width = Width(s), height = supernodes_.height[s], below = height - width;
+    int info = 0;
+    dpotrf_(&kLower, &width, panel, &height, &info);
+    if (info != 0) return FirstColumn(s) + info;
+    if (below == 0) continue;
+    dtrsm_(&kRight, &kLower, &kTransposed, &kNonUnit, &below, &width, &kOne, panel, &height,
+           panel + width, &height);
+    QueueUpdate(s, supernodes_.rows_begin[s]);
+  }
+  return 0;
+}
+
+/// position_ of all rows of the panel.
+void SupernodalCholesky::LocateRows(int panel) {
+  for (int j = supernodes_.first_block[panel]; j < supernodes_.first_block[panel + 1]; ++j) {
+    position_[j] = offset_[j] - FirstColumn(panel);
+  }
+  for (int64_t e = supernodes_.rows_begin[panel]; e < supernodes_.rows_begin[panel + 1]; ++e) {
+    position_[supernodes_.row_block[e]] = supernodes_.row_in_panel[e];
+  }
+}
+
+/// Lets the panel wait for the one that has `first_row` among its columns.
+void SupernodalCholesky::QueueUpdate(int panel, int64_t first_row) {
+  next_row_[panel] = first_row;
+  if (first_row == supernodes_.rows_begin[panel + 1]) return;
+  int& first = first_update_[panel_of_[supernodes_.row_block[first_row]]];
+  next_update_[panel] = first;
+  first = panel;
+}
+
+void SupernodalCholesky::Update(int panel, int by, double* values) {
+  const int end_block = supernodes_.first_block[panel + 1];
+  const int64_t last_row = supernodes_.rows_begin[by + 1];
+  int64_t row = next_row_[by];
+  while (row < last_row && supernodes_.row_block[row] < end_block) {
+    const int64_t first_row = row;
+    int columns = 0;
+    for (; row < last_row && supernodes_.row_block[row] < end_block; ++row) {
+      columns += BlockSize(row);
+      if (columns >= kStripColumns) {
+        ++row;
+        break;
+      }
+    }
+    UpdateColumns(panel, by, first_row, row, values);
+  }
+  QueueUpdate(by, row);
+}
+
+/// In columns of rows [first_row, last_row) of `by`.
+void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int64_t last_row,
+                                       double* values) {
+  constexpr char kPlain = 'N', kTransposed = 'T';
+  constexpr double kMinusOne = -1, kZero = 0, kOne = 1;
+  ThrowIfInterrupted();
+  FindRuns(by, first_row);
+  const int top = supernodes_.row_in_panel[first_row];
+  const int width = Width(by), stride = supernodes_.height[by], rows = stride - top;
+  const int columns = supernodes_.row_in_panel[last_row - 1] + BlockSize(last_row - 1) - top;
+  const double* const from = values + supernodes_.values_begin[by] + top;
+  const int target_stride = supernodes_.height[panel];
+  double* const to = values + supernodes_.values_begin[panel];
+  if (runs_.size() == 1) {
+    const int position = runs_.front().target;
+    dgemm_(&kPlain, &kTransposed, &rows, &columns, &width, &kMinusOne, from, &stride, from, &stride,
+           &kOne, to + position + static_cast<int64_t>(position) * target_stride, &target_stride);
+    return;
+  }
+  product_.resize(std::max(product_.size(), static_cast<size_t>(rows) * columns));
+  dgemm_(&kPlain, &kTransposed, &rows, &columns, &width, &kMinusOne, from, &stride, from, &stride,
+         &kZero, product_.data(), &rows);
+  const double* product = product_.data();
+  for (int64_t e = first_row; e < last_row; ++e) {
+    double* column = to + static_cast<int64_t>(position_[supernodes_.row_block[e]]) * target_stride;
+    for (int c = 0; c < BlockSize(e); ++c, column += target_stride, product += rows) {
+      for (const Run& run : runs_) {
+        double* const target = column + run.target;
+        const double* const source = product + run.source;
+        for (int i = 0; i < run.length; ++i) target[i] += source[i];
+      }
+    }
+  }
+}
+
+/// Of the rows of panel `by` from `first_row` on.
+void SupernodalCholesky::FindRuns(int by, int64_t first_row) {
+  runs_.clear();
+  const int top = supernodes_.row_in_panel[first_row];
+  for (int64_t e = first_row; e < supernodes_.rows_begin[by + 1]; ++e) {
+    const int source = supernodes_.row_in_panel[e] - top;
+    const int target = position_[supernodes_.row_block[e]];
+    if (runs_.empty() || runs_.back().target + runs_.back().length != target) {
+      runs_.push_back({source, target, 0});
+    }
+    runs_.back().length += BlockSize(e);
+  }
+}
+
+void SupernodalCholesky::Solve(const double* values, double* x) {
+  constexpr char kLower = 'L', kPlain = 'N', kTransposed = 'T', kNonUnit = 'N';
+  constexpr double kMinusOne = -1, kZero = 0, kOne = 1;
+  constexpr int kNext = 1;
+  product_.resize(std::max(product_.size(), static_cast<size_t>(offset_.back())));
+  double* const below = product_.data();
+  const auto for_rows = [&](int s, const auto& visit) {
+    for (int64_t e = supernodes_.rows_begin[s]; e < supernodes_.rows_begin[s + 1]; ++e) {
+      double* const at = below + supernodes_.row_in_panel[e] - Width(s);
+      visit(at, x + offset_[supernodes_.row_block[e]], BlockSize(e));
+    }
+  };
+  for (int s = 0; s < supernodes_.num_panels(); ++s) {
+    const double* const panel = values + supernodes_.values_begin[s];
+    const int width = Width(s), height = supernodes_.height[s], rows = height - width;
+    double* const own = x + FirstColumn(s);
+    dtrsv_(&kLower, &kPlain, &kNonUnit, &width, panel, &height, own, &kNext);
+    if (rows == 0) continue;
+    dgemv_(&kPlain, &rows, &width, &kOne, panel + width, &height, own, &kNext, &kZero, below,
+           &kNext);
+    for_rows(s, [](const double* from, double* to, int size) {
+      for (int i = 0; i < size; ++i) to[i] -= from[i];
+    });
+  }
+  for (int s = supernodes_.num_panels() - 1; s >= 0; --s) {
+    const double* const panel = values + supernodes_.values_begin[s];
+    const int width = Width(s), height = supernodes_.height[s], rows = height - width;
+    double* const own = x + FirstColumn(s);
+    if (rows > 0) {
+      for_rows(s, [](double* to, const double* from, int size) { std::copy_n(from, size, to); });
+      dgemv_(&kTransposed, &rows, &width, &kMinusOne, panel + width, &height, below, &kNext, &kOne,
+             own, &kNext);
+    }
+    dtrsv_(&kLower, &kTransposed, &kNonUnit, &width, panel, &height, own, &kNext);
+  }
+}
+
+}  // namespace bundle::fused

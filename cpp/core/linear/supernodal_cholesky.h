@@ -1,0 +1,72 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "core/linear/block_structure.h"
+
+namespace bundle::fused {
+
+/// The Cholesky factor of S as dense panels: consecutive block columns of L, with the block rows
+/// that any of them has below. A panel is column-major; the diagonal blocks of its columns come
+/// first, of which the lower triangle means anything.
+struct Supernodes {
+  std::vector<int> first_block;       ///< num_panels + 1: block columns of each panel
+  std::vector<int64_t> rows_begin;    ///< num_panels + 1: in `row_block`
+  std::vector<int> row_block;         ///< below a panel's own columns; ascending
+  std::vector<int> row_in_panel;      ///< first row of each of these within its panel
+  std::vector<int> height;            ///< rows of a panel, its own columns' included
+  std::vector<int64_t> values_begin;  ///< num_panels + 1
+  double entries = 0;                 ///< of L, its lower triangle with the diagonal
+  double zeros = 0;                   ///< that sharing panels adds to them
+
+  int num_panels() const { return static_cast<int>(height.size()); }
+};
+
+/// `structure` is a sparse one in the order of the elimination. Columns can share a panel only
+/// where they follow each other: the order should be an elimination tree's postorder.
+Supernodes FindSupernodes(const BlockStructure& structure);
+
+/// The blocks of S, each where its values are within the panels of the factor.
+BlockStructure PlaceInFactor(const BlockStructure& structure, const Supernodes& supernodes);
+
+/// S = L L^T in place, in the panels of the factor.
+class SupernodalCholesky {
+ public:
+  /// `offset` as in BlockStructure.
+  SupernodalCholesky(std::vector<int> offset, Supernodes supernodes);
+
+  /// `values` is S as PlaceInFactor says, zero wherever S has no block, and becomes L. Returns 0,
+  /// or the order of a leading minor that is not positive definite; `values` then mean nothing.
+  int Factorize(double* values);
+
+  /// x = S^-1 x with the values that Factorize left.
+  void Solve(const double* values, double* x);
+
+ private:
+  /// Rows that follow each other both in a panel and in one that it updates.
+  struct Run {
+    int source, target, length;
+  };
+
+  int FirstColumn(int panel) const { return offset_[supernodes_.first_block[panel]]; }
+  int Width(int panel) const { return FirstColumn(panel + 1) - FirstColumn(panel); }
+  int BlockSize(int64_t row) const;
+  void LocateRows(int panel);
+  void QueueUpdate(int panel, int64_t first_row);
+  void Update(int panel, int by, double* values);
+  void UpdateColumns(int panel, int by, int64_t first_row, int64_t last_row, double* values);
+  void FindRuns(int by, int64_t first_row);
+
+  const std::vector<int> offset_;
+  const Supernodes supernodes_;
+  std::vector<int> panel_of_;      ///< of each block column
+  std::vector<int> position_;      ///< of each block row in the panel that is updated
+  std::vector<int> first_update_;  ///< of each panel: the first of those waiting to update it; -1
+  std::vector<int> next_update_;   ///< of each panel: the next in the queue that it waits in; -1
+  std::vector<int64_t> next_row_;  ///< of each panel: the first row that no panel has had yet
+  std::vector<Run> runs_;
+  std::vector<double> product_;
+};
+
+}  // namespace bundle::fused

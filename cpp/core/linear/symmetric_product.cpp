@@ -1,0 +1,182 @@
+/// y = S x with S = L + D + L^T stored as L + D, by block columns:
+///
+///   y_j += D_j x_j + P_j^T x_below,   y_below += P_j x_j,
+///
+/// with P_j the panel of block column j below its diagonal block. Both products take each value of
+/// P_j once from memory, 4 flops for 8 bytes, so memory is what this waits for. The rows of the
+/// panel are gathered and scattered a block at a time, 2 m accesses to cache for m^2 values from
+/// memory. Rows go in pieces that leave x and y in L1 while three columns of values stream by.
+///
+/// Block columns are cut into slices of equally many values. A slice adds into a vector of its own,
+/// as long as the rows that it reaches; these vectors are then added in order. The slices are the
+/// same for any number of threads, and so is every bit of y.
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+
+#include "core/linear/block_structure.h"
+#include "core/parallel/thread_pool.h"
+
+namespace bundle::fused {
+namespace {
+
+constexpr int kMaxSlices = 16;
+constexpr int64_t kMinSliceValues = 20000;
+constexpr int kPieceRows = 1024;
+constexpr int kLanes = 4;
+using Lanes = double __attribute__((vector_size(kLanes * sizeof(double))));
+
+/// y += P x_j and sums += P^T x for kColumns columns of `rows` rows, `stride` apart.
+template <int kColumns>
+void MultiplyColumns(const double* values, int64_t stride, int rows, const double* x_j,
+                     const double* __restrict x, double* __restrict y, double* sums) {
+  Lanes lane_sums[kColumns] = {};
+  int row = 0;
+  for (; row + kLanes <= rows; row += kLanes) {
+    Lanes x_lanes, y_lanes;
+    std::memcpy(&x_lanes, x + row, sizeof(Lanes));
+    std::memcpy(&y_lanes, y + row, sizeof(Lanes));
+    for (int c = 0; c < kColumns; ++c) {
+      Lanes p;
+      std::memcpy(&p, values + c * stride + row, sizeof(Lanes));
+      y_lanes += p * x_j[c];
+      lane_sums[c] += p * x_lanes;
+    }
+    std::memcpy(y + row, &y_lanes, sizeof(Lanes));
+  }
+  for (int c = 0; c < kColumns; ++c) {
+    for (int lane = 0; lane < kLanes; ++lane) sums[c] += lane_sums[c][lane];
+  }
+  for (; row < rows; ++row) {
+    for (int c = 0; c < kColumns; ++c) {
+      const double p = values[c * stride + row];
+      y[row] += p * x_j[c];
+      sums[c] += p * x[row];
+    }
+  }
+}
+
+/// y += D x of a diagonal block of which only the lower triangle means anything.
+void MultiplyDiagonalBlock(const double* values, int64_t stride, int size, const double* x,
+                           double* y) {
+  for (int c = 0; c < size; ++c) {
+    const double* column = values + c * stride;
+    y[c] += column[c] * x[c];
+    for (int r = c + 1; r < size; ++r) {
+      y[r] += column[r] * x[c];
+      y[c] += column[r] * x[r];
+    }
+  }
+}
+
+int64_t CountSlices(const BlockStructure& structure) {
+  return std::clamp<int64_t>(structure.num_values / kMinSliceValues, 1, kMaxSlices);
+}
+
+/// No more than there are slices.
+int CountThreads(const BlockStructure& structure, int num_threads) {
+  return static_cast<int>(
+      std::min<int64_t>(EffectiveNumThreads(num_threads), CountSlices(structure)));
+}
+
+int PanelRows(const BlockStructure& structure, int j) {
+  const int64_t last = structure.column_begin[j + 1] - 1;
+  return structure.row_in_panel[last] + structure.block_size(structure.row_block[last]);
+}
+
+}  // namespace
+
+SymmetricProduct::SymmetricProduct(const BlockStructure& structure, int num_threads)
+    : structure_(structure), pool_(CountThreads(structure, num_threads)) {
+  MakeSlices();
+}
+
+void SymmetricProduct::MakeSlices() {
+  const int num_blocks = structure_.num_blocks();
+  const int64_t num_values = structure_.num_values;
+  const int64_t num_slices = CountSlices(structure_);
+  int64_t values_before = 0;
+  for (int j = 0; j < num_blocks; ++j) {
+    const auto slices = static_cast<int64_t>(slices_.size());
+    if (slices == 0 || values_before >= num_values * slices / num_slices) {
+      slices_.emplace_back();
+      slices_.back().begin_block = j;
+      slices_.back().begin_row = structure_.offset[j];
+    }
+    Slice& slice = slices_.back();
+    const int rows = PanelRows(structure_, j);
+    const int last_block = structure_.row_block[structure_.column_begin[j + 1] - 1];
+    slice.end_block = j + 1;
+    slice.end_row = std::max(slice.end_row, structure_.offset[last_block + 1]);
+    slice.panel_x.resize(std::max<size_t>(slice.panel_x.size(), rows));
+    values_before += static_cast<int64_t>(rows) * structure_.block_size(j);
+  }
+  for (Slice& slice : slices_) {
+    slice.sum.resize(slice.end_row - slice.begin_row);
+    slice.panel_y.resize(slice.panel_x.size());
+  }
+}
+
+void SymmetricProduct::Multiply(const std::vector<double>& values, const double* x, double* y) {
+  const auto num_slices = static_cast<int>(slices_.size());
+  pool_.Run([&](int thread) {
+    const int end = num_slices * (thread + 1) / pool_.num_threads();
+    for (int s = num_slices * thread / pool_.num_threads(); s < end; ++s) {
+      MultiplySlice(values.data(), x, &slices_[s]);
+    }
+  });
+  std::fill(y, y + structure_.num_columns(), 0.0);
+  for (const Slice& slice : slices_) {
+    double* rows = y + slice.begin_row;
+    for (size_t i = 0; i < slice.sum.size(); ++i) rows[i] += slice.sum[i];
+  }
+}
+
+void SymmetricProduct::MultiplySlice(const double* values, const double* x, Slice* slice) const {
+  std::fill(slice->sum.begin(), slice->sum.end(), 0.0);
+  for (int j = slice->begin_block; j < slice->end_block; ++j) MultiplyPanel(values, j, x, slice);
+}
+
+void SymmetricProduct::MultiplyPanel(const double* values, int block, const double* x,
+                                     Slice* slice) const {
+  const BlockStructure& s = structure_;
+  const int size = s.block_size(block);
+  const int64_t stride = s.panel_stride[block];
+  const double* panel = values + s.panel_begin[block];
+  const double* x_j = x + s.offset[block];
+  double* y_j = &slice->sum[s.offset[block] - slice->begin_row];
+  MultiplyDiagonalBlock(panel, stride, size, x_j, y_j);
+
+  // Gathered from the diagonal block's end on.
+  const int64_t first = s.column_begin[block] + 1;
+  const int64_t last = s.column_begin[block + 1];
+  for (int64_t e = first; e < last; ++e) {
+    const int row = s.offset[s.row_block[e]];
+    std::copy_n(x + row, s.block_size(s.row_block[e]), &slice->panel_x[s.row_in_panel[e]]);
+  }
+  const int rows = PanelRows(s, block);
+  std::fill_n(slice->panel_y.begin(), rows, 0.0);
+  for (int begin = size; begin < rows; begin += kPieceRows) {
+    const int piece = std::min(kPieceRows, rows - begin);
+    const double* piece_x = slice->panel_x.data() + begin;
+    double* piece_y = slice->panel_y.data() + begin;
+    int c = 0;
+    for (; c + 3 <= size; c += 3) {
+      MultiplyColumns<3>(panel + c * stride + begin, stride, piece, x_j + c, piece_x, piece_y,
+                         y_j + c);
+    }
+    for (; c < size; ++c) {
+      MultiplyColumns<1>(panel + c * stride + begin, stride, piece, x_j + c, piece_x, piece_y,
+                         y_j + c);
+    }
+  }
+  for (int64_t e = first; e < last; ++e) {
+    double* y_rows = &slice->sum[s.offset[s.row_block[e]] - slice->begin_row];
+    const double* panel_rows = &slice->panel_y[s.row_in_panel[e]];
+    for (int r = 0; r < s.block_size(s.row_block[e]); ++r) y_rows[r] += panel_rows[r];
+  }
+}
+
+}  // namespace bundle::fused

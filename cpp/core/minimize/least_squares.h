@@ -1,0 +1,78 @@
+#pragma once
+
+/// What a trust region sees of a least-squares problem: f(x) = 1/2 sum rho(||r_i(x)||^2), in passes
+/// over all residuals. The problem keeps the state x, a candidate next to it, and the two
+/// directions that every step is made of; the trust region sees numbers only.
+///
+/// J and r are corrected for the loss (factors/loss.h). s_j = 1 / (1 + ||J e_j||) at the first
+/// linearisation is the Jacobi scaling of column j, which stays for the whole solve. With
+/// c_j = ||J e_j||^2 at x, the trust region measures steps in units of D^-1,
+///
+///   D_j^2 = clamp(s_j^2 c_j, min_diagonal, max_diagonal) / s_j^2,
+///
+/// and the two directions at x are
+///
+///   gradient direction   p = D^-2 J^T r,
+///   Newton direction     q: (J^T J + damping D^2) q = -J^T r.
+
+#include <string>
+
+namespace bundle::fused {
+
+struct Linearization {
+  bool is_finite = true;
+  double cost = 0;
+  double gradient_norm = 0;      ///< ||J^T r||_2
+  double gradient_max_norm = 0;  ///< ||J^T r||_inf
+};
+
+struct NewtonResult {
+  enum class Status { kSuccess, kFailure, kFatal };
+  Status status = Status::kSuccess;
+  int num_iterations = 0;
+  std::string message;
+};
+
+/// Inner products of the two directions. Those with J^T r are among them: p^T J^T r = d_pp and
+/// q^T J^T r = d_pq.
+struct DoglegProducts {
+  double d_pp = 0, d_pq = 0, d_qq = 0;  ///< p^T D^2 p and so on
+  double j_pp = 0, j_pq = 0, j_qq = 0;  ///< p^T J^T J p and so on
+};
+
+struct Candidate {
+  double model_cost_change = 0;  ///< -(J d)^T (r + J d / 2) for the step d
+  double step_norm = 0;          ///< ||d||
+  double cost = 0;               ///< f(x + d); not finite where a residual is not
+  /// Other residuals than at x count, so that the model is of another function.
+  bool changes_what_counts = false;
+};
+
+class LeastSquares {
+ public:
+  virtual ~LeastSquares() = default;
+
+  /// Cost and gradient at x, and the normal equations with `damping` eliminated as far as
+  /// SolveNewton needs them. Called again at the same x when only the damping changed.
+  virtual Linearization Linearize(double damping) = 0;
+
+  /// Finds q. `eta`: forcing term for iterative solvers.
+  virtual NewtonResult SolveNewton(double eta) = 0;
+
+  /// What Candidate x + q would be; LevenbergMarquardt's step.
+  virtual Candidate EvaluateNewtonStep() = 0;
+
+  /// Products of p and q after SolveNewton; for doglegs only.
+  virtual DoglegProducts Products() = 0;
+
+  /// The candidate x + a p + b q, after Products; again for another a and b after a rejected step.
+  virtual Candidate EvaluateDoglegStep(double a, double b) = 0;
+
+  /// x becomes the last candidate, which becomes x: a second call takes the first back.
+  virtual void Accept() = 0;
+
+  /// ||x|| over all that is refined.
+  virtual double StateNorm() const = 0;
+};
+
+}  // namespace bundle::fused

@@ -1,0 +1,61 @@
+#include "core/minimize/strategy.h"
+
+/// Levenberg-Marquardt: the step is q with damping 1 / R, R being called the radius though nothing
+/// keeps D q within it. An accepted step of quality t (actual decrease over predicted decrease)
+/// makes
+///
+///   R = R / max(1/3, 1 - (2 t - 1)^3),
+///
+/// three times R where the model was right, R where it promised twice too much, half of it
+/// where hardly anything came of it. Rejected and invalid steps divide R by 2, 4, 8, ... until one
+/// is accepted. (K. Madsen, H. B. Nielsen, O. Tingleff: Methods for Non-Linear Least Squares
+/// Problems, 2004, with Ceres' inverted damping.)
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "core/error.h"
+
+namespace bundle::fused {
+
+namespace {
+
+constexpr double kMaxRadius = 1e16;
+constexpr double kForcingTerm = 0.1;  // Ceres' eta
+
+}  // namespace
+
+Step LevenbergMarquardt::ComputeStep(LeastSquares* problem) {
+  if (damping_has_changed_) problem->Linearize(Damping());
+  damping_has_changed_ = false;
+  NewtonResult newton = problem->SolveNewton(kForcingTerm);
+  Step step{newton.status, newton.num_iterations, std::move(newton.message), {}};
+  if (step.status == NewtonResult::Status::kSuccess) step.candidate = problem->EvaluateNewtonStep();
+  return step;
+}
+
+void LevenbergMarquardt::StepAccepted(double quality) {
+  radius_ = std::min(kMaxRadius, radius_ / std::max(1.0 / 3, 1 - std::pow(2 * quality - 1, 3)));
+  decrease_factor_ = 2;
+}
+
+void LevenbergMarquardt::StepRejected() {
+  radius_ /= decrease_factor_;
+  decrease_factor_ *= 2;
+  damping_has_changed_ = true;
+}
+
+std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type) {
+  switch (type) {
+    case TrustRegionStrategy::kLevenbergMarquardt:
+      return std::make_unique<LevenbergMarquardt>();
+    case TrustRegionStrategy::kDogleg:
+      return std::make_unique<Dogleg>(TraditionalDogleg);
+    case TrustRegionStrategy::kSubspaceDogleg:
+      return std::make_unique<Dogleg>(SubspaceDogleg);
+  }
+  throw InputError("trust_region_strategy_type: expected a strategy");
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,254 @@
+#include "core/minimize/trust_region.h"
+
+/// The outer loop of a trust region method: a step that lowers the cost by more than a thousandth
+/// of what the model promised is taken, any other makes the trust region smaller. The order of
+/// everything is that of ceres::internal::TrustRegionMinimizer, for monotonic steps without bounds,
+/// and so are the conventions:
+///
+/// * The start is iteration 0 and counts as a successful step.
+/// * Parameter and function tolerance are tested before a step is taken: one that meets them is not
+///   taken and leaves no record. So does one that ends in an error.
+/// * Parameter tolerance is not tested until a step has succeeded.
+/// * The record of a rejected step has the candidate's cost, its change, and the gradient at x; a
+///   candidate whose cost is not finite costs DBL_MAX. That of an invalid step has the cost at x,
+///   and zeros. The radius in a record is that of the next step.
+
+#include <array>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <memory>
+#include <utility>
+
+#include "core/minimize/strategy.h"
+#include "core/minimize/trust_region.h"
+#include "core/parallel/interruption.h"
+
+namespace bundle::fused {
+namespace {
+
+// Ceres' defaults, but for the third: ceres/translate_options.cpp says why.
+constexpr double kMinRelativeDecrease = 1e-3;
+constexpr double kMinRadius = 1e-32;
+constexpr int kMaxConsecutiveInvalidSteps = 10;
+
+constexpr double kNoCost = std::numeric_limits<double>::max();
+
+using Clock = std::chrono::steady_clock;
+
+double SecondsSince(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+/// "VALUE <= BOUND", as Ceres' messages have it.
+std::string AtMost(double value, double bound) {
+  std::array<char, 64> text;
+  std::snprintf(text.data(), text.size(), "%e <= %e", value, bound);
+  return text.data();
+}
+
+class TrustRegion {
+ public:
+  TrustRegion(const SolveOptions& options, const ProgressCallback& progress, LeastSquares* problem)
+      : options_(options),
+        progress_(progress),
+        problem_(problem, &minimum_),
+        strategy_(MakeStrategy(options.trust_region_strategy_type)) {}
+
+  MinimizerSummary Run() {
+    bool has_iteration = IterationZero();
+    while (has_iteration && FinishIteration()) has_iteration = Iterate();
+    return std::move(minimum_);
+  }
+
+ private:
+  bool IterationZero() {
+    if (!LinearizeAtX()) {
+      return Terminate("FAILURE", "Initial residual and Jacobian evaluation failed.");
+    }
+    current_cost_ = x_cost_;
+    record_.step_is_successful = true;
+    return true;
+  }
+
+  /// Records the iteration; true if another is to follow.
+  bool FinishIteration() {
+    ++(record_.step_is_successful ? minimum_.num_successful_steps
+                                  : minimum_.num_unsuccessful_steps);
+    record_.trust_region_radius = strategy_->Radius();
+    record_.iteration_time_in_seconds = SecondsSince(iteration_start_);
+    record_.cumulative_time_in_seconds = SecondsSince(start_);
+    minimum_.iterations.push_back(record_);
+    return !StoppedByUser() && !MaxNumIterationsReached() && !GradientToleranceReached() &&
+           !MinRadiusReached();
+  }
+
+  /// Tries a step; true if there is an iteration to record.
+  bool Iterate() {
+    try {
+      return TryStep();
+    } catch (const Interrupted&) {  // before a step was taken: x is the best state
+      minimum_.interrupted = true;
+      return TerminateByUser();
+    }
+  }
+
+  bool TryStep() {
+    iteration_start_ = Clock::now();
+    const IterationRecord& previous = minimum_.iterations.back();
+    record_ = IterationRecord();
+    record_.iteration = previous.iteration + 1;
+    record_.gradient_max_norm = previous.gradient_max_norm;
+
+    Step step = strategy_->ComputeStep(&problem_);
+    record_.linear_solver_iterations = step.num_iterations;
+    if (step.status == NewtonResult::Status::kFatal) {
+      return Terminate("FAILURE", "Linear solver failed due to unrecoverable non-numeric causes. " +
+                                      step.message);
+    }
+    const bool is_valid =
+        step.status == NewtonResult::Status::kSuccess && step.candidate.model_cost_change > 0;
+    if (!is_valid) return HandleInvalidStep();
+    num_consecutive_invalid_steps_ = 0;
+
+    Candidate& candidate = step.candidate;
+    if (!std::isfinite(candidate.cost)) candidate.cost = kNoCost;
+    record_.step_norm = candidate.step_norm;
+    record_.changes_what_counts = candidate.changes_what_counts;
+    record_.cost_change = x_cost_ - candidate.cost;
+    if (ParameterToleranceReached() || FunctionToleranceReached()) return false;
+
+    record_.relative_decrease = RelativeDecrease(candidate);
+    if (record_.relative_decrease > kMinRelativeDecrease) return HandleSuccessfulStep(candidate);
+    record_.cost = candidate.cost;
+    strategy_->StepRejected();
+    return true;
+  }
+
+  bool HandleInvalidStep() {
+    if (++num_consecutive_invalid_steps_ >= kMaxConsecutiveInvalidSteps) {
+      return Terminate("FAILURE",
+                       "Number of consecutive invalid steps more than "
+                       "Solver::Options::max_num_consecutive_invalid_steps: " +
+                           std::to_string(kMaxConsecutiveInvalidSteps));
+    }
+    record_.cost = x_cost_;
+    strategy_->StepIsInvalid();
+    return true;
+  }
+
+  bool HandleSuccessfulStep(const Candidate& candidate) {
+    problem_.Accept();
+    strategy_->StepAccepted(record_.relative_decrease);
+    record_.cost = candidate.cost;
+    record_.step_is_successful = true;
+    try {
+      if (!LinearizeAtX()) {
+        problem_.Accept();
+        return Terminate("FAILURE", "Residual and Jacobian evaluation failed.");
+      }
+    } catch (const Interrupted&) {  // the step stays; its record has the gradient of before
+      minimum_.interrupted = true;
+      return true;
+    }
+    current_cost_ = candidate.cost;
+    has_succeeded_ = true;
+    return true;
+  }
+
+  bool LinearizeAtX() {
+    const Linearization linearization = problem_.Linearize(strategy_->Damping());
+    if (!linearization.is_finite) return false;
+    x_cost_ = linearization.cost;
+    record_.cost = x_cost_;
+    record_.gradient_max_norm = linearization.gradient_max_norm;
+    return true;
+  }
+
+  double RelativeDecrease(const Candidate& candidate) const {
+    if (candidate.cost == kNoCost) return std::numeric_limits<double>::lowest();
+    return (current_cost_ - candidate.cost) / candidate.model_cost_change;
+  }
+
+  bool StoppedByUser() {
+    const bool stopped = progress_ && !progress_(record_);
+    minimum_.interrupted = minimum_.interrupted || stopped;
+    if (!minimum_.interrupted) return false;
+    TerminateByUser();
+    return true;
+  }
+
+  bool TerminateByUser() {
+    return Terminate("USER_SUCCESS", "User callback returned SOLVER_TERMINATE_SUCCESSFULLY.");
+  }
+
+  bool MaxNumIterationsReached() {
+    if (record_.iteration < options_.max_num_iterations) return false;
+    Terminate("NO_CONVERGENCE", "Maximum number of iterations reached. Number of iterations: " +
+                                    std::to_string(record_.iteration) + ".");
+    return true;
+  }
+
+  bool GradientToleranceReached() {
+    const double norm = record_.gradient_max_norm;
+    if (norm > options_.gradient_tolerance) return false;
+    return Converge("Gradient tolerance reached. Gradient max norm: " +
+                    AtMost(norm, options_.gradient_tolerance));
+  }
+
+  bool MinRadiusReached() {
+    if (record_.trust_region_radius > kMinRadius) return false;
+    return Converge("Minimum trust region radius reached. Trust region radius: " +
+                    AtMost(record_.trust_region_radius, kMinRadius));
+  }
+
+  bool ParameterToleranceReached() {
+    if (!has_succeeded_) return false;
+    const double tolerance = options_.parameter_tolerance;
+    const double size = problem_.StateNorm() + tolerance;
+    if (record_.step_norm > tolerance * size) return false;
+    return Converge("Parameter tolerance reached. Relative step_norm: " +
+                    AtMost(record_.step_norm / size, tolerance) + ".");
+  }
+
+  bool FunctionToleranceReached() {
+    const double change = std::abs(record_.cost_change);
+    const double tolerance = options_.function_tolerance;
+    if (change > tolerance * x_cost_) return false;
+    return Converge("Function tolerance reached. |cost_change|/cost: " +
+                    AtMost(change / x_cost_, tolerance));
+  }
+
+  /// True, to be returned by a test of convergence.
+  bool Converge(std::string message) { return !Terminate("CONVERGENCE", std::move(message)); }
+
+  /// False, to be returned by what cannot go on.
+  bool Terminate(const char* type, std::string message) {
+    minimum_.termination_type = type;
+    minimum_.message = std::move(message);
+    return false;
+  }
+
+  const SolveOptions& options_;
+  const ProgressCallback& progress_;
+  MinimizerSummary minimum_;
+  TimedProblem problem_;
+  std::unique_ptr<Strategy> strategy_;
+  const Clock::time_point start_ = Clock::now();
+  Clock::time_point iteration_start_ = start_;
+  IterationRecord record_;
+  double x_cost_ = 0;        ///< of the linearisation at x
+  double current_cost_ = 0;  ///< at x too, as the candidate's: what a decrease is measured from
+  bool has_succeeded_ = false;
+  int num_consecutive_invalid_steps_ = 0;
+};
+
+}  // namespace
+
+MinimizerSummary Minimize(const SolveOptions& options, const ProgressCallback& progress,
+                          LeastSquares* problem) {
+  return TrustRegion(options, progress, problem).Run();
+}
+
+}  // namespace bundle::fused

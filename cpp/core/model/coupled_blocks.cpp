@@ -1,0 +1,238 @@
+#include "core/model/coupled_blocks.h"
+
+/// The points are taken in their order and mark the pairs of their blocks in a table of bits, which
+/// stays in the cache where lists of the points of each block would not: those lead from one end
+/// of the observations to the other. A table of all pairs may be larger than the observations, so
+/// there is one for as many columns at a time as have room.
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <new>
+#include <numeric>
+#include <utility>
+#include <vector>
+
+#include "core/parallel/thread_pool.h"
+#include "core/problem/problem_view.h"
+#include "core/symbolic/symbolic.h"
+
+namespace bundle {
+
+namespace {
+
+/// Which rows some columns have, a bit each. Threads may mark at the same time.
+class ColumnBits {
+ public:
+  ColumnBits(int num_columns, int num_rows)
+      : words_per_column_((num_rows + 63) / 64), words_(num_columns * words_per_column_) {}
+
+  static int64_t BytesPerColumn(int num_rows) { return (int64_t{num_rows} + 63) / 64 * 8; }
+
+  void Clear() {
+    for (std::atomic<uint64_t>& word : words_) word.store(0, std::memory_order_relaxed);
+  }
+
+  void Mark(int column, int row) {
+    std::atomic<uint64_t>& word = words_[column * words_per_column_ + row / 64];
+    const uint64_t bit = uint64_t{1} << (row % 64);
+    // Most pairs have met before.
+    if ((word.load(std::memory_order_relaxed) & bit) == 0) {
+      word.fetch_or(bit, std::memory_order_relaxed);
+    }
+  }
+
+  /// Appends the rows of a column, ascending.
+  void Read(int column, std::vector<int>* rows) const {
+    for (int64_t w = 0; w < words_per_column_; ++w) {
+      const uint64_t word = words_[column * words_per_column_ + w].load(std::memory_order_relaxed);
+      for (uint64_t rest = word; rest != 0; rest &= rest - 1) {
+        rows->push_back(static_cast<int>(64 * w) + __builtin_ctzll(rest));
+      }
+    }
+  }
+
+ private:
+  const int64_t words_per_column_;
+  std::vector<std::atomic<uint64_t>> words_;
+};
+
+/// Of the images that see a point; a camera that several of them share comes more than once only
+/// where others come in between.
+void CollectBlocks(const ProblemView& problem, const ParameterLayout& layout, const int32_t* begin,
+                   const int32_t* end, std::vector<int>* blocks) {
+  blocks->clear();
+  int last_camera = -1;
+  for (const int32_t* image = begin; image != end; ++image) {
+    const int pose = layout.image_block(*image);
+    const int camera = layout.camera_block(problem.image_camera[*image]);
+    if (pose >= 0) blocks->push_back(pose);
+    if (camera >= 0 && camera != last_camera) blocks->push_back(camera);
+    last_camera = camera;
+  }
+}
+
+/// The pairs whose smaller block is one of the columns [first, last).
+void MarkPairs(const std::vector<int>& blocks, int first, int last, ColumnBits* bits) {
+  for (size_t k = 1; k < blocks.size(); ++k) {
+    for (size_t l = 0; l < k; ++l) {
+      const auto [column, row] = std::minmax(blocks[k], blocks[l]);
+      if (column >= first && column < last) bits->Mark(column - first, row);
+    }
+  }
+}
+
+}  // namespace
+
+std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& problem,
+                                                        const ParameterLayout& layout) {
+  const auto num_blocks = static_cast<int>(layout.blocks().size());
+  std::vector<std::vector<int>> columns(num_blocks);
+  for (int j = 0; j < num_blocks; ++j) columns[j].push_back(j);
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int pose = layout.image_block(i), camera = layout.camera_block(problem.image_camera[i]);
+    if (pose >= 0 && camera >= 0) columns[std::min(pose, camera)].push_back(std::max(pose, camera));
+  }
+  return columns;
+}
+
+std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
+                                                const ParameterLayout& layout, int num_threads) {
+  std::vector<std::vector<int>> columns = FindDirectlyCoupledBlocks(problem, layout);
+  const auto num_blocks = static_cast<int>(columns.size());
+  if (num_blocks == 0) return columns;
+  const Tracks tracks = GroupByPoint(problem);
+  constexpr int64_t kSmallTable = int64_t{1} << 24;
+  const int64_t room = std::max(kSmallTable, 4 * problem.num_observations);
+  const auto width = static_cast<int>(
+      std::clamp<int64_t>(room / ColumnBits::BytesPerColumn(num_blocks), 1, num_blocks));
+  ColumnBits bits(width, num_blocks);
+  for (int first = 0; first < num_blocks; first += width) {
+    const int last = std::min(first + width, num_blocks);
+    bits.Clear();
+    for (int j = first; j < last; ++j) {
+      for (const int i : columns[j]) bits.Mark(j - first, i);
+      columns[j].clear();
+    }
+    ParallelFor(problem.num_points, num_threads, [&](int64_t begin, int64_t end) {
+      std::vector<int> blocks;
+      for (int64_t p = begin; p < end; ++p) {
+        if (!layout.point_is_free(static_cast<int>(p))) continue;
+        CollectBlocks(problem, layout, tracks.images.data() + tracks.starts[p],
+                      tracks.images.data() + tracks.starts[p + 1], &blocks);
+        MarkPairs(blocks, first, last, &bits);
+      }
+    });
+    for (int j = first; j < last; ++j) bits.Read(j - first, &columns[j]);
+  }
+  return columns;
+}
+
+namespace {
+
+constexpr int kPointSize = 3;
+
+std::vector<int> BlockSizes(const ParameterLayout& layout) {
+  std::vector<int> sizes;
+  sizes.reserve(layout.blocks().size());
+  for (const CameraSideBlock& block : layout.blocks()) sizes.push_back(block.size);
+  return sizes;
+}
+
+void AddPoints(const ProblemView& problem, const ParameterLayout& layout, BlockPattern* pattern) {
+  const Tracks tracks = GroupByPoint(problem);
+  const int first_block = layout.num_free_points();
+  std::vector<int> rows;
+  for (int point = 0; point < problem.num_points; ++point) {
+    if (!layout.point_is_free(point)) continue;
+    rows.assign(1, static_cast<int>(pattern->size.size()));
+    for (int64_t k = tracks.starts[point]; k < tracks.starts[point + 1]; ++k) {
+      const int image = tracks.images[k];
+      const int pose = layout.image_block(image);
+      const int camera = layout.camera_block(problem.image_camera[image]);
+      if (pose >= 0) rows.push_back(first_block + pose);
+      if (camera >= 0) rows.push_back(first_block + camera);
+    }
+    std::sort(rows.begin(), rows.end());
+    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+    pattern->row.insert(pattern->row.end(), rows.begin(), rows.end());
+    pattern->size.push_back(kPointSize);
+    pattern->column_begin.push_back(static_cast<int64_t>(pattern->row.size()));
+  }
+}
+
+std::vector<int> OrderByAmd(const BlockPatternView& pattern) {
+  std::vector<int> order = FindOrder(pattern, OrderingMethod::kAmd);
+  if (static_cast<int>(order.size()) != pattern.num_blocks) throw std::bad_alloc();
+  return order;
+}
+
+}  // namespace
+
+BlockPattern ReducedPattern(const ProblemView& problem, const ParameterLayout& layout) {
+  return MakeBlockPattern(BlockSizes(layout), FindCoupledBlocks(problem, layout));
+}
+
+BlockPattern FullPattern(const ProblemView& problem, const ParameterLayout& layout) {
+  BlockPattern pattern;
+  AddPoints(problem, layout, &pattern);
+  const int first_block = layout.num_free_points();
+  for (std::vector<int>& rows : FindDirectlyCoupledBlocks(problem, layout)) {
+    for (const int row : rows) pattern.row.push_back(first_block + row);
+    pattern.column_begin.push_back(static_cast<int64_t>(pattern.row.size()));
+  }
+  const std::vector<int> sizes = BlockSizes(layout);
+  pattern.size.insert(pattern.size.end(), sizes.begin(), sizes.end());
+  return pattern;
+}
+
+int64_t NumInformationNonzeros(const ProblemView& problem, const ParameterLayout& layout) {
+  const std::vector<int> sizes = BlockSizes(layout);
+  const BlockPattern cameras = MakeBlockPattern(sizes, FindDirectlyCoupledBlocks(problem, layout));
+  const int64_t num_points = layout.num_free_points();
+  int64_t count = static_cast<int64_t>(NumNonzeros(cameras)) + kPointSize * kPointSize * num_points;
+
+  const Tracks tracks = GroupByPoint(problem);
+  std::vector<int> last_point(sizes.size(), -1);  // that a block was counted for
+  for (int point = 0; point < problem.num_points; ++point) {
+    if (!layout.point_is_free(point)) continue;
+    for (int64_t k = tracks.starts[point]; k < tracks.starts[point + 1]; ++k) {
+      const int image = tracks.images[k];
+      for (const int block :
+           {layout.image_block(image), layout.camera_block(problem.image_camera[image])}) {
+        if (block < 0 || last_point[block] == point) continue;
+        last_point[block] = point;
+        count += 2 * kPointSize * sizes[block];
+      }
+    }
+  }
+  return count;
+}
+
+OrderedPattern OrderFullPattern(const ProblemView& problem, const ParameterLayout& layout,
+                                int64_t most_entries) {
+  OrderedPattern result;
+  result.pattern = FullPattern(problem, layout);
+  const BlockPatternView view = result.pattern;
+  if (view.num_entries() <= most_entries) {
+    result.order = OrderByAmd(view);
+    return result;
+  }
+  const int num_points = layout.num_free_points();
+  result.points_first = true;
+  result.order.resize(num_points);
+  std::iota(result.order.begin(), result.order.end(), 0);
+  for (const int block : OrderReducedPattern(problem, layout).order) {
+    result.order.push_back(num_points + block);
+  }
+  return result;
+}
+
+OrderedPattern OrderReducedPattern(const ProblemView& problem, const ParameterLayout& layout) {
+  OrderedPattern result;
+  result.pattern = ReducedPattern(problem, layout);
+  result.order = OrderByAmd(result.pattern);
+  return result;
+}
+
+}  // namespace bundle

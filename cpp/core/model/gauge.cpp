@@ -1,0 +1,220 @@
+#include "core/model/gauge.h"
+
+/// Fixing the gauge.
+///
+/// Two cameras: the first pose is fixed (six degrees), and of the second one coordinate of its
+/// translation. Scaling the world by s about the first camera moves a second camera's translation
+/// by t_2 -> t_2 + (s - 1) t_21, where t_21 is the translation of cam2_from_cam1. Holding the
+/// coordinate in which t_21 is largest therefore holds the scale best. (COLMAP takes the largest
+/// coordinate of the inverse motion; both hold the gauge, so both reach the same cost.) The second
+/// camera is the first after it, in the order of images, that stands elsewhere, as in COLMAP.
+///
+/// Three points: all nine coordinates of three points that are not on a line, as COLMAP does. That
+/// is two more than the gauge has: the shape of their triangle does not change any more. They are
+/// taken far apart but from the bulk of the cloud, so that no stray point becomes the reference.
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <iterator>
+#include <vector>
+
+#include "core/geometry/rotation.h"
+
+namespace bundle {
+
+namespace {
+
+/// Indices below `count` that occur in `references`, ascending.
+std::vector<int> Observed(const int32_t* references, int64_t num_references, int count) {
+  std::vector<uint8_t> observed(count);
+  for (int64_t i = 0; i < num_references; ++i) observed[references[i]] = 1;
+  std::vector<int> indices;
+  for (int i = 0; i < count; ++i) {
+    if (observed[i]) indices.push_back(i);
+  }
+  return indices;
+}
+
+/// Those of `indices` where nothing is free.
+std::vector<int> Fixed(const std::vector<int>& indices, const std::vector<uint8_t>& free) {
+  std::vector<int> fixed;
+  std::copy_if(indices.begin(), indices.end(), std::back_inserter(fixed),
+               [&free](int i) { return free[i] == 0; });
+  return fixed;
+}
+
+/// The translation of cam_from_world[b] * inverse(cam_from_world[a]), that is t_b - R_b R_a^T t_a.
+void RelativeTranslation(const ProblemView& problem, int a, int b, double translation[3]) {
+  const double* pose_a = problem.cam_from_world + 7 * static_cast<int64_t>(a);
+  const double* pose_b = problem.cam_from_world + 7 * static_cast<int64_t>(b);
+  double rotation_a[9], rotation_b[9], minus_center_a[3];
+  QuaternionToRotation(pose_a, rotation_a);
+  QuaternionToRotation(pose_b, rotation_b);
+  VectorMatrix3(pose_a + 4, rotation_a, minus_center_a);
+  MatrixVector3(rotation_b, minus_center_a, translation);
+  for (int i = 0; i < 3; ++i) translation[i] = pose_b[4 + i] - translation[i];
+}
+
+std::string FixTwoCameras(const ProblemView& problem, const std::vector<int>& images,
+                          const std::vector<int>& fixed, FreeParameters* free) {
+  const int first = fixed.empty() ? images.front() : fixed.front();
+  free->pose[first] = 0;
+  for (const int second : images) {
+    if (second == first) continue;
+    double baseline[3];
+    RelativeTranslation(problem, first, second, baseline);
+    int largest = 0;
+    for (int i = 1; i < 3; ++i) {
+      if (std::abs(baseline[i]) > std::abs(baseline[largest])) largest = i;
+    }
+    if (std::abs(baseline[largest]) > 1e-9) {
+      free->pose[second] = static_cast<uint8_t>(free->pose[second] & ~(1u << (3 + largest)));
+      return "";
+    }
+  }
+  return "Gauge two_cameras holds only one image: no second image stands elsewhere, so the scale "
+         "is free.";
+}
+
+/// Squared distance of point p from point a, or from the line through a and b if b >= 0.
+double SquaredDistance(const ProblemView& problem, int p, int a, int b) {
+  const double* origin = problem.points + 3 * static_cast<int64_t>(a);
+  const double* point = problem.points + 3 * static_cast<int64_t>(p);
+  const double to_point[] = {point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]};
+  const auto squared = [](const double* v) { return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]; };
+  if (b < 0) return squared(to_point);
+  const double* end = problem.points + 3 * static_cast<int64_t>(b);
+  const double along[] = {end[0] - origin[0], end[1] - origin[1], end[2] - origin[2]};
+  double area[3];
+  Cross3(along, to_point, area);
+  return squared(area) / squared(along);
+}
+
+/// Points no further from the median of the cloud than twice the median distance.
+std::vector<int> BulkOfThePoints(const ProblemView& problem, const std::vector<int>& points) {
+  const auto median = [](std::vector<double> values) {
+    std::nth_element(values.begin(), values.begin() + values.size() / 2, values.end());
+    return values[values.size() / 2];
+  };
+  double center[3];
+  std::vector<double> values(points.size());
+  for (int axis = 0; axis < 3; ++axis) {
+    for (size_t i = 0; i < points.size(); ++i) {
+      values[i] = problem.points[3 * static_cast<int64_t>(points[i]) + axis];
+    }
+    center[axis] = median(values);
+  }
+  for (size_t i = 0; i < points.size(); ++i) {
+    const double* point = problem.points + 3 * static_cast<int64_t>(points[i]);
+    values[i] = std::hypot(point[0] - center[0], point[1] - center[1], point[2] - center[2]);
+  }
+  const double limit = 2 * median(values);
+  std::vector<int> bulk;
+  for (size_t i = 0; i < points.size(); ++i) {
+    if (values[i] <= limit) bulk.push_back(points[i]);
+  }
+  return bulk;
+}
+
+std::string FixThreePoints(const ProblemView& problem, const std::vector<int>& points,
+                           FreeParameters* free) {
+  int chosen[3] = {-1, -1, -1};
+  const std::vector<int> bulk = BulkOfThePoints(problem, points);
+  chosen[0] = bulk.front();
+  for (int k = 1; k < 3 && chosen[k - 1] >= 0; ++k) {
+    double furthest = 0;
+    for (const int p : bulk) {
+      const double distance = SquaredDistance(problem, p, chosen[0], k == 1 ? -1 : chosen[1]);
+      if (distance > furthest) furthest = distance, chosen[k] = p;
+    }
+  }
+  if (chosen[2] < 0) return "Gauge three_points is not held: no three points span a plane.";
+  for (const int p : chosen) free->point[p] = 0;
+  return "";
+}
+
+}  // namespace
+
+std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
+  if (gauge == Gauge::kNone) return "";
+  const std::vector<int> images =
+      Observed(problem.observation_image, problem.num_observations, problem.num_images);
+  const std::vector<int> points =
+      Observed(problem.observation_point, problem.num_observations, problem.num_points);
+  const std::vector<int> fixed_images = Fixed(images, free->pose);
+  const std::vector<int> fixed_points = Fixed(points, free->point);
+  const bool held = fixed_images.size() >= 2 || fixed_images.size() == images.size() ||
+                    fixed_points.size() >= 3 || fixed_points.size() == points.size();
+  if (held) return "";
+  return gauge == Gauge::kTwoCameras ? FixTwoCameras(problem, images, fixed_images, free)
+                                     : FixThreePoints(problem, points, free);
+}
+
+/// The directions in which cameras and points may move together without any image changing.
+///
+/// The world goes to X' = X + a, c + Exp(b) (X - c) or c + (1 + s) (X - c), with c the mean of the
+/// projection centres. An image R X + t stays what it is, up to its scale, if
+///
+///   a:  R' = R,            t' = t - R a
+///   b:  R' = R Exp(-b),    t' = t + (R - R') c          = t + R (b x c)   to first order
+///   s:  R' = R,            t' = t + s (t + R c)
+///
+/// and R Exp(-b) = Exp(-R b) R is the change J_l(w) dw = -R b of the chart
+/// (factors/reprojection.h). Intrinsics stay as they are. Columns that are not refined are left
+/// out, so with some of them a similarity is none for the system any more; near ones are what they
+/// are used for.
+
+namespace {
+
+using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+using PoseRows = Eigen::Matrix<double, kPoseSize, kNumGaugeDirections>;
+
+Eigen::Vector3d MeanCentre(const CameraStates& cameras, int num_images) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (int i = 0; i < num_images; ++i) {
+    const PoseState& pose = cameras.pose(i);
+    sum -= Eigen::Map<const Matrix3>(pose.rotation).transpose() *
+           Eigen::Map<const Eigen::Vector3d>(pose.translation);
+  }
+  return num_images == 0 ? sum : Eigen::Vector3d(sum / num_images);
+}
+
+PoseRows OfPose(const PoseState& pose, const Eigen::Vector3d& centre) {
+  const Matrix3 rotation = Eigen::Map<const Matrix3>(pose.rotation);
+  const Eigen::Vector3d translation = Eigen::Map<const Eigen::Vector3d>(pose.translation);
+  const Matrix3 left_jacobian = Eigen::Map<const Matrix3>(pose.left_jacobian);
+  PoseRows rows = PoseRows::Zero();
+  rows.block<3, 3>(3, 0) = -rotation;
+  rows.block<3, 3>(0, 3) = -left_jacobian.inverse() * rotation;
+  for (int k = 0; k < 3; ++k) {
+    rows.block<3, 1>(3, 3 + k) = rotation * Eigen::Vector3d::Unit(k).cross(centre);
+  }
+  rows.block<3, 1>(3, 6) = translation + rotation * centre;
+  return rows;
+}
+
+}  // namespace
+
+std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterLayout& layout,
+                                    const CameraStates& cameras) {
+  constexpr int kCount = kNumGaugeDirections;
+  std::vector<double> gauge_directions(static_cast<size_t>(layout.state_size()) * kCount, 0.0);
+  const Eigen::Vector3d centre = MeanCentre(cameras, problem.num_images);
+  for (int i = 0; i < problem.num_images; ++i) {
+    if (layout.image_block(i) < 0) continue;
+    const CameraSideBlock& block = layout.blocks()[layout.image_block(i)];
+    const PoseRows rows = OfPose(cameras.pose(i), centre);
+    for (int k = 0; k < block.size; ++k) {
+      if (block.columns[k] >= kPoseSize) break;
+      double* const to = &gauge_directions[static_cast<size_t>(block.offset + k) * kCount];
+      for (int m = 0; m < kCount; ++m) to[m] = rows(block.columns[k], m);
+    }
+  }
+  return gauge_directions;
+}
+
+}  // namespace bundle

@@ -1,0 +1,139 @@
+#pragma once
+
+/// Which numbers of a problem a solve may change.
+
+#include <cstdint>
+#include <vector>
+
+#include "core/cameras/camera_model.h"
+#include "core/factors/reprojection.h"
+#include "core/interface/options.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+/// Bit j of a pose: entry j of (w, t) (factors/reprojection.h). Bit j of a camera: parameter j.
+struct FreeParameters {
+  static constexpr uint8_t kWholePose = 0b111111;
+
+  std::vector<uint8_t> pose;     ///< num_images
+  std::vector<uint32_t> camera;  ///< num_cameras
+  std::vector<uint8_t> point;    ///< num_points: 0 or 1
+};
+
+/// What the options leave free. Nothing is free that no observation sees. Throws InputError if an
+/// id to be fixed is not in the problem.
+FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptions& options);
+
+/// How the free parameters of a problem lie in one state vector.
+///
+/// The state is [block 0 | block 1 | ...], each block the free numbers of one image (pose, then its
+/// camera's intrinsics if no other image uses that camera) or of one camera that several images
+/// share; points stay an array of their own. A block holds only what is refined, so nothing
+/// constant reaches a solver: no subset manifolds, no zero columns, and blocks of one size wherever
+/// the problem allows it, which is what fixed-size Schur kernels such as Ceres' (2,3,6) and (2,3,9)
+/// ask for.
+///
+/// Column j of a camera-side Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
+
+inline constexpr int kPoseSize = 6;
+
+struct CameraSideBlock {
+  int offset = 0;  ///< of its first number in the state
+  int size = 0;
+  int8_t columns[kPoseSize + kMaxCameraParams] = {};  ///< what they are, ascending
+};
+
+class ParameterLayout {
+ public:
+  ParameterLayout(const ProblemView& problem, FreeParameters free);
+
+  /// Puts the blocks into another order: order[k] becomes the k-th.
+  void Reorder(const std::vector<int>& order);
+
+  const std::vector<CameraSideBlock>& blocks() const { return blocks_; }
+  int state_size() const { return state_size_; }
+  int num_free_points() const { return num_free_points_; }
+  bool point_is_free(int point) const { return free_.point[point] != 0; }
+
+  /// Index of the block with an image's pose, and its intrinsics where merged; -1 if all is fixed.
+  int image_block(int image) const { return image_block_[image]; }
+  /// Index of the block with a shared camera's intrinsics; -1 if merged or fixed.
+  int camera_block(int camera) const { return camera_block_[camera]; }
+  /// True if an observation depends on something free.
+  bool IsRefined(const ProblemView& problem, int64_t observation) const;
+  /// True if some image has both kinds of block.
+  bool has_shared_intrinsics() const { return has_shared_intrinsics_; }
+
+  /// The state at the problem's own values: w = 0.
+  std::vector<double> InitialState(const ProblemView& problem) const;
+
+  /// Writes a state into poses (num_images x 6) and camera parameters (as in ProblemView); what is
+  /// not in the state is left alone.
+  void Scatter(const ProblemView& problem, const double* state, double* poses,
+               double* camera_params) const;
+
+ private:
+  int AddBlock(uint8_t pose_bits, uint32_t camera_bits);
+
+  FreeParameters free_;
+  std::vector<CameraSideBlock> blocks_;
+  std::vector<int> image_block_;
+  std::vector<int> camera_block_;
+  int state_size_ = 0;
+  int num_free_points_ = 0;
+  bool has_shared_intrinsics_ = false;
+};
+
+/// The sizes that decide what a linear solver costs.
+struct ProblemShape {
+  int64_t num_residuals = 0;
+  int64_t num_free_points = 0;
+  int64_t num_camera_columns = 0;  ///< scalar unknowns on the camera side
+  int num_camera_blocks = 0;
+};
+
+/// `num_residuals` is the number of residuals that reach the solver.
+ProblemShape ShapeOf(const ParameterLayout& layout, int64_t num_residuals);
+
+/// Share of the block pairs of the reduced camera system S that are not zero (both triangles and
+/// the diagonal), points eliminated. -1 where there are too many blocks to count it.
+double CountSchurDensity(const ProblemView& problem, const ParameterLayout& layout);
+
+/// The camera side of a problem at one state, expanded once an evaluation so that an observation
+/// only reads: rotation, translation and left Jacobian of each image, parameters of each camera.
+class CameraStates {
+ public:
+  /// Keeps references to both; starts at the problem's own values.
+  CameraStates(const ProblemView& problem, const ParameterLayout& layout);
+
+  void Update(const double* state);
+
+  /// R0 and (w, t) of an image (factors/reprojection.h).
+  const double* start_rotation(int image) const {
+    return start_rotations_.data() + 9 * static_cast<int64_t>(image);
+  }
+  const double* chart(int image) const {
+    return charts_.data() + kPoseSize * static_cast<int64_t>(image);
+  }
+  const PoseState& pose(int image) const { return poses_[image]; }
+  const double* params(int camera) const {
+    return camera_params_.data() + static_cast<int64_t>(camera) * stride_;
+  }
+
+  /// The refined poses as quaternion and translation (num_images x 7): Exp(w) q0. A pose that did
+  /// not move keeps every bit of what it was.
+  std::vector<double> CamFromWorld() const;
+  const std::vector<double>& camera_params() const { return camera_params_; }
+
+ private:
+  const ProblemView& problem_;
+  const ParameterLayout& layout_;
+  const int stride_;
+  std::vector<double> charts_;           ///< (w, t) of each image
+  std::vector<double> start_rotations_;  ///< R0 of each image
+  std::vector<PoseState> poses_;
+  std::vector<double> camera_params_;
+};
+
+}  // namespace bundle

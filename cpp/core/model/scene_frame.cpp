@@ -1,0 +1,222 @@
+#include "core/model/scene_frame.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <numeric>
+#include <sstream>
+
+#include "core/geometry/rotation.h"
+#include "core/problem/reprojection_errors.h"
+
+namespace bundle {
+namespace {
+
+double Median(std::vector<double>* values) {
+  if (values->empty()) return 0;
+  const auto middle = values->begin() + static_cast<std::ptrdiff_t>(values->size() / 2);
+  std::nth_element(values->begin(), middle, values->end());
+  return *middle;
+}
+
+/// Of COLMAP's Reconstruction::Normalize: all of three values or fewer.
+double TrimmedMean(std::vector<double>* values) {
+  const auto last = static_cast<double>(values->size() - 1);
+  const bool few = values->size() <= 3;
+  std::sort(values->begin(), values->end());
+  const auto begin = values->begin() + static_cast<std::ptrdiff_t>(few ? 0 : 0.1 * last);
+  const auto end = values->begin() + static_cast<std::ptrdiff_t>(few ? last : 0.9 * last) + 1;
+  return std::accumulate(begin, end, 0.0) / static_cast<double>(end - begin);
+}
+
+/// std::hypot is slow: it is for numbers whose squares leave the range of doubles.
+double Distance(const double* a, const double* b) {
+  const double d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+  const double squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+  return squared > 1e-280 && squared < 1e280 ? std::sqrt(squared) : std::hypot(d[0], d[1], d[2]);
+}
+
+double SquaredNorm(const double* begin, int64_t count) {
+  double sum = 0;
+  for (int64_t i = 0; i < count; ++i) sum += begin[i] * begin[i];
+  return sum;
+}
+
+/// out = t + sign R c of a pose.
+void MoveTranslation(const double* pose, const double* center, double sign, double* out) {
+  double rotation[9], moved[3];
+  QuaternionToRotation(pose, rotation);
+  MatrixVector3(rotation, center, moved);
+  for (int j = 0; j < 3; ++j) out[j] = pose[4 + j] + sign * moved[j];
+}
+
+/// Of every observation, in pixels squared; NaN where it does not count.
+std::vector<double> SquaredErrors(const ProblemView& problem, const SolveOptions& options) {
+  std::vector<double> errors(problem.num_observations);
+  std::vector<uint8_t> behind(problem.num_observations);
+  ComputeReprojectionErrors(problem, options.num_threads, errors.data(), behind.data());
+  for (size_t i = 0; i < errors.size(); ++i) {
+    const bool counts = !behind[i] || options.cheirality == Cheirality::kAlgebraic;
+    errors[i] = counts ? errors[i] * errors[i] : std::nan("");
+  }
+  return errors;
+}
+
+}  // namespace
+
+SceneFrame::SceneFrame(const ProblemView& problem) {
+  if (problem.num_images == 0 || problem.num_points == 0) return;
+  std::vector<double> centers[3], distances;
+  for (int64_t i = 0; i < problem.num_images; ++i) {
+    const double* const pose = problem.cam_from_world + 7 * i;
+    double rotation[9], backwards[3];
+    QuaternionToRotation(pose, rotation);
+    VectorMatrix3(pose + 4, rotation, backwards);
+    for (int j = 0; j < 3; ++j) centers[j].push_back(-backwards[j]);
+  }
+  for (int j = 0; j < 3; ++j) center[j] = Median(&centers[j]);
+  constexpr int64_t kSample = 4096;
+  const int64_t stride = std::max<int64_t>(1, problem.num_points / kSample);
+  for (int64_t p = 0; p < problem.num_points; ++p) {
+    const double distance = DistanceTo(problem.points + 3 * p);
+    reach = std::max(reach, distance);
+    if (p % stride == 0) distances.push_back(distance);
+  }
+  size = Median(&distances);
+  std::copy_n(center, 3, origin);
+  if (!IsFarFromOrigin()) return;
+  double mean[3];
+  for (int j = 0; j < 3; ++j) mean[j] = TrimmedMean(&centers[j]);
+  if (DistanceTo(mean) < kFarOrigin * size) std::copy_n(mean, 3, origin);
+}
+
+double SceneFrame::DistanceTo(const double* point) const { return Distance(point, center); }
+
+bool SceneFrame::IsFarFromOrigin() const {
+  constexpr double kOrigin[3] = {};
+  const double distance = DistanceTo(kOrigin);
+  return size > 0 && std::isfinite(distance) && distance > kFarOrigin * size;
+}
+
+CenteredProblem::CenteredProblem(const ProblemView& problem, const SceneFrame& frame)
+    : problem_(problem), frame_(frame), centered_(problem) {
+  if (!frame.IsFarFromOrigin()) return;
+  cam_from_world_.assign(problem.cam_from_world,
+                         problem.cam_from_world + 7 * static_cast<int64_t>(problem.num_images));
+  points_.assign(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points));
+  for (size_t i = 0; i < cam_from_world_.size(); i += 7) {
+    MoveTranslation(problem.cam_from_world + i, frame.origin, 1, &cam_from_world_[i + 4]);
+  }
+  for (size_t k = 0; k < points_.size(); ++k) points_[k] -= frame.origin[k % 3];
+  centered_.cam_from_world = cam_from_world_.data();
+  centered_.points = points_.data();
+}
+
+void CenteredProblem::MoveBack(SolveOutput* output) const {
+  if (!is_moved()) return;
+  for (size_t i = 0; i < cam_from_world_.size(); i += 7) {
+    double* const pose = &output->cam_from_world[i];
+    if (std::equal(pose, pose + 7, &cam_from_world_[i])) {
+      std::copy_n(problem_.cam_from_world + i, 7, pose);
+    } else {
+      MoveTranslation(pose, frame_.origin, -1, pose + 4);
+    }
+  }
+  for (size_t k = 0; k < points_.size(); k += 3) {
+    double* const point = &output->points[k];
+    if (std::equal(point, point + 3, &points_[k])) {
+      std::copy_n(problem_.points + k, 3, point);
+    } else {
+      for (int j = 0; j < 3; ++j) point[j] += frame_.origin[j];
+    }
+  }
+  output->summary.origin.assign(frame_.origin, frame_.origin + 3);
+  constexpr double kOrigin[3] = {};
+  std::ostringstream sentence;
+  sentence << "The scene lies " << frame_.DistanceTo(kOrigin)
+           << " units from the origin and measures " << frame_.size
+           << ": it was solved about its centre.";
+  Warn(WarningKind::kFarOrigin, sentence.str(), &output->summary.warnings);
+}
+
+FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layout,
+                        const SceneFrame& frame) {
+  FarPoints result;
+  if (!(frame.size > 0) || !(frame.reach > kFarPoint * frame.size)) return result;
+  const std::vector<double> cameras = layout.InitialState(problem);
+  double near_squared = SquaredNorm(cameras.data(), static_cast<int64_t>(cameras.size()));
+  double far_squared = 0;
+  std::vector<uint8_t> is_far(problem.num_points), is_used(problem.num_points);
+  for (int p = 0; p < problem.num_points; ++p) {
+    const double* const point = problem.points + 3 * static_cast<int64_t>(p);
+    is_far[p] = frame.DistanceTo(point) > kFarPoint * frame.size ? 1 : 0;
+    if (layout.point_is_free(p)) (is_far[p] ? far_squared : near_squared) += SquaredNorm(point, 3);
+  }
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    if (!layout.IsRefined(problem, i)) continue;
+    const int point = problem.observation_point[i];
+    is_used[point] = 1;
+    (is_far[point] ? result.observations : result.others).push_back(i);
+  }
+  if (result.observations.empty()) return result;
+  if (far_squared > 0) result.norm_without = 1 / std::sqrt(1 + far_squared / near_squared);
+  int64_t count = 0, num_free = 0;
+  double farthest = 0;
+  int worst = -1;
+  for (int p = 0; p < problem.num_points; ++p) {
+    if (!is_far[p] || !is_used[p]) continue;
+    ++count;
+    num_free += layout.point_is_free(p) ? 1 : 0;
+    const double distance = frame.DistanceTo(problem.points + 3 * static_cast<int64_t>(p));
+    if (distance > farthest) farthest = distance, worst = p;
+  }
+  std::ostringstream sentence;
+  sentence << "Points more than " << kFarPoint << " times the size of the scene (" << frame.size
+           << ") away from its centre: " << count;
+  if (num_free < count) sentence << " (" << count - num_free << " held)";
+  sentence << ", the farthest is point " << problem.point_ids[worst] << " (" << farthest << "). ";
+  if (num_free > 0) sentence << "The parameter tolerance leaves them out; a few ";
+  if (num_free == 0) sentence << "A few ";
+  sentence << "wrong points can stop the others from converging, remove them if they are.";
+  result.warning = sentence.str();
+  return result;
+}
+
+void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const SolveOptions& options,
+                    const LossFunction& loss, SolveOutput* output) {
+  SolveSummary& summary = output->summary;
+  if (far.observations.empty() || !summary.is_solution_usable || options.max_num_iterations == 0) {
+    return;
+  }
+  ProblemView refined = problem;
+  refined.cam_from_world = output->cam_from_world.data();
+  refined.camera_params = output->camera_params.data();
+  refined.points = output->points.data();
+  const std::vector<double> before = SquaredErrors(problem, options);
+  const std::vector<double> after = SquaredErrors(refined, options);
+  double weighted = 0;
+  for (const int64_t i : far.observations) {
+    if (!std::isnan(after[i])) weighted += loss(after[i]).second * after[i];
+  }
+  const auto cost = [&](const std::vector<int64_t>& observations, const std::vector<double>& at) {
+    double sum = 0;
+    for (const int64_t i : observations) {
+      if (!std::isnan(before[i]) && !std::isnan(after[i])) sum += 0.5 * loss(at[i]).first;
+    }
+    return sum;
+  };
+  const double far_cost = cost(far.observations, after);
+  const double near_cost = cost(far.others, after), near_cost_before = cost(far.others, before);
+  const double bound = options.loss == LossType::kTrivial ? 1 : std::max(1.0, options.loss_scale);
+  const auto count = static_cast<double>(far.observations.size());
+  const bool pulls = std::sqrt(weighted / count) > kFarPull * bound;
+  if (!pulls || !(far_cost > near_cost || near_cost > kMaxNearRise * near_cost_before)) return;
+  summary.is_solution_usable = false;
+  std::ostringstream sentence;
+  sentence << "The solution is not usable: it was bent to fit the points far outside the scene, "
+           << "whose observations cost " << far_cost << "; all others cost " << near_cost
+           << " at the end and " << near_cost_before << " at the start.";
+  Warn(WarningKind::kFarPointsDominate, sentence.str(), &summary.warnings);
+}
+
+}  // namespace bundle

@@ -1,0 +1,150 @@
+#include "core/parallel/thread_pool.h"
+
+#include <algorithm>
+#include <chrono>
+#include <condition_variable>
+#include <mutex>
+#include <new>
+#include <system_error>
+#include <vector>
+
+namespace bundle {
+
+namespace {
+
+constexpr std::chrono::microseconds kStayAwake{200};
+constexpr int kSpinsBeforeYield = 2000;
+
+void Pause() {
+#if defined(__x86_64__) || defined(__i386__)
+  __builtin_ia32_pause();
+#elif defined(__aarch64__)
+  asm volatile("yield");
+#endif
+}
+
+}  // namespace
+
+void SpinWait::Once() {
+  if (++count_ < kSpinsBeforeYield) {
+    Pause();
+  } else {
+    std::this_thread::yield();
+  }
+}
+
+ThreadPool::ThreadPool(int num_threads) {
+  try {
+    workers_.reserve(std::max(0, num_threads - 1));
+    for (int thread = 1; thread < num_threads; ++thread) {
+      workers_.emplace_back([this, thread] { WorkerLoop(thread); });
+    }
+  } catch (const std::system_error&) {  // the system has no more threads
+  } catch (const std::bad_alloc&) {     // or no memory for one
+  }
+}
+
+ThreadPool::~ThreadPool() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    generation_.store(-1, std::memory_order_release);
+  }
+  wake_.notify_all();
+  for (std::thread& worker : workers_) worker.join();
+}
+
+void ThreadPool::Run(const std::function<void(int thread)>& work) {
+  if (!workers_.empty()) {
+    work_ = &work;
+    unfinished_.store(static_cast<int>(workers_.size()), std::memory_order_relaxed);
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      generation_.fetch_add(1, std::memory_order_release);
+    }
+    wake_.notify_all();
+  }
+  Work(work, 0);
+  for (SpinWait wait; unfinished_.load(std::memory_order_acquire) > 0;) wait.Once();
+  first_exception_.Rethrow();
+}
+
+void ThreadPool::Work(const std::function<void(int thread)>& work, int thread) {
+  try {
+    work(thread);
+  } catch (...) {
+    first_exception_.Keep();
+  }
+}
+
+void ThreadPool::WorkerLoop(int thread) {
+  for (int seen = 0;;) {
+    const auto asleep_at = std::chrono::steady_clock::now() + kStayAwake;
+    int generation = generation_.load(std::memory_order_acquire);
+    for (SpinWait wait; generation == seen && std::chrono::steady_clock::now() < asleep_at;) {
+      wait.Once();
+      generation = generation_.load(std::memory_order_acquire);
+    }
+    if (generation == seen) {
+      std::unique_lock<std::mutex> lock(mutex_);
+      wake_.wait(lock, [&] { return generation_.load(std::memory_order_acquire) != seen; });
+      generation = generation_.load(std::memory_order_acquire);
+    }
+    if (generation < 0) return;
+    seen = generation;
+    Work(*work_, thread);
+    unfinished_.fetch_sub(1, std::memory_order_release);
+  }
+}
+
+namespace {
+
+/// Starts threads 1 to count - 1, or as many as there are, and returns them.
+template <typename Function>
+std::vector<std::thread> StartThreads(int64_t count, const Function& run) {
+  std::vector<std::thread> threads;
+  try {
+    threads.reserve(count - 1);
+    for (int64_t s = 1; s < count; ++s) threads.emplace_back([&run, s] { run(s); });
+  } catch (const std::system_error&) {  // the system has no more threads
+  } catch (const std::bad_alloc&) {     // or no memory for one
+  }
+  return threads;
+}
+
+}  // namespace
+
+void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run) {
+  FirstException first;
+  const auto guarded = [&](int64_t s) {
+    try {
+      run(s);
+    } catch (...) {
+      first.Keep();
+    }
+  };
+  std::vector<std::thread> threads = StartThreads(count, guarded);
+  guarded(0);
+  for (auto s = static_cast<int64_t>(threads.size()) + 1; s < count; ++s) guarded(s);
+  for (std::thread& thread : threads) thread.join();
+  first.Rethrow();
+}
+
+int CountStartableThreads(int wanted) {
+  std::mutex mutex;
+  std::condition_variable wake;
+  bool counted = false;  // all exist at the same time until then
+  const auto wait = [&](int64_t) {
+    std::unique_lock<std::mutex> lock(mutex);
+    wake.wait(lock, [&] { return counted; });
+  };
+  std::vector<std::thread> threads = StartThreads(wanted, wait);
+  {
+    const std::lock_guard<std::mutex> lock(mutex);
+    counted = true;
+  }
+  wake.notify_all();
+  for (std::thread& thread : threads) thread.join();
+  return static_cast<int>(threads.size()) + 1;
+}
+
+}  // namespace bundle

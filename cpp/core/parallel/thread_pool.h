@@ -1,0 +1,102 @@
+#pragma once
+
+/// Threads: loops over slices, a pool that lives as long as a solver, and exceptions across both.
+
+#include <algorithm>
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <exception>
+#include <functional>
+#include <mutex>
+#include <thread>
+#include <utility>
+#include <vector>
+
+namespace bundle {
+
+/// The first exception of several threads.
+class FirstException {
+ public:
+  /// Inside a handler: keeps the exception that is being handled, unless there is one already.
+  void Keep() noexcept {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!exception_) exception_ = std::current_exception();
+  }
+
+  /// Throws it, if there is one, and forgets it. When all threads have ended.
+  void Rethrow() {
+    if (exception_) std::rethrow_exception(std::exchange(exception_, nullptr));
+  }
+
+ private:
+  std::mutex mutex_;
+  std::exception_ptr exception_;
+};
+
+/// All cores where the user did not say.
+inline int EffectiveNumThreads(int num_threads) {
+  if (num_threads > 0) return num_threads;
+  return std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
+}
+
+/// Calls run(0) to run(count - 1), each on a thread of its own as far as the system has threads,
+/// the others here. Waits for all; then throws the first exception of any.
+void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run);
+
+/// How many threads, up to `wanted`, the system starts at the moment; the caller's counts.
+int CountStartableThreads(int wanted);
+
+/// Calls function(begin, end) on consecutive slices of [0, count), one per thread. Ranges below
+/// `min_slice` are not worth a thread and run here. Exceptions as in RunOnThreads.
+template <typename Function>
+void ParallelFor(int64_t count, int num_threads, const Function& function,
+                 int64_t min_slice = 10000) {
+  const int64_t slices =
+      std::clamp<int64_t>(count / min_slice, 1, EffectiveNumThreads(num_threads));
+  if (slices == 1) return function(int64_t{0}, count);
+  // Quotient and remainder apart: count * s may be beyond 64 bits.
+  const int64_t each = count / slices, rest = count % slices;
+  const auto begin = [&](int64_t s) { return each * s + rest * s / slices; };
+  RunOnThreads(slices, [&](int64_t s) { function(begin(s), begin(s + 1)); });
+}
+
+/// Threads that live as long as a solve. A pass of a small problem takes less time than starting a
+/// thread does, so they wait for the next one awake, for a while.
+class ThreadPool {
+ public:
+  /// Has fewer threads where the system does not start as many.
+  explicit ThreadPool(int num_threads);
+  ~ThreadPool();
+  ThreadPool(const ThreadPool&) = delete;
+  ThreadPool& operator=(const ThreadPool&) = delete;
+
+  int num_threads() const { return static_cast<int>(workers_.size()) + 1; }
+
+  /// Calls work(thread) once on each thread, the caller's being thread 0, and waits for all. Then
+  /// throws the first exception of any; the pool can run again.
+  void Run(const std::function<void(int thread)>& work);
+
+ private:
+  void WorkerLoop(int thread);
+  void Work(const std::function<void(int thread)>& work, int thread);
+
+  std::vector<std::thread> workers_;
+  const std::function<void(int)>* work_ = nullptr;
+  std::atomic<int> generation_{0};  ///< counts the runs; -1 ends the threads
+  std::atomic<int> unfinished_{0};
+  std::mutex mutex_;
+  std::condition_variable wake_;
+  FirstException first_exception_;
+};
+
+/// Tells the processor that the caller waits in a loop, and the system after a while.
+class SpinWait {
+ public:
+  void Once();
+
+ private:
+  int count_ = 0;
+};
+
+}  // namespace bundle

@@ -1,0 +1,157 @@
+#include "core/prepare/memory.h"
+
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <cstdio>
+#include <fstream>
+#include <limits>
+#include <sstream>
+#include <vector>
+
+namespace bundle {
+namespace {
+
+constexpr double kUnlimited = std::numeric_limits<double>::max();
+
+/// The number in a file, or after `key` in it; `otherwise` where there is none, such as "max".
+double ReadNumber(const std::string& path, const std::string& key, double otherwise) {
+  std::ifstream file(path);
+  std::string word;
+  double number = 0;
+  while (!key.empty() && file >> word && word != key) continue;
+  return file >> number ? number : otherwise;
+}
+
+double LeftByMachine(const std::string& root) {
+  return 1024 * ReadNumber(root + "/proc/meminfo", "MemAvailable:", kUnlimited / 1024);
+}
+
+/// What one control group leaves; its files have other names in version 1.
+double LeftByGroup(const std::string& group, const char* limit, const char* usage,
+                   const char* droppable) {
+  const double most = ReadNumber(group + limit, "", kUnlimited);
+  if (most == kUnlimited) return kUnlimited;
+  const double used = ReadNumber(group + usage, "", 0);
+  return most - used + std::min(used, ReadNumber(group + "/memory.stat", droppable, 0));
+}
+
+/// A group is bound by those around it too. Within a container its path may not be mounted, which
+/// leaves the root of what is.
+double LeftByControlGroups(const std::string& root) {
+  const std::string mount = root + "/sys/fs/cgroup";
+  double left = kUnlimited;
+  std::ifstream file(root + "/proc/self/cgroup");
+  for (std::string line; std::getline(file, line);) {  // "4:memory:/user" or "0::/user"
+    const size_t first = line.find(':'), second = line.find(':', first + 1);
+    if (first == std::string::npos || second == std::string::npos) continue;
+    const std::string controllers = "," + line.substr(first + 1, second - first - 1) + ",";
+    const bool unified = controllers == ",,";
+    if (!unified && controllers.find(",memory,") == std::string::npos) continue;
+    for (std::string path = line.substr(second + 1);; path.resize(path.rfind('/'))) {
+      if (path == "/") path.clear();
+      left = std::min(
+          left, unified
+                    ? LeftByGroup(mount + path, "/memory.max", "/memory.current", "inactive_file")
+                    : LeftByGroup(mount + "/memory" + path, "/memory.limit_in_bytes",
+                                  "/memory.usage_in_bytes", "total_inactive_file"));
+      if (path.rfind('/') == std::string::npos) break;
+    }
+  }
+  return left;
+}
+
+double LeftByLimit(int resource, double used) {
+  rlimit limit{};
+  if (getrlimit(resource, &limit) != 0 || limit.rlim_cur == RLIM_INFINITY) return kUnlimited;
+  return static_cast<double>(limit.rlim_cur) - used;
+}
+
+double LeftByLimits(const std::string& root) {
+  if (!HasMemoryLimit()) return kUnlimited;
+  // Pages of: everything, resident, shared, text, nothing, data and stack.
+  std::ifstream file(root + "/proc/self/statm");
+  double pages[6] = {};
+  for (double& count : pages) file >> count;
+  const auto page = static_cast<double>(sysconf(_SC_PAGESIZE));
+  return std::min(LeftByLimit(RLIMIT_AS, page * pages[0]),
+                  LeftByLimit(RLIMIT_DATA, page * pages[5]));
+}
+
+}  // namespace
+
+bool HasMemoryLimit() {
+  return LeftByLimit(RLIMIT_AS, 0) < kUnlimited || LeftByLimit(RLIMIT_DATA, 0) < kUnlimited;
+}
+
+double PredictDenseMatrixBytes(LinearSolverType solver, const ProblemShape& shape,
+                               bool cameras_eliminated) {
+  const double camera_columns = static_cast<double>(shape.num_camera_columns);
+  const double point_columns = 3.0 * static_cast<double>(shape.num_free_points);
+  const double columns = camera_columns + point_columns;
+  const double rows = static_cast<double>(shape.num_residuals) + columns;  // with the LM diagonal
+  const double reduced = cameras_eliminated ? point_columns : camera_columns;
+  switch (solver) {
+    case LinearSolverType::kDenseSchur:
+      return sizeof(double) * reduced * reduced;
+    case LinearSolverType::kDenseNormalCholesky:
+      return sizeof(double) * (rows * columns + columns * columns);
+    case LinearSolverType::kDenseQr:
+      return 2 * sizeof(double) * rows * columns;  // the Jacobian and the copy that is factorised
+    default:
+      return 0;
+  }
+}
+
+double AvailableMemoryBytes(const std::string& root) {
+  return std::max(0.0,
+                  std::min({LeftByMachine(root), LeftByControlGroups(root), LeftByLimits(root)}));
+}
+
+double AvailableMemoryFor(double bytes) {
+  constexpr double kFitsAnywhere = 1 << 25;
+  return bytes < kFitsAnywhere && !HasMemoryLimit() ? kUnlimited : AvailableMemoryBytes();
+}
+
+double PredictFusedWorkingBytes(const ParameterLayout& layout,
+                                const std::vector<int64_t>& track_lengths, int num_threads,
+                                double buffer_bytes) {
+  // Image, measurement and place in the chunk; while they are sorted, where they come from.
+  constexpr double kBytesPerObservation = 22 + 8;
+  // Two states, the scale of the columns, the solution, and where the point is in the plan.
+  constexpr double kBytesPerPoint = 4 * 24 + 3 * 8;
+  constexpr double kBytesPerPair = 2;
+  constexpr double kBuffersPerThread = 3;
+  const auto num_points = static_cast<int>(track_lengths.size());
+  double observations = 0, pairs = 0;
+  for (int p = 0; p < num_points; ++p) {
+    const auto length = static_cast<double>(track_lengths[p]);
+    observations += length;
+    if (layout.point_is_free(p)) pairs += length * (length - 1) / 2;
+  }
+  return kBytesPerObservation * observations + kBytesPerPoint * num_points + kBytesPerPair * pairs +
+         kBuffersPerThread * num_threads * buffer_bytes;
+}
+
+double PredictCeresWorkingBytes(const ProblemShape& shape) {
+  constexpr double kBytesPerObservation = 390, kBytesPerPoint = 820;
+  const double columns_per_block =
+      static_cast<double>(shape.num_camera_columns) / std::max(1, shape.num_camera_blocks);
+  const auto residuals = static_cast<double>(shape.num_residuals);
+  return kBytesPerObservation * residuals / 2 +
+         kBytesPerPoint * static_cast<double>(shape.num_free_points) +
+         sizeof(double) * residuals * (3 + columns_per_block);
+}
+
+std::string FormatBytes(double bytes) {
+  const char* const units[] = {"B", "kB", "MB", "GB", "TB", "PB"};
+  int unit = 0;
+  while (bytes >= 999.5 && unit < 5) bytes /= 1000, ++unit;
+  char text[32];
+  std::snprintf(text, sizeof(text), bytes < 999.5 ? "%.3g %s" : "%.0f %s", bytes, units[unit]);
+  return text;
+}
+
+}  // namespace bundle

@@ -1,0 +1,121 @@
+#include "core/prepare/prepare.h"
+
+#include <limits>
+#include <utility>
+
+#include "core/checking/check_solution.h"
+#include "core/error.h"
+#include "core/factors/reprojection.h"
+#include "core/interface/options.h"
+#include "core/model/gauge.h"
+#include "core/model/parameter_layout.h"
+#include "core/prepare/memory.h"
+#include "core/problem/problem_view.h"
+#include "core/problem/reprojection_errors.h"
+
+namespace bundle {
+
+PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options) {
+  CheckCameraModelsKnown(problem);
+  FreeParameters free = SelectFreeParameters(problem, options);
+  std::vector<Warning> warnings;
+  Warn(WarningKind::kGaugeNotHeld, FixGauge(problem, options.gauge, &free), &warnings);
+  ParameterLayout layout(problem, std::move(free));
+  std::vector<int64_t> track_lengths = TrackLengths(problem);
+  Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),
+       &warnings);
+  return {std::move(layout), std::move(warnings), std::move(track_lengths)};
+}
+
+namespace {
+
+/// The free memory where `bytes` are more than nine tenths of it; else -1.
+double AvailableIfTooLittle(double bytes) {
+  const double available = AvailableMemoryFor(bytes);
+  return FitsIntoMemory(bytes, available) ? -1 : available;
+}
+
+}  // namespace
+
+bool IsIterative(LinearSolverType type) {
+  return type == LinearSolverType::kIterativeSchur || type == LinearSolverType::kCgnr;
+}
+
+void CheckTrustRegion(const SolveOptions& options) {
+  if (IsIterative(options.linear_solver_type) &&
+      options.trust_region_strategy_type != TrustRegionStrategy::kLevenbergMarquardt) {
+    throw InputError(
+        "trust_region_strategy_type: expected levenberg_marquardt with an iterative solver; dogleg "
+        "needs exact steps");
+  }
+}
+
+std::string FindIdlePreconditioner(const SolveOptions& options) {
+  if (IsIterative(options.linear_solver_type) ||
+      options.preconditioner_type == PreconditionerType::kAuto) {
+    return "";
+  }
+  return "The preconditioner is not used: " +
+         UpperName(options.linear_solver_type, kLinearSolverTypes) + " is a direct solver.";
+}
+
+std::string FindIdleOrdering(const SolveOptions& options) {
+  const bool orders = options.linear_solver_type != LinearSolverType::kDenseNormalCholesky &&
+                      options.linear_solver_type != LinearSolverType::kDenseQr &&
+                      options.linear_solver_type != LinearSolverType::kCgnr;
+  if (orders || options.linear_solver_ordering == EliminationOrdering::kPointsFirst) return "";
+  return "The ordering is not used: " + UpperName(options.linear_solver_type, kLinearSolverTypes) +
+         " does not eliminate block by block.";
+}
+
+void RefuseTooMuchMemory(LinearSolverType type, double bytes, const char* what,
+                         const char* instead) {
+  const double available = AvailableIfTooLittle(bytes);
+  if (available < 0) return;
+  throw InputError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) + " needs " +
+                   FormatBytes(bytes) + " for its " + what + ", of which this machine has " +
+                   FormatBytes(available) + " free; use " + instead);
+}
+
+void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
+                         bool cameras_eliminated) {
+  RefuseTooMuchMemory(type, PredictDenseMatrixBytes(type, shape, cameras_eliminated),
+                      "dense matrices", "sparse_schur or iterative_schur");
+}
+
+bool FitsIntoMemory(double bytes, double available) { return bytes <= 0.9 * available; }
+
+void RefuseTooLarge(const ProblemView& problem) {
+  constexpr int64_t kMost = std::numeric_limits<int>::max();
+  const auto refuse = [](const char* what, int64_t most, int64_t found) {
+    throw InputError(std::string(what) + ": expected at most " + std::to_string(most) +
+                     " in one solve, found " + std::to_string(found));
+  };
+  if (problem.num_observations > kMost / 2) {
+    refuse("observation_xy", kMost / 2, problem.num_observations);  // two residuals each
+  }
+  // Three parameters each, and up to so many per image and camera.
+  const int64_t camera_side =
+      int64_t{kPoseSize} * problem.num_images +
+      int64_t{kMaxCameraParams} * (int64_t{problem.num_images} + problem.num_cameras);
+  if (camera_side > kMost)
+    refuse("cam_from_world", kMost / (kPoseSize + 2 * kMaxCameraParams), problem.num_images);
+  const int64_t most_points = (kMost - camera_side) / 3;
+  if (problem.num_points > most_points) refuse("points", most_points, problem.num_points);
+}
+
+void RefuseTooMuchMemory(double working_bytes) {
+  const double available = AvailableIfTooLittle(working_bytes);
+  if (available < 0) return;
+  throw InputError("not enough memory: the observations and points take " +
+                   FormatBytes(working_bytes) + " within a solve, of which this machine has " +
+                   FormatBytes(available) + " free");
+}
+
+void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes) {
+  RefuseTooMuchMemory(type, factor_bytes + working_bytes,
+                      working_bytes > 0 ? "factor, observations and points" : "factor",
+                      "iterative_schur");
+}
+
+}  // namespace bundle

@@ -1,0 +1,140 @@
+#include "core/problem/problem_view.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "core/cameras/camera_model.h"
+#include "core/error.h"
+
+namespace bundle {
+
+std::vector<int64_t> TrackLengths(const ProblemView& problem) {
+  std::vector<int64_t> lengths(problem.num_points);
+  for (int64_t i = 0; i < problem.num_observations; ++i) ++lengths[problem.observation_point[i]];
+  return lengths;
+}
+
+Tracks GroupByPoint(const ProblemView& problem) {
+  const std::vector<int64_t> lengths = TrackLengths(problem);
+  Tracks tracks;
+  tracks.starts.resize(lengths.size() + 1);
+  std::partial_sum(lengths.begin(), lengths.end(), tracks.starts.begin() + 1);
+  tracks.images.resize(problem.num_observations);
+  std::vector<int64_t> next(tracks.starts.begin(), tracks.starts.end() - 1);
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    tracks.images[next[problem.observation_point[i]]++] = problem.observation_image[i];
+  }
+  return tracks;
+}
+
+namespace {
+
+template <typename... Parts>
+[[noreturn]] void Fail(const Parts&... parts) {
+  std::ostringstream message;
+  (message << ... << parts);
+  throw InputError(message.str());
+}
+
+void CheckIdsUnique(const char* what, const int64_t* ids, int count) {
+  if (std::is_sorted(ids, ids + count, std::less_equal<>())) return;
+  std::vector<int64_t> sorted(ids, ids + count);
+  std::sort(sorted.begin(), sorted.end());
+  const auto repeated = std::adjacent_find(sorted.begin(), sorted.end());
+  if (repeated != sorted.end()) Fail(what, " ", *repeated, ": expected every id once, found twice");
+}
+
+void CheckImages(const ProblemView& problem) {
+  for (int i = 0; i < problem.num_images; ++i) {
+    const double* pose = problem.cam_from_world + 7 * static_cast<int64_t>(i);
+    for (int j = 0; j < 7; ++j) {
+      if (!std::isfinite(pose[j])) {
+        Fail("image ", problem.image_ids[i], ": expected a finite pose, found ", pose[j]);
+      }
+    }
+    const double norm = std::hypot(std::hypot(pose[0], pose[1]), std::hypot(pose[2], pose[3]));
+    if (!(norm > 1e-150) || !std::isfinite(norm * norm)) {
+      Fail("image ", problem.image_ids[i], ": expected a rotation, found a quaternion of norm ",
+           norm);
+    }
+    const int32_t camera = problem.image_camera[i];
+    if (camera < 0 || camera >= problem.num_cameras) {
+      Fail("image ", problem.image_ids[i], ": expected a camera index below ", problem.num_cameras,
+           ", found ", camera);
+    }
+  }
+}
+
+void CheckCameras(const ProblemView& problem) {
+  for (int c = 0; c < problem.num_cameras; ++c) {
+    const CameraModel* model = problem.camera_models[c];
+    const double* params = problem.ParamsOf(c);
+    if (model == nullptr) continue;
+    if (problem.camera_params_stride < model->num_params) {
+      Fail("camera ", problem.camera_ids[c], ": expected ", model->num_params, " parameters of ",
+           model->name, ", found ", problem.camera_params_stride);
+    }
+    for (int j = 0; j < model->num_params; ++j) {
+      if (!std::isfinite(params[j])) {
+        Fail("camera ", problem.camera_ids[c], ": expected a finite ", model->params[j].name,
+             ", found ", params[j]);
+      }
+      const CameraParam::Kind kind = model->params[j].kind;
+      const bool is_focal = kind == CameraParam::kFocal;
+      if ((is_focal || kind == CameraParam::kMetadata) && !(params[j] > 0)) {
+        Fail("camera ", problem.camera_ids[c], ": expected a positive ",
+             is_focal ? "focal length " : "image size ", model->params[j].name, ", found ",
+             params[j]);
+      }
+    }
+  }
+}
+
+void CheckPoints(const ProblemView& problem) {
+  for (int p = 0; p < problem.num_points; ++p) {
+    const double* point = problem.points + 3 * static_cast<int64_t>(p);
+    for (int j = 0; j < 3; ++j) {
+      if (!std::isfinite(point[j])) {
+        Fail("point ", problem.point_ids[p], ": expected finite coordinates, found ", point[j]);
+      }
+    }
+  }
+}
+
+void CheckObservations(const ProblemView& problem) {
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    const int32_t image = problem.observation_image[i];
+    const int32_t point = problem.observation_point[i];
+    if (image < 0 || image >= problem.num_images) {
+      Fail("observation ", i, ": expected an image index below ", problem.num_images, ", found ",
+           image);
+    }
+    if (point < 0 || point >= problem.num_points) {
+      Fail("observation ", i, ": expected a point index below ", problem.num_points, ", found ",
+           point);
+    }
+    const double* xy = problem.observation_xy + 2 * i;
+    if (!std::isfinite(xy[0]) || !std::isfinite(xy[1])) {
+      Fail("observation ", i, " (image ", problem.image_ids[image], ", point ",
+           problem.point_ids[point], "): expected finite pixels, found ", xy[0], " ", xy[1]);
+    }
+  }
+}
+
+}  // namespace
+
+void ValidateProblem(const ProblemView& problem) {
+  CheckIdsUnique("image", problem.image_ids, problem.num_images);
+  CheckIdsUnique("camera", problem.camera_ids, problem.num_cameras);
+  CheckIdsUnique("point", problem.point_ids, problem.num_points);
+  CheckImages(problem);
+  CheckCameras(problem);
+  CheckPoints(problem);
+  CheckObservations(problem);
+}
+
+}  // namespace bundle

@@ -1,0 +1,183 @@
+#include "core/schur/assembler.h"
+
+#include <algorithm>
+
+namespace bundle::fused {
+namespace {
+
+constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way at once, about
+
+/// Of the rows of an image's Jacobian, and of the blocks whose second image it is.
+int WidthOf(const EliminationInput& input, int image) {
+  return input.mixed ? 4 * input.image_quads[image] : input.num_columns;
+}
+
+}  // namespace
+
+Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
+                     const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
+                     const BlockStructure& structure)
+    : structure_(structure),
+      images_(problem.num_images),
+      diagonal_begin_(DiagonalBlockOffsets(structure)) {
+  for (int i = 0; i < problem.num_images; ++i) {
+    const ModelGroup& group = groups[image_group[i]];
+    AddSegment(layout.image_block(i), layout, group, &images_[i]);
+    AddSegment(layout.camera_block(problem.image_camera[i]), layout, group, &images_[i]);
+    images_are_independent_ &= layout.camera_block(problem.image_camera[i]) < 0;
+  }
+}
+
+void Assembler::AddSegment(int block, const ParameterLayout& layout, const ModelGroup& group,
+                           ImageSegments* image) const {
+  if (block < 0) return;
+  const CameraSideBlock& columns = layout.blocks()[block];
+  Segment& segment = image->of[image->count++];
+  segment.block = block;
+  segment.size = columns.size;
+  for (int k = 0; k < columns.size; ++k) {
+    const int8_t* const end = group.columns + group.num_columns;
+    segment.local[k] =
+        static_cast<int8_t>(std::find(group.columns, end, columns.columns[k]) - group.columns);
+    segment.is_contiguous &= segment.local[k] == segment.local[0] + k;
+  }
+}
+
+/// Usually all that images of the model refine is refined, and side by side.
+void Assembler::AddColumn(const Segment& rows, const double* from, double* column) {
+  if (rows.is_contiguous) {
+    from += rows.local[0];
+    for (int j = 0; j < rows.size; ++j) column[j] += from[j];
+  } else {
+    for (int j = 0; j < rows.size; ++j) column[j] += from[rows.local[j]];
+  }
+}
+
+int64_t Assembler::Entry(int column, int row) const {
+  const int64_t begin = structure_.column_begin[column];
+  if (structure_.dense) return begin + (row - column);
+  const auto first = structure_.row_block.begin() + begin;
+  const auto last = structure_.row_block.begin() + structure_.column_begin[column + 1];
+  return std::lower_bound(first, last, row) - structure_.row_block.begin();
+}
+
+void Assembler::AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
+                         size_t i, size_t first_pair, size_t last_pair, CameraSums* sums) const {
+  const int64_t block_size = static_cast<int64_t>(input.num_rows) * input.num_columns;
+  const auto slot = static_cast<int64_t>(i);
+  double* const values = sums->system.values.data();
+  const int image = chunk.images[i];
+  const auto block = [&](int64_t b) {
+    return sum.blocks + (input.mixed ? sum.block_begin[b] : block_size * b);
+  };
+  const auto prefetch = [&](size_t pair) {
+    if (pair < last_pair) PrefetchPair(image, chunk.images[chunk.pairs[pair].second], values);
+  };
+  for (size_t ahead = 0; ahead < kPairsAhead; ++ahead) prefetch(first_pair + ahead);
+  AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, sums);
+  AddDiagonal(input, image, block(slot), values);
+  if (sum.camera_diagonal != nullptr) {
+    AddCameraDiagonal(input, image, sum.camera_diagonal + block_size * slot,
+                      sums->system.camera_diagonal.data());
+  }
+  const auto num_images = static_cast<int64_t>(chunk.images.size());
+  for (size_t pair = first_pair; pair < last_pair; ++pair) {
+    prefetch(pair + kPairsAhead);
+    AddPair(input, image, chunk.images[chunk.pairs[pair].second],
+            block(num_images + static_cast<int64_t>(pair)), values);
+  }
+}
+
+/// Asks for the columns of the block that most of a pair goes to; S does not fit a cache, and the
+/// columns of a block are far apart.
+void Assembler::PrefetchPair(int first, int second, const double* values) const {
+  if (images_[first].count == 0 || images_[second].count == 0) return;
+  const Segment &a = images_[first].of[0], &b = images_[second].of[0];
+  if (a.block >= b.block) return;
+  const int64_t entry = Entry(a.block, b.block);
+  for (int i = 0; i < a.size; ++i) {
+    const double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
+    __builtin_prefetch(column, 1);
+    __builtin_prefetch(column + b.size - 1, 1);
+  }
+}
+
+void Assembler::AddVectors(const EliminationInput& input, int image, const double* vectors,
+                           CameraSums* sums) const {
+  const int width = WidthOf(input, image);
+  for (int s = 0; s < images_[image].count; ++s) {
+    const Segment& segment = images_[image].of[s];
+    const int offset = structure_.offset[segment.block];
+    for (int k = 0; k < segment.size; ++k) {
+      const double* const at = vectors + segment.local[k];
+      sums->gradient[offset + k] += at[0];
+      sums->system.rhs[offset + k] -= at[width];
+      sums->squared_norms[offset + k] += at[2 * width];
+    }
+  }
+}
+
+/// Only the upper triangle of `block` means anything.
+void Assembler::AddDiagonal(const EliminationInput& input, int image, const double* block,
+                            double* values) const {
+  const ImageSegments& segments = images_[image];
+  const int width = WidthOf(input, image);
+  for (int s = 0; s < segments.count; ++s) {
+    for (int t = 0; t < segments.count; ++t) {
+      const Segment &a = segments.of[s], &b = segments.of[t];
+      if (a.block > b.block) continue;
+      const int64_t entry = Entry(a.block, b.block);
+      for (int i = 0; i < a.size; ++i) {
+        double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
+        for (int j = s == t ? i : 0; j < b.size; ++j) {
+          const auto [first, second] = std::minmax(a.local[i], b.local[j]);
+          column[j] += block[first * width + second];
+        }
+      }
+    }
+  }
+}
+
+void Assembler::AddCameraDiagonal(const EliminationInput& input, int image, const double* block,
+                                  double* values) const {
+  const int width = WidthOf(input, image);
+  for (int s = 0; s < images_[image].count; ++s) {
+    const Segment& segment = images_[image].of[s];
+    double* const target = values + diagonal_begin_[segment.block];
+    for (int i = 0; i < segment.size; ++i) {
+      for (int j = i; j < segment.size; ++j) {
+        target[i * segment.size + j] += block[segment.local[i] * width + segment.local[j]];
+      }
+    }
+  }
+}
+
+void Assembler::AddPair(const EliminationInput& input, int first, int second, const double* block,
+                        double* values) const {
+  const int width = WidthOf(input, second);
+  for (int s = 0; s < images_[first].count; ++s) {
+    for (int t = 0; t < images_[second].count; ++t) {
+      const Segment &a = images_[first].of[s], &b = images_[second].of[t];
+      const int64_t entry = Entry(std::min(a.block, b.block), std::max(a.block, b.block));
+      for (int i = 0; i < a.size; ++i) {
+        const double* const row = block + a.local[i] * width;
+        if (a.block < b.block) {
+          AddColumn(b, row, values + structure_.ValueIndex(a.block, entry, 0, i));
+          continue;
+        }
+        for (int j = 0; j < b.size; ++j) {
+          const double value = row[b.local[j]];
+          if (a.block > b.block) {
+            values[structure_.ValueIndex(b.block, entry, i, j)] += value;
+            continue;
+          }
+          // Into a diagonal block, with its transpose.
+          if (i >= j) values[structure_.ValueIndex(a.block, entry, i, j)] += value;
+          if (j >= i) values[structure_.ValueIndex(a.block, entry, j, i)] += value;
+        }
+      }
+    }
+  }
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,160 @@
+#pragma once
+
+/// Where a chunk's sums go: from blocks of image pairs to blocks of the parameter layout.
+///
+/// The passes work by image, with the columns that any image of its camera model refines: its pose,
+/// then its intrinsics. In the layout, an image's columns are one block, or two where the
+/// intrinsics are shared with other images, and some may be fixed. A block of images (a, b) thus
+/// goes to up to four blocks of S. Where both have the same intrinsics block, it and its transpose
+/// go to the diagonal one.
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <vector>
+
+#include "core/linear/block_structure.h"
+#include "core/model/parameter_layout.h"
+#include "core/parallel/thread_pool.h"
+#include "core/problem/problem_view.h"
+#include "core/schur/kernels/kernels.h"
+
+namespace bundle::fused {
+
+/// The camera side of the normal equations.
+struct CameraSums {
+  BlockSystem system;
+  std::vector<double> gradient;       ///< J_c^T r
+  std::vector<double> squared_norms;  ///< ||J e_j||^2
+};
+
+class Assembler {
+ public:
+  /// `groups` and `image_group` as in EliminationInput.
+  Assembler(const ProblemView& problem, const ParameterLayout& layout,
+            const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
+            const BlockStructure& structure);
+
+  /// Adds what a chunk has of image i of its images: its vectors, its diagonal block, and the pairs
+  /// [first_pair, last_pair), whose first it is.
+  void AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum, size_t i,
+                size_t first_pair, size_t last_pair, CameraSums* sums) const;
+
+  /// True if AddImage changes no other block columns of S than the image's own.
+  bool images_are_independent() const { return images_are_independent_; }
+
+  /// Where block j of the layout begins in BlockSystem::camera_diagonal.
+  const std::vector<int64_t>& diagonal_begin() const { return diagonal_begin_; }
+
+ private:
+  /// Columns of an image that are in one block of the layout.
+  struct Segment {
+    int block = -1;
+    int size = 0;
+    bool is_contiguous = true;                        ///< local[k] = local[0] + k
+    int8_t local[kPoseSize + kMaxCameraParams] = {};  ///< entry k of the block by local column
+  };
+  struct ImageSegments {
+    Segment of[2];
+    int count = 0;
+  };
+
+  void AddSegment(int block, const ParameterLayout& layout, const ModelGroup& group,
+                  ImageSegments* image) const;
+  void AddVectors(const EliminationInput& input, int image, const double* vectors,
+                  CameraSums* sums) const;
+  void AddDiagonal(const EliminationInput& input, int image, const double* block,
+                   double* values) const;
+  void AddCameraDiagonal(const EliminationInput& input, int image, const double* block,
+                         double* values) const;
+  void AddPair(const EliminationInput& input, int first, int second, const double* block,
+               double* values) const;
+  static void AddColumn(const Segment& rows, const double* from, double* column);
+  void PrefetchPair(int first, int second, const double* values) const;
+  int64_t Entry(int column, int row) const;
+
+  const BlockStructure& structure_;
+  std::vector<ImageSegments> images_;
+  std::vector<int64_t> diagonal_begin_;
+  bool images_are_independent_ = true;
+};
+
+/// Sums up chunks that several threads work on, in the order of the chunks, so that no bit of the
+/// sum depends on who was faster.
+///
+/// Each image's block column of S is a queue of its own: threads wait for each other at the same
+/// column only. A thread that is early keeps its chunk and goes on to the next.
+class OrderedSums {
+ public:
+  /// Keeps references to all but the last.
+  OrderedSums(const EliminationInput& input, const BlockStructure& structure,
+              const Assembler& assembler, int num_images, int num_threads,
+              bool wants_camera_diagonal);
+
+  /// Starts anew, at zero.
+  void Clear(ThreadPool* pool);
+
+  /// Zeros for a thread to sum up a chunk in, until it calls End.
+  ChunkSum& Begin(int chunk, int thread);
+  void End(int thread);
+
+  /// Adds what a thread still keeps, after its last chunk.
+  void Flush(int thread);
+
+  /// Thrown by the above where they would wait for a chunk that never comes.
+  struct Abandoned {};
+
+  /// A thread will not end its chunk: the others do not wait for it. Until Clear.
+  void Abandon() { abandoned_.store(true, std::memory_order_release); }
+
+  CameraSums& sums() { return sums_; }
+
+  /// Frees S, until Clear.
+  void FreeSystem();
+
+ private:
+  struct Buffer {
+    std::vector<double> blocks, vectors, camera_diagonal;
+    std::vector<int64_t> block_begin;  ///< ChunkSum::block_begin
+    ChunkSum sum;
+    int chunk = -1;
+  };
+
+  /// A thread's chunks that wait for those before them, a short queue. The buffer that was freed
+  /// last is taken next, as it is still in the cache; most problems touch no other.
+  struct Waiting {
+    static constexpr int kBuffers = 3;
+    Buffer buffers[kBuffers];
+    int order[kBuffers] = {0, 1, 2};  ///< those in the queue, oldest first, then the free ones
+    int count = 0;
+
+    bool IsEmpty() const { return count == 0; }
+    bool IsFull() const { return count == kBuffers; }
+    Buffer& Oldest() { return buffers[order[0]]; }
+    Buffer& Push() { return buffers[order[count++]]; }
+    void Pop() {
+      std::rotate(order, order + 1, order + count);
+      --count;
+    }
+  };
+
+  /// Where a chunk's blocks begin, and how many doubles they are, where widths are mixed.
+  int64_t PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const;
+
+  void MakeSystem();
+  void AddOldest(Waiting* waiting);
+  void WaitFor(const std::atomic<int>& value, int wanted) const;
+
+  const EliminationInput& input_;
+  const BlockStructure& structure_;
+  const Assembler& assembler_;
+  const bool wants_camera_diagonal_;
+  CameraSums sums_;
+  bool is_new_ = false;                       ///< S, and zero therefore
+  std::vector<Waiting> waiting_;              ///< of each thread
+  std::vector<std::atomic<int>> last_added_;  ///< chunk, of each image
+  std::atomic<int> num_added_{0};             ///< chunks
+  std::atomic<bool> abandoned_{false};
+};
+
+}  // namespace bundle::fused

@@ -1,0 +1,201 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "core/model/parameter_layout.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle::fused {
+
+/// Numbers the different pairs of 16-bit numbers in the order of their first appearance: a hash
+/// table in one array, which grows with the pairs and is kept from one chunk to the next.
+class PairNumbers {
+ public:
+  /// The number of a pair; where it is new, `next`, which is the count of those before. The members
+  /// of a pair are below 0xffff.
+  uint16_t Find(uint16_t a, uint16_t b, size_t next) {
+    if (2 * next >= slots_.size()) Grow();
+    Slot& slot = SlotOf(static_cast<uint32_t>(a) << 16 | b);
+    if (slot.pair == kNone) {
+      slot.pair = static_cast<uint32_t>(a) << 16 | b;
+      slot.number = static_cast<uint16_t>(next);
+    }
+    return slot.number;
+  }
+
+  void Clear() { slots_.assign(slots_.size(), Slot{}); }
+
+ private:
+  static constexpr uint32_t kNone = 0xffffffff;
+  struct Slot {
+    uint32_t pair = kNone;
+    uint16_t number = 0;
+  };
+
+  /// Where a pair is, or belongs.
+  Slot& SlotOf(uint32_t pair) {
+    constexpr uint32_t kGoldenRatio = 0x9e3779b9;
+    size_t at = pair * kGoldenRatio >> shift_;
+    while (slots_[at].pair != kNone && slots_[at].pair != pair) at = (at + 1) & (slots_.size() - 1);
+    return slots_[at];
+  }
+
+  void Grow() {
+    const std::vector<Slot> before = std::move(slots_);
+    --shift_;
+    slots_.assign(size_t{1} << (32 - shift_), Slot{});
+    for (const Slot& slot : before) {
+      if (slot.pair != kNone) SlotOf(slot.pair) = slot;
+    }
+  }
+
+  int shift_ = 22;
+  std::vector<Slot> slots_ = std::vector<Slot>(1024);
+};
+
+/// In which order the points are eliminated, and in which portions.
+///
+/// What one point adds to S are products of its observations' Jacobians, a block for every pair of
+/// images that see it. Adding each to S where it lies costs more than computing it: the block comes
+/// from far and goes back. So points are sorted by the images that see them, which puts points with
+/// the same images next to each other, and taken in chunks. A chunk knows the image pairs that
+/// occur in it and sums their blocks in a buffer, of which its points use one part after the other;
+/// one addition a block and chunk then goes to S.
+///
+/// A chunk is a pure function of the state: its points in, its part of S, of the right side and of
+/// the cost out. The sum over the chunks, in their order, is the whole, whoever computed them;
+/// results therefore do not depend on the number of threads.
+///
+/// Memory: 20 bytes an observation (image and measurement, copied into this order, so that every
+/// pass reads forwards), 2 bytes for its place in the chunk and 2 bytes for every pair of
+/// observations of a point.
+
+/// Points [first_point, last_point) of the plan. A point that so many images see that its blocks
+/// alone are too many is spread over several chunks, each of which adds the rows of some images.
+struct Chunk {
+  int first_point = 0;
+  int last_point = 0;
+  /// Where it has one point: which of its observations' rows are added. All, where last_row is 0.
+  int first_row = 0;
+  int last_row = 0;
+  int64_t first_pair = 0;  ///< in EliminationPlan::pair_block
+  /// The images that occur, in the order of their blocks in the layout; block i of the chunk is the
+  /// diagonal one of images[i].
+  std::vector<int> images;
+  /// Of each image, the last chunk before this one in which it occurs; -1: none.
+  std::vector<int> previous_chunk;
+  /// Blocks images.size() and up: pairs of indices into `images`, the first the smaller.
+  struct Pair {
+    uint16_t first, second;  ///< ascending by first, then second
+  };
+  std::vector<Pair> pairs;
+
+  int num_blocks() const { return static_cast<int>(images.size() + pairs.size()); }
+};
+
+struct EliminationPlan {
+  std::vector<int> point;      ///< index in the problem; free points, then fixed ones
+  int num_free_points = 0;     ///< of those in `point`
+  std::vector<int64_t> first;  ///< first observation of each point, and the end
+  /// Of each observation; within a point in the order of the images' blocks in the layout, then
+  /// images with nothing to refine.
+  std::vector<int32_t> image;
+  std::vector<double> xy;                ///< two of each observation
+  std::vector<uint16_t> image_in_chunk;  ///< of each observation: index into Chunk::images
+  /// Of each pair of observations i < j of a free point, i slowest, whose images have something to
+  /// refine: the chunk's block.
+  std::vector<uint16_t> pair_block;
+  std::vector<Chunk> chunks;
+
+  int num_points() const { return static_cast<int>(point.size()); }
+  int64_t num_observations() const { return static_cast<int64_t>(image.size()); }
+};
+
+/// The most observations of a point. Its images and one row of its pairs have to have numbers of 16
+/// bits, which would allow three times as many; but time and memory grow with its pairs: with
+/// 10,000 observations, 50 million, 100 MB and a second or two a step.
+inline constexpr int64_t kMaxTrackLength = 10000;
+
+/// Bytes that the blocks of a chunk take, about, where they are many.
+inline constexpr int64_t kMaxBufferBytes = 1 << 25;
+
+/// The observations with something to refine. `block_bytes`: of one block's buffer.
+EliminationPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout,
+                           int block_bytes, int num_threads = 1);
+
+/// The other observations, whose cost does not change.
+EliminationPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout,
+                                int num_threads = 1);
+
+struct ImageOrder {
+  std::vector<uint8_t> refined;  ///< of each image: has something to refine
+  /// Place of each image: refined ones in the order of their blocks, which S likes best, then the
+  /// others.
+  std::vector<int> rank;
+};
+
+ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout);
+
+/// Everything of a plan but the chunks and what refers to them: the points with observations that
+/// have something to refine, if `active`, or else with others, sorted lexicographically by the
+/// ranks of the images in these observations.
+EliminationPlan SortPoints(const ProblemView& problem, const ParameterLayout& layout,
+                           const ImageOrder& images, bool active, int num_threads);
+
+/// The sizes that decide what the passes over the points cost, without a pass.
+
+struct PlanSize {
+  int64_t num_points = 0;
+  int64_t num_free_points = 0;
+  int64_t num_observations = 0;
+  /// Pairs of observations of a free point, both of images with something to refine.
+  int64_t num_pairs = 0;
+  /// Sums over the chunks: pairs of images that are added to S, and images with their diagonal
+  /// blocks.
+  int64_t num_chunk_pairs = 0;
+  int64_t num_chunk_images = 0;
+  int64_t largest_chunk_blocks = 0;
+  int64_t block_doubles = 0;  ///< of a block in a chunk's buffer
+};
+
+PlanSize MeasurePlan(const ProblemView& problem, const ParameterLayout& layout);
+
+/// The observations of a plan that hold a residual at a state (factors/reprojection.h). Memory:
+/// 24 bytes for each of them, nothing for those that count.
+
+struct HeldResidual {
+  int64_t observation;  ///< of the plan
+  double residual[2];
+};
+
+/// Where a pass puts the observations of a chunk that hold a residual; nowhere if `add` is nullptr.
+struct HeldSink {
+  void (*add)(void* list, const HeldResidual& held) = nullptr;
+  void* list = nullptr;
+};
+
+class HeldResiduals {
+ public:
+  explicit HeldResiduals(size_t num_chunks) : of_chunk_(num_chunks) {}
+
+  /// Forgets what a chunk held and takes what a pass over it finds. Chunks are independent.
+  HeldSink Collect(size_t chunk);
+
+  /// Puts together what all chunks hold, after a pass.
+  void Merge();
+
+  /// Ascending.
+  const std::vector<HeldResidual>& all() const { return all_; }
+
+  /// True if the same observations hold a residual.
+  bool HasSameObservations(const HeldResiduals& other) const;
+
+ private:
+  std::vector<std::vector<HeldResidual>> of_chunk_;
+  std::vector<HeldResidual> all_;
+};
+
+}  // namespace bundle::fused

@@ -1,0 +1,158 @@
+#pragma once
+
+/// Back-substitution, and what a step leads to; kernels.cpp says how to include this.
+///
+/// Given the step d of the cameras, u_i = A_i d (eliminate_point.h) needs no A_i but a directional
+/// derivative, and
+///
+///   dX = -V'^-1 (g + sum of B_i^T u_i).
+///
+/// Keeping V'^-1, g and B_i from the elimination would cost 64 bytes an observation, and more to
+/// write and read than the recomputation costs, which on the way also evaluates the candidate.
+
+#include "core/schur/kernels/point_block.h"
+#include "core/schur/kernels/strip.h"
+
+namespace bundle::fused::BUNDLE_ISA {
+
+/// Records of a strip: [a_0 r_0 | a_1 r_1 | u_0 u_1 v_0 v_1] an observation, u = A d for one
+/// direction d of the cameras, v for another where there is one.
+inline constexpr int kStepRecord = 12;
+
+inline void LinearizeAlong(const EliminationInput& input, const StateRecords& x, const Strip& strip,
+                           const Batch& batch, const StepRecords& step, const StepRecords* other,
+                           double* records) {
+  const LaneState state(input, x, batch, true);
+  const LaneResiduals residuals(input, x, state, batch, true);
+  double* out[kLanes];
+  double discarded[kStepRecord];
+  for (int lane = 0; lane < kLanes; ++lane) {
+    const int64_t slot = batch.observation[lane] - strip.begin;
+    out[lane] = lane < batch.count ? records + slot * kStepRecord : discarded;
+  }
+  Pack along[4] = {0.0, 0.0, 0.0, 0.0};
+  residuals.Along(input, step, batch, state, along);
+  if (other != nullptr) residuals.Along(input, *other, batch, state, along + 2);
+  for (int row = 0; row < 2; ++row) {
+    Pack d_point[3];
+    residuals.ChainPoint(state, row, d_point);
+    const Pack* const tail[4] = {d_point, d_point + 1, d_point + 2, residuals.r + row};
+    ScatterRecords(tail, out, 4 * row);
+  }
+  const Pack* const last[4] = {along, along + 1, along + 2, along + 3};
+  ScatterRecords(last, out, 8);
+}
+
+/// dX = -V'^-1 (g + sum of B^T u), u being entries `entry` and `entry` + 1 of the point's records.
+inline void BackSubstitute(const PointBlock& block, const double* records, int64_t count, int entry,
+                           double* step) {
+  Quad sum = {block.Gradient(0), block.Gradient(1), block.Gradient(2), 0};
+  for (const double* at = records; at < records + count * kStepRecord; at += kStepRecord) {
+    sum += LoadQuad(at) * at[entry] + LoadQuad(at + 4) * at[entry + 1];
+  }
+  SolveTransposed(block, -block.Whiten(sum), step);
+}
+
+inline double CandidateCost(const EliminationInput& input, const StateRecords& x,
+                            const Strip& strip) {
+  double cost = 0;
+  VisitBatches(input, strip, [&](const Batch& batch) {
+    const LaneState state(input, x, batch, false);
+    cost += Sum(LaneResiduals(input, x, state, batch, false).rho, batch.count);
+  });
+  return 0.5 * cost;
+}
+
+inline void EvaluateNewtonStep(const EliminationInput& input, const StateRecords& x,
+                               const Chunk& chunk, double damping, const double* squared_scale,
+                               const StepRecords& step, const StateRecords& candidate,
+                               double* candidate_points, double* memory, CandidateSum* sum) {
+  const int64_t* const begin = input.plan->first.data();
+  PointBlock blocks[kStripPoints];
+  for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
+    const Strip strip(input, point, chunk.last_point);
+    VisitBatches(input, strip, [&](const Batch& batch) {
+      LinearizeAlong(input, x, strip, batch, step, nullptr, memory);
+    });
+    FormPointBlocks(input, strip, memory, kStepRecord, damping, false, squared_scale, blocks);
+    for (int p = strip.first; p < strip.last; ++p) {
+      const int64_t count = begin[p + 1] - begin[p];
+      const double* const records = memory + (begin[p] - strip.begin) * kStepRecord;
+      double d[3] = {};
+      if (p < input.plan->num_free_points) {
+        BackSubstitute(blocks[p - strip.first], records, count, 8, d);
+      }
+      for (int j = 0; j < 3; ++j) {
+        const double moved = x.points[3 * p + j] + d[j];
+        candidate_points[3 * p + j] = moved;
+        if (p >= input.plan->num_free_points) continue;
+        sum->step_squared += d[j] * d[j];
+        sum->state_squared += moved * moved;
+      }
+      for (const double* at = records; at < records + count * kStepRecord; at += kStepRecord) {
+        for (int row = 0; row < 2; ++row) {
+          const double model = at[8 + row] + Dot3(at + 4 * row, d);
+          sum->model_cost_change -= model * (at[4 * row + 3] + 0.5 * model);
+        }
+      }
+    }
+    sum->cost += CandidateCost(input, candidate, strip);
+    point = strip.last;
+  }
+}
+
+inline void AddProducts(const double* record, const double* p, const double* q, ProductSum* sum) {
+  for (int row = 0; row < 2; ++row) {
+    const double* const a = record + 4 * row;
+    const double along_p = record[8 + row] + Dot3(a, p), along_q = record[10 + row] + Dot3(a, q);
+    sum->j_pp += along_p * along_p;
+    sum->j_pq += along_p * along_q;
+    sum->j_qq += along_q * along_q;
+  }
+}
+
+inline void Products(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                     double damping, const double* squared_scale, const StepRecords& camera_p,
+                     const StepRecords& camera_q, double* points_p, double* points_q,
+                     double* memory, ProductSum* sum) {
+  const int64_t* const begin = input.plan->first.data();
+  PointBlock blocks[kStripPoints];
+  for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
+    const Strip strip(input, point, chunk.last_point);
+    VisitBatches(input, strip, [&](const Batch& batch) {
+      LinearizeAlong(input, x, strip, batch, camera_p, &camera_q, memory);
+    });
+    FormPointBlocks(input, strip, memory, kStepRecord, damping, false, squared_scale, blocks);
+    for (int i = strip.first; i < strip.last; ++i) {
+      const int64_t count = begin[i + 1] - begin[i];
+      const double* const records = memory + (begin[i] - strip.begin) * kStepRecord;
+      const PointBlock& block = blocks[i - strip.first];
+      double *p = points_p + 3 * i, *q = points_q + 3 * i;
+      for (int j = 0; j < 3; ++j) p[j] = q[j] = 0;
+      if (i < input.plan->num_free_points) {
+        BackSubstitute(block, records, count, 10, q);
+        for (int j = 0; j < 3; ++j) {
+          const double d_squared = block.d_squared[j];
+          p[j] = block.Gradient(j) / d_squared;
+          sum->d_pp += p[j] * d_squared * p[j];
+          sum->d_pq += p[j] * d_squared * q[j];
+          sum->d_qq += q[j] * d_squared * q[j];
+        }
+      }
+      for (int64_t k = 0; k < count; ++k) AddProducts(records + k * kStepRecord, p, q, sum);
+    }
+    point = strip.last;
+  }
+}
+
+inline double Cost(const EliminationInput& input, const StateRecords& x, const Chunk& chunk) {
+  double cost = 0;
+  for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
+    const Strip strip(input, point, chunk.last_point);
+    cost += CandidateCost(input, x, strip);
+    point = strip.last;
+  }
+  return cost;
+}
+
+}  // namespace bundle::fused::BUNDLE_ISA

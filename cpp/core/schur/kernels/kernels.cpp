@@ -1,0 +1,29 @@
+/// The passes of kernels.h, for one instruction set. This file is compiled once for each of them,
+/// with BUNDLE_ISA, the name of the namespace, BUNDLE_ISA_NAME, what reports call it, and
+/// BUNDLE_LANES, the doubles of a register.
+///
+///   eliminate_chunk.h   linearises and eliminates,   eliminate_point.h   what a point adds
+///   back_substitute.h   substitutes back and evaluates what follows
+///   point_block.h       the 3x3 blocks of points
+///   strip.h             the walk through a chunk, and residuals several at a time
+///   project_lanes.h     camera models and losses,   pack.h   registers
+///
+/// Nothing of the size of the Jacobian is kept. Each observation is read once a pass: 20 bytes of
+/// image and measurement, 2 of its place in the chunk, 2 a pair; a point is 24 bytes of coordinates
+/// and 24 of scaling.
+
+#include "core/schur/kernels/back_substitute.h"
+#include "core/schur/kernels/eliminate_chunk.h"
+
+namespace bundle::fused::BUNDLE_ISA {
+
+inline int64_t MemoryDoubles(const EliminationInput& input) {
+  const int record = kRecordHead + 2 * input.num_columns;
+  return (kMixedStripObservations + input.longest_track) *
+         static_cast<int64_t>(record > kStepRecord ? record : kStepRecord);
+}
+
+extern constexpr Kernels kKernels = {BUNDLE_ISA_NAME,     &MemoryDoubles, &Eliminate,
+                                     &EvaluateNewtonStep, &Products,      &Cost};
+
+}  // namespace bundle::fused::BUNDLE_ISA

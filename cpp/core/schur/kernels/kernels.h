@@ -1,0 +1,126 @@
+#pragma once
+
+/// The passes over a chunk of points, compiled once for each instruction set.
+
+#include <cstdint>
+
+#include "core/interface/options.h"
+#include "core/schur/elimination_plan.h"
+
+namespace bundle::fused {
+
+/// The images of one camera model: what its Jacobians look like.
+struct ModelGroup {
+  int model = 0;       ///< index into CameraModels
+  int num_params = 0;  ///< of the model
+  /// Columns on the camera side that any image of the group refines, as in ParameterLayout.
+  int num_columns = 0;
+  int8_t columns[kPoseSize + kMaxCameraParams] = {};
+  int num_quads = 1;  ///< of a row of its Jacobian records: num_columns in whole quads
+};
+
+/// Of D^2 (minimize/least_squares.h): Ceres' defaults.
+inline constexpr double kMinDiagonal = 1e-6, kMaxDiagonal = 1e32;
+
+/// What no pass changes.
+struct EliminationInput {
+  const EliminationPlan* plan = nullptr;
+  const ModelGroup* groups = nullptr;
+  int num_groups = 0;
+  const uint8_t* image_group = nullptr;    ///< of each image
+  const uint8_t* image_columns = nullptr;  ///< of each image: num_columns of its group
+  const uint8_t* image_quads = nullptr;    ///< of each image: num_quads of its group
+  const uint8_t* image_refined = nullptr;
+  int num_rows = 0;     ///< the largest group's columns
+  int num_columns = 0;  ///< of the widest Jacobian record: num_rows in whole quads
+  bool mixed = false;   ///< the groups' widths differ: each block is as large as its images' groups
+  Cheirality cheirality = Cheirality::kZero;
+  LossType loss = LossType::kTrivial;
+  double loss_scale = 1;
+  int64_t longest_track = 0;
+};
+
+/// One state as the passes read it: a record an image (rotation 9, translation 3, left Jacobian 9,
+/// parameters from 24 on), and the points in the order of the plan.
+struct StateRecords {
+  static constexpr int kTranslation = 9, kLeftJacobian = 12, kParams = 24;
+  const double* images = nullptr;
+  int stride = 0;  ///< of `images`; a multiple of 4
+  const double* points = nullptr;
+  const StateRecords* before = nullptr;  ///< of a candidate: the state that the step starts from
+  /// Observations that hold a residual at this state, of a candidate at the state before;
+  /// ascending.
+  const HeldResidual* held = nullptr;
+  int64_t num_held = 0;
+  HeldSink sink;  ///< of those at a candidate, or at the start
+};
+
+/// What a chunk adds to the normal equations, in units of its images and blocks.
+struct ChunkSum {
+  /// num_blocks x num_rows x num_columns, rows of the first image. Where widths are mixed, block b
+  /// begins at block_begin[b] and is as large as its images: rows of the group of the first, width
+  /// of that of the second.
+  double* blocks = nullptr;
+  const int64_t* block_begin = nullptr;
+  static constexpr int kVectors = 3;
+  /// Room for num_images x kVectors x num_columns: J_c^T r, reduced right side, ||J e_j||^2, each
+  /// as wide as the image's group. So are the rows of camera_diagonal.
+  double* vectors = nullptr;
+  double* camera_diagonal = nullptr;  ///< num_images x num_rows x num_columns; nullptr: not wanted
+  double cost = 0;
+  double gradient_squared = 0;  ///< of the points
+  double gradient_max = 0;      ///< of the points
+};
+
+/// A step on the camera side, as the passes read it: a record an image: J_l dw (3), dt (3), 2
+/// unused, dparams from 8 on.
+struct StepRecords {
+  static constexpr int kTranslation = 3, kParams = 8;
+  const double* images = nullptr;
+  int stride = 0;
+};
+
+struct CandidateSum {
+  double model_cost_change = 0;
+  double cost = 0;
+  double step_squared = 0;   ///< of the points
+  double state_squared = 0;  ///< of the candidate's points
+};
+
+/// The products of the two directions over the points and all residuals.
+struct ProductSum {
+  double d_pp = 0, d_pq = 0, d_qq = 0, j_pp = 0, j_pq = 0, j_qq = 0;
+};
+
+/// Each pass but the last works in `memory`, which holds as many doubles as `memory_doubles` says.
+struct Kernels {
+  const char* name;
+
+  int64_t (*memory_doubles)(const EliminationInput& input);
+
+  /// Linearises and eliminates. `squared_scale` (3 a point) is filled if `first`, else read.
+  void (*eliminate)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                    double damping, bool first, double* squared_scale, double* memory,
+                    ChunkSum* sum);
+
+  /// Back-substitutes the step of the cameras, writes the candidate's points, and evaluates both
+  /// the model and the candidate.
+  void (*evaluate_newton_step)(const EliminationInput& input, const StateRecords& x,
+                               const Chunk& chunk, double damping, const double* squared_scale,
+                               const StepRecords& step, const StateRecords& candidate,
+                               double* candidate_points, double* memory, CandidateSum* sum);
+
+  /// Both directions of the points (3 a point each), out of those of the cameras, and products.
+  void (*products)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                   double damping, const double* squared_scale, const StepRecords& p,
+                   const StepRecords& q, double* points_p, double* points_q, double* memory,
+                   ProductSum* sum);
+
+  /// The cost of the chunk at a state.
+  double (*cost)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk);
+};
+
+/// Those for the best instruction set that this machine has.
+const Kernels& SelectKernels();
+
+}  // namespace bundle::fused

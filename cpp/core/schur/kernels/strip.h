@@ -1,0 +1,242 @@
+#pragma once
+
+/// A strip: as many consecutive points as fit the first-level cache; kernels.cpp says how to
+/// include this.
+///
+/// The passes go through a chunk strip by strip. Within one, work that is the same for every
+/// observation runs kLanes observations at a time, all of one camera model, each lane reading the
+/// records of its image, point and measurement; work within a point then reads what that left, a
+/// record an observation, in order.
+
+#include "core/factors/reprojection.h"
+#include "core/schur/kernels/kernels.h"
+#include "core/schur/kernels/project_lanes.h"
+
+namespace bundle::fused::BUNDLE_ISA {
+
+inline constexpr int kStripPoints = 32;
+inline constexpr int kStripObservations = 64;  // reached by its last point
+/// Where widths are mixed. Each group's last batch of a strip is not full, and the narrow records
+/// are most and leave room.
+inline constexpr int kMixedStripObservations = 128;
+
+/// Points [first, last) of the plan with observations [begin, end).
+struct Strip {
+  int first, last;
+  int64_t begin, end;
+
+  Strip(const EliminationInput& input, int first_point, int last_point)
+      : first(first_point), last(first_point), begin(input.plan->first.data()[first_point]) {
+    const int64_t* const at = input.plan->first.data();
+    const int wanted = input.mixed ? kMixedStripObservations : kStripObservations;
+    do {
+      end = at[++last];
+    } while (last < last_point && last - first < kStripPoints && end - begin < wanted);
+  }
+
+  int num_points() const { return last - first; }
+};
+
+/// Some observations of one group; lanes from `count` on repeat the last.
+struct Batch {
+  const ModelGroup* group;
+  int64_t observation[kLanes];
+  int point[kLanes];
+  int count;
+
+  void Add(int64_t i, int p) {
+    observation[count] = i;
+    point[count] = p;
+    ++count;
+  }
+
+  void Fill() {
+    for (int lane = count; lane < kLanes; ++lane) {
+      observation[lane] = observation[count - 1];
+      point[lane] = point[count - 1];
+    }
+  }
+};
+
+/// Calls visit(batch) until every observation of the strip was in one.
+template <typename Visit>
+inline void VisitBatches(const EliminationInput& input, const Strip& strip, const Visit& visit) {
+  const int64_t* const first = input.plan->first.data();
+  const int32_t* const image = input.plan->image.data();
+  int64_t left = strip.end - strip.begin;
+  for (int g = 0; left > 0; ++g) {
+    Batch batch;
+    batch.group = input.groups + g;
+    batch.count = 0;
+    for (int p = strip.first; p < strip.last; ++p) {
+      for (int64_t i = first[p]; i < first[p + 1]; ++i) {
+        batch.Add(i, p);
+        // Groups alternate as they like: taking back is faster than a branch.
+        if (input.num_groups > 1) batch.count -= input.image_group[image[i]] != g ? 1 : 0;
+        if (batch.count < kLanes) continue;
+        visit(batch);
+        left -= kLanes;
+        batch.count = 0;
+      }
+    }
+    if (batch.count == 0) continue;
+    batch.Fill();
+    visit(batch);
+    left -= batch.count;
+  }
+}
+
+/// What the lanes of a batch read of a state.
+struct LaneState {
+  Pack pose[24];  ///< rotation, translation, left Jacobian and padding, as in StateRecords
+  Pack params[kMaxCameraParams];
+  Pack point[3];
+  Pack rotated[3];       ///< R X
+  Pack camera_point[3];  ///< R X + t
+
+  /// Without the left Jacobian unless `for_derivatives`.
+  LaneState(const EliminationInput& input, const StateRecords& x, const Batch& batch,
+            bool for_derivatives) {
+    const int32_t* const image = input.plan->image.data();
+    const double* records[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      records[lane] = x.images + static_cast<int64_t>(image[batch.observation[lane]]) * x.stride;
+      const double* at = x.points + 3 * static_cast<int64_t>(batch.point[lane]);
+      for (int i = 0; i < 3; ++i) point[i].v[lane] = at[i];
+    }
+    GatherRecords(records, for_derivatives ? 24 : 12, pose);
+    for (int lane = 0; lane < kLanes; ++lane) records[lane] += StateRecords::kParams;
+    GatherRecords(records, (batch.group->num_params + 3) / 4 * 4, params);
+    for (int i = 0; i < 3; ++i) {
+      rotated[i] = pose[3 * i] * point[0] + pose[3 * i + 1] * point[1] + pose[3 * i + 2] * point[2];
+      camera_point[i] = rotated[i] + pose[StateRecords::kTranslation + i];
+    }
+  }
+};
+
+/// True if the observation is in x.held, which fills in `held`.
+inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* held) {
+  int64_t first = 0, last = x.num_held;
+  while (first < last) {
+    const int64_t middle = first + (last - first) / 2;
+    if (x.held[middle].observation < observation) {
+      first = middle + 1;
+    } else {
+      last = middle;
+    }
+  }
+  if (first == x.num_held || x.held[first].observation != observation) return false;
+  *held = x.held[first];
+  return true;
+}
+
+/// Residuals of a batch and how they change, corrected for the loss.
+struct LaneResiduals {
+  Pack r[2];
+  Pack rho;
+  Pack d_camera_point[2 * 3];
+  Pack d_params[2 * kMaxCameraParams];
+
+  /// Inlined, as Hold's use of it would keep compilers from it, which took 3 % of a step.
+  __attribute__((always_inline)) LaneResiduals(const EliminationInput& input, const StateRecords& x,
+                                               const LaneState& state, const Batch& batch,
+                                               bool derive) {
+    const double* const xy = input.plan->xy.data();
+    Pack measurement[2];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      for (int i = 0; i < 2; ++i) measurement[i].v[lane] = xy[2 * batch.observation[lane] + i];
+    }
+    const int model = batch.group->model;
+    Mask counts;
+    kProjectLanes[model](AllCameraModels()[model], state.params, state.camera_point, measurement,
+                         input.cheirality, r, derive ? d_camera_point : nullptr,
+                         derive ? d_params : nullptr, &counts, batch.count);
+    if (!All(counts) || x.num_held > 0) Hold(input, x, batch, counts, derive);
+    const LossLanes loss = EvaluateLoss(input.loss, input.loss_scale, r[0] * r[0] + r[1] * r[1]);
+    rho = loss.rho;
+    if (!derive || input.loss == LossType::kTrivial) return;
+    for (Pack& value : r) value *= loss.weight;
+    for (Pack& value : d_camera_point) value *= loss.weight;
+    for (int i = 0; i < 2 * batch.group->num_params; ++i) d_params[i] *= loss.weight;
+  }
+
+  /// Gives lanes that hold a residual (factors/reprojection.h) that residual and no derivatives.
+  /// Out of line, as it is hardly ever called.
+  __attribute__((noinline, cold)) void Hold(const EliminationInput& input, const StateRecords& x,
+                                            const Batch& batch, const Mask& counts, bool derive) {
+    const bool is_candidate = x.before != nullptr;
+    for (int lane = 0; lane < batch.count; ++lane) {
+      const int64_t observation = batch.observation[lane];
+      HeldResidual held = {observation, {0, 0}};
+      const bool was_held = FindHeld(x, observation, &held);
+      if (counts.bits[lane] != 0) {
+        if (!was_held) continue;
+        const double own = r[0].v[lane] * r[0].v[lane] + r[1].v[lane] * r[1].v[lane];
+        const double* const h = held.residual;
+        if (is_candidate && own <= h[0] * h[0] + h[1] * h[1]) continue;
+      } else if (is_candidate && !was_held) {
+        const LaneState state(input, *x.before, batch, false);
+        const LaneResiduals before(input, *x.before, state, batch, false);
+        for (int i = 0; i < 2; ++i) held.residual[i] = kHeldFactor * before.r[i].v[lane];
+      }
+      for (int i = 0; i < 2; ++i) r[i].v[lane] = held.residual[i];
+      for (int i = 0; i < 6 && derive; ++i) d_camera_point[i].v[lane] = 0;
+      for (int i = 0; i < 2 * batch.group->num_params && derive; ++i) d_params[i].v[lane] = 0;
+      if (x.sink.add != nullptr) x.sink.add(x.sink.list, held);
+    }
+  }
+
+  /// Row of the derivative by the world point: a^T R.
+  void ChainPoint(const LaneState& state, int row, Pack* d_point) const {
+    const Pack* a = d_camera_point + 3 * row;
+    for (int j = 0; j < 3; ++j) {
+      d_point[j] = a[0] * state.pose[j] + a[1] * state.pose[3 + j] + a[2] * state.pose[6 + j];
+    }
+  }
+
+  /// Row of the derivative by the pose's chart: (q x a)^T J_l, a^T (factors/reprojection.h).
+  void ChainPose(const LaneState& state, int row, Pack* d_pose) const {
+    const Pack* a = d_camera_point + 3 * row;
+    const Pack* q = state.rotated;
+    const Pack* left = state.pose + StateRecords::kLeftJacobian;
+    const Pack torque[3] = {q[1] * a[2] - q[2] * a[1], q[2] * a[0] - q[0] * a[2],
+                            q[0] * a[1] - q[1] * a[0]};
+    for (int j = 0; j < 3; ++j) {
+      d_pose[j] = torque[0] * left[j] + torque[1] * left[3 + j] + torque[2] * left[6 + j];
+      d_pose[3 + j] = a[j];
+    }
+  }
+
+  /// J_c d for the steps d of the lanes' images: with v = (J_l dw) x q + dt, a^T v + (dr/dtheta)
+  /// dtheta.
+  void Along(const EliminationInput& input, const StepRecords& step, const Batch& batch,
+             const LaneState& state, Pack* out) const {
+    const int32_t* const image = input.plan->image.data();
+    const int num_params = batch.group->num_params;
+    const double* records[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) {
+      records[lane] =
+          step.images + static_cast<int64_t>(image[batch.observation[lane]]) * step.stride;
+    }
+    Pack d[StepRecords::kParams + kMaxCameraParams];
+    GatherRecords(records, StepRecords::kParams + (num_params + 3) / 4 * 4, d);
+    const Pack *w = d, *t = d + StepRecords::kTranslation, *q = state.rotated;
+    const Pack v[3] = {w[1] * q[2] - w[2] * q[1] + t[0], w[2] * q[0] - w[0] * q[2] + t[1],
+                       w[0] * q[1] - w[1] * q[0] + t[2]};
+    for (int row = 0; row < 2; ++row) {
+      const Pack* a = d_camera_point + 3 * row;
+      out[row] = a[0] * v[0] + a[1] * v[1] + a[2] * v[2];
+      for (int k = 0; k < num_params; ++k) {
+        out[row] += d_params[row * num_params + k] * d[StepRecords::kParams + k];
+      }
+    }
+  }
+};
+
+inline double Sum(const Pack& pack, int count) {
+  double sum = 0;
+  for (int lane = 0; lane < count; ++lane) sum += pack.v[lane];
+  return sum;
+}
+
+}  // namespace bundle::fused::BUNDLE_ISA

@@ -1,0 +1,148 @@
+#include <algorithm>
+#include <cstddef>
+#include <utility>
+
+#include "core/linear/block_structure.h"
+#include "core/schur/assembler.h"
+
+namespace bundle::fused {
+
+OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& structure,
+                         const Assembler& assembler, int num_images, int num_threads,
+                         bool wants_camera_diagonal)
+    : input_(input),
+      structure_(structure),
+      assembler_(assembler),
+      wants_camera_diagonal_(wants_camera_diagonal),
+      waiting_(num_threads),
+      last_added_(num_images) {
+  // All memory now, so that no pass ends half way.
+  size_t images = 0, blocks = 0, mixed_doubles = 0;
+  std::vector<int64_t> block_begin;
+  for (const Chunk& chunk : input.plan->chunks) {
+    images = std::max(images, chunk.images.size());
+    blocks = std::max<size_t>(blocks, chunk.num_blocks());
+    if (input.mixed) {
+      mixed_doubles = std::max<size_t>(mixed_doubles, PlaceBlocks(chunk, &block_begin));
+    }
+  }
+  const size_t block_size = static_cast<size_t>(input.num_rows) * input.num_columns;
+  for (Waiting& waiting : waiting_) {
+    for (Buffer& buffer : waiting.buffers) {
+      buffer.blocks.reserve(input.mixed ? mixed_doubles : blocks * block_size);
+      if (input.mixed) buffer.block_begin.reserve(blocks);
+      buffer.vectors.reserve(images * ChunkSum::kVectors * input.num_columns);
+      if (wants_camera_diagonal) buffer.camera_diagonal.reserve(images * block_size);
+    }
+  }
+  MakeSystem();
+}
+
+int64_t OrderedSums::PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const {
+  int64_t end = 0;
+  block_begin->clear();
+  const auto place = [&](size_t first, size_t second) {
+    block_begin->push_back(end);
+    end += int64_t{4} * input_.image_columns[chunk.images[first]] *
+           input_.image_quads[chunk.images[second]];
+  };
+  for (size_t i = 0; i < chunk.images.size(); ++i) place(i, i);
+  for (const Chunk::Pair& pair : chunk.pairs) place(pair.first, pair.second);
+  return end;
+}
+
+void OrderedSums::MakeSystem() {
+  ReserveHugePages(structure_.num_values, &sums_.system.values);
+  sums_.system.values.resize(structure_.num_values);
+  is_new_ = true;
+}
+
+void OrderedSums::Clear(ThreadPool* pool) {
+  std::vector<double>& values = sums_.system.values;
+  if (values.empty()) MakeSystem();
+  if (!std::exchange(is_new_, false)) {
+    pool->Run([&](int thread) {
+      const int64_t size = structure_.num_values, threads = pool->num_threads();
+      std::fill(values.data() + size * thread / threads,
+                values.data() + size * (thread + 1) / threads, 0.0);
+    });
+  }
+  const auto n = static_cast<size_t>(structure_.num_columns());
+  sums_.system.rhs.assign(n, 0.0);
+  sums_.gradient.assign(n, 0.0);
+  sums_.squared_norms.assign(n, 0.0);
+  if (wants_camera_diagonal_) {
+    sums_.system.camera_diagonal.assign(assembler_.diagonal_begin().back(), 0.0);
+  }
+  for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
+  num_added_.store(0, std::memory_order_relaxed);
+  abandoned_.store(false, std::memory_order_relaxed);
+  for (Waiting& waiting : waiting_) waiting.count = 0;  // what an abandoned pass left
+}
+
+void OrderedSums::FreeSystem() { std::vector<double>().swap(sums_.system.values); }
+
+ChunkSum& OrderedSums::Begin(int chunk, int thread) {
+  Waiting& waiting = waiting_[thread];
+  if (waiting.IsFull()) AddOldest(&waiting);
+  Buffer& buffer = waiting.Push();
+  buffer.chunk = chunk;
+  const Chunk& what = input_.plan->chunks[chunk];
+  const size_t images = what.images.size();
+  const size_t block_size = static_cast<size_t>(input_.num_rows) * input_.num_columns;
+  if (input_.mixed) {
+    buffer.blocks.assign(PlaceBlocks(what, &buffer.block_begin), 0.0);
+  } else {
+    buffer.blocks.assign(what.num_blocks() * block_size, 0.0);
+  }
+  buffer.vectors.assign(images * ChunkSum::kVectors * input_.num_columns, 0.0);
+  buffer.sum = {};
+  buffer.sum.blocks = buffer.blocks.data();
+  buffer.sum.block_begin = buffer.block_begin.data();
+  buffer.sum.vectors = buffer.vectors.data();
+  if (wants_camera_diagonal_) {
+    buffer.camera_diagonal.assign(images * block_size, 0.0);
+    buffer.sum.camera_diagonal = buffer.camera_diagonal.data();
+  }
+  return buffer.sum;
+}
+
+void OrderedSums::End(int thread) {
+  Waiting& waiting = waiting_[thread];
+  while (!waiting.IsEmpty() &&
+         num_added_.load(std::memory_order_acquire) == waiting.Oldest().chunk) {
+    AddOldest(&waiting);
+  }
+}
+
+void OrderedSums::Flush(int thread) {
+  while (!waiting_[thread].IsEmpty()) AddOldest(&waiting_[thread]);
+}
+
+void OrderedSums::WaitFor(const std::atomic<int>& value, int wanted) const {
+  for (SpinWait wait; value.load(std::memory_order_acquire) != wanted; wait.Once()) {
+    if (abandoned_.load(std::memory_order_acquire)) throw Abandoned();
+  }
+}
+
+void OrderedSums::AddOldest(Waiting* waiting) {
+  const Buffer& buffer = waiting->Oldest();
+  const int c = buffer.chunk;
+  const Chunk& chunk = input_.plan->chunks[c];
+  const bool own_queues = assembler_.images_are_independent();
+  if (!own_queues) WaitFor(num_added_, c);
+  size_t pair = 0;
+  for (size_t i = 0; i < chunk.images.size(); ++i) {
+    const size_t first_pair = pair;
+    while (pair < chunk.pairs.size() && chunk.pairs[pair].first == i) ++pair;
+    std::atomic<int>& last_added = last_added_[chunk.images[i]];
+    if (own_queues) WaitFor(last_added, chunk.previous_chunk[i]);
+    assembler_.AddImage(input_, chunk, buffer.sum, i, first_pair, pair, &sums_);
+    last_added.store(c, std::memory_order_release);
+  }
+  WaitFor(num_added_, c);
+  num_added_.store(c + 1, std::memory_order_release);
+  waiting->Pop();
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,391 @@
+#include "core/schur/schur_problem.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <utility>
+
+#include "core/model/gauge.h"
+#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
+#include "core/schur/assembler.h"
+#include "core/schur/elimination_plan.h"
+#include "core/schur/kernels/kernels.h"
+#include "core/schur/state_records.h"
+
+namespace bundle::fused {
+namespace {
+
+double Dot(const std::vector<double>& a, const std::vector<double>& b) {
+  double sum = 0;
+  for (size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
+  return sum;
+}
+
+CandidateSum Total(const std::vector<CandidateSum>& parts) {
+  CandidateSum total;
+  for (const CandidateSum& part : parts) {
+    total.model_cost_change += part.model_cost_change;
+    total.cost += part.cost;
+    total.step_squared += part.step_squared;
+    total.state_squared += part.state_squared;
+  }
+  return total;
+}
+
+}  // namespace
+
+class SchurProblem::Impl {
+ public:
+  Impl(const ProblemView& problem, const ParameterLayout& layout, const SolveOptions& options,
+       BlockStructure structure, LinearSolver* solver)
+      : problem_(problem),
+        layout_(layout),
+        structure_(std::move(structure)),
+        solver_(solver),
+        kernels_(SelectKernels()),
+        groups_(GroupImages(problem, layout)),
+        plan_(PlanPoints(problem, layout, groups_.block_size() * static_cast<int>(sizeof(double)),
+                         options.num_threads)),
+        input_(MakeEliminationInput(options, plan_)),
+        assembler_(problem, layout, groups_.groups, groups_.image_group, structure_),
+        pool_(EffectiveNumThreads(options.num_threads)),
+        memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_))),
+        states_{State(problem, layout, plan_), State(problem, layout, plan_)},
+        step_(problem, layout),
+        other_step_(problem, layout),
+        squared_scale_(x_->points.size()),
+        sums_(input_, structure_, assembler_, problem.num_images, pool_.num_threads(),
+              solver->NeedsCameraDiagonal()) {
+    const auto n = static_cast<size_t>(structure_.num_columns());
+    scale_.resize(n);
+    d_squared_.resize(n);
+    newton_.resize(n);
+    state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
+    fixed_cost_ = FixedCost(options);
+  }
+
+  Linearization Linearize(double damping) {
+    damping_ = damping;
+    sums_.Clear(&pool_);
+    const bool first = !scaled_;
+    Linearization result;
+    double gradient_squared = 0, gradient_max = 0;
+    std::vector<ChunkSum> parts(plan_.chunks.size());
+    ForChunks(
+        [&](int c, int thread) {
+          ThrowIfInterrupted();
+          ChunkSum& sum = sums_.Begin(c, thread);
+          StateRecords x = x_->records();
+          if (first && plan_.chunks[c].first_row == 0) x.sink = x_->held.Collect(c);
+          kernels_.eliminate(input_, x, plan_.chunks[c], damping, first, squared_scale_.data(),
+                             Memory(thread), &sum);
+          parts[c] = sum;
+          sums_.End(thread);
+        },
+        [&](int thread) { sums_.Flush(thread); });
+    if (first) x_->held.Merge();
+    for (const ChunkSum& part : parts) {
+      result.cost += part.cost;
+      gradient_squared += part.gradient_squared;
+      if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
+    }
+    DampCameras(damping, first);
+    for (const double g : gradient()) {
+      gradient_squared += g * g;
+      if (!(std::abs(g) <= gradient_max)) gradient_max = std::abs(g);
+    }
+    result.gradient_norm = std::sqrt(gradient_squared);
+    result.gradient_max_norm = gradient_max;
+    result.is_finite = std::isfinite(result.cost) && std::isfinite(result.gradient_norm);
+    scaled_ = true;
+    return result;
+  }
+
+  NewtonResult SolveNewton(double eta) {
+    if (solver_->NeedsGaugeDirections()) {
+      sums_.sums().system.gauge_directions = GaugeDirections(problem_, layout_, x_->cameras());
+    }
+    const LinearSolution solution =
+        solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
+    NewtonResult result;
+    result.num_iterations = solution.num_iterations;
+    result.message = solution.message;
+    const bool finite = std::all_of(newton_.begin(), newton_.end(),
+                                    [](double value) { return std::isfinite(value); });
+    if (solution.status == LinearSolution::Status::kFatal) {
+      result.status = NewtonResult::Status::kFatal;
+    } else if (solution.status == LinearSolution::Status::kFailure || !finite) {
+      result.status = NewtonResult::Status::kFailure;
+    }
+    return result;
+  }
+
+  Candidate EvaluateNewtonStep() {
+    step_.Set(newton_, x_->cameras());
+    MoveCameras(newton_);
+    std::vector<CandidateSum> parts(plan_.chunks.size());
+    const StateRecords x = x_->records();
+    ForChunks([&](int c, int thread) {
+      kernels_.evaluate_newton_step(input_, x, plan_.chunks[c], damping_, squared_scale_.data(),
+                                    step_.records(), candidate_->CandidateRecords(x, c),
+                                    candidate_->points.data(), Memory(thread), &parts[c]);
+    });
+    return Finish(newton_, Total(parts));
+  }
+
+  DoglegProducts Products() {
+    gradient_direction_.resize(newton_.size());
+    for (size_t j = 0; j < newton_.size(); ++j) {
+      gradient_direction_[j] = gradient()[j] / d_squared_[j];
+    }
+    points_p_.resize(x_->points.size());
+    points_q_.resize(x_->points.size());
+    step_.Set(gradient_direction_, x_->cameras());
+    other_step_.Set(newton_, x_->cameras());
+    DoglegProducts total;
+    std::vector<ProductSum> parts(plan_.chunks.size());
+    ForChunks([&](int c, int thread) {
+      kernels_.products(input_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
+                        step_.records(), other_step_.records(), points_p_.data(), points_q_.data(),
+                        Memory(thread), &parts[c]);
+    });
+    for (const ProductSum& part : parts) {
+      total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
+      total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
+    }
+    for (size_t j = 0; j < newton_.size(); ++j) {
+      const double p = gradient_direction_[j], q = newton_[j];
+      total.d_pp += p * d_squared_[j] * p;
+      total.d_pq += p * d_squared_[j] * q;
+      total.d_qq += q * d_squared_[j] * q;
+    }
+    products_ = total;
+    return total;
+  }
+
+  Candidate EvaluateDoglegStep(double a, double b) {
+    std::vector<double> step(newton_.size());
+    for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
+    MoveCameras(step);
+    std::vector<CandidateSum> parts(plan_.chunks.size());
+    const StateRecords x = x_->records();
+    ForChunks([&](int c, int) {
+      MovePoints(plan_.chunks[c], a, b, &parts[c]);
+      parts[c].cost = kernels_.cost(input_, candidate_->CandidateRecords(x, c), plan_.chunks[c]);
+    });
+    CandidateSum total = Total(parts);
+    const DoglegProducts& d = products_;
+    total.model_cost_change =
+        -(a * d.d_pp + b * d.d_pq) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
+    return Finish(step, total);
+  }
+
+  void Accept() {
+    std::swap(x_, candidate_);
+    std::swap(state_norm_, candidate_norm_);
+  }
+
+  void FreeSystem() { sums_.FreeSystem(); }
+
+  double state_norm() const { return state_norm_; }
+  int64_t num_observations() const { return plan_.num_observations(); }
+  double fixed_cost() const { return fixed_cost_; }
+  int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
+  const char* instruction_set() const { return kernels_.name; }
+  const CameraStates& cameras() const { return x_->cameras(); }
+
+  std::vector<double> Points() const {
+    std::vector<double> points(problem_.points,
+                               problem_.points + 3 * static_cast<int64_t>(problem_.num_points));
+    for (int p = 0; p < plan_.num_free_points; ++p) {
+      std::copy_n(x_->points.data() + 3 * static_cast<int64_t>(p), 3,
+                  points.data() + 3 * static_cast<int64_t>(plan_.point[p]));
+    }
+    return points;
+  }
+
+ private:
+  EliminationInput MakeEliminationInput(const SolveOptions& options,
+                                        const EliminationPlan& plan) const {
+    EliminationInput input;
+    input.plan = &plan;
+    input.groups = groups_.groups.data();
+    input.num_groups = static_cast<int>(groups_.groups.size());
+    input.image_group = groups_.image_group.data();
+    input.image_columns = groups_.image_columns.data();
+    input.image_quads = groups_.image_quads.data();
+    input.image_refined = groups_.image_refined.data();
+    input.num_columns = groups_.num_columns();
+    input.num_rows = groups_.num_rows;
+    input.mixed = groups_.mixed();
+    input.cheirality = options.cheirality;
+    input.loss = options.loss;
+    input.loss_scale = options.loss_scale;
+    for (int p = 0; p < plan.num_points(); ++p) {
+      input.longest_track = std::max(input.longest_track, plan.first[p + 1] - plan.first[p]);
+    }
+    return input;
+  }
+
+  /// Observations with nothing to refine, by the same kernels.
+  double FixedCost(const SolveOptions& options) const {
+    if (plan_.num_observations() == problem_.num_observations) return 0;
+    const EliminationPlan plan = PlanFixedPoints(problem_, layout_, options.num_threads);
+    const EliminationInput input = MakeEliminationInput(options, plan);
+    const State state(problem_, layout_, plan);
+    double cost = 0;
+    for (const Chunk& chunk : plan.chunks) cost += kernels_.cost(input, state.records(), chunk);
+    return cost;
+  }
+
+  /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
+  /// finish(thread) on each thread after its last. Where one throws, the others end at their next
+  /// chunk.
+  template <typename Visit, typename Finish>
+  void ForChunks(const Visit& visit, const Finish& finish) {
+    const auto count = static_cast<int>(plan_.chunks.size());
+    std::atomic<int> next{0};
+    pool_.Run([&](int thread) {
+      try {
+        for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) {
+          visit(c, thread);
+        }
+        finish(thread);
+      } catch (const OrderedSums::Abandoned&) {  // the other thread's exception counts
+      } catch (...) {
+        next.store(count);
+        sums_.Abandon();
+        throw;
+      }
+    });
+  }
+
+  template <typename Visit>
+  void ForChunks(const Visit& visit) {
+    ForChunks(visit, [](int) {});
+  }
+
+  double* Memory(int thread) { return memory_[thread].data(); }
+
+  /// S += damping D^2, and the same for the block diagonal of the camera side.
+  void DampCameras(double damping, bool first) {
+    CameraSums& sums = sums_.sums();
+    for (int b = 0; b < structure_.num_blocks(); ++b) {
+      const int size = structure_.block_size(b);
+      for (int k = 0; k < size; ++k) {
+        const int j = structure_.offset[b] + k;
+        const double squared_norm = sums.squared_norms[j];
+        if (first) scale_[j] = 1 / (1 + std::sqrt(squared_norm));
+        const double squared_scale = scale_[j] * scale_[j];
+        d_squared_[j] =
+            std::clamp(squared_scale * squared_norm, kMinDiagonal, kMaxDiagonal) / squared_scale;
+        const double added = damping * d_squared_[j];
+        sums.system.values[structure_.ValueIndex(b, structure_.column_begin[b], k, k)] += added;
+        if (sums.system.camera_diagonal.empty()) continue;
+        double* const diagonal =
+            sums.system.camera_diagonal.data() + assembler_.diagonal_begin()[b];
+        diagonal[k * size + k] += added;
+        for (int i = 0; i < k; ++i) diagonal[k * size + i] = diagonal[i * size + k];
+      }
+    }
+  }
+
+  const std::vector<double>& gradient() { return sums_.sums().gradient; }
+
+  void MoveCameras(const std::vector<double>& step) {
+    for (size_t j = 0; j < step.size(); ++j) {
+      candidate_->camera_side[j] = x_->camera_side[j] + step[j];
+    }
+    candidate_->Update();
+  }
+
+  void MovePoints(const Chunk& chunk, double a, double b, CandidateSum* sum) {
+    if (chunk.first_row > 0) return;
+    for (int64_t i = 3 * static_cast<int64_t>(chunk.first_point);
+         i < 3 * static_cast<int64_t>(chunk.last_point); ++i) {
+      const bool free = i < 3 * static_cast<int64_t>(plan_.num_free_points);
+      const double step = free ? a * points_p_[i] + b * points_q_[i] : 0;
+      candidate_->points[i] = x_->points[i] + step;
+      if (!free) continue;
+      sum->step_squared += step * step;
+      sum->state_squared += candidate_->points[i] * candidate_->points[i];
+    }
+  }
+
+  Candidate Finish(const std::vector<double>& step, const CandidateSum& sum) {
+    candidate_norm_ =
+        std::sqrt(Dot(candidate_->camera_side, candidate_->camera_side) + sum.state_squared);
+    candidate_->held.Merge();
+    Candidate result;
+    result.changes_what_counts = !candidate_->held.HasSameObservations(x_->held);
+    result.model_cost_change = sum.model_cost_change;
+    result.step_norm = std::sqrt(Dot(step, step) + sum.step_squared);
+    result.cost = sum.cost;
+    return result;
+  }
+
+  double FreePointsSquared() const {
+    double sum = 0;
+    for (int64_t i = 0; i < 3 * static_cast<int64_t>(plan_.num_free_points); ++i) {
+      sum += x_->points[i] * x_->points[i];
+    }
+    return sum;
+  }
+
+  const ProblemView& problem_;
+  const ParameterLayout& layout_;
+  const BlockStructure structure_;
+  LinearSolver* const solver_;
+  const Kernels& kernels_;
+  const ModelGroups groups_;
+  const EliminationPlan plan_;
+  const EliminationInput input_;
+  const Assembler assembler_;
+  ThreadPool pool_;
+  std::vector<std::vector<double>> memory_;  ///< of each thread
+  State states_[2];
+  State* x_ = &states_[0];
+  State* candidate_ = &states_[1];
+  Step step_;
+  Step other_step_;
+  std::vector<double> squared_scale_;  ///< of each point's columns
+  OrderedSums sums_;
+  std::vector<double> scale_;      ///< Jacobi scaling of the camera side's columns
+  std::vector<double> d_squared_;  ///< D^2 of the camera side
+  std::vector<double> newton_;     ///< camera side of the Newton direction
+  std::vector<double> gradient_direction_;
+  std::vector<double> points_p_, points_q_;
+  DoglegProducts products_;
+  double damping_ = 0;
+  double state_norm_ = 0;
+  double candidate_norm_ = 0;
+  double fixed_cost_ = 0;
+  bool scaled_ = false;
+};
+
+SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
+                           const SolveOptions& options, BlockStructure structure,
+                           LinearSolver* solver)
+    : impl_(std::make_unique<Impl>(problem, layout, options, std::move(structure), solver)) {}
+
+SchurProblem::~SchurProblem() = default;
+
+Linearization SchurProblem::Linearize(double damping) { return impl_->Linearize(damping); }
+NewtonResult SchurProblem::SolveNewton(double eta) { return impl_->SolveNewton(eta); }
+Candidate SchurProblem::EvaluateNewtonStep() { return impl_->EvaluateNewtonStep(); }
+DoglegProducts SchurProblem::Products() { return impl_->Products(); }
+Candidate SchurProblem::EvaluateDoglegStep(double a, double b) {
+  return impl_->EvaluateDoglegStep(a, b);
+}
+void SchurProblem::Accept() { impl_->Accept(); }
+void SchurProblem::FreeSystem() { impl_->FreeSystem(); }
+double SchurProblem::StateNorm() const { return impl_->state_norm(); }
+int64_t SchurProblem::num_active_observations() const { return impl_->num_observations(); }
+double SchurProblem::fixed_cost() const { return impl_->fixed_cost(); }
+int64_t SchurProblem::num_held() const { return impl_->num_held(); }
+const char* SchurProblem::instruction_set() const { return impl_->instruction_set(); }
+const CameraStates& SchurProblem::cameras() const { return impl_->cameras(); }
+std::vector<double> SchurProblem::Points() const { return impl_->Points(); }
+
+}  // namespace bundle::fused

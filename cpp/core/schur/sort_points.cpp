@@ -1,0 +1,221 @@
+/// Problems often list their observations point by point, as BAL does, but the order in which
+/// points are sorted leads anywhere. Each point is therefore read once on the way to its key and
+/// once on the way to its place, both times in the order of the problem. In between, the keys are
+/// dealt out by the first image that sees the point, and sorted image by image.
+
+#include <algorithm>
+#include <limits>
+#include <numeric>
+
+#include "core/linear/block_structure.h"
+#include "core/parallel/thread_pool.h"
+#include "core/schur/elimination_plan.h"
+
+namespace bundle::fused {
+namespace {
+
+class PointSorter {
+ public:
+  PointSorter(const ProblemView& problem, const ParameterLayout& layout, const ImageOrder& images,
+              bool active, int num_threads)
+      : problem_(problem),
+        layout_(layout),
+        images_(images),
+        active_(active),
+        num_threads_(num_threads) {}
+
+  EliminationPlan Sort() {
+    GroupObservations();
+    SortObservations();
+    DealOutPoints();
+    ParallelFor(static_cast<int64_t>(keys_.size()), num_threads_,
+                [this](int64_t begin, int64_t end) { PlacePoints(begin, end); });
+    std::vector<Key>().swap(keys_);
+    MakeRoom();
+    ParallelFor(problem_.num_points, num_threads_,
+                [this](int64_t begin, int64_t end) { CopyObservations(begin, end); });
+    return std::move(plan_);
+  }
+
+ private:
+  bool IsWanted(int64_t i) const {
+    return active_ == (layout_.point_is_free(problem_.observation_point[i]) ||
+                       images_.refined[problem_.observation_image[i]] != 0);
+  }
+
+  int RankOf(int64_t observation) const {
+    return images_.rank[problem_.observation_image[observation]];
+  }
+
+  /// by_point_: the wanted observations of each point, found by counting.
+  void GroupObservations() {
+    begin_.assign(problem_.num_points + 1, 0);
+    for (int64_t i = 0; i < problem_.num_observations; ++i) {
+      if (IsWanted(i)) ++begin_[problem_.observation_point[i] + 1];
+    }
+    std::partial_sum(begin_.begin(), begin_.end(), begin_.begin());
+    by_point_.resize(begin_.back());
+    std::vector<int64_t> next(begin_.begin(), begin_.end() - 1);
+    for (int64_t i = 0; i < problem_.num_observations; ++i) {
+      if (IsWanted(i)) by_point_[next[problem_.observation_point[i]]++] = i;
+    }
+  }
+
+  /// By rank, those of one image in the order of the problem.
+  void SortObservations() {
+    keys_.resize(problem_.num_points);
+    ParallelFor(problem_.num_points, num_threads_, [this](int64_t begin, int64_t end) {
+      for (int64_t p = begin; p < end; ++p) {
+        std::sort(by_point_.begin() + begin_[p], by_point_.begin() + begin_[p + 1],
+                  [this](int64_t a, int64_t b) {
+                    const int rank_a = RankOf(a), rank_b = RankOf(b);
+                    return rank_a != rank_b ? rank_a < rank_b : a < b;
+                  });
+        keys_[p] = KeyOf(static_cast<int>(p));
+      }
+    });
+  }
+
+  /// Where a point belongs: its bucket, that of its first image, and the next images as far as it
+  /// has so many.
+  struct Key {
+    uint64_t second_and_third;
+    uint64_t fourth_and_fifth;
+    int bucket;  ///< -1: not in the plan
+    int point;
+  };
+  static constexpr int kRanksInKey = 5;
+
+  Key KeyOf(int point) const {
+    const auto rank = [&](int k) {
+      const int64_t at = begin_[point] + k;
+      return at < begin_[point + 1] ? static_cast<uint64_t>(RankOf(by_point_[at])) + 1 : 0;
+    };
+    const int first = static_cast<int>(rank(0)) - 1;
+    const bool fixed_and_seen = first >= 0 && !layout_.point_is_free(point);
+    return {rank(1) << 32 | rank(2), rank(3) << 32 | rank(4),
+            first + (fixed_and_seen ? problem_.num_images : 0), point};
+  }
+
+  /// Into buckets, those of the fixed points behind the others.
+  void DealOutPoints() {
+    const size_t num_buckets = 2 * static_cast<size_t>(problem_.num_images);
+    bucket_begin_.assign(num_buckets + 1, 0);
+    first_observation_.assign(num_buckets + 1, 0);
+    for (const Key& key : keys_) {
+      if (key.bucket < 0) continue;
+      ++bucket_begin_[key.bucket + 1];
+      first_observation_[key.bucket + 1] += begin_[key.point + 1] - begin_[key.point];
+    }
+    std::partial_sum(bucket_begin_.begin(), bucket_begin_.end(), bucket_begin_.begin());
+    std::partial_sum(first_observation_.begin(), first_observation_.end(),
+                     first_observation_.begin());
+    std::vector<Key> dealt(bucket_begin_.back());
+    std::vector<int64_t> next(bucket_begin_.begin(), bucket_begin_.end() - 1);
+    for (const Key& key : keys_) {
+      if (key.bucket >= 0) dealt[next[key.bucket]++] = key;
+    }
+    keys_ = std::move(dealt);
+    plan_.num_free_points = static_cast<int>(bucket_begin_[problem_.num_images]);
+    plan_.point.resize(keys_.size());
+    plan_.first.resize(keys_.size() + 1);
+    plan_.first.back() = begin_.back();
+    place_.resize(problem_.num_points);
+  }
+
+  /// Those of the buckets that begin in [first_point, last_point).
+  void PlacePoints(int64_t first_point, int64_t last_point) {
+    const auto at = std::lower_bound(bucket_begin_.begin(), bucket_begin_.end() - 1, first_point);
+    for (size_t b = at - bucket_begin_.begin();
+         b + 1 < bucket_begin_.size() && bucket_begin_[b] < last_point; ++b) {
+      SortBucket(b);
+      int64_t observation = first_observation_[b];
+      for (int64_t k = bucket_begin_[b]; k < bucket_begin_[b + 1]; ++k) {
+        const int p = keys_[k].point;
+        plan_.point[k] = p;
+        plan_.first[k] = place_[p] = observation;
+        observation += begin_[p + 1] - begin_[p];
+      }
+    }
+  }
+
+  void SortBucket(size_t bucket) {
+    std::sort(keys_.begin() + bucket_begin_[bucket], keys_.begin() + bucket_begin_[bucket + 1],
+              [this](const Key& a, const Key& b) {
+                if (a.second_and_third != b.second_and_third) {
+                  return a.second_and_third < b.second_and_third;
+                }
+                if (a.fourth_and_fifth != b.fourth_and_fifth) {
+                  return a.fourth_and_fifth < b.fourth_and_fifth;
+                }
+                const int order = CompareFurtherImages(a.point, b.point);
+                return order != 0 ? order < 0 : a.point < b.point;
+              });
+  }
+
+  int CompareFurtherImages(int a, int b) const {
+    int64_t i = begin_[a] + kRanksInKey, j = begin_[b] + kRanksInKey;
+    for (; i < begin_[a + 1] && j < begin_[b + 1]; ++i, ++j) {
+      const int rank_i = RankOf(by_point_[i]), rank_j = RankOf(by_point_[j]);
+      if (rank_i != rank_j) return rank_i < rank_j ? -1 : 1;
+    }
+    return (i < begin_[a + 1] ? 1 : 0) - (j < begin_[b + 1] ? 1 : 0);
+  }
+
+  void MakeRoom() {
+    ReserveHugePages(by_point_.size(), &plan_.image);
+    ReserveHugePages(2 * by_point_.size(), &plan_.xy);
+    plan_.image.resize(by_point_.size());
+    plan_.xy.resize(2 * by_point_.size());
+  }
+
+  void CopyObservations(int64_t first_point, int64_t last_point) {
+    for (int64_t p = first_point; p < last_point; ++p) {
+      int64_t to = place_[p];
+      for (int64_t at = begin_[p]; at < begin_[p + 1]; ++at, ++to) {
+        const int64_t i = by_point_[at];
+        plan_.image[to] = problem_.observation_image[i];
+        plan_.xy[2 * to] = problem_.observation_xy[2 * i];
+        plan_.xy[2 * to + 1] = problem_.observation_xy[2 * i + 1];
+      }
+    }
+  }
+
+  const ProblemView& problem_;
+  const ParameterLayout& layout_;
+  const ImageOrder& images_;
+  const bool active_;
+  const int num_threads_;
+  std::vector<int64_t> begin_;  ///< of each point of the problem in by_point_, and the end
+  std::vector<int64_t> by_point_;
+  std::vector<Key> keys_;              ///< of the points of the problem, then of those in the plan
+  std::vector<int64_t> bucket_begin_;  ///< in keys_, then in plan_.point
+  std::vector<int64_t> first_observation_;  ///< of each bucket in the plan
+  std::vector<int64_t> place_;              ///< of each point's observations in the plan
+  EliminationPlan plan_;
+};
+
+}  // namespace
+
+ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout) {
+  ImageOrder order;
+  std::vector<int> block(problem.num_images);
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int own = layout.image_block(i), shared = layout.camera_block(problem.image_camera[i]);
+    order.refined.push_back(own >= 0 || shared >= 0 ? 1 : 0);
+    block[i] = own >= 0 ? own : shared >= 0 ? shared : std::numeric_limits<int>::max();
+  }
+  std::vector<int> images(problem.num_images);
+  std::iota(images.begin(), images.end(), 0);
+  std::stable_sort(images.begin(), images.end(), [&](int a, int b) { return block[a] < block[b]; });
+  order.rank.resize(images.size());
+  for (size_t k = 0; k < images.size(); ++k) order.rank[images[k]] = static_cast<int>(k);
+  return order;
+}
+
+EliminationPlan SortPoints(const ProblemView& problem, const ParameterLayout& layout,
+                           const ImageOrder& images, bool active, int num_threads) {
+  return PointSorter(problem, layout, images, active, num_threads).Sort();
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,188 @@
+#include "core/schur/state_records.h"
+
+#include <algorithm>
+
+#include "core/cameras/registry.h"
+#include "core/schur/elimination_plan.h"
+
+namespace bundle::fused {
+
+HeldSink HeldResiduals::Collect(size_t chunk) {
+  of_chunk_[chunk].clear();
+  return {[](void* list, const HeldResidual& held) {
+            static_cast<std::vector<HeldResidual>*>(list)->push_back(held);
+          },
+          &of_chunk_[chunk]};
+}
+
+void HeldResiduals::Merge() {
+  all_.clear();
+  for (const std::vector<HeldResidual>& chunk : of_chunk_) {
+    all_.insert(all_.end(), chunk.begin(), chunk.end());
+  }
+  // A chunk of several camera models goes through its observations model by model.
+  std::sort(all_.begin(), all_.end(), [](const HeldResidual& a, const HeldResidual& b) {
+    return a.observation < b.observation;
+  });
+}
+
+bool HeldResiduals::HasSameObservations(const HeldResiduals& other) const {
+  return std::equal(
+      all_.begin(), all_.end(), other.all_.begin(), other.all_.end(),
+      [](const HeldResidual& a, const HeldResidual& b) { return a.observation == b.observation; });
+}
+
+namespace {
+
+uint32_t ColumnBits(const ParameterLayout& layout, int block) {
+  uint32_t bits = 0;
+  if (block < 0) return bits;
+  const CameraSideBlock& columns = layout.blocks()[block];
+  for (int k = 0; k < columns.size; ++k) bits |= 1u << columns.columns[k];
+  return bits;
+}
+
+}  // namespace
+
+bool ModelGroups::mixed() const {
+  for (const ModelGroup& group : groups) {
+    if (4 * group.num_quads != num_columns()) return true;
+  }
+  return false;
+}
+
+int ModelGroups::block_size() const {
+  if (!mixed()) return num_rows * num_columns();
+  int64_t rows = 0, columns = 0;
+  for (size_t i = 0; i < image_group.size(); ++i) {
+    rows += image_columns[i];
+    columns += 4 * image_quads[i];
+  }
+  const auto images = static_cast<int64_t>(image_group.size());
+  return static_cast<int>(std::max<int64_t>(1, rows * columns / (images * images)));
+}
+
+ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layout) {
+  ModelGroups result;
+  std::vector<int> group_of_model(kNumCameraModels, -1);
+  std::vector<uint32_t> bits;
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int camera = problem.image_camera[i];
+    const CameraModel* const model = problem.camera_models[camera];
+    const uint32_t columns =
+        ColumnBits(layout, layout.image_block(i)) | ColumnBits(layout, layout.camera_block(camera));
+    result.image_refined.push_back(columns != 0 ? 1 : 0);
+    if (model == nullptr) {
+      result.image_group.push_back(0);
+      continue;
+    }
+    int& group = group_of_model[model - AllCameraModels()];
+    if (group < 0) {
+      group = static_cast<int>(result.groups.size());
+      ModelGroup fresh;
+      fresh.model = static_cast<int>(model - AllCameraModels());
+      fresh.num_params = model->num_params;
+      result.groups.push_back(fresh);
+      bits.push_back(0);
+    }
+    bits[group] |= columns;
+    result.image_group.push_back(static_cast<uint8_t>(group));
+  }
+  for (size_t g = 0; g < bits.size(); ++g) {
+    ModelGroup& group = result.groups[g];
+    for (int8_t j = 0; j < kPoseSize + kMaxCameraParams; ++j) {
+      if (bits[g] >> j & 1u) group.columns[group.num_columns++] = j;
+    }
+    group.num_quads = std::max(1, (group.num_columns + 3) / 4);
+    result.num_rows = std::max(result.num_rows, group.num_columns);
+  }
+  for (const uint8_t g : result.image_group) {
+    result.image_columns.push_back(static_cast<uint8_t>(result.groups[g].num_columns));
+    result.image_quads.push_back(static_cast<uint8_t>(result.groups[g].num_quads));
+  }
+  return result;
+}
+
+namespace {
+
+/// Room for every model's parameters, in whole quads.
+int RoundedParams(const ProblemView& problem) {
+  return std::max(4, (std::min(problem.camera_params_stride, kMaxCameraParams) + 3) / 4 * 4);
+}
+
+}  // namespace
+
+State::State(const ProblemView& problem, const ParameterLayout& layout, const EliminationPlan& plan)
+    : camera_side(layout.InitialState(problem)),
+      held(plan.chunks.size()),
+      problem_(problem),
+      cameras_(problem, layout),
+      stride_(StateRecords::kParams + RoundedParams(problem)) {
+  points.reserve(3 * plan.point.size());
+  for (const int p : plan.point) {
+    points.insert(points.end(), problem.points + 3 * static_cast<int64_t>(p),
+                  problem.points + 3 * static_cast<int64_t>(p) + 3);
+  }
+  images_.resize(static_cast<int64_t>(problem.num_images) * stride_);
+  Update();
+}
+
+StateRecords State::records() const {
+  StateRecords records;
+  records.images = images_.data();
+  records.stride = stride_;
+  records.points = points.data();
+  records.held = held.all().data();
+  records.num_held = static_cast<int64_t>(held.all().size());
+  return records;
+}
+
+StateRecords State::CandidateRecords(const StateRecords& before, int chunk) {
+  StateRecords records = before;
+  records.before = &before;
+  records.images = images_.data();
+  records.points = points.data();
+  records.sink = held.Collect(chunk);
+  return records;
+}
+
+void State::Update() {
+  cameras_.Update(camera_side.data());
+  for (int i = 0; i < problem_.num_images; ++i) {
+    double* const record = images_.data() + static_cast<int64_t>(i) * stride_;
+    const PoseState& pose = cameras_.pose(i);
+    const int camera = problem_.image_camera[i];
+    std::copy_n(pose.rotation, 9, record);
+    std::copy_n(pose.translation, 3, record + StateRecords::kTranslation);
+    std::copy_n(pose.left_jacobian, 9, record + StateRecords::kLeftJacobian);
+    if (problem_.camera_models[camera] == nullptr) continue;  // no image with observations has it
+    std::copy_n(cameras_.params(camera), problem_.camera_models[camera]->num_params,
+                record + StateRecords::kParams);
+  }
+}
+
+Step::Step(const ProblemView& problem, const ParameterLayout& layout)
+    : problem_(problem),
+      layout_(layout),
+      poses_(static_cast<int64_t>(problem.num_images) * kPoseSize),
+      camera_params_(static_cast<int64_t>(problem.num_cameras) * problem.camera_params_stride),
+      stride_(StepRecords::kParams + RoundedParams(problem)) {
+  images_.resize(static_cast<int64_t>(problem.num_images) * stride_);
+}
+
+void Step::Set(const std::vector<double>& camera_side, const CameraStates& at) {
+  layout_.Scatter(problem_, camera_side.data(), poses_.data(), camera_params_.data());
+  for (int i = 0; i < problem_.num_images; ++i) {
+    double* const record = images_.data() + static_cast<int64_t>(i) * stride_;
+    const double* const pose = poses_.data() + static_cast<int64_t>(i) * kPoseSize;
+    const int camera = problem_.image_camera[i];
+    MatrixVector3(at.pose(i).left_jacobian, pose, record);
+    std::copy_n(pose + 3, 3, record + StepRecords::kTranslation);
+    if (problem_.camera_models[camera] == nullptr) continue;
+    std::copy_n(
+        camera_params_.data() + static_cast<int64_t>(camera) * problem_.camera_params_stride,
+        problem_.camera_models[camera]->num_params, record + StepRecords::kParams);
+  }
+}
+
+}  // namespace bundle::fused

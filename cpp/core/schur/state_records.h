@@ -1,0 +1,75 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "core/model/parameter_layout.h"
+#include "core/problem/problem_view.h"
+#include "core/schur/elimination_plan.h"
+#include "core/schur/kernels/kernels.h"
+
+namespace bundle::fused {
+
+/// The images of a problem by camera model, and what each model's Jacobian records hold.
+struct ModelGroups {
+  std::vector<ModelGroup> groups;
+  std::vector<uint8_t> image_group;    ///< of each image
+  std::vector<uint8_t> image_columns;  ///< of each image: num_columns of its group
+  std::vector<uint8_t> image_quads;    ///< of each image: num_quads of its group
+  std::vector<uint8_t> image_refined;  ///< of each image: 1 if it has a free column
+  int num_rows = 1;                    ///< the largest group's columns
+
+  /// Columns of a record.
+  int num_columns() const { return (num_rows + 3) / 4 * 4; }
+  bool mixed() const;
+  /// Doubles of the block of two images, on average.
+  int block_size() const;
+};
+
+/// A group for each camera model in use. Images of models that we do not know are in the first; no
+/// observation is in them.
+ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layout);
+
+/// The states and steps of a solve in the form that the passes read (kernels.h).
+
+/// One state: the camera side as a vector of the layout, expanded, and the points of the plan.
+class State {
+ public:
+  State(const ProblemView& problem, const ParameterLayout& layout, const EliminationPlan& plan);
+
+  /// Expands `camera_side`, after it changed.
+  void Update();
+  StateRecords records() const;
+  /// Of a candidate for the state after `before`, for a pass over one chunk that fills `held`.
+  StateRecords CandidateRecords(const StateRecords& before, int chunk);
+  const CameraStates& cameras() const { return cameras_; }
+
+  std::vector<double> camera_side;
+  std::vector<double> points;  ///< three a point of the plan
+  HeldResiduals held;
+
+ private:
+  const ProblemView& problem_;
+  CameraStates cameras_;
+  std::vector<double> images_;
+  int stride_;
+};
+
+/// Images' records of a step of the camera side, at a state.
+class Step {
+ public:
+  Step(const ProblemView& problem, const ParameterLayout& layout);
+
+  void Set(const std::vector<double>& camera_side, const CameraStates& at);
+  StepRecords records() const { return {images_.data(), stride_}; }
+
+ private:
+  const ProblemView& problem_;
+  const ParameterLayout& layout_;
+  std::vector<double> poses_;
+  std::vector<double> camera_params_;
+  std::vector<double> images_;
+  int stride_;
+};
+
+}  // namespace bundle::fused

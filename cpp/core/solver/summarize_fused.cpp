@@ -1,0 +1,134 @@
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <string>
+
+#include "core/interface/options.h"
+#include "core/prepare/prepare.h"
+#include "core/solver/solve_with_fused.h"
+
+namespace bundle::fused {
+namespace {
+
+/// Sizes of a residual, a point and the camera-side blocks, "2,3,9"; "d" where the latter differ.
+std::string SchurStructure(const ParameterLayout& layout) {
+  const std::vector<CameraSideBlock>& blocks = layout.blocks();
+  const bool equal = std::all_of(blocks.begin(), blocks.end(), [&](const CameraSideBlock& block) {
+    return block.size == blocks.front().size;
+  });
+  return "2,3," + (equal ? std::to_string(blocks.front().size) : "d");
+}
+
+void SetCosts(const MinimizerSummary& minimum, double fixed_cost, SolveSummary* result) {
+  result->fixed_cost = fixed_cost;
+  if (minimum.iterations.empty()) return;  // the start could not be evaluated
+  double least = minimum.iterations.front().cost;
+  for (const IterationRecord& record : minimum.iterations) least = std::min(least, record.cost);
+  result->initial_cost = minimum.iterations.front().cost + fixed_cost;
+  result->final_cost = least + fixed_cost;
+}
+
+void SetSizes(const ParameterLayout& layout, int64_t num_observations, SolveSummary* result) {
+  const int num_blocks = static_cast<int>(layout.blocks().size());
+  result->num_parameter_blocks = layout.num_free_points() + num_blocks;
+  result->num_parameters = 3 * layout.num_free_points() + layout.state_size();
+  result->num_residual_blocks = static_cast<int>(num_observations);
+  result->num_residuals = static_cast<int>(2 * num_observations);
+  // Nothing constant is ever part of the problem.
+  result->num_parameter_blocks_reduced = result->num_parameter_blocks;
+  result->num_parameters_reduced = result->num_parameters;
+  result->num_residual_blocks_reduced = result->num_residual_blocks;
+  result->num_residuals_reduced = result->num_residuals;
+  result->linear_solver_ordering_given = {layout.num_free_points(), num_blocks};
+  result->linear_solver_ordering_used = result->linear_solver_ordering_given;
+  result->schur_structure_given = SchurStructure(layout);
+  result->schur_structure_used = result->schur_structure_given;
+}
+
+void SetChoices(const SolveOptions& options, SolveSummary* result) {
+  const TrustRegionStrategy strategy = options.trust_region_strategy_type;
+  result->trust_region_strategy_type =
+      strategy == TrustRegionStrategy::kLevenbergMarquardt ? "LEVENBERG_MARQUARDT" : "DOGLEG";
+  result->dogleg_type =
+      strategy == TrustRegionStrategy::kSubspaceDogleg ? "SUBSPACE_DOGLEG" : "TRADITIONAL_DOGLEG";
+  result->linear_solver_type_given = UpperName(options.linear_solver_type, kLinearSolverTypes);
+  result->linear_solver_type_used = result->linear_solver_type_given;
+  // Ceres' default stands where nothing is preconditioned.
+  result->preconditioner_type_given =
+      IsIterative(options.linear_solver_type)
+          ? UpperName(options.preconditioner_type, kPreconditionerTypes)
+          : "JACOBI";
+  result->preconditioner_type_used = result->preconditioner_type_given;
+  result->dense_linear_algebra_library_type = "LAPACK";
+  result->sparse_linear_algebra_library_type = "SUITE_SPARSE";
+  result->num_threads_given = options.num_threads;
+  result->num_threads_used = options.num_threads;
+}
+
+void SetTimes(const MinimizerSummary& minimum, const SolveTimes& times, SolveSummary* result) {
+  result->preprocessor_time_in_seconds = times.preprocessor;
+  result->residual_evaluation_time_in_seconds = minimum.candidate_time_in_seconds;
+  result->jacobian_evaluation_time_in_seconds = minimum.linearization_time_in_seconds;
+  result->linear_solver_time_in_seconds = minimum.solve_time_in_seconds;
+  result->minimizer_time_in_seconds = times.minimizer;
+  result->postprocessor_time_in_seconds = times.postprocessor;
+  result->total_time_in_seconds = times.total;
+  result->num_residual_evaluations = minimum.num_candidates;
+  result->num_jacobian_evaluations = minimum.num_linearizations;
+  result->num_linear_solves = minimum.num_linear_solves;
+}
+
+}  // namespace
+
+SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layout,
+                       const SchurProblem& schur, const MinimizerSummary& minimum,
+                       const SolveTimes& times) {
+  SolveSummary result;
+  SetCosts(minimum, schur.fixed_cost(), &result);
+  SetSizes(layout, schur.num_active_observations(), &result);
+  SetChoices(options, &result);
+  SetTimes(minimum, times, &result);
+  result.termination_type = minimum.termination_type;
+  result.message = minimum.message;
+  result.is_solution_usable = minimum.termination_type != "FAILURE";
+  result.interrupted = minimum.interrupted;
+  result.num_successful_steps = minimum.num_successful_steps;
+  result.num_unsuccessful_steps = minimum.num_unsuccessful_steps;
+  result.instruction_set = schur.instruction_set();
+  return result;
+}
+
+FactorSummary SummarizeFactor(const BlockStructure& structure, const FactorStatistics& statistics,
+                              double symbolic_time_in_seconds) {
+  FactorSummary result;
+  int64_t num_nonzeros = 0;
+  for (int j = 0; j < structure.num_blocks(); ++j) {
+    for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
+      const int i = structure.row_block[e];
+      num_nonzeros += int64_t{i == j ? 1 : 2} * structure.block_size(i) * structure.block_size(j);
+    }
+  }
+  result.num_reduced_nonzeros = num_nonzeros;
+  result.symbolic_time_in_seconds = symbolic_time_in_seconds;
+  if (statistics.ordering.empty()) return result;
+  result.num_columns = structure.num_columns();
+  result.num_nonzeros = std::llround(statistics.entries);
+  result.flops = statistics.flops;
+  result.ordering = statistics.ordering;
+  return result;
+}
+
+std::string FindSwollenFactor(const FactorStatistics& statistics) {
+  // Panels take in at most a fifth of zeros (supernodes.cpp): beyond this, a count is wrong.
+  constexpr double kFar = 1.5;
+  if (!(statistics.stored > kFar * statistics.predicted)) return "";
+  char text[160];
+  std::snprintf(text, sizeof(text),
+                "The factor has %.4g entries, %.1f times the %.4g that were predicted for its "
+                "ordering, ",
+                statistics.stored, statistics.stored / statistics.predicted, statistics.predicted);
+  return text + statistics.ordering + ".";
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,80 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <string>
+#include <vector>
+
+#include "core/prepare/choose_solver.h"
+
+namespace bundle::fused {
+namespace {
+
+constexpr double kPlenty = 1e15;
+
+/// Each of num_blocks blocks of 9 coupled with the next `width`.
+BlockStructure Band(int num_blocks, int width) {
+  std::vector<std::vector<int>> columns(num_blocks);
+  for (int j = 0; j < num_blocks; ++j) {
+    for (int i = j; i <= std::min(j + width, num_blocks - 1); ++i) columns[j].push_back(i);
+  }
+  return SparseStructure(std::vector<int>(num_blocks, 9), columns);
+}
+
+/// Each of num_blocks blocks coupled with many far away, so that everything fills in.
+BlockStructure Scattered(int num_blocks, int couplings) {
+  std::vector<std::vector<int>> columns(num_blocks);
+  unsigned state = 1;
+  for (int j = 0; j < num_blocks; ++j) {
+    columns[j].push_back(j);
+    for (int k = 0; k < couplings && j + 1 < num_blocks; ++k) {
+      state = state * 1664525u + 1013904223u;
+      columns[j].push_back(j + 1 + static_cast<int>((state >> 8) % (num_blocks - j - 1)));
+    }
+    std::sort(columns[j].begin(), columns[j].end());
+    columns[j].erase(std::unique(columns[j].begin(), columns[j].end()), columns[j].end());
+  }
+  return SparseStructure(std::vector<int>(num_blocks, 9), columns);
+}
+
+LinearSolverType Choose(const BlockStructure& structure, double available_bytes = kPlenty) {
+  return ChooseLinearSolver(structure, FindFillOrdering(structure), 2, available_bytes).type;
+}
+
+LinearSolverCosts Predict(const BlockStructure& structure, int num_threads) {
+  return PredictLinearSolverCosts(structure, FindFillOrdering(structure), num_threads);
+}
+
+TEST(LinearSolverCost, CountsAFullMatrixTheSameBothWays) {
+  const LinearSolverCosts costs = Predict(Band(30, 30), 2);
+  EXPECT_NEAR(costs.sparse.flops, costs.dense.flops, 0.01 * costs.dense.flops);
+  EXPECT_LT(costs.dense.seconds, costs.sparse.seconds);
+}
+
+TEST(LinearSolverCost, OfABandGrowsWithItsLength) {
+  const LinearSolverCosts one = Predict(Band(200, 10), 1);
+  const LinearSolverCosts four = Predict(Band(800, 10), 1);
+  EXPECT_NEAR(four.sparse.seconds, 4 * one.sparse.seconds, 0.2 * four.sparse.seconds);
+  EXPECT_NEAR(four.dense.flops, 64 * one.dense.flops, 1);
+  EXPECT_NEAR(four.iterative.bytes, 4 * one.iterative.bytes, 0.05 * four.iterative.bytes);
+}
+
+TEST(LinearSolverCost, ChoosesByShape) {
+  EXPECT_EQ(Choose(SparseStructure({9}, {{0}})), LinearSolverType::kDenseSchur);
+  EXPECT_EQ(Choose(Band(16, 16)), LinearSolverType::kDenseSchur);
+  EXPECT_EQ(Choose(Band(100, 100)), LinearSolverType::kDenseSchur);
+  EXPECT_EQ(Choose(Band(400, 20)), LinearSolverType::kSparseSchur);
+  EXPECT_EQ(Choose(Scattered(3000, 20)), LinearSolverType::kIterativeSchur);
+}
+
+TEST(LinearSolverCost, ChoosesWhatFitsIntoMemory) {
+  const BlockStructure full = Band(100, 100);
+  const LinearSolverCosts costs = Predict(full, 2);
+  EXPECT_LT(costs.iterative.bytes, costs.dense.bytes);
+  EXPECT_EQ(Choose(full, costs.iterative.bytes), LinearSolverType::kIterativeSchur);
+  const std::string reason =
+      ChooseLinearSolver(full, FindFillOrdering(full), 2, costs.iterative.bytes).reason;
+  EXPECT_NE(reason.find("dense needs"), std::string::npos) << reason;
+}
+
+}  // namespace
+}  // namespace bundle::fused

@@ -1,0 +1,61 @@
+#include <gtest/gtest.h>
+
+#include "core/error.h"
+#include "core/schur/elimination_plan.h"
+#include "core/solver/solve.h"
+#include "support/scene.h"
+
+namespace bundle {
+namespace {
+
+PreparedSolve Prepare(const SolveOptions& options) {
+  testing::SceneOptions small;
+  small.num_images = 3;
+  small.num_points = 8;
+  return PrepareSolve(testing::MakeScene(small).View(), options);
+}
+
+/// The result where the backend is left open; asked for, the fused one agrees or throws.
+Backend Choose(SolveOptions options, const PreparedSolve& prepared) {
+  const Backend chosen = ChooseBackend(options, prepared).backend;
+  options.backend = Backend::kFused;
+  if (chosen == Backend::kFused) {
+    EXPECT_EQ(ChooseBackend(options, prepared).backend, Backend::kFused);
+  } else {
+    EXPECT_THROW(ChooseBackend(options, prepared), InputError);
+  }
+  return chosen;
+}
+
+TEST(ChooseBackend, TheLongestTrackIsTakenAndNoLonger) {
+  const SolveOptions options;
+  PreparedSolve prepared = Prepare(options);
+  prepared.track_lengths[5] = fused::kMaxTrackLength;
+  EXPECT_EQ(Choose(options, prepared), Backend::kFused);
+  ++prepared.track_lengths[5];
+  EXPECT_EQ(Choose(options, prepared), Backend::kCeres);
+}
+
+TEST(ChooseBackend, PointsAndSomethingBesideThemAreRefined) {
+  SolveOptions options;
+  EXPECT_EQ(Choose(options, Prepare(options)), Backend::kFused);
+  options.refine_points = false;
+  EXPECT_EQ(Choose(options, Prepare(options)), Backend::kCeres);
+  options.refine_points = true;
+  options.refine_poses = options.refine_focal = options.refine_extra = false;
+  EXPECT_EQ(Choose(options, Prepare(options)), Backend::kCeres);
+}
+
+TEST(ChooseBackend, APreconditionerCountsWhereConjugateGradientsMayRun) {
+  SolveOptions options;
+  options.preconditioner_type = PreconditionerType::kClusterJacobi;
+  for (const LinearSolverType type : {LinearSolverType::kAuto, LinearSolverType::kIterativeSchur}) {
+    options.linear_solver_type = type;
+    EXPECT_EQ(Choose(options, Prepare(options)), Backend::kCeres);
+  }
+  options.linear_solver_type = LinearSolverType::kDenseSchur;
+  EXPECT_EQ(Choose(options, Prepare(options)), Backend::kFused);
+}
+
+}  // namespace
+}  // namespace bundle
