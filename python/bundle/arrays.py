@@ -8,6 +8,7 @@ can be set back. What is not immutable in the sense of ``cpp/bindings/immutable_
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from bundle import _core
 from bundle.arguments import real_numbers
 from bundle.errors import InputError, brief
 
-__all__ = ["filled", "freeze", "immutable"]
+__all__ = ["filled", "freeze", "immutable", "refrozen"]
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
@@ -28,6 +29,17 @@ def freeze(array: NDArray[Any]) -> NDArray[Any]:
 def filled(shape: tuple[int, ...], value: float, dtype: type) -> NDArray[Any]:
     """Return an immutable array of one value."""
     return freeze(np.full(shape, value, dtype))
+
+
+def refrozen(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return attributes, their arrays immutable: those of pickles and deep copies are writable."""
+
+    def again(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return value if _core.is_immutable(value) else freeze(value.copy())
+        return refrozen(value) if isinstance(value, dict) else value
+
+    return {name: again(value) for name, value in state.items()}
 
 
 def immutable(name: str, value: Any, dtype: type) -> NDArray[Any]:

@@ -31,7 +31,7 @@ def shown(path: str | os.PathLike[str]) -> str:
 def brief(value: Any) -> str:
     """Return any value as one short line of printable text: its repr, or its type."""
     try:
-        text = " ".join(repr(value).split())
+        text = " ".join(repr(value).split())[: LONGEST_VALUE + 1]
     except Exception:  # a repr of the user's, or one of an object that is no longer whole
         return f"an object of type {type(value).__name__}"
     text = _printable(text)

@@ -74,6 +74,22 @@ def test_a_solution_is_written_as_pycolmap_writes_it(
 
 
 @FORMATS
+def test_a_point_without_observations_has_the_error_that_pycolmap_gives_it(
+    tmp_path: Path, binary: bool
+) -> None:
+    reconstruction = synthesize(3)
+    alone = reconstruction.add_point3D(np.array([0.1, 0.2, 0.3]), pycolmap.Track())
+    folder = write_model(reconstruction, tmp_path / "in", binary=binary)
+    problem = solved(bundle.load(folder))
+    assert can_rewrite(problem, binary=binary)
+    ours = write_model_of(problem, tmp_path / "ours", binary=binary)
+    theirs = by_pycolmap(problem, tmp_path / "theirs", binary=binary)
+    assert ours.points3D[alone].error == theirs.points3D[alone].error == -1
+    assert fields(ours) == fields(theirs)
+    np.testing.assert_allclose(errors_of(ours), errors_of(theirs), rtol=1e-9)
+
+
+@FORMATS
 def test_records_need_not_be_in_the_order_of_their_ids(tmp_path: Path, binary: bool) -> None:
     folder = model(tmp_path, binary=False)
     for name, lines_per_record in (("images", 2), ("cameras", 1), ("points3D", 1), ("frames", 1)):

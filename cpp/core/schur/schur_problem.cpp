@@ -11,6 +11,7 @@
 #include "core/schur/assembler.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
+#include "core/schur/schur_setup.h"
 #include "core/schur/state_records.h"
 
 namespace bundle::fused {
@@ -39,16 +40,8 @@ class SchurProblem::Impl {
  public:
   Impl(const ProblemView& problem, const ParameterLayout& layout, const SolveOptions& options,
        BlockStructure structure, LinearSolver* solver)
-      : problem_(problem),
-        layout_(layout),
-        structure_(std::move(structure)),
+      : setup_(problem, layout, options, std::move(structure)),
         solver_(solver),
-        kernels_(SelectKernels()),
-        groups_(GroupImages(problem, layout)),
-        plan_(PlanPoints(problem, layout, groups_.block_size() * static_cast<int>(sizeof(double)),
-                         options.num_threads)),
-        input_(MakeEliminationInput(options, plan_)),
-        assembler_(problem, layout, groups_.groups, groups_.image_group, structure_),
         pool_(EffectiveNumThreads(options.num_threads)),
         memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_))),
         states_{State(problem, layout, plan_), State(problem, layout, plan_)},
@@ -62,7 +55,7 @@ class SchurProblem::Impl {
     d_squared_.resize(n);
     newton_.resize(n);
     state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
-    fixed_cost_ = FixedCost(options);
+    fixed_cost_ = setup_.FixedCost(options);
   }
 
   Linearization Linearize(double damping) {
@@ -206,39 +199,6 @@ class SchurProblem::Impl {
   }
 
  private:
-  EliminationInput MakeEliminationInput(const SolveOptions& options,
-                                        const EliminationPlan& plan) const {
-    EliminationInput input;
-    input.plan = &plan;
-    input.groups = groups_.groups.data();
-    input.num_groups = static_cast<int>(groups_.groups.size());
-    input.image_group = groups_.image_group.data();
-    input.image_columns = groups_.image_columns.data();
-    input.image_quads = groups_.image_quads.data();
-    input.image_refined = groups_.image_refined.data();
-    input.num_columns = groups_.num_columns();
-    input.num_rows = groups_.num_rows;
-    input.mixed = groups_.mixed();
-    input.cheirality = options.cheirality;
-    input.loss = options.loss;
-    input.loss_scale = options.loss_scale;
-    for (int p = 0; p < plan.num_points(); ++p) {
-      input.longest_track = std::max(input.longest_track, plan.first[p + 1] - plan.first[p]);
-    }
-    return input;
-  }
-
-  /// Observations with nothing to refine, by the same kernels.
-  double FixedCost(const SolveOptions& options) const {
-    if (plan_.num_observations() == problem_.num_observations) return 0;
-    const EliminationPlan plan = PlanFixedPoints(problem_, layout_, options.num_threads);
-    const EliminationInput input = MakeEliminationInput(options, plan);
-    const State state(problem_, layout_, plan);
-    double cost = 0;
-    for (const Chunk& chunk : plan.chunks) cost += kernels_.cost(input, state.records(), chunk);
-    return cost;
-  }
-
   /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
   /// finish(thread) on each thread after its last. Where one throws, the others end at their next
   /// chunk.
@@ -333,15 +293,15 @@ class SchurProblem::Impl {
     return sum;
   }
 
-  const ProblemView& problem_;
-  const ParameterLayout& layout_;
-  const BlockStructure structure_;
+  const SchurSetup setup_;
+  const ProblemView& problem_ = setup_.problem;
+  const ParameterLayout& layout_ = setup_.layout;
+  const BlockStructure& structure_ = setup_.structure;
+  const Kernels& kernels_ = setup_.kernels;
+  const EliminationPlan& plan_ = setup_.plan;
+  const EliminationInput& input_ = setup_.input;
+  const Assembler& assembler_ = setup_.assembler;
   LinearSolver* const solver_;
-  const Kernels& kernels_;
-  const ModelGroups groups_;
-  const EliminationPlan plan_;
-  const EliminationInput input_;
-  const Assembler assembler_;
   ThreadPool pool_;
   std::vector<std::vector<double>> memory_;  ///< of each thread
   State states_[2];

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from types import MappingProxyType
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -20,6 +19,7 @@ from bundle.graph.linear_prior import LinearPrior
 from bundle.graph.variables import (
     Array,
     Key,
+    Values,
     Variable,
     as_keys,
     as_list,
@@ -77,6 +77,10 @@ class FactorGraph(Displayed):
     def __init__(self) -> None:
         self._variables: dict[Key, Variable] = {}
         self._factors: list[Factor] = []
+        self._as_tuples: tuple[tuple[Key, ...], tuple[Factor, ...]] = (), ()
+
+    def __copy__(self) -> FactorGraph:
+        return self.with_values({})
 
     def add_variable(
         self,
@@ -134,17 +138,17 @@ class FactorGraph(Displayed):
     @property
     def keys(self) -> tuple[Key, ...]:
         """The variables, in the order in which they were added."""
-        return tuple(self._variables)
+        return self._tuples()[0]
 
     @property
     def factors(self) -> tuple[Factor, ...]:
         """The factors, in the order in which they were added."""
-        return tuple(self._factors)
+        return self._tuples()[1]
 
     @property
     def values(self) -> Mapping[Key, Array]:
-        """The values of the variables, where a solve starts."""
-        return MappingProxyType({key: v.value for key, v in self._variables.items()})
+        """The values of the variables, where a solve starts; changes as the graph does."""
+        return Values(self._variables)
 
     def with_values(self, values: Mapping[Key, ArrayLike]) -> FactorGraph:
         """Return the graph with other values, such as those that a solve found.
@@ -208,9 +212,11 @@ class FactorGraph(Displayed):
         cores = _core.hardware_threads()
         options = options.replace(num_threads=min(options.num_threads or cores, cores))
         as_core = options.asdict() | {"gauge": "none", "cheirality": "algebraic"}
-        output = _core.solve_graph(*self._core(), as_core, progress)
+        factors = list(self._factors)  # before the variables: the graph may grow meanwhile
+        keys = list(self._variables)
+        output = _core.solve_graph(*self._core(keys, factors=factors), as_core, progress)
         return GraphResult(
-            values=dict(zip(self._variables, output["values"], strict=True)),
+            values=dict(zip(keys, output["values"], strict=True)),
             options=options,
             **record_fields(output),
         )
@@ -240,8 +246,11 @@ class FactorGraph(Displayed):
             InputError: a key is unknown, or the factors do not determine what is eliminated; the
                 message names a variable.
         """
-        kept = self.keys if keys is None else as_keys("keys", keys)
-        return self._marginal(kept, self._variables, range(len(self._factors)))
+        positions = range(len(self._factors))
+        members = self.keys
+        return self._marginal(
+            members if keys is None else as_keys("keys", keys), members, positions
+        )
 
     def marginalize(self, keys: Iterable[Key]) -> LinearPrior:
         """Return what eliminating variables leaves on those that their factors touch.
@@ -316,6 +325,16 @@ class FactorGraph(Displayed):
             [(_factor_name(i, self._factors[i]), *self._one(i)) for i in chosen], settings
         )
 
+    def _tuples(self) -> tuple[tuple[Key, ...], tuple[Factor, ...]]:
+        """Return keys and factors, which are only ever added; made anew once some were."""
+        keys, factors = self._as_tuples
+        if len(factors) != len(self._factors):
+            factors = tuple(self._factors)
+        if len(keys) != len(self._variables):
+            keys = tuple(self._variables)
+        self._as_tuples = keys, factors
+        return keys, factors
+
     def _one(self, position: int) -> tuple[list[Variable], Any]:
         """Return the variables of a factor, and its function of their values."""
         factor = self._factors[position]
@@ -342,8 +361,8 @@ class FactorGraph(Displayed):
         factors: Iterable[Factor] | None = None,
     ) -> tuple[list[Any], list[Any]]:
         """Return variables and factors as ``_core`` takes them; all if none are given."""
+        factors = list(self._factors if factors is None else factors)
         members = list(self._variables if keys is None else keys)
-        factors = self._factors if factors is None else list(factors)
         positions = range(len(factors)) if positions is None else positions
         places = {key: i for i, key in enumerate(members)}
         described = []

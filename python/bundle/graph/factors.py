@@ -8,13 +8,14 @@ The core computes residuals and Jacobians; ``cpp/core/factors`` has the derivati
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle.arguments import as_array
-from bundle.arrays import freeze
+from bundle.arrays import freeze, refrozen
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief
 from bundle.graph.variables import Array, Key, as_row, check_key
@@ -50,7 +51,10 @@ class Factor(Displayed):
         self._set("loss", choice(f"{self.name}: loss", self.loss, LOSSES))
         self._set("loss_scale", number(f"{self.name}: loss_scale", self.loss_scale, above=0))
 
-    @property
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(refrozen(state))
+
+    @cached_property
     def name(self) -> str:
         """The kind and the variables, in messages."""
         return f"{type(self).__name__}({', '.join(brief(key) for key in self.keys)})"

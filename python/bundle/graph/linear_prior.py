@@ -65,8 +65,9 @@ class LinearPrior(Factor):
         for key in self.keys:
             if key not in self.linearization_point:
                 raise InputError(f"{self.name}: linearization_point: expected one of {brief(key)}")
-            where = f"{self.name}: linearization_point of {brief(key)}"
+            where = f"{self.name}: manifold of {brief(key)}"
             manifolds[key] = choice(where, self.manifolds.get(key, "euclidean"), MANIFOLDS)
+            where = f"{self.name}: linearization_point of {brief(key)}"
             value = as_row(where, self.linearization_point[key])
             points[key], names = _core.check_value(where, manifolds[key], value)
             size += len(names)
@@ -101,6 +102,10 @@ class LinearPrior(Factor):
             value = as_row(variable_name(key), values[key])
             points[key], _ = _core.check_value(variable_name(key), manifold, value)
             old = np.asarray(self.linearization_point[key])
+            if len(points[key]) != len(old):
+                raise InputError(
+                    f"{variable_name(key)}: expected {len(old)} numbers, found {len(points[key])}"
+                )
             steps.append(_core.local_coordinates(manifold, old, points[key]))
         eta = np.asarray(self.eta) - np.asarray(self.Lambda) @ np.concatenate(steps)
         return LinearPrior(

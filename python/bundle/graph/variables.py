@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Set
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
 from bundle.arguments import as_array, as_integers
-from bundle.arrays import freeze
+from bundle.arrays import freeze, refrozen
 from bundle.errors import InputError, brief
 from bundle.option_fields import choice
 
@@ -19,6 +20,7 @@ __all__ = [
     "MANIFOLDS",
     "Array",
     "Key",
+    "Values",
     "Variable",
     "as_keys",
     "as_list",
@@ -60,6 +62,14 @@ class Variable:
     lower: Array
     upper: Array
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(refrozen(state))
+
+    @cached_property
+    def name(self) -> str:
+        """How messages name it."""
+        return variable_name(self.key)
+
     @staticmethod
     def make(
         key: Key,
@@ -93,13 +103,32 @@ class Variable:
     def core(self) -> tuple[Any, ...]:
         """Return what ``_core`` takes."""
         return (
-            variable_name(self.key),
+            self.name,
             self.manifold,
             self.value,
             list(self.held),
             self.lower,
             self.upper,
         )
+
+
+class Values(Mapping[Key, Array]):
+    """The values of variables by key: a view, as ``dict.values`` is one."""
+
+    def __init__(self, variables: Mapping[Key, Variable]) -> None:
+        self._variables = variables
+
+    def __getitem__(self, key: Key) -> Array:
+        return self._variables[key].value
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self._variables)
+
+    def __len__(self) -> int:
+        return len(self._variables)
+
+    def __repr__(self) -> str:
+        return repr(dict(self))
 
 
 def as_row(name: str, value: Any) -> Array:

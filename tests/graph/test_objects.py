@@ -1,0 +1,194 @@
+"""Graph objects as Python objects: copies, pickles, what they print, whose memory they hold."""
+
+import copy
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+import bundle
+
+EYE = [0.0, 0, 0, 1]
+
+
+class Twice:
+    """A function that pickles, which a lambda does not."""
+
+    def __call__(self, values):
+        return 2 * values[0], [2 * np.eye(2)]
+
+
+def everything():
+    """A graph with every manifold, every factor, a bound and a held coordinate."""
+    graph = bundle.FactorGraph()
+    graph.add_variable("plain", [1.0, 2.0], lower=0)
+    graph.add_variable("pose", [*EYE, 0, 0, 1], "se3", fixed=[2])
+    graph.add_variable("next", [*EYE, 0, 0, 2], "se3")
+    graph.add_variable("camera", [500.0, 320, 240])
+    graph.add_variable(("point", 7), [0.0, 0.1, 3])
+    graph.add_variable("angle", 0.3, "so2")
+    graph.add_variable("turn", [0, 0, 0.6, 0.8], "so3")
+    graph.add_variable("place", [1, 2, 0.3], "se2")
+    for factor in (
+        bundle.PriorFactor("plain", [0, 0], 1.0, loss="huber", loss_scale=2.0),
+        bundle.FunctionFactor(["plain"], Twice()),
+        bundle.LinearPrior(np.eye(2), [1, 2], {"plain": [0, 0]}, ["plain"]),
+        bundle.PositionFactor("pose", [0.1, 0, 0], 1.0, lever_arm=[0.5, 0, 0]),
+        bundle.BetweenFactor("pose", "next", [*EYE, 0.1, 0, 1], 4.0),
+        bundle.ReprojectionFactor("pose", "camera", ("point", 7), [300, 200], "SIMPLE_PINHOLE"),
+        bundle.PriorFactor("camera", [500, 320, 240], 1.0),
+        bundle.PriorFactor(("point", 7), [0, 0, 3], 1.0),
+        bundle.PriorFactor("angle", [0.1], 1.0),
+        bundle.PriorFactor("turn", EYE, 1.0),
+        bundle.PriorFactor("place", [0, 0, 0], 1.0),
+    ):
+        graph.add_factor(factor)
+    return graph
+
+
+def public_objects():
+    graph = everything()
+    return [graph, graph.solve(), graph.check_gradients(), *graph.factors]
+
+
+COPIES = {
+    "pickle": lambda thing: pickle.loads(pickle.dumps(thing)),
+    "deepcopy": copy.deepcopy,
+    "copy": copy.copy,
+}
+
+
+@pytest.mark.parametrize("how", COPIES)
+def test_copies_print_the_same_as_text_and_as_html(how):
+    for thing in public_objects():
+        again = COPIES[how](thing)
+        assert type(again) is type(thing)
+        assert repr(again) == repr(thing)
+        assert 1 <= len(repr(thing).splitlines()) < 12
+        assert thing._repr_html_().startswith("<div><b>")
+
+
+@pytest.mark.parametrize("how", COPIES)
+def test_copies_of_a_graph_solve_alike_and_grow_apart(how):
+    graph = everything()
+    again = COPIES[how](graph)
+    assert again.keys == graph.keys and len(again.factors) == len(graph.factors)
+    assert again.cost() == graph.cost()
+    ours, theirs = (g.solve(num_threads=1) for g in (graph, again))
+    for key, value in ours.values.items():
+        np.testing.assert_array_equal(theirs.values[key], value)
+    again.add_variable("new", [0.0])
+    again.add_factor(bundle.PriorFactor("new", [0.0], 1.0))
+    assert "new" not in graph.keys and len(again.factors) == len(graph.factors) + 1
+    assert "new" in again.values and len(again.values) == len(graph.values) + 1
+
+
+def arrays_of(thing):
+    for field in dataclasses.fields(thing):
+        value = getattr(thing, field.name)
+        yield from value.values() if isinstance(value, dict) else [value]
+
+
+@pytest.mark.parametrize("how", [None, *COPIES])
+def test_no_array_of_a_graph_can_be_written(how):
+    graph = everything() if how is None else COPIES[how](everything())
+    arrays = list(graph.values.values())
+    for factor in graph.factors:
+        arrays += [value for value in arrays_of(factor) if isinstance(value, np.ndarray)]
+    assert len(arrays) == 8 + 2 * 6 + 4 + 3 + 3
+    for array in arrays:
+        with pytest.raises(ValueError, match=r"read-only|WRITEABLE"):
+            array[...] = 0
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            array.setflags(write=True)
+
+
+def test_arrays_are_copied_when_they_are_given():
+    value, lower, information = np.array([1.0, 2]), np.zeros(2), np.eye(2)
+    fixed, keys, point = [0], ["x"], {"x": np.zeros(2)}
+    graph = bundle.FactorGraph()
+    graph.add_variable("x", value, lower=lower, fixed=fixed)
+    graph.add_factor(bundle.PriorFactor("x", value, information))
+    graph.add_factor(bundle.LinearPrior(information, value, point, keys))
+    graph.add_factor(bundle.FunctionFactor(keys, Twice()))
+    before = graph.solve().values["x"]
+    for array in (value, lower, information, point["x"]):
+        array += 5
+    fixed.append(1)
+    keys.append("y")
+    point.clear()
+    np.testing.assert_array_equal(graph.values["x"], [1, 2])
+    np.testing.assert_array_equal(graph.solve().values["x"], before)
+
+
+def test_what_a_function_does_to_its_values_stays_there():
+    def vandal(values):
+        residual = values[0] - 3
+        values[0][:] = np.nan
+        values.clear()
+        return residual, [np.eye(2)]
+
+    graph = bundle.FactorGraph()
+    graph.add_variable("x", [1.0, 2.0])
+    graph.add_factor(bundle.FunctionFactor(["x"], vandal))
+    np.testing.assert_allclose(graph.solve().values["x"], 3, atol=1e-3)
+    np.testing.assert_array_equal(graph.values["x"], [1, 2])
+
+
+def test_a_function_may_keep_the_arrays_that_it_gave_and_got():
+    kept = []
+
+    def function(values):
+        residual, jacobian = values[0] - 3, np.eye(2)
+        kept.append((values[0], values[0].copy(), residual, residual.copy(), jacobian))
+        return residual, [jacobian]
+
+    graph = bundle.FactorGraph()
+    graph.add_variable("x", [1.0, 2.0])
+    graph.add_factor(bundle.FunctionFactor(["x"], function))
+    graph.solve()
+    assert len(kept) > 3
+    for value, value_then, residual, residual_then, jacobian in kept:
+        np.testing.assert_array_equal(value, value_then)
+        np.testing.assert_array_equal(residual, residual_then)
+        np.testing.assert_array_equal(jacobian, np.eye(2))
+
+
+def test_values_are_a_view_and_keys_and_factors_are_made_once():
+    """A loop over graph.values[key] or graph.factors[i] must not copy the graph each time."""
+    graph = everything()
+    values = graph.values
+    assert graph.keys is graph.keys and graph.factors is graph.factors
+    assert list(values) == list(graph.keys)
+    graph.add_variable("new", [4.0])
+    assert values["new"] == 4 and graph.keys[-1] == "new"
+    assert "nothing" not in values and values.get("nothing") is None
+    assert repr(values) == repr(dict(values))
+    with pytest.raises(TypeError):
+        values["new"] = [5.0]
+    moved = graph.with_values({"new": [5.0]})
+    assert values["new"] == 4 and moved.values["new"] == 5
+
+
+def test_a_function_that_knows_its_graph_copies_with_it():
+    class Knowing(Twice):
+        graph = None
+
+    graph = bundle.FactorGraph()
+    graph.add_variable("x", [1.0, 2.0])
+    function = Knowing()
+    graph.add_factor(bundle.FunctionFactor(["x"], function))
+    function.graph = graph
+    again = copy.deepcopy(graph)
+    assert again.factors[0].function.graph is again
+    assert again.cost() == graph.cost()
+
+
+def test_factors_can_be_made_anew_with_a_change():
+    prior = bundle.PriorFactor("x", [1.0, 2], 3.0)
+    other = dataclasses.replace(prior, loss="cauchy", key="y")
+    assert (other.loss, other.keys, other.name) == ("cauchy", ("y",), "PriorFactor('y')")
+    np.testing.assert_array_equal(other.value, prior.value)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        prior.key = "z"
