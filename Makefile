@@ -21,7 +21,7 @@ SHARDED = seq 0 $$(($$(nproc) - 1)) | UBSAN_OPTIONS=print_stacktrace=1 GTEST_TOT
   xargs -P 0 -I {} env GTEST_SHARD_INDEX={}
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test sanitize tsan lint format docs bench clean
+.PHONY: help setup demo test sanitize tsan lint lint-python lint-cpp format docs bench clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -56,12 +56,16 @@ tsan: $(READY)  ## run the C++ tests under ThreadSanitizer
 	TSAN_OPTIONS=suppressions=tools/tsan_suppressions.txt $(SHARDED) $(THREAD_BUILD)/tests/cpp/bundle_tests \
 	  --gtest_brief=1
 
-lint: $(READY)  ## check format, style, types and compiler warnings
+lint: lint-python lint-cpp  ## check format, style, types and compiler warnings
+
+lint-python: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/clang-format --dry-run -Werror $(CPP_SOURCES)
 	$(VENV)/bin/mypy
 	$(VENV)/bin/python -m mypy.stubtest bundle._core --ignore-disjoint-bases --allowlist tools/stubtest_allowlist.txt
+
+lint-cpp: $(READY)
+	$(VENV)/bin/clang-format --dry-run -Werror $(CPP_SOURCES)
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(BUILD) --log-level=WARNING \
 	  -DBUNDLE_WARNINGS_AS_ERRORS=ON -DBUNDLE_CPP_TESTS=ON
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(BUILD) --target all bundle_tests
