@@ -29,7 +29,7 @@ import bundle
 from benchmarks import machine, problems, table
 from bundle.comparison import Comparison, Method, compare
 from bundle.comparison.foresee import taken_by_auto
-from bundle.comparison.recommend import COST_TOLERANCE, NEAR_ENOUGH
+from bundle.comparison.recommendation import COST_TOLERANCE, NEAR_ENOUGH
 
 # name: fields of bundle.SceneOptions
 SHAPES: dict[str, dict[str, Any]] = {

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from bundle.cli.main import COMMANDS
+
 ROOT = Path(__file__).parents[1]
 CPP = ROOT / "cpp"
 PACKAGE = ROOT / "python" / "bundle"
@@ -339,6 +341,20 @@ def test_python_imports_follow_the_layers(path: Path) -> None:
     for outsider, users in OUTSIDERS.items():
         used = any(name.partition(".")[0] == outsider for name in every)
         assert not used or unit in users, f"{outsider} is for {users} alone"
+
+
+def test_modules_have_names_of_their_own() -> None:
+    """A command has its name in cli/ and, for what it prints, in report/; no other name repeats."""
+    homes: dict[str, list[str]] = {}
+    for path in PYTHON_FILES:
+        if path.name != "__init__.py":
+            homes.setdefault(path.stem, []).append(names(path.parent))
+    twins = {name: found for name, found in homes.items() if len(found) > 1}
+    pair = ["python/bundle/cli", "python/bundle/report"]
+    assert {name for name, found in twins.items() if found == pair} <= set(COMMANDS)
+    assert {name: found for name, found in twins.items() if found != pair} == {}
+    packages = {path.parent.name for path in PYTHON_FILES if path.name == "__init__.py"}
+    assert not packages & set(homes), "a module named as a package"
 
 
 def test_tables_name_nothing_that_is_gone() -> None:

@@ -19,6 +19,8 @@
 #include "core/factors/factor.h"
 #include "core/graph/factor_graph.h"
 #include "core/parallel/interruption.h"
+#include "core/prepare/memory.h"
+#include "core/prepare/prepare.h"
 
 namespace py = pybind11;
 
@@ -57,11 +59,33 @@ double GraphCost(const py::list& variables, const py::list& factors) {
   return Linearize(GraphFromPython(variables, factors), 1).cost;
 }
 
+/// Throws InputError if the dense matrices of a marginal information do not fit into the free
+/// memory: Lambda and its products, and the columns kept beside the factor of those eliminated.
+void RefuseTooManyColumns(const std::vector<int>& kept, const std::vector<bundle::Block>& blocks) {
+  double num_kept = 0, num_others = 0;
+  for (const bundle::Block& block : blocks) num_others += block.NumFree();
+  for (const int b : kept) {
+    num_kept += blocks[b].retraction.tangent_size();
+    num_others -= blocks[b].NumFree();
+  }
+  const double bytes = 8 * (3 * num_kept * num_kept + 2 * num_others * (num_kept + 1));
+  const double available = bundle::AvailableMemoryFor(bytes);
+  if (bundle::FitsIntoMemory(bytes, available)) return;
+  throw bundle::InputError("keys: the information of " + bundle::ShortNumber(num_kept) +
+                           " coordinates needs " + bundle::ShortNumber(bytes / 1e9) +
+                           " GB, of which this machine has " +
+                           bundle::ShortNumber(available / 1e9) + " free; ask for fewer variables");
+}
+
 py::tuple MarginalInformation(const py::list& variables, const py::list& factors,
                               const std::vector<int>& kept) {
   const bundle::FactorGraph graph = GraphFromPython(variables, factors);
-  bundle::MarginalInformation found =
-      bundle::MarginalizeOnto(kept, graph.blocks, Linearize(graph, 1));
+  RefuseTooManyColumns(kept, graph.blocks);
+  const bundle::LinearizedGraph linear = Linearize(graph, 1);
+  bundle::MarginalInformation found = [&] {
+    const py::gil_scoped_release release;
+    return bundle::MarginalizeOnto(kept, graph.blocks, linear);
+  }();
   const auto n = static_cast<py::ssize_t>(found.eta.size());
   return py::make_tuple(ToImmutableNumpy(std::move(found.lambda), {n, n}),
                         ToImmutableNumpy(std::move(found.eta), {n}));

@@ -7,8 +7,8 @@ import pytest
 
 import bundle
 from bundle.checking.columns import Column
-from bundle.checking.comparison import Comparison
 from bundle.checking.evidence import Evidence
+from bundle.checking.jacobian_deviation import JacobianDeviation
 from bundle.checking.tally import Tally
 
 
@@ -27,22 +27,22 @@ def test_a_factor_is_named_with_its_direction(factor, words, sign):
     assert ("sign" in report.findings[0].sentence) == (sign < 0)
 
 
-def comparison(reference, deviation, uncertainty):
+def deviations(reference, deviation, uncertainty):
     reference = np.array(reference, float).reshape(-1, 1, 1)
     shape = reference.shape
-    return Comparison(
+    return JacobianDeviation(
         reference + np.reshape(deviation, shape), reference, np.reshape(uncertainty, shape)
     )
 
 
 def test_small_entries_are_measured_by_a_thousandth_of_the_usual_size():
-    found = comparison([1.0, 1.0, 1e-6], [0.0, 0.0, 1e-4], [0.0, 0.0, 0.0])
+    found = deviations([1.0, 1.0, 1e-6], [0.0, 0.0, 1e-4], [0.0, 0.0, 0.0])
     assert found.scale.ravel() == pytest.approx([1.0, 1.0, 1e-3])
     assert found.deviation.ravel() == pytest.approx([0.0, 0.0, 0.1])
 
 
 def test_what_the_reference_does_not_know_is_no_error():
-    found = comparison([2.0, 2.0, 2.0], [0.4, 0.1, 0.1], [0.1, 0.2, np.inf])
+    found = deviations([2.0, 2.0, 2.0], [0.4, 0.1, 0.1], [0.1, 0.2, np.inf])
     assert found.deviation.ravel() == pytest.approx([0.2, 0.05, 0.0])
     assert found.doubt.ravel() == pytest.approx([0.05, 0.1, np.inf])
     assert found.error.ravel() == pytest.approx([0.15, 0.0, 0.0])
@@ -51,7 +51,7 @@ def test_what_the_reference_does_not_know_is_no_error():
 @pytest.mark.parametrize(("doubt", "is_explained"), [(0.05, True), (0.2, False)])
 def test_a_guess_explains_only_what_stands_clear_of_the_doubt(doubt, is_explained):
     points = np.ones((3, 1))
-    wrong = comparison([1.0, 1.0, 1.0], [0.5, 0.5, 0.5], [doubt, doubt, doubt])
+    wrong = deviations([1.0, 1.0, 1.0], [0.5, 0.5, 0.5], [doubt, doubt, doubt])
     evidence = Evidence(wrong, [Column("x", "x")], [], points, lambda *_: None, [0])
     assert evidence.explains(np.full((3, 1, 1), 1.5), [0]) == is_explained
 
@@ -59,7 +59,7 @@ def test_a_guess_explains_only_what_stands_clear_of_the_doubt(doubt, is_explaine
 def test_an_entry_is_wrong_or_undecided_but_not_both():
     tally = Tally([Column("x", "x")], tolerance=0.01)
     # Right; wrong beyond its doubt; within its doubt; without a reference.
-    tally.add(comparison([1.0] * 4, [0, 0.5, 0.1, 0.5], [0, 0.1, 0.2, np.inf]), np.arange(4))
+    tally.add(deviations([1.0] * 4, [0, 0.5, 0.1, 0.5], [0, 0.1, 0.2, np.inf]), np.arange(4))
     assert tally.num_entries.tolist() == [4]
     assert tally.num_wrong.tolist() == [1]
     assert tally.num_undecided.tolist() == [2]

@@ -11,8 +11,8 @@ import sys
 import numpy as np
 
 import bundle
-from bundle.cli.arguments import Parser
 from bundle.cli.option_flags import add_options, options_given
+from bundle.cli.parser import Parser
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report import json as json_report

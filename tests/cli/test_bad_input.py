@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import bundle
-from bundle.cli.errors import describe_error
+from bundle.cli.error_lines import describe_error
 from bundle.cli.option_flags import MOST_IDS
 from tests.cli.conftest import command, environment
 from tests.figures import in_order

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import bundle
-from bundle.cli.errors import describe_error
+from bundle.cli.error_lines import describe_error
 from tests.cli.conftest import command, environment
 from tests.scenes import scene
 

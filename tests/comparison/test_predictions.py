@@ -7,8 +7,8 @@ import pytest
 
 import bundle
 from bundle.comparison import compare
+from bundle.comparison.combinations import expand
 from bundle.comparison.foresee import foresee, taken_by_auto
-from bundle.comparison.methods import expand
 from bundle.comparison.predictions import predict
 from bundle.options import SolveOptions
 from bundle.report.compare import compared

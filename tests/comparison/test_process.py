@@ -148,9 +148,9 @@ def test_death_is_told(work, instead, script, outcome, words):
 def test_growth_beyond_the_cap_is_ended_at_once(work, instead):
     instead(
         "import os, sys, time\n"
-        "from bundle.comparison import memory\n"
+        "from bundle.comparison import process_memory\n"
         "channel = os.fdopen(int(sys.argv[3]), 'w')\n"
-        "print('{\"resident\": %d}' % memory.resident_memory(), file=channel, flush=True)\n"
+        "print('{\"resident\": %d}' % process_memory.resident_memory(), file=channel, flush=True)\n"
         "hoard = b'x' * 200_000_000\n"
         "time.sleep(60)\n"
     )

@@ -221,3 +221,14 @@ def window_of(steps, size, *, marginalize):
 def test_a_window_that_marginalises_knows_what_everything_knows():
     assert window_of(60, 6, marginalize=True) < 1e-11
     assert window_of(60, 6, marginalize=False) > 0.01
+
+
+def test_information_that_no_memory_holds_is_refused():
+    graph = bundle.FactorGraph()
+    size = 400_000  # 3 x 1.28 TB
+    graph.add_variable("x", np.zeros(size))
+    graph.add_factor(
+        bundle.FunctionFactor(["x"], lambda values: ([values[0][0]], [np.eye(1, size)]))
+    )
+    with pytest.raises(bundle.InputError, match=r"^keys: .* 400000 coordinates"):
+        graph.information()

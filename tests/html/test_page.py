@@ -11,9 +11,9 @@ import pytest
 
 import bundle
 from bundle.html.image import png
-from bundle.html.layout import place
 from bundle.html.page import as_json, tag, write_page
 from bundle.html.scale import linear, logarithmic, short
+from bundle.html.vertex_positions import place
 from tests.html.reader import Page, check_self_contained
 
 HOSTILE = "</script><script>alert(1)</script><!-- & \u2028 \" ' \\"

@@ -7,7 +7,7 @@ import pytest
 
 from bundle import _core
 from bundle.inspection import counts
-from bundle.inspection.counts import Counter
+from bundle.inspection.counts import FactorCounter
 from bundle.inspection.problem_pattern import find_pattern
 from bundle.options import SolveOptions
 from bundle.solver import resolve_defaults
@@ -21,7 +21,7 @@ from tests.inspection.dense_oracle import (
 
 def counter_of(problem, **options):
     given = resolve_defaults(problem, SolveOptions(gauge="none", **options))
-    return Counter(problem, given, find_pattern(problem, given))
+    return FactorCounter(problem, given, find_pattern(problem, given))
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import pytest
 import bundle
 from bundle import _core
 from bundle.inspection.calibration_scene import make_scene
-from bundle.inspection.memory import total
+from bundle.inspection.peak_memory import total
 from tests.figures import in_order
 from tests.inspection.dense_oracle import drive
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from bundle.inspection.counts import Counted
-from bundle.inspection.memory import ceres_memory, fused_memory
+from bundle.inspection.counts import FactorizedSystem
+from bundle.inspection.peak_memory import ceres_memory, fused_memory
 from bundle.inspection.problem_pattern import FactorCount, PlanSize
 from bundle.inspection.step_time import ceres_time, factor_rate, fused_time
 from tests.inspection.conftest import RATES
@@ -35,7 +35,7 @@ PATTERN = SimpleNamespace(
 FACTOR = FactorCount(
     nnz=6000, fill=0, flops=4e6, cholmod_flops=0, tree_height=1, profile=(30, 50, 20)
 )
-COUNTED = Counted(60, 3000, FACTOR, values=3600.0, panel_values=7000.0)
+COUNTED = FactorizedSystem(60, 3000, FACTOR, values=3600.0, panel_values=7000.0)
 
 
 def test_memory_of_the_fused_backend():

@@ -18,8 +18,9 @@ from bundle.checking import check_jacobians
 from bundle.cli import synth
 from bundle.inspection import inspect, inspect_graph
 from bundle.options import SolveOptions
-from bundle.report import check, compare, convert, graph, info, refine
+from bundle.report import check, compare, convert, info, refine
 from bundle.report import inspect as inspect_report
+from bundle.report import inspect_graph as inspect_graph_report
 from bundle.report.timing import WallTime
 from bundle.statistics import describe
 from bundle.synthetic import SceneOptions, synthesize
@@ -70,7 +71,9 @@ def inspected(_):
 
 
 def eliminated(_):
-    return graph.inspected("cycle.txt", inspect_graph([(i, (i + 1) % 6) for i in range(6)], 6))
+    return inspect_graph_report.inspected(
+        "cycle.txt", inspect_graph([(i, (i + 1) % 6) for i in range(6)], 6)
+    )
 
 
 def checked(monkeypatch):

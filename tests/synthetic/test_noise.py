@@ -6,7 +6,7 @@ import numpy as np
 
 import bundle
 from bundle.synthetic.noise import measure
-from bundle.synthetic.options import SceneOptions
+from bundle.synthetic.scene_options import SceneOptions
 
 
 def test_focal_lengths_are_never_below_a_half():

@@ -74,26 +74,18 @@ class CeresGraph::Cost final : public ceres::CostFunction {
     }
   }
 
-  /// Nothing may leave through Ceres, which does not expect exceptions.
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
-    if (graph_.abandoned_.load(std::memory_order_relaxed)) return false;
-    try {
-      if (!factor_.Evaluate(parameters, residuals, jacobians)) return false;
-    } catch (const Interrupted&) {
-      graph_.abandoned_.store(true);
-      return false;
-    } catch (...) {
-      graph_.exception_.Keep();
-      graph_.abandoned_.store(true);
-      return false;
-    }
+    if (!graph_.Evaluate(factor_, parameters, residuals, jacobians)) return false;
     const int rows = num_residuals();
     if (!std::all_of(residuals, residuals + rows, [](double r) { return std::isfinite(r); })) {
       return false;
     }
     for (size_t b = 0; jacobians != nullptr && b < factor_.retractions().size(); ++b) {
-      if (jacobians[b] != nullptr) Widen(rows, factor_.retractions()[b], jacobians[b]);
+      if (jacobians[b] == nullptr) continue;
+      Widen(rows, factor_.retractions()[b], jacobians[b]);
+      const int bounded = graph_.bounded_of_block_[factor_.blocks()[b]];
+      if (bounded >= 0) ClearColumns(rows, graph_.bounded_[bounded].is_active, jacobians[b]);
     }
     return true;
   }
@@ -110,20 +102,31 @@ class CeresGraph::Cost final : public ceres::CostFunction {
     }
   }
 
+  static void ClearColumns(int rows, const std::vector<bool>& which, double* jacobian) {
+    const size_t size = which.size();
+    for (size_t i = 0; i < size; ++i) {
+      for (int r = 0; which[i] && r < rows; ++r) jacobian[r * size + i] = 0;
+    }
+  }
+
   const Factor& factor_;
   const CeresGraph& graph_;
 };
 
 class CeresGraph::Watch final : public ceres::EvaluationCallback {
  public:
-  explicit Watch(std::atomic<bool>* abandoned) : abandoned_(abandoned) {}
+  explicit Watch(CeresGraph* graph) : graph_(graph) {}
 
   void PrepareForEvaluation(bool evaluate_jacobians, bool /*new_evaluation_point*/) override {
-    if (!evaluate_jacobians && InterruptionRequested()) abandoned_->store(true);
+    if (evaluate_jacobians) {
+      graph_->FindActiveCoordinates();
+    } else if (InterruptionRequested()) {
+      graph_->abandoned_.store(true);
+    }
   }
 
  private:
-  std::atomic<bool>* abandoned_;
+  CeresGraph* graph_;
 };
 
 class CeresGraph::BlockManifold final : public ceres::Manifold {
@@ -169,7 +172,9 @@ class CeresGraph::BlockManifold final : public ceres::Manifold {
 };
 
 CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
-    : graph_(graph), watch_(std::make_unique<Watch>(&abandoned_)) {
+    : graph_(graph),
+      bounded_of_block_(graph.blocks.size(), -1),
+      watch_(std::make_unique<Watch>(this)) {
   ceres::Problem::Options options;
   options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -194,6 +199,11 @@ CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
       problem_->SetParameterBlockConstant(data);
       continue;
     }
+    if (!block.lower.empty()) {
+      const int index = static_cast<int>(values_.size()) - 1;
+      bounded_of_block_[index] = static_cast<int>(bounded_.size());
+      bounded_.push_back({index, {}, std::vector<bool>(size)});
+    }
     for (size_t i = 0; i < block.lower.size(); ++i) {
       if (std::isfinite(block.lower[i]))
         problem_->SetParameterLowerBound(data, static_cast<int>(i), block.lower[i]);
@@ -205,12 +215,79 @@ CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
     costs_.push_back(std::make_unique<Cost>(*factor, *this));
     losses_.push_back(MakeLoss(factor->loss(), factor->loss_scale()));
     std::vector<double*> parameters;
-    for (const int b : factor->blocks()) parameters.push_back(values_[b].data());
+    for (const int b : factor->blocks()) {
+      parameters.push_back(values_[b].data());
+      const int bounded = bounded_of_block_[b];
+      const int index = static_cast<int>(costs_.size()) - 1;
+      if (bounded >= 0) bounded_[bounded].factors.push_back(index);
+    }
     problem_->AddResidualBlock(costs_.back().get(), losses_.back().get(), parameters);
   }
 }
 
 CeresGraph::~CeresGraph() = default;
+
+bool CeresGraph::Evaluate(const Factor& factor, double const* const* parameters, double* residuals,
+                          double** jacobians) const {
+  if (abandoned_.load(std::memory_order_relaxed)) return false;
+  try {
+    return factor.Evaluate(parameters, residuals, jacobians);
+  } catch (const Interrupted&) {
+    abandoned_.store(true);
+  } catch (...) {
+    exception_.Keep();
+    abandoned_.store(true);
+  }
+  return false;
+}
+
+void CeresGraph::FindActiveCoordinates() {
+  for (Bounded& bounded : bounded_) {
+    const Block& block = graph_.blocks[bounded.block];
+    const std::vector<double>& x = values_[bounded.block];
+    const size_t size = x.size();
+    bounded.is_active.assign(size, false);
+    bool at_bound = false;
+    for (size_t i = 0; i < size; ++i) {
+      at_bound = at_bound || x[i] <= block.lower[i] || x[i] >= block.upper[i];
+    }
+    if (!at_bound) continue;
+    const std::vector<double> gradient = GradientOf(bounded);
+    for (size_t i = 0; i < size; ++i) {
+      bounded.is_active[i] = (x[i] <= block.lower[i] && gradient[i] > 0) ||
+                             (x[i] >= block.upper[i] && gradient[i] < 0);
+    }
+  }
+}
+
+/// Of the cost by the block at the values; zeros where a factor has no value.
+std::vector<double> CeresGraph::GradientOf(const Bounded& bounded) const {
+  const size_t size = values_[bounded.block].size();
+  std::vector<double> gradient(size), residual, jacobian;
+  for (const int f : bounded.factors) {
+    const Factor& factor = *graph_.factors[f];
+    const int rows = factor.num_residuals();
+    residual.resize(rows);
+    jacobian.resize(rows * size);
+    std::vector<const double*> parameters;
+    std::vector<double*> jacobians;
+    for (const int b : factor.blocks()) {
+      parameters.push_back(values_[b].data());
+      jacobians.push_back(b == bounded.block ? jacobian.data() : nullptr);
+    }
+    if (!Evaluate(factor, parameters.data(), residual.data(), jacobians.data())) {
+      return std::vector<double>(size);
+    }
+    double rho[3] = {0, 1, 0}, squared = 0;
+    for (const double r : residual) squared += r * r;
+    if (losses_[f] != nullptr) losses_[f]->Evaluate(squared, rho);
+    for (int r = 0; r < rows; ++r) {
+      for (size_t i = 0; i < size; ++i)
+        gradient[i] += rho[1] * residual[r] * jacobian[r * size + i];
+    }
+  }
+  return gradient;
+}
 
 bool CeresGraph::IsThreadSafe() const {
   return std::all_of(graph_.factors.begin(), graph_.factors.end(),

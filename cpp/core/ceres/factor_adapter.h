@@ -1,4 +1,12 @@
 #pragma once
+///
+/// A coordinate at a bound is *active* if the cost falls beyond the bound. Ceres projects a step
+/// onto the bounds after it has computed it, and then compares the decrease of the cost with that
+/// of a model in which active coordinates have left their bounds. If they have most of the gradient
+/// the ratio is near zero, every step is rejected, and the solve "converges" where it stands
+/// (ceres-solver issue 187). So wherever Jacobians are wanted we first find the active coordinates,
+/// by the gradient, and give them zero columns: they stay where they are and the model knows it
+/// (Bertsekas, "Projected Newton methods for optimization problems with simple constraints", 1982).
 
 #include <atomic>
 #include <memory>
@@ -55,12 +63,26 @@ class CeresGraph {
   class Cost;
   class BlockManifold;
   class Watch;
+  /// A block with bounds.
+  struct Bounded {
+    int block;
+    std::vector<int> factors;  ///< that touch it
+    std::vector<bool> is_active;
+  };
+
+  /// Evaluates a factor; what it throws is kept, as nothing may leave through Ceres.
+  bool Evaluate(const Factor& factor, double const* const* parameters, double* residuals,
+                double** jacobians) const;
+  void FindActiveCoordinates();
+  std::vector<double> GradientOf(const Bounded& bounded) const;
 
   const FactorGraph& graph_;
   std::vector<std::vector<double>> values_;
   std::vector<std::unique_ptr<ceres::Manifold>> manifolds_;
   std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
   std::vector<std::unique_ptr<ceres::LossFunction>> losses_;
+  std::vector<Bounded> bounded_;
+  std::vector<int> bounded_of_block_;  ///< -1: without bounds
   std::unique_ptr<ceres::EvaluationCallback> watch_;
   std::unique_ptr<ceres::Problem> problem_;
   mutable std::atomic<bool> abandoned_{false};

@@ -83,7 +83,8 @@ namespace bundle::fused {
 ///   dense      n^3 / 3 at the rate of dpotrf, and 8 n^2 bytes for the substitutions
 ///   sparse     f at the same rate, and a time for each entry of the factor, which is put together
 ///              run by run beside the flops and substituted with
-///   iterative  8 s bytes from memory for each product with S; with two levels (preconditioners.cpp) a
+///   iterative  8 s bytes from memory for each product with S; with two levels
+///   (preconditioners.cpp) a
 ///              time for each value of S, which goes into the coarse system once, and two passes
 ///              over the coarse factor beside each product: about l / 20 entries, as a fifth of the
 ///              columns is left

@@ -52,8 +52,9 @@ LinearSolverChoice ChooseLinearSolver(const BlockStructure& structure, const Fil
 
 /// What the solvers of this folder would make of a pattern of S, for those who only ask.
 
-/// Values that the panels of the factor of S hold (supernodal_cholesky.h), zeros and all, when the blocks
-/// are eliminated in this order. Any order will do; it is postordered first, as the solver does.
+/// Values that the panels of the factor of S hold (supernodal_cholesky.h), zeros and all, when the
+/// blocks are eliminated in this order. Any order will do; it is postordered first, as the solver
+/// does.
 double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>& order);
 
 /// What `auto` takes, on this machine and now. It does not ask below a few hundred columns.

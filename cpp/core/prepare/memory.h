@@ -36,7 +36,7 @@ double PredictFusedWorkingBytes(const ParameterLayout& layout,
                                 double buffer_bytes);
 
 /// Bytes of Ceres' objects for observations and points, and of the Jacobian, as measured
-/// (bundle/inspection/memory.py).
+/// (bundle/inspection/peak_memory.py).
 double PredictCeresWorkingBytes(const ProblemShape& shape);
 
 /// "1.4 GB": powers of 1000 and three digits, as python/bundle/memory_sizes.py writes them.

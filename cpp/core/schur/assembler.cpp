@@ -22,19 +22,21 @@ Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
       diagonal_begin_(DiagonalBlockOffsets(structure)) {
   for (int i = 0; i < problem.num_images; ++i) {
     const ModelGroup& group = groups[image_group[i]];
-    AddSegment(layout.image_block(i), layout, group, &images_[i]);
-    AddSegment(layout.camera_block(problem.image_camera[i]), layout, group, &images_[i]);
-    images_are_independent_ &= layout.camera_block(problem.image_camera[i]) < 0;
+    const int camera_block = layout.camera_block(problem.image_camera[i]);
+    AddSegment(layout.image_block(i), layout, group, /*is_shared=*/false, &images_[i]);
+    AddSegment(camera_block, layout, group, /*is_shared=*/true, &images_[i]);
+    has_shared_cameras_ |= camera_block >= 0;
   }
 }
 
 void Assembler::AddSegment(int block, const ParameterLayout& layout, const ModelGroup& group,
-                           ImageSegments* image) const {
+                           bool is_shared, ImageSegments* image) const {
   if (block < 0) return;
   const CameraSideBlock& columns = layout.blocks()[block];
   Segment& segment = image->of[image->count++];
   segment.block = block;
   segment.size = columns.size;
+  segment.is_shared = is_shared;
   for (int k = 0; k < columns.size; ++k) {
     const int8_t* const end = group.columns + group.num_columns;
     segment.local[k] =
@@ -62,7 +64,7 @@ int64_t Assembler::Entry(int column, int row) const {
 }
 
 void Assembler::AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
-                         size_t i, size_t first_pair, size_t last_pair, CameraSums* sums) const {
+                         size_t i, const PairsOfImage& pairs, CameraSums* sums) const {
   const int64_t block_size = static_cast<int64_t>(input.num_rows) * input.num_columns;
   const auto slot = static_cast<int64_t>(i);
   double* const values = sums->system.values.data();
@@ -71,20 +73,52 @@ void Assembler::AddImage(const EliminationInput& input, const Chunk& chunk, cons
     return sum.blocks + (input.mixed ? sum.block_begin[b] : block_size * b);
   };
   const auto prefetch = [&](size_t pair) {
-    if (pair < last_pair) PrefetchPair(image, chunk.images[chunk.pairs[pair].second], values);
+    if (pair < pairs.last) PrefetchPair(image, chunk.images[chunk.pairs[pair].second], values);
   };
-  for (size_t ahead = 0; ahead < kPairsAhead; ++ahead) prefetch(first_pair + ahead);
-  AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, sums);
-  AddDiagonal(input, image, block(slot), values);
+  for (size_t ahead = 0; ahead < kPairsAhead; ++ahead) prefetch(pairs.first + ahead);
+  const auto num_images = static_cast<int64_t>(chunk.images.size());
+  for (size_t k = 0; k < pairs.num_as_second; ++k) {
+    const int pair = pairs.as_second[k];
+    AddPair(input, chunk.images[chunk.pairs[pair].first], image, block(num_images + pair),
+            PairPart::kSecond, values);
+  }
+  AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, Part::kOwn,
+             sums);
+  AddDiagonal(input, image, block(slot), Part::kOwn, values);
   if (sum.camera_diagonal != nullptr) {
-    AddCameraDiagonal(input, image, sum.camera_diagonal + block_size * slot,
+    AddCameraDiagonal(input, image, sum.camera_diagonal + block_size * slot, Part::kOwn,
                       sums->system.camera_diagonal.data());
   }
-  const auto num_images = static_cast<int64_t>(chunk.images.size());
-  for (size_t pair = first_pair; pair < last_pair; ++pair) {
+  for (size_t pair = pairs.first; pair < pairs.last; ++pair) {
     prefetch(pair + kPairsAhead);
     AddPair(input, image, chunk.images[chunk.pairs[pair].second],
-            block(num_images + static_cast<int64_t>(pair)), values);
+            block(num_images + static_cast<int64_t>(pair)), PairPart::kFirst, values);
+  }
+}
+
+void Assembler::AddSharedCameras(const EliminationInput& input, const Chunk& chunk,
+                                 const ChunkSum& sum, CameraSums* sums) const {
+  const int64_t block_size = static_cast<int64_t>(input.num_rows) * input.num_columns;
+  double* const values = sums->system.values.data();
+  const auto block = [&](int64_t b) {
+    return sum.blocks + (input.mixed ? sum.block_begin[b] : block_size * b);
+  };
+  const size_t num_images = chunk.images.size();
+  size_t pair = 0;
+  for (size_t i = 0; i < num_images; ++i) {
+    const int image = chunk.images[i];
+    const auto slot = static_cast<int64_t>(i);
+    AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot,
+               Part::kShared, sums);
+    AddDiagonal(input, image, block(slot), Part::kShared, values);
+    if (sum.camera_diagonal != nullptr) {
+      AddCameraDiagonal(input, image, sum.camera_diagonal + block_size * slot, Part::kShared,
+                        sums->system.camera_diagonal.data());
+    }
+    for (; pair < chunk.pairs.size() && chunk.pairs[pair].first == i; ++pair) {
+      AddPair(input, image, chunk.images[chunk.pairs[pair].second],
+              block(static_cast<int64_t>(num_images + pair)), PairPart::kCameras, values);
+    }
   }
 }
 
@@ -103,10 +137,11 @@ void Assembler::PrefetchPair(int first, int second, const double* values) const 
 }
 
 void Assembler::AddVectors(const EliminationInput& input, int image, const double* vectors,
-                           CameraSums* sums) const {
+                           Part part, CameraSums* sums) const {
   const int width = WidthOf(input, image);
   for (int s = 0; s < images_[image].count; ++s) {
     const Segment& segment = images_[image].of[s];
+    if (segment.is_shared != (part == Part::kShared)) continue;
     const int offset = structure_.offset[segment.block];
     for (int k = 0; k < segment.size; ++k) {
       const double* const at = vectors + segment.local[k];
@@ -119,13 +154,14 @@ void Assembler::AddVectors(const EliminationInput& input, int image, const doubl
 
 /// Only the upper triangle of `block` means anything.
 void Assembler::AddDiagonal(const EliminationInput& input, int image, const double* block,
-                            double* values) const {
+                            Part part, double* values) const {
   const ImageSegments& segments = images_[image];
   const int width = WidthOf(input, image);
   for (int s = 0; s < segments.count; ++s) {
     for (int t = 0; t < segments.count; ++t) {
       const Segment &a = segments.of[s], &b = segments.of[t];
       if (a.block > b.block) continue;
+      if ((a.is_shared && b.is_shared) != (part == Part::kShared)) continue;
       const int64_t entry = Entry(a.block, b.block);
       for (int i = 0; i < a.size; ++i) {
         double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
@@ -139,10 +175,11 @@ void Assembler::AddDiagonal(const EliminationInput& input, int image, const doub
 }
 
 void Assembler::AddCameraDiagonal(const EliminationInput& input, int image, const double* block,
-                                  double* values) const {
+                                  Part part, double* values) const {
   const int width = WidthOf(input, image);
   for (int s = 0; s < images_[image].count; ++s) {
     const Segment& segment = images_[image].of[s];
+    if (segment.is_shared != (part == Part::kShared)) continue;
     double* const target = values + diagonal_begin_[segment.block];
     for (int i = 0; i < segment.size; ++i) {
       for (int j = i; j < segment.size; ++j) {
@@ -153,11 +190,14 @@ void Assembler::AddCameraDiagonal(const EliminationInput& input, int image, cons
 }
 
 void Assembler::AddPair(const EliminationInput& input, int first, int second, const double* block,
-                        double* values) const {
+                        PairPart part, double* values) const {
   const int width = WidthOf(input, second);
+  const bool shared_first = part != PairPart::kFirst;
   for (int s = 0; s < images_[first].count; ++s) {
     for (int t = 0; t < images_[second].count; ++t) {
       const Segment &a = images_[first].of[s], &b = images_[second].of[t];
+      if (a.is_shared != shared_first) continue;
+      if (shared_first && b.is_shared != (part == PairPart::kCameras)) continue;
       const int64_t entry = Entry(std::min(a.block, b.block), std::max(a.block, b.block));
       for (int i = 0; i < a.size; ++i) {
         const double* const row = block + a.local[i] * width;

@@ -7,6 +7,12 @@
 /// intrinsics are shared with other images, and some may be fixed. A block of images (a, b) thus
 /// goes to up to four blocks of S. Where both have the same intrinsics block, it and its transpose
 /// go to the diagonal one.
+///
+/// Several threads add chunks at once, and no bit may depend on which is faster. So each block of S
+/// belongs to one queue, in which chunks take their turns: the blocks of an image's own columns
+/// with all others belong to that image, or to the first of two, and what two shared cameras have
+/// with each other belongs to the queue of all cameras. Only the latter is serial, and it is small:
+/// 9 products of a pair's 81 where a camera has three parameters.
 
 #include <algorithm>
 #include <atomic>
@@ -35,13 +41,24 @@ class Assembler {
             const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
             const BlockStructure& structure);
 
-  /// Adds what a chunk has of image i of its images: its vectors, its diagonal block, and the pairs
-  /// [first_pair, last_pair), whose first it is.
-  void AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum, size_t i,
-                size_t first_pair, size_t last_pair, CameraSums* sums) const;
+  /// The pairs of a chunk that concern one of its images, ascending.
+  struct PairsOfImage {
+    size_t first = 0, last = 0;  ///< [first, last): those whose first image it is
+    const int* as_second = nullptr;
+    size_t num_as_second = 0;
+  };
 
-  /// True if AddImage changes no other block columns of S than the image's own.
-  bool images_are_independent() const { return images_are_independent_; }
+  /// Adds what a chunk has of image i of its images: its vectors, its diagonal block and its pairs,
+  /// all but the rows and columns of shared cameras among themselves.
+  void AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum, size_t i,
+                const PairsOfImage& pairs, CameraSums* sums) const;
+
+  /// Adds what AddImage leaves of a chunk. Nothing without shared cameras.
+  void AddSharedCameras(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
+                        CameraSums* sums) const;
+
+  /// True if some camera block of the layout belongs to several images.
+  bool has_shared_cameras() const { return has_shared_cameras_; }
 
   /// Where block j of the layout begins in BlockSystem::camera_diagonal.
   const std::vector<int64_t>& diagonal_begin() const { return diagonal_begin_; }
@@ -51,6 +68,7 @@ class Assembler {
   struct Segment {
     int block = -1;
     int size = 0;
+    bool is_shared = false;                           ///< a camera's that several images have
     bool is_contiguous = true;                        ///< local[k] = local[0] + k
     int8_t local[kPoseSize + kMaxCameraParams] = {};  ///< entry k of the block by local column
   };
@@ -59,16 +77,22 @@ class Assembler {
     int count = 0;
   };
 
-  void AddSegment(int block, const ParameterLayout& layout, const ModelGroup& group,
+  /// Which of an image's segments a sum is for.
+  enum class Part { kOwn, kShared };
+  /// Which blocks of a pair: those of the first's own columns, those of the second's own columns
+  /// with the first's camera, or those of the two cameras.
+  enum class PairPart { kFirst, kSecond, kCameras };
+
+  void AddSegment(int block, const ParameterLayout& layout, const ModelGroup& group, bool is_shared,
                   ImageSegments* image) const;
-  void AddVectors(const EliminationInput& input, int image, const double* vectors,
+  void AddVectors(const EliminationInput& input, int image, const double* vectors, Part part,
                   CameraSums* sums) const;
-  void AddDiagonal(const EliminationInput& input, int image, const double* block,
+  void AddDiagonal(const EliminationInput& input, int image, const double* block, Part part,
                    double* values) const;
-  void AddCameraDiagonal(const EliminationInput& input, int image, const double* block,
+  void AddCameraDiagonal(const EliminationInput& input, int image, const double* block, Part part,
                          double* values) const;
   void AddPair(const EliminationInput& input, int first, int second, const double* block,
-               double* values) const;
+               PairPart part, double* values) const;
   static void AddColumn(const Segment& rows, const double* from, double* column);
   void PrefetchPair(int first, int second, const double* values) const;
   int64_t Entry(int column, int row) const;
@@ -76,14 +100,14 @@ class Assembler {
   const BlockStructure& structure_;
   std::vector<ImageSegments> images_;
   std::vector<int64_t> diagonal_begin_;
-  bool images_are_independent_ = true;
+  bool has_shared_cameras_ = false;
 };
 
 /// Sums up chunks that several threads work on, in the order of the chunks, so that no bit of the
 /// sum depends on who was faster.
 ///
-/// Each image's block column of S is a queue of its own: threads wait for each other at the same
-/// column only. A thread that is early keeps its chunk and goes on to the next.
+/// Threads wait for each other at the same queue only (Assembler). A thread that is early keeps its
+/// chunk and goes on to the next.
 class OrderedSums {
  public:
   /// Keeps references to all but the last.
@@ -128,6 +152,8 @@ class OrderedSums {
     int order[kBuffers] = {0, 1, 2};  ///< those in the queue, oldest first, then the free ones
     int count = 0;
 
+    std::vector<int> second_begin, seconds;  ///< GroupBySecond
+
     bool IsEmpty() const { return count == 0; }
     bool IsFull() const { return count == kBuffers; }
     Buffer& Oldest() { return buffers[order[0]]; }
@@ -140,6 +166,10 @@ class OrderedSums {
 
   /// Where a chunk's blocks begin, and how many doubles they are, where widths are mixed.
   int64_t PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block_begin) const;
+
+  /// The pairs of a chunk by their second image: those of image i are
+  /// seconds[second_begin[i]] to seconds[second_begin[i + 1]], ascending.
+  static void GroupBySecond(const Chunk& chunk, Waiting* waiting);
 
   void MakeSystem();
   void AddOldest(Waiting* waiting);

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cstddef>
+#include <numeric>
 #include <utility>
 
 #include "core/linear/block_structure.h"
@@ -17,10 +18,11 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
       waiting_(num_threads),
       last_added_(num_images) {
   // All memory now, so that no pass ends half way.
-  size_t images = 0, blocks = 0, mixed_doubles = 0;
+  size_t images = 0, pairs = 0, blocks = 0, mixed_doubles = 0;
   std::vector<int64_t> block_begin;
   for (const Chunk& chunk : input.plan->chunks) {
     images = std::max(images, chunk.images.size());
+    pairs = std::max(pairs, chunk.pairs.size());
     blocks = std::max<size_t>(blocks, chunk.num_blocks());
     if (input.mixed) {
       mixed_doubles = std::max<size_t>(mixed_doubles, PlaceBlocks(chunk, &block_begin));
@@ -28,6 +30,10 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
   }
   const size_t block_size = static_cast<size_t>(input.num_rows) * input.num_columns;
   for (Waiting& waiting : waiting_) {
+    if (assembler.has_shared_cameras()) {
+      waiting.second_begin.reserve(images + 2);
+      waiting.seconds.reserve(pairs);
+    }
     for (Buffer& buffer : waiting.buffers) {
       buffer.blocks.reserve(input.mixed ? mixed_doubles : blocks * block_size);
       if (input.mixed) buffer.block_begin.reserve(blocks);
@@ -125,22 +131,40 @@ void OrderedSums::WaitFor(const std::atomic<int>& value, int wanted) const {
   }
 }
 
+void OrderedSums::GroupBySecond(const Chunk& chunk, Waiting* waiting) {
+  std::vector<int>& begin = waiting->second_begin;
+  begin.assign(chunk.images.size() + 2, 0);
+  for (const Chunk::Pair& pair : chunk.pairs) ++begin[pair.second + 2];
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  waiting->seconds.resize(chunk.pairs.size());
+  int index = 0;
+  for (const Chunk::Pair& pair : chunk.pairs) {
+    waiting->seconds[begin[pair.second + 1]++] = index++;
+  }
+}
+
 void OrderedSums::AddOldest(Waiting* waiting) {
   const Buffer& buffer = waiting->Oldest();
   const int c = buffer.chunk;
   const Chunk& chunk = input_.plan->chunks[c];
-  const bool own_queues = assembler_.images_are_independent();
-  if (!own_queues) WaitFor(num_added_, c);
-  size_t pair = 0;
+  const bool has_shared_cameras = assembler_.has_shared_cameras();
+  if (has_shared_cameras) GroupBySecond(chunk, waiting);
+  Assembler::PairsOfImage pairs;
   for (size_t i = 0; i < chunk.images.size(); ++i) {
-    const size_t first_pair = pair;
-    while (pair < chunk.pairs.size() && chunk.pairs[pair].first == i) ++pair;
+    pairs.first = pairs.last;
+    while (pairs.last < chunk.pairs.size() && chunk.pairs[pairs.last].first == i) ++pairs.last;
+    if (has_shared_cameras) {
+      const int begin = waiting->second_begin[i], end = waiting->second_begin[i + 1];
+      pairs.as_second = waiting->seconds.data() + begin;
+      pairs.num_as_second = end - begin;
+    }
     std::atomic<int>& last_added = last_added_[chunk.images[i]];
-    if (own_queues) WaitFor(last_added, chunk.previous_chunk[i]);
-    assembler_.AddImage(input_, chunk, buffer.sum, i, first_pair, pair, &sums_);
+    WaitFor(last_added, chunk.previous_chunk[i]);
+    assembler_.AddImage(input_, chunk, buffer.sum, i, pairs, &sums_);
     last_added.store(c, std::memory_order_release);
   }
   WaitFor(num_added_, c);
+  if (has_shared_cameras) assembler_.AddSharedCameras(input_, chunk, buffer.sum, &sums_);
   num_added_.store(c + 1, std::memory_order_release);
   waiting->Pop();
 }

@@ -5,17 +5,17 @@
 
 namespace bundle::fused {
 
-SchurSetup::SchurSetup(const ProblemView& problem, const ParameterLayout& layout,
-                       const SolveOptions& options, BlockStructure structure)
-    : problem(problem),
-      layout(layout),
-      structure(std::move(structure)),
+SchurSetup::SchurSetup(const ProblemView& of_problem, const ParameterLayout& of_layout,
+                       const SolveOptions& options, BlockStructure of_structure)
+    : problem(of_problem),
+      layout(of_layout),
+      structure(std::move(of_structure)),
       kernels(SelectKernels()),
       groups(GroupImages(problem, layout)),
       plan(PlanPoints(problem, layout, groups.block_size() * static_cast<int>(sizeof(double)),
                       options.num_threads)),
       input(MakeInput(options, plan)),
-      assembler(problem, layout, groups.groups, groups.image_group, this->structure) {}
+      assembler(problem, layout, groups.groups, groups.image_group, structure) {}
 
 EliminationInput SchurSetup::MakeInput(const SolveOptions& options,
                                        const EliminationPlan& points) const {

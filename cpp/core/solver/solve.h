@@ -20,7 +20,8 @@ struct BackendChoice {
 /// the option.
 BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& prepared);
 
-/// Bundle adjustment by the backend that the options ask for. The problem is valid (problem_view.h).
+/// Bundle adjustment by the backend that the options ask for. The problem is valid
+/// (problem_view.h).
 ///
 /// Throws InputError if a camera model is not supported, an id to be fixed does not exist, options
 /// exclude each other or the backend, or the dense matrices of the solver would not fit into

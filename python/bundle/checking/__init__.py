@@ -2,15 +2,15 @@
 
 from bundle.checking.classify import KINDS
 from bundle.checking.evidence import Finding
-from bundle.checking.gradients import check_gradients
-from bundle.checking.jacobians import check_jacobians
-from bundle.checking.report import (
+from bundle.checking.gradient_report import (
     GradientCheckerSummary,
     GradientReport,
     Offender,
     Undecided,
     Verdict,
 )
+from bundle.checking.gradients import check_gradients
+from bundle.checking.jacobians import check_jacobians
 
 __all__ = [
     "KINDS",

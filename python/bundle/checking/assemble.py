@@ -8,7 +8,7 @@ import numpy as np
 
 from bundle.check_defaults import TOLERANCE
 from bundle.checking.evidence import Finding
-from bundle.checking.report import (
+from bundle.checking.gradient_report import (
     GradientCheckerSummary,
     GradientReport,
     Offender,

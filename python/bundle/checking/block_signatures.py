@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.checking.comparison import Array
 from bundle.checking.evidence import EXPLAINED, Evidence
+from bundle.checking.jacobian_deviation import Array
 
 __all__ = ["order", "rank_one", "rotation_vectors", "shifted", "swapped", "transposed", "turned"]
 
@@ -18,9 +18,9 @@ def transposed(evidence: Evidence) -> None:
         num_points, num_residuals = evidence.analytic.shape[:2]
         if min(num_residuals, block.size) < 2 or not set(columns) & set(evidence.wrong):
             continue
-        raw = evidence.comparison.reference[..., columns]
+        raw = evidence.deviations.reference[..., columns]
         guess = raw.transpose(0, 2, 1).reshape(num_points, num_residuals, block.size)
-        if evidence.explains(guess / evidence.comparison.scale[..., columns], columns):
+        if evidence.explains(guess / evidence.deviations.scale[..., columns], columns):
             what = (
                 "transposed"
                 if block.size == num_residuals
@@ -85,14 +85,14 @@ def rotation_vectors(evidence: Evidence) -> None:
             continue
         left = np.array([_left_jacobian(w) for w in evidence.points[:, columns]])
         right = left.transpose(0, 2, 1)  # J_r(w) = J_l(-w)
-        raw = evidence.comparison.reference[..., columns]
+        raw = evidence.deviations.reference[..., columns]
         for change, words in (
             (np.linalg.inv(left), "the derivative by d of Exp(d) Exp(w), not by w: J_l is missing"),
             (np.linalg.inv(right), "the derivative by d of Exp(w) Exp(d), not by w"),
             (np.linalg.solve(left, right), "the right Jacobian of SO(3) where the left belongs"),
             (np.linalg.solve(right, left), "the left Jacobian of SO(3) where the right belongs"),
         ):
-            guess = raw @ change / evidence.comparison.scale[..., columns]
+            guess = raw @ change / evidence.deviations.scale[..., columns]
             if set(columns) & set(evidence.wrong) and evidence.explains(guess, columns):
                 names = evidence.names(columns)
                 evidence.found(
@@ -137,9 +137,9 @@ def rank_one(evidence: Evidence) -> None:
         columns = [j for j in block.columns if j in evidence.wrong]
         if len(columns) < 2 or evidence.analytic.shape[1] < 2:
             continue
-        raw = (evidence.comparison.analytic - evidence.comparison.reference)[..., columns]
+        raw = (evidence.deviations.analytic - evidence.deviations.reference)[..., columns]
         size = np.linalg.svd(raw, compute_uv=False)
-        doubt = np.linalg.norm(evidence.comparison.uncertainty[..., columns], axis=(1, 2))
+        doubt = np.linalg.norm(evidence.deviations.uncertainty[..., columns], axis=(1, 2))
         clear = size[:, 0] > 1e3 * doubt
         if clear.sum() >= 2 and (size[clear, 1] <= EXPLAINED * size[clear, 0]).all():
             evidence.found(
@@ -154,18 +154,18 @@ def _matches(evidence: Evidence) -> NDArray[np.bool_]:
     """Return (N, N): whether wrong column i holds what belongs into column j."""
     count = len(evidence.columns)
     matches = np.zeros((count, count), bool)
-    raw = evidence.comparison.reference
+    raw = evidence.deviations.reference
     for i in evidence.wrong:
         for j in range(count):
             if i != j and raw[..., j].any():
-                guess = raw[..., [j]] / evidence.comparison.scale[..., [i]]
+                guess = raw[..., [j]] / evidence.deviations.scale[..., [i]]
                 matches[i, j] = evidence.explains(guess, [i])
     return matches
 
 
 def _same_gram(evidence: Evidence, columns: list[int]) -> bool:
-    analytic = evidence.comparison.analytic[..., columns]
-    reference = evidence.comparison.reference[..., columns]
+    analytic = evidence.deviations.analytic[..., columns]
+    reference = evidence.deviations.reference[..., columns]
     size = np.linalg.norm(reference, axis=(1, 2), keepdims=True)
     size = np.where(size > 0, size, 1.0)
     analytic, reference = analytic / size, reference / size

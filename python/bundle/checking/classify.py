@@ -12,8 +12,8 @@ import numpy as np
 
 from bundle.checking import block_signatures as block
 from bundle.checking import column_signatures as column
-from bundle.checking.comparison import Comparison
 from bundle.checking.evidence import Evidence, Finding
+from bundle.checking.jacobian_deviation import JacobianDeviation
 
 __all__ = ["KINDS", "classify", "float_precision", "stale"]
 
@@ -69,24 +69,26 @@ def classify(evidence: Evidence) -> list[Finding]:
     return evidence.findings
 
 
-def stale(comparison: Comparison, repeated: Comparison, tolerance: float) -> Finding | None:
+def stale(
+    deviations: JacobianDeviation, repeated: JacobianDeviation, tolerance: float
+) -> Finding | None:
     """Return a finding if Jacobians belong to points evaluated before.
 
     Args:
-        comparison: at K points, evaluated one after the other.
+        deviations: at K points, evaluated one after the other.
         repeated: at the same points, each evaluated twice in a row.
         tolerance: relative error from which on a point is wrong.
     """
-    wrong = np.flatnonzero(np.any(comparison.error > tolerance, axis=(1, 2)))
+    wrong = np.flatnonzero(np.any(deviations.error > tolerance, axis=(1, 2)))
     if not len(wrong):
         return None
-    error = float(comparison.error.max())
+    error = float(deviations.error.max())
     for words, source in (
         ("the point evaluated just before", np.maximum(wrong - 1, 0)),
         ("the first point evaluated", np.zeros_like(wrong)),
     ):
         moved = source != wrong
-        if moved.any() and _hold(comparison, wrong[moved], source[moved]):
+        if moved.any() and _hold(deviations, wrong[moved], source[moved]):
             sentence = f"stale cache: the Jacobian is that of {words}"
             return Finding("stale", (), sentence, error)
     still_wrong = np.any(repeated.error[wrong] > tolerance)
@@ -99,9 +101,9 @@ def stale(comparison: Comparison, repeated: Comparison, tolerance: float) -> Fin
     return None
 
 
-def float_precision(comparison: Comparison, names: tuple[str, ...]) -> Finding | None:
+def float_precision(deviations: JacobianDeviation, names: tuple[str, ...]) -> Finding | None:
     """Return a finding if the Jacobians were rounded to single precision on their way."""
-    analytic, reference = comparison.analytic, comparison.reference
+    analytic, reference = deviations.analytic, deviations.reference
     with np.errstate(over="ignore", invalid="ignore"):
         single = analytic.astype(np.float32).astype(np.float64) == analytic
         # Numbers such as 0, 1 and 0.5 are single in any precision.
@@ -116,16 +118,16 @@ def float_precision(comparison: Comparison, names: tuple[str, ...]) -> Finding |
         "float_precision",
         names,
         "float precision: every number is one of single precision (float32), 7 digits of 16",
-        float(comparison.deviation.max()),
+        float(deviations.deviation.max()),
     )
 
 
-def _hold(comparison: Comparison, wrong: np.ndarray, source: np.ndarray) -> bool:
+def _hold(deviations: JacobianDeviation, wrong: np.ndarray, source: np.ndarray) -> bool:
     """Return whether the Jacobians at the wrong points are those of the source points."""
-    scale = comparison.scale[wrong]
-    columns = (comparison.error[wrong] > 0).any(axis=(0, 1))
-    left = (comparison.analytic[wrong] - comparison.reference[source]) / scale
-    deviation = (comparison.analytic[wrong] - comparison.reference[wrong]) / scale
+    scale = deviations.scale[wrong]
+    columns = (deviations.error[wrong] > 0).any(axis=(0, 1))
+    left = (deviations.analytic[wrong] - deviations.reference[source]) / scale
+    deviation = (deviations.analytic[wrong] - deviations.reference[wrong]) / scale
     left, deviation = left[..., columns], deviation[..., columns]
     return bool(np.linalg.norm(left) <= 1e-3 * np.linalg.norm(deviation))
 
@@ -139,7 +141,7 @@ def _not_finite(evidence: Evidence) -> None:
 def _by_size(evidence: Evidence) -> None:
     """Name what is left by how wrong it typically is."""
     sizes = {j: float(np.median(_largest(evidence, j))) for j in evidence.wrong}
-    fine = [j for j in evidence.wrong if evidence.comparison.error[..., j].max() < 1e-4]
+    fine = [j for j in evidence.wrong if evidence.deviations.error[..., j].max() < 1e-4]
     small = [j for j, size in sizes.items() if size < 0.3 and j not in fine]
     large = [j for j in sizes if j not in fine and j not in small]
     for kind, columns, words in (
@@ -166,5 +168,5 @@ def _by_size(evidence: Evidence) -> None:
 
 def _largest(evidence: Evidence, column: int) -> np.ndarray:
     """Return the largest error of a column at each point where it is wrong."""
-    errors: np.ndarray = evidence.comparison.error[..., column].max(axis=1)
+    errors: np.ndarray = evidence.deviations.error[..., column].max(axis=1)
     return errors[errors > 0]

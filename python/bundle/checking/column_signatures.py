@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bundle.checking.comparison import Array
 from bundle.checking.evidence import Evidence
+from bundle.checking.jacobian_deviation import Array
 
 __all__ = ["factors", "parameter_factors", "terms_of_a_parameter", "zero_entries", "zeros"]
 
@@ -101,7 +101,7 @@ def terms_of_a_parameter(evidence: Evidence) -> None:
         guesses = [evidence.reference_at(int(k), p) for k in chosen]
         if any(guess is None for guess in guesses):
             continue
-        guess = np.array(guesses) / evidence.comparison.scale[chosen]
+        guess = np.array(guesses) / evidence.deviations.scale[chosen]
         columns = [j for j in wrong if evidence.explains(guess[..., [j]], [j], chosen)]
         if columns:
             name = evidence.columns[p].name

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.checking.columns import Block, Column
-from bundle.checking.comparison import Array, Comparison
+from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 
 __all__ = ["Evidence", "Finding"]
 
@@ -43,7 +43,7 @@ class Evidence:
     """Points at which something is wrong, and what is not explained yet.
 
     Attributes:
-        comparison: the Jacobians at K points, those with errors only.
+        deviations: the Jacobians at K points, those with errors only.
         columns: N columns.
         blocks: blocks to look at, which may overlap.
         points: (K, N) the parameters at these points.
@@ -52,7 +52,7 @@ class Evidence:
         tolerance: relative error from which on an entry is wrong.
     """
 
-    comparison: Comparison
+    deviations: JacobianDeviation
     columns: Sequence[Column]
     blocks: Sequence[Block]
     points: Array
@@ -62,10 +62,10 @@ class Evidence:
     findings: list[Finding] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        scale = self.comparison.scale
-        self.analytic: Array = self.comparison.analytic / scale
-        self.reference: Array = self.comparison.reference / scale
-        doubt = np.minimum(self.comparison.doubt, 1.0)
+        scale = self.deviations.scale
+        self.analytic: Array = self.deviations.analytic / scale
+        self.reference: Array = self.deviations.reference / scale
+        doubt = np.minimum(self.deviations.doubt, 1.0)
         self.doubt: Array = doubt
 
     def explains(
@@ -87,7 +87,7 @@ class Evidence:
 
     def points_wrong_in(self, column: int) -> NDArray[np.intp]:
         """Return the points at which a column is wrong: a mistake may sit in one branch only."""
-        errors = self.comparison.error[..., column].max(axis=1)
+        errors = self.deviations.error[..., column].max(axis=1)
         return np.flatnonzero(errors > self.tolerance)
 
     def names(self, columns: Sequence[int]) -> str:
@@ -98,7 +98,7 @@ class Evidence:
         self, kind: str, columns: Sequence[int], sentence: str, factor: float | None = None
     ) -> None:
         """Note a finding that explains columns."""
-        error = float(np.max(self.comparison.error[..., list(columns)], initial=0.0))
+        error = float(np.max(self.deviations.error[..., list(columns)], initial=0.0))
         names = tuple(self.columns[j].name for j in columns)
         self.findings.append(Finding(kind, names, sentence, error, factor))
         self.wrong = [j for j in self.wrong if j not in columns]

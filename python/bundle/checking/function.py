@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bundle.arguments import as_array
-from bundle.checking.comparison import Array
+from bundle.checking.jacobian_deviation import Array
 from bundle.errors import InputError
 
 __all__ = ["ResidualFunction", "UserFunction"]

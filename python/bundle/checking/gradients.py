@@ -15,12 +15,12 @@ from bundle.check_defaults import TOLERANCE
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.classify import classify, float_precision, stale
 from bundle.checking.columns import Block, Column
-from bundle.checking.comparison import Array, Comparison
 from bundle.checking.evidence import Evidence, Finding, join_names
 from bundle.checking.function import ResidualFunction, UserFunction
-from bundle.checking.layout import Layout, Name, sample
+from bundle.checking.gradient_report import GradientCheckerSummary, GradientReport, Offender
+from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.manifolds import ManifoldLike
-from bundle.checking.report import GradientCheckerSummary, GradientReport, Offender
+from bundle.checking.residual_blocks import Layout, Name, sample
 from bundle.checking.tally import Tally
 from bundle.errors import InputError, brief
 from bundle.option_fields import number
@@ -147,14 +147,14 @@ class _Check:
             for x in self.samples
         ]
         values, doubts, tangents, tangent_doubts = map(np.array, zip(*references, strict=True))
-        space = Comparison(np.array(self.jacobians), values, doubts)
-        repeated = Comparison(np.array(again), values, doubts)
+        space = JacobianDeviation(np.array(self.jacobians), values, doubts)
+        repeated = JacobianDeviation(np.array(again), values, doubts)
         tangent, projected = space, list(range(len(space)))
         if self.layout.is_curved:
             projected = [k for k, probe in enumerate(checker) if probe[1] is not None]
             local = [probe[1] for probe in checker if probe[1] is not None]
             shape = (0, *tangents.shape[1:])
-            tangent = Comparison(
+            tangent = JacobianDeviation(
                 np.array(local) if local else np.zeros(shape),
                 tangents[projected],
                 tangent_doubts[projected],
@@ -165,12 +165,14 @@ class _Check:
         undecided = self._undecided(watched, numbers)
         return self._report(tallies, projected, findings, self._summary(space, checker), undecided)
 
-    def _undecided(self, comparison: Comparison, samples: Sequence[int]) -> dict[str, list[int]]:
+    def _undecided(
+        self, deviations: JacobianDeviation, samples: Sequence[int]
+    ) -> dict[str, list[int]]:
         """Return the samples at which most entries have no good reference and none is wrong."""
         found: dict[str, list[int]] = {"no_value": [], "rough": []}
         for k, index in enumerate(samples):
-            doubt = comparison.doubt[k]
-            if (comparison.error[k] > self.tolerance).any() or (
+            doubt = deviations.doubt[k]
+            if (deviations.error[k] > self.tolerance).any() or (
                 (doubt <= self.tolerance).mean() >= 0.5
             ):
                 continue
@@ -178,7 +180,7 @@ class _Check:
         return found
 
     def _findings(
-        self, space: Comparison, repeated: Comparison, tangent: Comparison
+        self, space: JacobianDeviation, repeated: JacobianDeviation, tangent: JacobianDeviation
     ) -> tuple[list[Tally], list[Finding]]:
         layout, tolerance = self.layout, self.tolerance
         along = Tally(layout.tangent_columns, tolerance)
@@ -231,7 +233,7 @@ class _Check:
             return found[0] if np.isfinite(found[1]).all() else None
 
         evidence = Evidence(
-            kept.comparison,
+            kept.deviations,
             columns,
             blocks,
             points,
@@ -252,7 +254,9 @@ class _Check:
             float(outer.max_error.max()),
         )
 
-    def _summary(self, space: Comparison, checker: Sequence[_Probe]) -> GradientCheckerSummary:
+    def _summary(
+        self, space: JacobianDeviation, checker: Sequence[_Probe]
+    ) -> GradientCheckerSummary:
         wrong = (space.error > self.tolerance).any(axis=(1, 2))
         agreed = np.array([bool(probe[0]) for probe in checker])
         gave_up = np.array([probe[1] is None for probe in checker])

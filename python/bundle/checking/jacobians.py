@@ -16,9 +16,9 @@ from bundle.check_defaults import SAMPLES_PER_IMAGE, TOLERANCE
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.classify import classify, float_precision
 from bundle.checking.columns import Block, Column
-from bundle.checking.comparison import Array, Comparison
 from bundle.checking.evidence import Evidence, Finding
-from bundle.checking.report import GradientCheckerSummary, GradientReport, Offender
+from bundle.checking.gradient_report import GradientCheckerSummary, GradientReport, Offender
+from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.tally import Tally, Worst
 from bundle.errors import InputError
 from bundle.io import Source, as_problem
@@ -174,8 +174,8 @@ class _Check:
                 matrix[rows][..., model.source] for matrix in answer[:3]
             )
             uncertainty = uncertainty + _rounding_errors(reference, rounding[rows])
-            comparison = Comparison(analytic, reference, uncertainty)
-            decided = self._decide(comparison)
+            deviations = JacobianDeviation(analytic, reference, uncertainty)
+            decided = self._decide(deviations)
             for reason, group in (
                 ("camera_center", np.append(hopeless, rows[~decided & close[rows]])),
                 ("rough", rows[~decided & ~close[rows]]),
@@ -183,12 +183,12 @@ class _Check:
                 self.undecided[reason] += np.sort(observations[group]).tolist()
             # Of a rough residual the entries are counted as undecided; a close point has no say.
             kept = np.flatnonzero(decided | ~close[rows])
-            rows, comparison = rows[kept], comparison.take(kept)
-            found = model.tally.add(comparison, observations[rows].astype(np.intp))
+            rows, deviations = rows[kept], deviations.take(kept)
+            found = model.tally.add(deviations, observations[rows].astype(np.intp))
             for row in rows[found]:
                 model.offsets[int(observations[row])] = offsets[row]
             if not found.any() and self.settings.tolerance <= TOLERANCE:
-                self._look_for_floats(model, comparison)
+                self._look_for_floats(model, deviations)
             wrong[rows] = found
         gave_up = ~np.isfinite(ceres).all(axis=(1, 2))
         self.probes += [
@@ -229,11 +229,11 @@ class _Check:
             undecided=undecided_points("observation", self.undecided, self._place),
         )
 
-    def _decide(self, comparison: Comparison) -> NDArray[np.bool_]:
+    def _decide(self, deviations: JacobianDeviation) -> NDArray[np.bool_]:
         """Return at which points something is wrong or most entries are known to be correct."""
         tolerance = self.settings.tolerance
-        wrong = (comparison.error > tolerance).any(axis=(1, 2))
-        known = (comparison.doubt <= tolerance).mean(axis=(1, 2)) > 0.5
+        wrong = (deviations.error > tolerance).any(axis=(1, 2))
+        known = (deviations.doubt <= tolerance).mean(axis=(1, 2)) > 0.5
         decided: NDArray[np.bool_] = wrong | known
         return decided
 
@@ -247,9 +247,9 @@ class _Check:
             self.settings.num_threads,
         )
 
-    def _look_for_floats(self, model: _Model, comparison: Comparison) -> None:
+    def _look_for_floats(self, model: _Model, deviations: JacobianDeviation) -> None:
         names = tuple(column.name for column in model.tally.columns)
-        finding = float_precision(comparison, names)
+        finding = float_precision(deviations, names)
         if finding is not None and not model.findings:
             model.findings.append(finding)
 
@@ -277,11 +277,11 @@ class _Check:
             return reference
 
         names = tuple(column.name for column in model.tally.columns)
-        rounded = float_precision(kept.comparison, names)
+        rounded = float_precision(kept.deviations, names)
         if rounded is not None:
             return [rounded]
         evidence = Evidence(
-            kept.comparison,
+            kept.deviations,
             model.tally.columns,
             model.blocks,
             points,

@@ -10,7 +10,7 @@ import numpy as np
 
 from bundle import _core
 from bundle.checking.columns import Block
-from bundle.checking.comparison import Array
+from bundle.checking.jacobian_deviation import Array
 from bundle.errors import InputError, brief
 from bundle.option_fields import choice
 

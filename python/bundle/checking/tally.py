@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.checking.columns import Column
-from bundle.checking.comparison import Array, Comparison
-from bundle.checking.report import Verdict
+from bundle.checking.gradient_report import Verdict
+from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 
 __all__ = ["EDGES", "Kept", "Tally", "Worst", "verdicts"]
 
@@ -41,7 +41,7 @@ class Kept:
     """Wrong points for the classifier: their numbers, and their Jacobians."""
 
     points: NDArray[np.intp]
-    comparison: Comparison
+    deviations: JacobianDeviation
 
 
 @dataclass(eq=False)
@@ -62,26 +62,26 @@ class Tally:
         self.max_error = np.zeros(count)
         self._kept: list[Kept] = []
 
-    def add(self, comparison: Comparison, points: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def add(self, deviations: JacobianDeviation, points: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Add points; `points` are their numbers. Returns which of them are wrong."""
-        if not len(comparison):
+        if not len(deviations):
             return np.zeros(0, bool)
-        error = comparison.error
+        error = deviations.error
         wrong = error > self.tolerance
-        undecided = (comparison.doubt > self.tolerance) & ~wrong
-        self.num_points += len(comparison)
+        undecided = (deviations.doubt > self.tolerance) & ~wrong
+        self.num_points += len(deviations)
         self.num_entries += error.shape[0] * error.shape[1]
         self.num_wrong += wrong.sum(axis=(0, 1))
         self.num_undecided += undecided.sum(axis=(0, 1))
-        clear = np.where(comparison.doubt <= self.tolerance, comparison.deviation, error)
+        clear = np.where(deviations.doubt <= self.tolerance, deviations.deviation, error)
         self.max_error = np.maximum(self.max_error, clear.max(axis=(0, 1)))
-        self.histogram += np.histogram(np.minimum(comparison.deviation, 1e300), EDGES)[0]
-        self._note_worst(comparison, points)
+        self.histogram += np.histogram(np.minimum(deviations.deviation, 1e300), EDGES)[0]
+        self._note_worst(deviations, points)
         wrong_points = np.asarray(np.any(wrong, axis=(1, 2)))
         kept = sum(len(part.points) for part in self._kept)
         chosen = np.flatnonzero(wrong_points)[: max(MOST_KEPT - kept, 0)]
         if len(chosen):
-            self._kept.append(Kept(points[chosen], comparison.take(chosen)))
+            self._kept.append(Kept(points[chosen], deviations.take(chosen)))
         return wrong_points
 
     @property
@@ -91,7 +91,7 @@ class Tally:
             return None
         return Kept(
             np.concatenate([part.points for part in self._kept]),
-            Comparison.join([part.comparison for part in self._kept]),
+            JacobianDeviation.join([part.deviations for part in self._kept]),
         )
 
     @property
@@ -99,9 +99,9 @@ class Tally:
         """Indices of the columns with a wrong entry."""
         return [int(j) for j in np.flatnonzero(self.num_wrong)]
 
-    def _note_worst(self, comparison: Comparison, points: NDArray[np.intp]) -> None:
+    def _note_worst(self, deviations: JacobianDeviation, points: NDArray[np.intp]) -> None:
         """Keep the worst entries of each column, at most one of a point."""
-        score: Array = comparison.error + 1e-6 * np.minimum(comparison.deviation, 1e9)
+        score: Array = deviations.error + 1e-6 * np.minimum(deviations.deviation, 1e9)
         rows = score.argmax(axis=1)
         by_column = score.max(axis=1)
         count = min(MOST_OF_A_COLUMN, len(by_column))
@@ -114,9 +114,9 @@ class Tally:
                         int(points[k]),
                         row,
                         j,
-                        float(comparison.analytic[k, row, j]),
-                        float(comparison.reference[k, row, j]),
-                        float(comparison.error[k, row, j]),
+                        float(deviations.analytic[k, row, j]),
+                        float(deviations.reference[k, row, j]),
+                        float(deviations.error[k, row, j]),
                     )
                 )
         self.worst.sort(key=lambda entry: -entry.error)

@@ -6,8 +6,8 @@ import argparse
 from time import perf_counter
 
 from bundle import check_defaults as defaults
-from bundle.cli.arguments import add_input
-from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.parser import add_input
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -52,10 +52,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Check INPUT: 0 if all is correct, 1 if anything is wrong."""
     started = perf_counter()
     from bundle.checking import check_jacobians
-    from bundle.checking.report import outcome
+    from bundle.checking.gradient_report import outcome
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
-    from bundle.cli.streams import complain
+    from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import load
     from bundle.report.check import as_json, checked

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from bundle import compare_defaults as defaults
-from bundle.cli.arguments import a_path
-from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, options_given
+from bundle.cli.parser import a_path
 from bundle.errors import InputError
 from bundle.options import SolveOptions
 

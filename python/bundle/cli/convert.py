@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from bundle.cli.arguments import add_input, add_output
-from bundle.cli.errors import EXIT_DONE
+from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.parser import add_input, add_output
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 

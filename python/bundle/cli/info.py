@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from bundle.cli.arguments import add_input
-from bundle.cli.errors import EXIT_DONE
+from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.parser import add_input
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

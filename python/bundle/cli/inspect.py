@@ -7,9 +7,9 @@ import dataclasses
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from bundle.cli.arguments import a_path
-from bundle.cli.errors import EXIT_DONE
+from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.cli.parser import a_path
 from bundle.options import GRAPH_ORDERINGS, SolveOptions
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
 def _inspect_graph(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.output import show, write_json
-    from bundle.report.graph import as_json, inspected
+    from bundle.report.inspect_graph import as_json, inspected
 
     graph = _eliminate(arguments)
     if arguments.html is not None:

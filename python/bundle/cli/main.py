@@ -14,15 +14,15 @@ from typing import Any
 
 from bundle import __version__
 from bundle.cli import startup
-from bundle.cli.arguments import Parser, add_common_arguments
-from bundle.cli.errors import (
+from bundle.cli.error_lines import (
     EXIT_BAD_INPUT,
     EXIT_DONE,
     EXIT_INTERRUPTED,
     describe_error,
     is_interruption,
 )
-from bundle.cli.streams import complain, open_missing_streams, release_broken_streams
+from bundle.cli.parser import Parser, add_common_arguments
+from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
 from bundle.cli.suggestions import unknown_flag
 from bundle.errors import end_in_one_line
 from bundle.io import atomic
@@ -34,7 +34,7 @@ COMMANDS = ("info", "inspect", "refine", "compare", "check", "convert", "synth")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code; ``bundle.cli.errors`` has them all."""
+    """Run one command and return its exit code; ``bundle.cli.error_lines`` has them all."""
     open_missing_streams()
     end_in_one_line()
     with atomic.recording() as written, _noting_recoveries():

@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import RenderableType
 
-from bundle.cli.streams import print_out
+from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
 from bundle.io import atomic
 from bundle.io.model_files import MODEL_FILES

@@ -6,9 +6,9 @@ import argparse
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from bundle.cli.arguments import add_input, add_output
-from bundle.cli.errors import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.cli.parser import add_input, add_output
 from bundle.options import SolveOptions
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
-    from bundle.cli.streams import complain
+    from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import check_target, load, output_format, save
     from bundle.report import json
@@ -103,9 +103,9 @@ def _wrong_jacobians(
 ) -> bool:
     """Check the Jacobians; if any is wrong, report that in place of the solve."""
     from bundle.checking import check_jacobians
-    from bundle.checking.report import outcome
+    from bundle.checking.gradient_report import outcome
     from bundle.cli.output import show, write_json
-    from bundle.cli.streams import complain
+    from bundle.cli.standard_streams import complain
     from bundle.report.check import as_json, checked
 
     begun = perf_counter()

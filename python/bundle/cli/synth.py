@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.cli.arguments import a_path
-from bundle.cli.errors import EXIT_DONE
+from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.cli.parser import a_path
 from bundle.errors import InputError, shown
 from bundle.io import FORMATS
 from bundle.reprojection import reprojection_error

@@ -1,9 +1,8 @@
 """The same start under several methods: measured, compared, recommended."""
 
 from bundle.compare_defaults import REPEAT, TIMEOUT
-from bundle.comparison.comparing import compare
-from bundle.comparison.method import Method
-from bundle.comparison.result import (
+from bundle.comparison.compare_methods import compare
+from bundle.comparison.comparison_result import (
     GAPS,
     ComparedProblem,
     Comparison,
@@ -13,6 +12,7 @@ from bundle.comparison.result import (
     Recommendation,
     Run,
 )
+from bundle.comparison.method import Method
 from bundle.comparison.work import Progress
 
 __all__ = [

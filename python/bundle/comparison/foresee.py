@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from bundle.comparison.comparison_result import Prediction
 from bundle.comparison.method import Method
-from bundle.comparison.result import Prediction
 from bundle.errors import InputError
 from bundle.options import SolveOptions
 from bundle.problem import Problem

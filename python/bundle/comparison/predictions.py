@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from bundle.comparison.comparison_result import Prediction
 from bundle.comparison.method import Method
-from bundle.comparison.result import Prediction
 from bundle.errors import InputError
 from bundle.inspection import Inspection, MethodInspection, inspect
 from bundle.options import AUTO_PRECONDITIONER, SolveOptions

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-from bundle.comparison import memory
+from bundle.comparison import process_memory
 from bundle.memory_sizes import format_size
 
 __all__ = ["WorkerEnd", "run_worker", "worker_command"]
@@ -119,7 +119,7 @@ def _listen(
                     on_iteration(message["iterations"][-1])
         if end.outcome:
             return end
-        grown = memory.resident_memory(process.pid) - resident
+        grown = process_memory.resident_memory(process.pid) - resident
         if memory_cap and resident and grown > memory_cap:
             end.outcome, end.message = "out_of_memory", beyond(memory_cap)
             return end

@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from bundle.comparison.comparison_result import PerformanceProfile
 from bundle.comparison.method import Method
-from bundle.comparison.result import PerformanceProfile
 
 __all__ = ["performance_profiles"]
 

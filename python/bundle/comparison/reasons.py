@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from bundle.comparison.comparison_result import Comparison, Prediction, Run
 from bundle.comparison.method import ITERATIVE, Method
-from bundle.comparison.result import Comparison, Prediction, Run
 from bundle.words import duration, plural
 
 __all__ = ["reason_on_many", "reason_on_one"]

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from bundle.compare_defaults import SECONDS_NOT_REPEATED
 from bundle.comparison import hand_over
+from bundle.comparison.comparison_result import ComparedProblem, Measurement, Prediction, Run
 from bundle.comparison.foresee import foresee
 from bundle.comparison.method import Method
 from bundle.comparison.predictions import predict
 from bundle.comparison.process import WorkerEnd, run_worker
-from bundle.comparison.result import ComparedProblem, Measurement, Prediction, Run
 from bundle.errors import InputError, shown
 from bundle.io import Source, as_problem, is_path
 from bundle.memory_sizes import format_size

@@ -21,7 +21,7 @@ import time
 from pathlib import Path
 from typing import Any, TextIO
 
-from bundle.comparison import memory
+from bundle.comparison import process_memory
 from bundle.comparison.hand_over import restore
 from bundle.errors import InputError
 from bundle.options import SolveOptions
@@ -59,7 +59,7 @@ def main() -> None:
     """Load, solve, report."""
     folder, request_path, channel = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # an abort is a row, not a file
-    memory.go_first_when_memory_ends()
+    process_memory.go_first_when_memory_ends()
     request = json.loads(request_path.read_text())
     options = SolveOptions(**request["options"])
     with os.fdopen(channel, "w", encoding="ascii") as file:
@@ -76,14 +76,14 @@ def _run(
     folder: Path, options: SolveOptions, memory_cap: int, reporter: Reporter
 ) -> dict[str, Any]:
     problem = restore(folder)
-    load_peak = memory.peak_memory()
-    resident = memory.resident_memory()
-    knows_growth = memory.restart_peak()
+    load_peak = process_memory.peak_memory()
+    resident = process_memory.resident_memory()
+    knows_growth = process_memory.restart_peak()
     reporter.send({"resident": resident})
     if memory_cap:
-        memory.limit_growth(memory_cap, options.num_threads)
+        process_memory.limit_growth(memory_cap, options.num_threads)
     result = solve(problem, options, progress=reporter.iteration)
-    peak = memory.peak_memory()
+    peak = process_memory.peak_memory()
     return {
         "measurement": {
             **_measured(result),

@@ -99,7 +99,8 @@ class FactorGraph(Displayed):
             value: where a solve starts, as the manifold stores it; a quaternion of any norm but 0.
             manifold: "euclidean", "so2", "so3", "se2" or "se3".
             fixed: True to keep it where it is, or the tangent coordinates that stay.
-            lower: bound of each number of a Euclidean variable, or one for all.
+            lower: bound of each number of a Euclidean variable, or one for all. A step that would
+                leave a bound ends on it; bounds that are equal hold the number.
             upper: likewise.
 
         Raises:

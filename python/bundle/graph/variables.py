@@ -94,21 +94,29 @@ class Variable:
         ]
         if lower is None and upper is None:
             bounds = [np.zeros(0), np.zeros(0)]
+        equal = bounds[0] == bounds[1]
+        if equal.any():
+            held = tuple(bool(flag) for flag in equal | (held or False))
         variable = Variable(
             key, manifold, checked, tuple(coordinates), held, freeze(bounds[0]), freeze(bounds[1])
         )
-        _core.check_variable(variable.core())
+        _core.check_variable((*variable.core()[:-2], *bounds))
         return variable
 
     def core(self) -> tuple[Any, ...]:
-        """Return what ``_core`` takes."""
+        """Return what ``_core`` takes; Ceres refuses bounds that are equal, which hold instead."""
+        equal = self.lower == self.upper
+        lower, upper = (
+            np.where(equal, infinity, bound)
+            for infinity, bound in ((-np.inf, self.lower), (np.inf, self.upper))
+        )
         return (
             self.name,
             self.manifold,
             self.value,
             list(self.held),
-            self.lower,
-            self.upper,
+            lower,
+            upper,
         )
 
 

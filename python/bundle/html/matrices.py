@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from bundle.html.image import data_uri
 from bundle.html.page import tag
-from bundle.pictures.covisibility import CovisibilityGraph, within_view
+from bundle.pictures.covisibility_graph import CovisibilityGraph, within_view
 from bundle.pictures.density import Density, factor_density, matrix_density
 from bundle.pictures.matrix_pattern import MatrixPattern
 

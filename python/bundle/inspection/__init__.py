@@ -5,8 +5,8 @@ from __future__ import annotations
 from bundle.inspection.elimination import EliminationStep
 from bundle.inspection.graph_file import GraphFile, load_graph
 from bundle.inspection.graph_inspection import GRAPH_ORDERINGS, GraphInspection, inspect_graph
+from bundle.inspection.inspection_result import Inspection, MethodInspection
 from bundle.inspection.problem_inspection import inspect
-from bundle.inspection.result import Inspection, MethodInspection
 from bundle.inspection.schur_counts import SchurCounts, count_schur_by_hand
 
 __all__ = [

@@ -18,7 +18,7 @@ from bundle.inspection.problem_pattern import (
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 
-__all__ = ["Counted", "Counter"]
+__all__ = ["FactorCounter", "FactorizedSystem"]
 
 # Entries of the whole problem's pattern up to which AMD takes seconds on it.
 MOST_ENTRIES_FOR_AMD = _core.MOST_ENTRIES_FOR_AMD
@@ -29,8 +29,8 @@ CODES_AT_A_TIME = 1 << 22
 MOST_POINT_PAIRS = 20_000_000
 
 
-class Counted(NamedTuple):
-    """What is factorised.
+class FactorizedSystem(NamedTuple):
+    """The system that a method factorises, with the cost of its factor.
 
     Attributes:
         columns: scalar columns of the matrix that is factorised.
@@ -49,30 +49,30 @@ class Counted(NamedTuple):
     panel_values: float = 0.0
 
 
-class Counter:
+class FactorCounter:
     """Counts factors of one problem, each pattern made at most once."""
 
     def __init__(self, problem: Problem, options: SolveOptions, pattern: ProblemPattern) -> None:
         self._problem = problem
         self._options = options.asdict()
         self._pattern = pattern
-        self._reduced: dict[str, Counted] = {}
+        self._reduced: dict[str, FactorizedSystem] = {}
 
-    def dense(self) -> Counted:
+    def dense(self) -> FactorizedSystem:
         """Return S without regard to its zeros."""
         reduced = self._pattern.reduced
         blocks = len(reduced.sizes)
         missing = blocks * (blocks - 1) // 2 - reduced.num_edges
         count = count_dense(reduced.num_columns, missing, blocks)
         values = float(reduced.num_columns) ** 2
-        return Counted(reduced.num_columns, reduced.nnz, count, "", values)
+        return FactorizedSystem(reduced.num_columns, reduced.nnz, count, "", values)
 
-    def sparse(self, ordering: str) -> Counted:
+    def sparse(self, ordering: str) -> FactorizedSystem:
         """Return S in the order of a method of ``_core.order_blocks``."""
         reduced = self._pattern.reduced
         if ordering not in self._reduced:
             order = _core.order_blocks(*reduced, ordering)
-            self._reduced[ordering] = Counted(
+            self._reduced[ordering] = FactorizedSystem(
                 columns=reduced.num_columns,
                 nnz_reduced=reduced.nnz,
                 factor=count_factor(reduced, order),
@@ -81,33 +81,35 @@ class Counter:
             )
         return self._reduced[ordering]
 
-    def whole(self) -> Counted:
+    def whole(self) -> FactorizedSystem:
         """Return the information matrix of all unknowns."""
         pattern, order, points_first = _core.ordered_full_pattern(
             self._problem, self._options, MOST_ENTRIES_FOR_AMD
         )
         full = BlockPattern(*pattern)
         if not points_first:
-            return Counted(full.num_columns, 0, count_factor(full, order))
+            return FactorizedSystem(full.num_columns, 0, count_factor(full, order))
         note = (
             f"counted for the points first and AMD's order of the cameras: AMD of all "
             f"{len(full.sizes)} blocks takes long and comes within a per cent or two"
         )
-        return Counted(full.num_columns, 0, count_factor(full, order), note)
+        return FactorizedSystem(full.num_columns, 0, count_factor(full, order), note)
 
-    def cameras_first(self) -> Counted:
+    def cameras_first(self) -> FactorizedSystem:
         """Return the points' system after the cameras are eliminated, or an upper bound."""
         points = self._point_pattern()
         if points is not None:
             order = _core.order_blocks(*points, "amd")
             values = (points.nnz + float((points.sizes.astype(float) ** 2).sum())) / 2
             count = count_factor(points, order)
-            return Counted(points.num_columns, points.nnz, count, "", values)
+            return FactorizedSystem(points.num_columns, points.nnz, count, "", values)
         columns = 3 * self._pattern.num_free_points
         number = self._pattern.num_free_points
         note = "an upper bound, as if all points met: counting those that do takes long"
         count = count_dense(columns, number * (number - 1) // 2, number)
-        return Counted(columns, columns**2, count, note, float(columns) * (columns + 1) / 2)
+        return FactorizedSystem(
+            columns, columns**2, count, note, float(columns) * (columns + 1) / 2
+        )
 
     def _point_pattern(self) -> BlockPattern | None:
         """Return which free points some image sees together; None if that are too many pairs."""

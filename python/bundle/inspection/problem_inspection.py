@@ -7,14 +7,14 @@ from typing import Any
 from bundle import _core
 from bundle.arguments import as_flag
 from bundle.errors import InputError
-from bundle.inspection.counts import Counted, Counter
+from bundle.inspection.counts import FactorCounter, FactorizedSystem
+from bundle.inspection.inspection_result import Inspection, MethodInspection
 from bundle.inspection.machine_rates import machine_rates
-from bundle.inspection.memory import Terms, ceres_memory, fused_memory, total
 from bundle.inspection.methods import Method, all_methods
+from bundle.inspection.peak_memory import Terms, ceres_memory, fused_memory, total
+from bundle.inspection.predicted_best import explain, recommend
 from bundle.inspection.problem_pattern import ProblemPattern, find_pattern
 from bundle.inspection.rates import Rates
-from bundle.inspection.recommend import explain, recommend
-from bundle.inspection.result import Inspection, MethodInspection
 from bundle.inspection.step_time import (
     COARSE_FACTOR_SHARE,
     ceres_time,
@@ -89,7 +89,7 @@ class _Inspector:
         self._pattern = pattern
         self._rates = rates
         self._num_threads = options.num_threads
-        self._counter = Counter(problem, options, pattern)
+        self._counter = FactorCounter(problem, options, pattern)
 
     def methods(self) -> tuple[Method, ...]:
         """Return the methods that there are for this problem.
@@ -149,7 +149,7 @@ class _Inspector:
             note=self._note(method, counted),
         )
 
-    def _count(self, method: Method) -> Counted | None:
+    def _count(self, method: Method) -> FactorizedSystem | None:
         """Return what a method factorises, None if nothing."""
         if method.linear_solver_type == "DENSE_SCHUR":
             return self._counter.dense()
@@ -161,7 +161,7 @@ class _Inspector:
             return self._counter.cameras_first()
         return self._counter.sparse(method.ordering)
 
-    def _predict(self, method: Method, counted: Counted | None) -> tuple[Terms, Terms]:
+    def _predict(self, method: Method, counted: FactorizedSystem | None) -> tuple[Terms, Terms]:
         pattern, kind = self._pattern, method.linear_solver_type
         name, rates = method.preconditioner, self._rates
         if method.backend == "CERES":
@@ -173,7 +173,7 @@ class _Inspector:
         memory = fused_memory(pattern, kind, counted, self._num_threads, coarse)
         return memory, fused_time(pattern, kind, name, counted, rates, coarse)
 
-    def _note(self, method: Method, counted: Counted | None) -> str:
+    def _note(self, method: Method, counted: FactorizedSystem | None) -> str:
         if counted is None:
             products = products_per_step(method.preconditioner)
             return f"assumes {products} products with S per step, where 2 to 500 are usual"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from bundle.inspection.counts import Counted
-from bundle.inspection.memory import Terms
+from bundle.inspection.counts import FactorizedSystem
+from bundle.inspection.peak_memory import Terms
 from bundle.inspection.problem_pattern import FactorCount, ProblemPattern
 from bundle.inspection.rates import FactorRate, Rates
 
@@ -45,7 +45,7 @@ def fused_time(
     pattern: ProblemPattern,
     linear_solver_type: str,
     preconditioner: str,
-    counted: Counted | None,
+    counted: FactorizedSystem | None,
     rates: Rates,
     coarse_entries: float = 0.0,
 ) -> Terms:
@@ -86,7 +86,7 @@ def ceres_time(
     pattern: ProblemPattern,
     linear_solver_type: str,
     preconditioner: str,
-    counted: Counted | None,
+    counted: FactorizedSystem | None,
     rates: Rates,
 ) -> Terms:
     """Return what a step by Ceres takes; ``counted`` is what it factorises, None if nothing."""

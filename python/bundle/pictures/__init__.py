@@ -16,7 +16,7 @@ from bundle.pictures.charts import (
     draw_flops,
     draw_performance_profile,
 )
-from bundle.pictures.covisibility import draw_covisibility
+from bundle.pictures.covisibility_graph import draw_covisibility
 from bundle.pictures.figure import figure
 from bundle.pictures.matrix_pattern import MatrixPattern
 from bundle.pictures.problem_patterns import (

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import RenderableType
 
 from bundle.checking import GradientReport
-from bundle.checking.report import explanation
+from bundle.checking.gradient_report import explanation
 from bundle.errors import shown
 from bundle.problem import Problem
 from bundle.report import json

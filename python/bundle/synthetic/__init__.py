@@ -1,6 +1,6 @@
 """Seeded synthetic scenes with ground truth, from toy to millions of observations."""
 
-from bundle.synthetic.options import SceneOptions
+from bundle.synthetic.scene_options import SceneOptions
 from bundle.synthetic.synthesis import SyntheticScene, synthesize
 
 __all__ = ["SceneOptions", "SyntheticScene", "synthesize"]

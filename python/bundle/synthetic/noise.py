@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from bundle.problem import Problem
 from bundle.synthetic.intrinsics import FOCAL_PARAMS, RADIAL_PARAMS, TANGENTIAL_PARAMS, Intrinsics
-from bundle.synthetic.options import SceneOptions
 from bundle.synthetic.rotations import (
     dot,
     quaternion_from_vector,
     quaternion_multiply,
     quaternion_rotate,
 )
+from bundle.synthetic.scene_options import SceneOptions
 
 __all__ = ["measure", "perturb"]
 

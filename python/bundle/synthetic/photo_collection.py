@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.synthetic.body import Body
-from bundle.synthetic.options import SceneOptions
 from bundle.synthetic.rotations import dot, look_along
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
+from bundle.synthetic.scene_options import SceneOptions
 
 __all__ = ["PhotoCollection"]
 

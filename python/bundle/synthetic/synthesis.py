@@ -14,11 +14,11 @@ from bundle.errors import InputError
 from bundle.problem import Problem
 from bundle.synthetic.intrinsics import Intrinsics, draw_intrinsics
 from bundle.synthetic.noise import measure, perturb
-from bundle.synthetic.options import SceneOptions
 from bundle.synthetic.orbit import Orbit
 from bundle.synthetic.photo_collection import PhotoCollection
 from bundle.synthetic.rotations import quaternion_from_matrix, rotate
 from bundle.synthetic.scene import Pairs, Points, Scene
+from bundle.synthetic.scene_options import SceneOptions
 from bundle.synthetic.street import Street
 from bundle.synthetic.tracks import select_observations, wanted_lengths
 from bundle.synthetic.visibility import pixels, visible_pairs

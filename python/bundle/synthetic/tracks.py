@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.components import component_roots
 from bundle.errors import InputError
-from bundle.synthetic.components import components
-from bundle.synthetic.options import MIN_OBSERVATIONS_PER_IMAGE, MIN_TRACK_LENGTH
 from bundle.synthetic.scene import Pairs
+from bundle.synthetic.scene_options import MIN_OBSERVATIONS_PER_IMAGE, MIN_TRACK_LENGTH
 
-__all__ = ["select_observations", "wanted_lengths"]
+__all__ = ["components", "select_observations", "wanted_lengths"]
 
 Array = NDArray[np.float64]
 
@@ -120,6 +120,19 @@ def _connect(pairs: Pairs, preference: Array, chosen: NDArray[np.bool_], num_ima
         link = of_image[pairs.image[bridge]] * num_images + of_point[pairs.point[bridge]]
         by_link = np.lexsort((preference[bridge], link))
         chosen[bridge[by_link[_ranks(link[by_link]) < _OBSERVATIONS_PER_BRIDGE]]] = True
+
+
+def components(pairs: Pairs, num_images: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Label the components of the graph of images and points whose edges are the pairs.
+
+    Every point must have a pair.
+
+    Returns:
+        The label of each image (num_images,) and of each point (num_points,): the smallest index of
+        an image of the component.
+    """
+    roots = component_roots(pairs.image, pairs.starts[:-1], num_images)
+    return roots, roots[pairs.image[pairs.starts[:-1]]]
 
 
 def _check_images(pairs: Pairs, chosen: NDArray[np.bool_], num_images: int) -> None:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from bundle.cameras import project
 from bundle.synthetic.cells import Cells
 from bundle.synthetic.intrinsics import Intrinsics
-from bundle.synthetic.options import MIN_OBSERVATIONS_PER_IMAGE
 from bundle.synthetic.rotations import dot, rotate
 from bundle.synthetic.scene import Pairs, Points, Scene
+from bundle.synthetic.scene_options import MIN_OBSERVATIONS_PER_IMAGE
 
 __all__ = ["pixels", "visible_pairs"]
 

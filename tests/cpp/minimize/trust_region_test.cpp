@@ -108,8 +108,7 @@ TEST(TrustRegion, ShrinksToNothingWhereNoStepIsFinite) {
   for (const TrustRegionStrategy strategy : kStrategies) {
     SolveOptions options = Endless(strategy);
     options.max_num_iterations = 1000;
-    ExpectEndsAsCeres(pole, options,
-                      "Minimum trust region radius reached. Trust region radius: ");
+    ExpectEndsAsCeres(pole, options, "Minimum trust region radius reached. Trust region radius: ");
   }
 }
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bundle import pictures
-from bundle.pictures.covisibility import covisibility_graph, within_view
+from bundle.pictures.covisibility_graph import covisibility_graph, within_view
 from tests.scenes import make_problem
 
 

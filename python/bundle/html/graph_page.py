@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bundle.html.charts import Curve, bars, curves
-from bundle.html.elimination import (
+from bundle.html.elimination_player import (
     MOST_VARIABLES,
     elimination_data,
     elimination_section,
@@ -18,6 +17,7 @@ from bundle.html.matrices import orderings
 from bundle.html.numbers import amount
 from bundle.html.page import tag, write_page
 from bundle.html.scale import linear
+from bundle.html.svg_charts import Curve, bars, curves
 from bundle.html.table import convention, table
 from bundle.pictures.matrix_pattern import MatrixPattern
 

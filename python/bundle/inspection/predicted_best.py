@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from bundle.inspection.result import MethodInspection
+from bundle.inspection.inspection_result import MethodInspection
 from bundle.memory_sizes import format_size
 
 __all__ = ["explain", "recommend"]

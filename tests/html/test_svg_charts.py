@@ -7,12 +7,12 @@ import re
 
 import pytest
 
-from bundle.html import charts
-from bundle.html.charts import Curve, bars, curves, stacked_bars
+from bundle.html import svg_charts
 from bundle.html.scale import linear, logarithmic
+from bundle.html.svg_charts import Curve, bars, curves, stacked_bars
 
-LEFT, RIGHT = charts.LEFT, charts.WIDTH - charts.RIGHT
-TOP, BOTTOM = charts.TOP, charts.HEIGHT - charts.BOTTOM
+LEFT, RIGHT = svg_charts.LEFT, svg_charts.WIDTH - svg_charts.RIGHT
+TOP, BOTTOM = svg_charts.TOP, svg_charts.HEIGHT - svg_charts.BOTTOM
 
 
 def corners(markup):

@@ -8,10 +8,10 @@ from html import escape
 
 from bundle.arguments import check_type
 from bundle.comparison import GAPS, Comparison, Run
-from bundle.html.charts import Curve, curves, stacked_bars
 from bundle.html.numbers import amount_if_any, counted, seconds
 from bundle.html.page import tag, write_page
 from bundle.html.scale import Scale, linear, logarithmic
+from bundle.html.svg_charts import Curve, curves, stacked_bars
 from bundle.html.table import Notes, convention, table
 from bundle.io import as_path
 from bundle.memory_sizes import format_size

@@ -10,19 +10,19 @@ from pathlib import Path
 from bundle.arguments import check_type
 from bundle.comparison.command_line import recommended_command
 from bundle.errors import InputError
-from bundle.html.charts import bars
-from bundle.html.elimination import MOST_VARIABLES, elimination_data, elimination_section
-from bundle.html.graph import column_counts, write_graph
+from bundle.html.elimination_player import MOST_VARIABLES, elimination_data, elimination_section
+from bundle.html.graph_page import column_counts, write_graph
 from bundle.html.matrices import covisibility, matrix, orderings
 from bundle.html.numbers import amount, amount_if_any, seconds
 from bundle.html.page import tag, write_page
 from bundle.html.subgraph import image_graph
+from bundle.html.svg_charts import bars
 from bundle.html.table import Notes, convention, table
 from bundle.inspection import GraphInspection, Inspection, MethodInspection, inspect_graph
 from bundle.io import as_path
 from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
-from bundle.pictures.covisibility import covisibility_graph
+from bundle.pictures.covisibility_graph import covisibility_graph
 from bundle.pictures.problem_patterns import (
     ORDERINGS,
     information_pattern,

@@ -62,8 +62,8 @@ class Offender:
         residual: the row.
         analytic: as given.
         reference: as it should be.
-        error: relative, near-zero-safe (``Comparison.scale``), less what the reference does not
-            know.
+        error: relative, near-zero-safe (``JacobianDeviation.scale``), less the uncertainty of the
+            reference.
         details: the same for programs: image_id, image_name, camera_id, model, point_id, or sample.
     """
 

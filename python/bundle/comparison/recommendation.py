@@ -7,9 +7,9 @@ import statistics
 from collections.abc import Sequence
 
 from bundle.comparison.command_line import command_line
+from bundle.comparison.comparison_result import Comparison, Recommendation, Run
 from bundle.comparison.method import Method
 from bundle.comparison.reasons import reason_on_many, reason_on_one
-from bundle.comparison.result import Comparison, Recommendation, Run
 
 __all__ = ["COST_TOLERANCE", "NEAR_ENOUGH", "recommend"]
 

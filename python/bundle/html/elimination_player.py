@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bundle.html.layout import place
 from bundle.html.page import tag
 from bundle.html.table import table
+from bundle.html.vertex_positions import place
 
 if TYPE_CHECKING:
     from bundle.inspection import EliminationStep, GraphInspection

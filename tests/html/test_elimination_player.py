@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bundle.html import write_inspection
-from bundle.html.elimination import MOST_VARIABLES
+from bundle.html.elimination_player import MOST_VARIABLES
 from bundle.inspection import inspect_graph
 from tests.html.reader import Page, check_self_contained
 

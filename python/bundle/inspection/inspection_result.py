@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from bundle.display import Display, Displayed
-from bundle.inspection.memory import Terms
+from bundle.inspection.peak_memory import Terms
 from bundle.memory_sizes import format_size
 from bundle.words import number, plural
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Comparison"]
+__all__ = ["JacobianDeviation"]
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ FLOOR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class JacobianDeviation:
     """Jacobians of one residual at K points, each num_residuals x num_columns.
 
     Attributes:
@@ -74,14 +74,16 @@ class Comparison:
     def __len__(self) -> int:
         return len(self.analytic)
 
-    def take(self, points: NDArray[np.intp]) -> Comparison:
+    def take(self, points: NDArray[np.intp]) -> JacobianDeviation:
         """Return some of the points."""
-        return Comparison(self.analytic[points], self.reference[points], self.uncertainty[points])
+        return JacobianDeviation(
+            self.analytic[points], self.reference[points], self.uncertainty[points]
+        )
 
     @staticmethod
-    def join(parts: list[Comparison]) -> Comparison:
+    def join(parts: list[JacobianDeviation]) -> JacobianDeviation:
         """Return the points of all parts."""
-        return Comparison(
+        return JacobianDeviation(
             np.concatenate([part.analytic for part in parts]),
             np.concatenate([part.reference for part in parts]),
             np.concatenate([part.uncertainty for part in parts]),

@@ -7,7 +7,7 @@ same on all real data and on synthetic scenes of 50 to 1000 images to 7 per cent
 
 from __future__ import annotations
 
-from bundle.inspection.counts import Counted
+from bundle.inspection.counts import FactorizedSystem
 from bundle.inspection.problem_pattern import ProblemPattern
 
 __all__ = ["Terms", "ceres_memory", "fused_memory", "total"]
@@ -53,7 +53,7 @@ def total(terms: Terms) -> float:
 def fused_memory(
     pattern: ProblemPattern,
     linear_solver_type: str,
-    counted: Counted | None,
+    counted: FactorizedSystem | None,
     num_threads: int,
     coarse_entries: float = 0.0,
 ) -> Terms:
@@ -92,7 +92,7 @@ def fused_memory(
 
 
 def ceres_memory(
-    pattern: ProblemPattern, linear_solver_type: str, counted: Counted | None
+    pattern: ProblemPattern, linear_solver_type: str, counted: FactorizedSystem | None
 ) -> Terms:
     """Return what a solve by Ceres takes; ``counted`` is what it factorises."""
     terms = {

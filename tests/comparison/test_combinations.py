@@ -6,8 +6,8 @@ import pytest
 
 from bundle import _core
 from bundle.cli.option_flags import add_options, options_given
+from bundle.comparison.combinations import expand
 from bundle.comparison.command_line import command_line
-from bundle.comparison.methods import expand
 from bundle.errors import InputError
 from bundle.options import SolveOptions
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bundle.checking.columns import Block, Column
-from bundle.checking.comparison import Array
+from bundle.checking.jacobian_deviation import Array
 from bundle.checking.manifolds import Manifold, ManifoldLike
 from bundle.errors import InputError, brief
 

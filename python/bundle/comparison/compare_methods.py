@@ -21,11 +21,11 @@ from bundle.compare_defaults import (
     THREADS,
     TIMEOUT,
 )
-from bundle.comparison import memory
-from bundle.comparison.methods import expand
+from bundle.comparison import process_memory
+from bundle.comparison.combinations import expand
+from bundle.comparison.comparison_result import GAPS, Comparison, PerformanceProfile
 from bundle.comparison.profiles import performance_profiles
-from bundle.comparison.recommend import recommend
-from bundle.comparison.result import GAPS, Comparison, PerformanceProfile
+from bundle.comparison.recommendation import recommend
 from bundle.comparison.work import Progress, Work
 from bundle.errors import InputError, check_keywords
 from bundle.io import Source
@@ -95,7 +95,7 @@ def compare(
     sources: list[Any] = list(problems) if isinstance(problems, list | tuple) else [problems]
     if not sources:
         raise InputError("expected a problem to compare methods on, found none")
-    cap = memory_cap or int(SHARE_OF_FREE_MEMORY * memory.available_memory())
+    cap = memory_cap or int(SHARE_OF_FREE_MEMORY * process_memory.available_memory())
     report = progress or (lambda _: None)
     with tempfile.TemporaryDirectory(prefix="bundle-compare-") as folder:
         work = Work(

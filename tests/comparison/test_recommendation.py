@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bundle.comparison import Method
-from bundle.comparison.recommend import COST_TOLERANCE, recommend
+from bundle.comparison.recommendation import COST_TOLERANCE, recommend
 from tests.comparison.fakes import (
     CERES,
     DENSE,
