@@ -14,7 +14,7 @@ CPP_SOURCES = $(shell find cpp python/bundle examples tests -name '*.h' -o -name
 # Where pip builds the module (pyproject.toml); the C++ tests share its objects.
 BUILD := build/release
 SANITIZED := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" bash tools/build_sanitized.sh
-ADDRESS_BUILD := build/address
+ADDRESS_BUILD := build/sanitize
 THREAD_BUILD := build/thread
 # Runs a GoogleTest program once per core, each with its share of the tests.
 SHARDED = seq 0 $$(($$(nproc) - 1)) | UBSAN_OPTIONS=print_stacktrace=1 GTEST_TOTAL_SHARDS=$$(nproc) \
@@ -44,7 +44,7 @@ test: $(READY)  ## run the tests
 	$(VENV)/bin/python -m pytest --numprocesses auto --dist worksteal
 
 sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
-	$(SANITIZED) address,undefined,float-cast-overflow $(ADDRESS_BUILD)
+	$(SANITIZED) g++ address,undefined,float-cast-overflow $(ADDRESS_BUILD)
 	$(SHARDED) $(ADDRESS_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
 	for set in baseline avx2; do \
 	  $(SHARDED) BUNDLE_INSTRUCTION_SET=$$set $(ADDRESS_BUILD)/tests/cpp/bundle_tests \
@@ -52,7 +52,7 @@ sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBeh
 	done
 
 tsan: $(READY)  ## run the C++ tests under ThreadSanitizer
-	$(SANITIZED) thread $(THREAD_BUILD)
+	$(SANITIZED) clang++ thread $(THREAD_BUILD)
 	TSAN_OPTIONS=suppressions=tools/tsan_suppressions.txt $(SHARDED) $(THREAD_BUILD)/tests/cpp/bundle_tests \
 	  --gtest_brief=1
 
