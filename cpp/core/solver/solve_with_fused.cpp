@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/checking/check_solution.h"
+#include "core/interface/summary.h"
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
 #include "core/minimize/trust_region.h"
@@ -16,12 +17,10 @@
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/choose_solver.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/schur_problem.h"
 #include "core/solver/solve_with_fused.h"
-#include "core/stopwatch.h"
 
 namespace bundle::fused {
 namespace {

@@ -1,17 +1,27 @@
 #pragma once
 
-/// Checks of Jacobians without a header of Ceres: of any residual function, and of the reprojection
-/// residuals of a problem.
+/// Ceres as a reference, declared without its headers: robust losses, Jacobians of any residual
+/// function, and the reprojection residuals of a problem.
 
 #include <cstdint>
 #include <functional>
 #include <string>
 #include <vector>
 
+#include "core/factors/loss.h"
 #include "core/factors/reprojection.h"
 #include "core/problem/problem_view.h"
 
 namespace bundle {
+
+/// rho, rho', rho'' at each of `count` squared norms >= 0; `values` is count x 3.
+void EvaluateLoss(LossType type, double scale, int64_t count, const double* squared_norms,
+                  double* values);
+
+/// What Ceres makes of a residual block under a loss: r (rows) and J (rows x columns, row-major)
+/// are overwritten by those that the solver sees, given rho, rho', rho'' at ||r||^2. rho' must be
+/// positive where rho'' is.
+void CorrectWithCeres(const double* rho, int rows, int columns, double* residual, double* jacobian);
 
 /// A Jacobian of all blocks side by side, row-major, num_residuals x columns, and for each entry a
 /// bound on its error, infinite where there is no derivative.
