@@ -119,6 +119,7 @@ PYTHON_MAY_IMPORT = {
     "solver": {
         "_core",
         "arguments",
+        "display",
         "errors",
         "io",
         "options",
@@ -126,6 +127,7 @@ PYTHON_MAY_IMPORT = {
         "reprojection",
         "result",
         "solve_record",
+        "words",
     },
     "check_defaults": set(),
     "checking": {

@@ -156,7 +156,12 @@ void SupernodalCholesky::FindRuns(int by, int64_t first_row) {
   }
 }
 
-void SupernodalCholesky::Solve(const double* values, double* x) {
+void SupernodalCholesky::Solve(const double* values, double* x, int num_rhs) {
+  if (num_rhs == 1) return SolveOne(values, x);
+  SolveMany(values, x, num_rhs);
+}
+
+void SupernodalCholesky::SolveOne(const double* values, double* x) {
   constexpr char kLower = 'L', kPlain = 'N', kTransposed = 'T', kNonUnit = 'N';
   constexpr double kMinusOne = -1, kZero = 0, kOne = 1;
   constexpr int kNext = 1;
@@ -190,6 +195,51 @@ void SupernodalCholesky::Solve(const double* values, double* x) {
              own, &kNext);
     }
     dtrsv_(&kLower, &kTransposed, &kNonUnit, &width, panel, &height, own, &kNext);
+  }
+}
+
+void SupernodalCholesky::SolveMany(const double* values, double* x, int num_rhs) {
+  constexpr char kLeft = 'L', kLower = 'L', kPlain = 'N', kTransposed = 'T', kNonUnit = 'N';
+  constexpr double kMinusOne = -1, kZero = 0, kOne = 1;
+  const int n = offset_.back();
+  product_.resize(std::max(product_.size(), static_cast<size_t>(n) * num_rhs));
+  double* const below = product_.data();
+  // The rows of X that panel s has below its own columns, one under the other.
+  const auto for_rows = [&](int s, int rows, const auto& visit) {
+    for (int k = 0; k < num_rhs; ++k) {
+      double* at = below + static_cast<int64_t>(k) * rows;
+      double* const column = x + static_cast<int64_t>(k) * n;
+      for (int64_t e = supernodes_.rows_begin[s]; e < supernodes_.rows_begin[s + 1]; ++e) {
+        const int size = BlockSize(e);
+        visit(at, column + offset_[supernodes_.row_block[e]], size);
+        at += size;
+      }
+    }
+  };
+  for (int s = 0; s < supernodes_.num_panels(); ++s) {
+    const double* const panel = values + supernodes_.values_begin[s];
+    const int width = Width(s), height = supernodes_.height[s], rows = height - width;
+    double* const own = x + FirstColumn(s);
+    dtrsm_(&kLeft, &kLower, &kPlain, &kNonUnit, &width, &num_rhs, &kOne, panel, &height, own, &n);
+    if (rows == 0) continue;
+    dgemm_(&kPlain, &kPlain, &rows, &num_rhs, &width, &kOne, panel + width, &height, own, &n,
+           &kZero, below, &rows);
+    for_rows(s, rows, [](const double* from, double* to, int size) {
+      for (int i = 0; i < size; ++i) to[i] -= from[i];
+    });
+  }
+  for (int s = supernodes_.num_panels() - 1; s >= 0; --s) {
+    const double* const panel = values + supernodes_.values_begin[s];
+    const int width = Width(s), height = supernodes_.height[s], rows = height - width;
+    double* const own = x + FirstColumn(s);
+    if (rows > 0) {
+      for_rows(s, rows,
+               [](double* to, const double* from, int size) { std::copy_n(from, size, to); });
+      dgemm_(&kTransposed, &kPlain, &width, &num_rhs, &rows, &kMinusOne, panel + width, &height,
+             below, &rows, &kOne, own, &n);
+    }
+    dtrsm_(&kLeft, &kLower, &kTransposed, &kNonUnit, &width, &num_rhs, &kOne, panel, &height, own,
+           &n);
   }
 }
 

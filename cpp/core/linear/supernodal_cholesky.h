@@ -40,8 +40,9 @@ class SupernodalCholesky {
   /// or the order of a leading minor that is not positive definite; `values` then mean nothing.
   int Factorize(double* values);
 
-  /// x = S^-1 x with the values that Factorize left.
-  void Solve(const double* values, double* x);
+  /// X = S^-1 X with the values that Factorize left; num_columns x num_rhs, column-major. One
+  /// right-hand side goes by vectors, more by matrix products, whose rounding differs.
+  void Solve(const double* values, double* x, int num_rhs = 1);
 
  private:
   /// Rows that follow each other both in a panel and in one that it updates.
@@ -57,6 +58,8 @@ class SupernodalCholesky {
   void Update(int panel, int by, double* values);
   void UpdateColumns(int panel, int by, int64_t first_row, int64_t last_row, double* values);
   void FindRuns(int by, int64_t first_row);
+  void SolveOne(const double* values, double* x);
+  void SolveMany(const double* values, double* x, int num_rhs);
 
   const std::vector<int> offset_;
   const Supernodes supernodes_;

@@ -21,6 +21,11 @@ struct PreparedSolve {
   std::vector<int64_t> track_lengths;  ///< observations of each point
 };
 
+/// What the options leave free and the gauge does not hold; the values of the problem matter to the
+/// gauge alone. `gauge_warning`: a sentence where it could not be held as asked; else "".
+FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptions& options,
+                                    std::string* gauge_warning);
+
 /// Decides what is free and how it is laid out. The problem is valid (problem_view.h).
 ///
 /// Throws InputError if a camera model is not supported or an id to be fixed does not exist.
