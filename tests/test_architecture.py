@@ -62,7 +62,7 @@ PYTHON_MAY_IMPORT = {
     "losses": {"_core", "arguments", "errors", "option_fields", "options"},
     "cameras": {"_core", "arguments", "errors", "option_fields"},
     "arrays": {"_core", "arguments", "errors"},
-    "deferred_source": {"_core", "address_space", "errors"},
+    "deferred_source": {"_core"},
     "problem": {
         "_core",
         "arrays",
@@ -119,6 +119,7 @@ PYTHON_MAY_IMPORT = {
     "solver": {
         "_core",
         "arguments",
+        "display",
         "errors",
         "io",
         "options",
@@ -126,6 +127,7 @@ PYTHON_MAY_IMPORT = {
         "reprojection",
         "result",
         "solve_record",
+        "words",
     },
     "check_defaults": set(),
     "checking": {
@@ -239,7 +241,7 @@ PYTHON_MAY_IMPORT["__main__"] = {"address_space", "cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.
-DEFERRED_IMPORTS = {"deferred_source": {"io"}, "problem": {"io"}, "synthetic": {"io"}}
+DEFERRED_IMPORTS = {"problem": {"io"}, "synthetic": {"io"}}
 
 # Other people's packages that only some of ours may know.
 OUTSIDERS = {

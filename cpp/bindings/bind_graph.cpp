@@ -14,12 +14,11 @@
 #include "bindings/python_progress.h"
 #include "bindings/summary_to_python.h"
 #include "bindings/to_numpy.h"
-#include "core/ceres/solve_graph.h"
+#include "core/ceres/solve_with_ceres.h"
 #include "core/error.h"
 #include "core/factors/factor.h"
 #include "core/graph/factor_graph.h"
 #include "core/parallel/interruption.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 
 namespace py = pybind11;

@@ -11,7 +11,6 @@
 #include "bindings/to_numpy.h"
 #include "core/interface/options.h"
 #include "core/prepare/choose_solver.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/symbolic/symbolic.h"
@@ -79,7 +78,7 @@ double PanelValues(const Ints& sizes, const Int64s& column_begin, const Ints& ro
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const std::vector<int> blocks(order.data(), order.data() + order.size());
   const py::gil_scoped_release release;
-  return bundle::fused::CountPanelValues(pattern, blocks);
+  return bundle::CountPanelValues(pattern, blocks);
 }
 
 /// The linear solver that the fused backend's `auto` takes, in upper case.
@@ -87,7 +86,7 @@ std::string AutoChoice(const Ints& sizes, const Int64s& column_begin, const Ints
                        int num_threads) {
   const bundle::BlockPatternView pattern = View(sizes, column_begin, rows);
   const py::gil_scoped_release release;
-  return bundle::UpperName(bundle::fused::ChooseByPattern(pattern, num_threads).type,
+  return bundle::UpperName(bundle::ChooseByPattern(pattern, num_threads).type,
                            bundle::kLinearSolverTypes);
 }
 

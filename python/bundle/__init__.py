@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from bundle.problem import Problem
     from bundle.reprojection import ReprojectionError, reprojection_errors
     from bundle.result import Result
-    from bundle.solver import solve
+    from bundle.solver import Solver, solve
     from bundle.statistics import Description, describe
     from bundle.summary import Summary
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
@@ -61,6 +61,7 @@ __all__ = [
     "Result",
     "SceneOptions",
     "SolveOptions",
+    "Solver",
     "Summary",
     "SyntheticScene",
     "__version__",
@@ -113,7 +114,7 @@ _DEFERRED = {
     "problem": ("Problem",),
     "reprojection": ("ReprojectionError", "reprojection_errors"),
     "result": ("Result",),
-    "solver": ("solve",),
+    "solver": ("Solver", "solve"),
     "statistics": ("Description", "describe"),
     "summary": ("Summary",),
     "synthetic": ("SceneOptions", "SyntheticScene", "synthesize"),

@@ -1,4 +1,4 @@
-"""Arrays whose memory nobody can change after they were checked.
+"""Arrays that cannot be changed after they were checked.
 
 Indices are checked once, when a problem is made; a solve trusts them. So the memory of a problem's
 arrays must not change afterwards, and the read-only flag alone does not see to that: the memory may
@@ -22,7 +22,7 @@ __all__ = ["filled", "freeze", "immutable", "refrozen"]
 
 
 def freeze(array: NDArray[Any]) -> NDArray[Any]:
-    """Return an immutable array on the memory of one to which nobody else has access."""
+    """Return an immutable array on the memory of one that no other object refers to."""
     return _core.freeze(array)
 
 

@@ -1,4 +1,4 @@
-"""A COLMAP model that was read, and becomes a ``pycolmap.Reconstruction`` when somebody asks.
+"""A COLMAP model that was read, and becomes a ``pycolmap.Reconstruction`` on first use.
 
 Importing pycolmap and building a reconstruction takes longer than solving a small problem, and most
 commands need neither: our own reader gives the arrays, and a problem whose numbers alone have
@@ -8,12 +8,10 @@ changed is written by replacing them in the files, which stay in memory for that
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from bundle import _core, address_space
-from bundle.errors import InputError, first_line
+from bundle import _core
 
 if TYPE_CHECKING:
     import pycolmap
@@ -25,15 +23,20 @@ class DeferredSource:
     """The source of a problem that was read from a COLMAP model, shared by its edits.
 
     Args:
-        folder: where the model was, for errors.
-        model: what was read there.
+        model: the files as they were read.
         fields: the fields of the problem that the model is, by name.
+        reconstruct: makes a reconstruction of the model.
     """
 
-    def __init__(self, folder: Path, model: _core.ColmapModel, fields: Mapping[str, Any]) -> None:
-        self._folder = folder
+    def __init__(
+        self,
+        model: _core.ColmapModel,
+        fields: Mapping[str, Any],
+        reconstruct: Callable[[_core.ColmapModel], pycolmap.Reconstruction],
+    ) -> None:
         self._model: _core.ColmapModel | None = model
         self._fields = fields
+        self._reconstruct = reconstruct
         self._reconstruction: pycolmap.Reconstruction | None = None
         self._lock = threading.Lock()
 
@@ -44,7 +47,7 @@ class DeferredSource:
 
     @property
     def model(self) -> _core.ColmapModel | None:
-        """What was read; None once there is a reconstruction, which its holders may change."""
+        """The files; None once there is a reconstruction, which its holders may change."""
         return self._model
 
     def reconstruction(self) -> pycolmap.Reconstruction:
@@ -58,40 +61,6 @@ class DeferredSource:
         with self._lock:
             if self._reconstruction is None:
                 assert self._model is not None
-                self._reconstruction = _reconstruction(self._folder, self._model, self._fields)
+                self._reconstruction = self._reconstruct(self._model)
                 self._model = None
             return self._reconstruction
-
-
-def _reconstruction(
-    folder: Path, model: _core.ColmapModel, fields: Mapping[str, Any]
-) -> pycolmap.Reconstruction:
-    address_space.require("pycolmap", address_space.PYCOLMAP)
-    import tempfile  # takes a while to import
-
-    from bundle.io.interrupts import interrupts_deferred
-
-    with interrupts_deferred():  # pycolmap takes a while to import, and knows no interruption
-        import pycolmap
-
-        from bundle.io.reconstruction import remember
-    reconstruction = pycolmap.Reconstruction()
-    # The files as they were read: those on the disk may have changed.
-    with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
-        for name, content in model.files().items():
-            (Path(temporary) / name).write_bytes(content)
-        try:
-            if model.is_binary:
-                reconstruction.read_binary(temporary)
-            else:
-                reconstruction.read_text(temporary)
-        except (ValueError, LookupError, RuntimeError, MemoryError) as error:
-            # Nothing known comes here, but older versions lack the newest camera models.
-            raise InputError(
-                f"{folder}: expected a model that pycolmap {pycolmap.__version__} reads, "
-                f"found: {first_line(error)}"
-            ) from None
-    for image_id, name in model.names_with_spaces.items():
-        reconstruction.image(image_id).name = name
-    remember(reconstruction, fields)
-    return reconstruction

@@ -13,7 +13,7 @@ class Display:
 
     Attributes:
         title: the first line.
-        facts: (label, fact), one a line.
+        facts: (label, fact), one per line.
         head: titles of a table, whose first column is text and the others are numbers.
         rows: its cells.
     """

@@ -67,7 +67,7 @@ def nearest(found: str, spellings: Mapping[str, str] | Iterable[str]) -> str:
 
 
 def check_keywords(caller: str, given: Iterable[str], spellings: Mapping[str, str]) -> None:
-    """Refuse keywords that do not exist, and name those that were probably meant.
+    """Refuse keywords that do not exist, and name the keyword that was probably meant.
 
     Args:
         caller: whose keywords they are.

@@ -274,7 +274,7 @@ def _defaults(kind: Any) -> Any:
 
 @functools.cache
 def _cached_defaults(kind: Any) -> Any:
-    """Return the defaults, which nobody can change, checked once."""
+    """Return the immutable defaults, checked once."""
     return kind()
 
 

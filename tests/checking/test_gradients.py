@@ -244,7 +244,7 @@ def good(blocks):
         (good, [], None, {}, "at least one block"),
         (good, [[1, 2]], ["se3"], {}, "se3 expects a block of 7 numbers, found 2"),
         (good, [[1, 2]], ["so3"], {}, "found 'so3'"),
-        (good, [[1, 2]], [None, None], {}, "manifolds: expected one a block, 1, found 2"),
+        (good, [[1, 2]], [None, None], {}, "manifolds: expected one per block, 1, found 2"),
         (good, [[1, 2]], [("subset", [2])], {}, "entries from 0 to 1"),
         (good, [[1, 2]], ["angle_axis"], {}, "3 numbers, found 2"),
         (good, [[1, 2]], None, {"names": [("a", ["x"])]}, "expected 2 names for a, found 1"),

@@ -117,7 +117,7 @@ def test_ctrl_c_from_a_thread_ends_a_solve_without_callback():
 
 
 def test_ctrl_c_between_two_calls_of_the_callback():
-    graph = helix(3000)
+    graph = helix(1000)
     timers = []
 
     def interrupt_soon(record):

@@ -99,7 +99,6 @@ void ModelDifference(const double* params, const double* xy, const double* measu
 ///
 ///   dxy/dP = F d(u_d, v_d)/d(u, v) d(u, v)/dP,    dxy/dk = F d(u_d, v_d)/dk,
 ///   dx/dfx = u_d,   dy/dfy = v_d   (both in one column for a single f),   dx/dcx = dy/dcy = 1.
-
 template <typename LensRays, typename LensDistortion, int kNumFocal>
 struct Lens {
   using Rays = LensRays;

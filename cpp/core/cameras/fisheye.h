@@ -1,5 +1,16 @@
 #pragma once
 
+/// Fisheye lenses: the equidistant projection, and the models that distort it by an even
+/// polynomial.
+
+#include <cmath>
+#include <limits>
+
+#include "core/cameras/camera_model.h"
+#include "core/cameras/perspective.h"
+
+namespace bundle {
+
 /// A(q) = atan(t) / t as a function of q = t^2, and its derivative A' = dA/dq.
 ///
 ///   A' = (1 / (1 + q) - A) / (2 q).
@@ -10,15 +21,6 @@
 ///   A = sum_k (-q)^k / (2k + 1),        A' = -sum_k (-q)^k (k + 1) / (2k + 3)
 ///
 /// has converged to the last bit after nine terms.
-
-#include <cmath>
-#include <limits>
-
-#include "core/cameras/camera_model.h"
-#include "core/cameras/perspective.h"
-
-namespace bundle {
-
 struct ArctanRatio {
   double value, slope;
 
@@ -67,7 +69,6 @@ struct ArctanRatio {
 /// 90 degrees without a break, and ends on the axis behind the camera, which has no direction.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h, FisheyeFromNormal (which has atan(r / Z)).
-
 struct Equidistant {
   double u = 0, v = 0;
   Projection status = Projection::kUndefined;
@@ -124,7 +125,6 @@ struct Equidistant {
 /// Equidistant derives it.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h.
-
 struct SimpleFisheye : Lens<Equidistant, RadialPolynomial<0>, 1> {
   static constexpr char kName[] = "SIMPLE_FISHEYE";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},
@@ -150,7 +150,6 @@ struct Fisheye : Lens<Equidistant, RadialPolynomial<0>, 2> {
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h; Kannala and Brandt, PAMI 2006; for OPENCV_FISHEYE
 /// also OpenCV, calib3d, fisheye::projectPoints.
-
 struct SimpleRadialFisheye : Lens<Equidistant, RadialPolynomial<1>, 1> {
   static constexpr char kName[] = "SIMPLE_RADIAL_FISHEYE";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},

@@ -1,12 +1,6 @@
 #pragma once
 
-/// The tangential part of Brown's distortion (1966), of coefficients p1 and p2.
-///
-/// With s = u^2 + v^2
-///
-///   t_u = 2 p1 u v + p2 (s + 2 u^2),   t_v = 2 p2 u v + p1 (s + 2 v^2),
-///   dt_u/du = 2 p1 v + 6 p2 u,   dt_u/dv = dt_v/du = 2 p1 u + 2 p2 v,   dt_v/dv = 2 p2 u + 6 p1 v,
-///   dt_u/d(p1, p2) = (2 u v, s + 2 u^2),   dt_v/d(p1, p2) = (s + 2 v^2, 2 u v).
+/// OpenCV's models: radial and tangential distortion of the perspective projection.
 
 #include <cmath>
 
@@ -15,6 +9,13 @@
 
 namespace bundle {
 
+/// The tangential part of Brown's distortion (1966), of coefficients p1 and p2.
+///
+/// With s = u^2 + v^2
+///
+///   t_u = 2 p1 u v + p2 (s + 2 u^2),   t_v = 2 p2 u v + p1 (s + 2 v^2),
+///   dt_u/du = 2 p1 v + 6 p2 u,   dt_u/dv = dt_v/du = 2 p1 u + 2 p2 v,   dt_v/dv = 2 p2 u + 6 p1 v,
+///   dt_u/d(p1, p2) = (2 u v, s + 2 u^2),   dt_v/d(p1, p2) = (s + 2 v^2, 2 u v).
 template <typename T>
 struct Decentering {
   T u, v;                 ///< t_u, t_v
@@ -48,7 +49,6 @@ struct Decentering {
 ///   s^2 v).
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h; OpenCV, calib3d, projectPoints.
-
 struct BrownDistortion {
   static constexpr int kNumParams = 4;
   static constexpr bool kIsPolynomial = true;
@@ -100,7 +100,6 @@ struct OpenCv : Lens<Perspective, BrownDistortion, 2> {
 /// the latter times u or v. Where m is zero there is no value.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h; OpenCV, calib3d, projectPoints.
-
 struct RationalDistortion {
   static constexpr int kNumParams = 8;
   static constexpr bool kIsPolynomial = false;

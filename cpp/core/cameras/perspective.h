@@ -1,15 +1,6 @@
 #pragma once
 
-/// Even polynomial radial distortion, of any number n of coefficients.
-///
-/// With s = u^2 + v^2 and the factor d(s) = 1 + k1 s + ... + kn s^n
-///
-///   u_d = d u,   v_d = d v.
-///
-/// From ds/du = 2u, ds/dv = 2v and d' = k1 + 2 k2 s + ... + n kn s^(n-1)
-///
-///   du_d/du = d + 2 d' u^2,   du_d/dv = dv_d/du = 2 d' u v,   dv_d/dv = d + 2 d' v^2,
-///   du_d/dkj = s^j u,   dv_d/dkj = s^j v.
+/// The perspective projection, and the models that distort it by an even polynomial or not at all.
 
 #include <limits>
 
@@ -33,7 +24,16 @@ struct EvenPolynomial {
   }
 };
 
-/// A distortion as camera_model.h wants it.
+/// Even polynomial radial distortion, of any number n of coefficients.
+///
+/// With s = u^2 + v^2 and the factor d(s) = 1 + k1 s + ... + kn s^n
+///
+///   u_d = d u,   v_d = d v.
+///
+/// From ds/du = 2u, ds/dv = 2v and d' = k1 + 2 k2 s + ... + n kn s^(n-1)
+///
+///   du_d/du = d + 2 d' u^2,   du_d/dv = dv_d/du = 2 d' u v,   dv_d/dv = d + 2 d' v^2,
+///   du_d/dkj = s^j u,   dv_d/dkj = s^j v.
 template <int n>
 struct RadialPolynomial {
   static constexpr int kNumParams = n;
@@ -88,7 +88,6 @@ struct RadialPolynomial<0> {
 ///
 /// |Z| below 2^-52 has no projection (COLMAP's threshold); negative Z is behind the camera, where
 /// the formula still has a value.
-
 struct Perspective {
   double u, v, inverse_z;
   Projection status;
@@ -123,7 +122,6 @@ struct Perspective {
 ///   x = f u + cx,   y = f v + cy,   u = X / Z,   v = Y / Z.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h.
-
 struct SimplePinhole : Lens<Perspective, RadialPolynomial<0>, 1> {
   static constexpr char kName[] = "SIMPLE_PINHOLE";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},
@@ -136,7 +134,6 @@ struct SimplePinhole : Lens<Perspective, RadialPolynomial<0>, 1> {
 ///   x = fx u + cx,   y = fy v + cy,   u = X / Z,   v = Y / Z.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h.
-
 struct Pinhole : Lens<Perspective, RadialPolynomial<0>, 2> {
   static constexpr char kName[] = "PINHOLE";
   static constexpr CameraParam kParams[] = {{"fx", CameraParam::kFocal},
@@ -154,7 +151,6 @@ struct Pinhole : Lens<Perspective, RadialPolynomial<0>, 2> {
 /// to look along +z and the image's y axis to point down.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h.
-
 struct SimpleRadial : Lens<Perspective, RadialPolynomial<1>, 1> {
   static constexpr char kName[] = "SIMPLE_RADIAL";
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},

@@ -2,6 +2,7 @@
 
 /// The one list of camera models. To add a model: write its header, add it to `CameraModels`.
 
+#include <array>
 #include <cstddef>
 #include <iterator>
 #include <string_view>
@@ -31,13 +32,16 @@ inline constexpr int kNumCameraModels = static_cast<int>(std::tuple_size_v<Camer
 template <typename Model>
 inline constexpr int kNumParams = static_cast<int>(std::size(Model::kParams));
 
-/// The models in the order of `CameraModels`.
-const CameraModel* AllCameraModels();
-
-/// nullptr if there is no such model.
-const CameraModel* FindCameraModel(std::string_view name);
-
 namespace internal {
+
+template <typename... Models>
+constexpr std::array<CameraModel, sizeof...(Models)> Describe(std::tuple<Models...>) {
+  static_assert(((kNumParams<Models> <= kMaxCameraParams) && ...));
+  return {{{Models::kName, Models::kParams, kNumParams<Models>, &Models::Project,
+            &ModelDifference<Models>}...}};
+}
+
+inline constexpr std::array<CameraModel, kNumCameraModels> kModels = Describe(CameraModels());
 
 template <typename Visitor, std::size_t... kIndices>
 void VisitCameraModelImpl(std::ptrdiff_t index, Visitor&& visitor,
@@ -49,6 +53,17 @@ void VisitCameraModelImpl(std::ptrdiff_t index, Visitor&& visitor,
 }
 
 }  // namespace internal
+
+/// The models in the order of `CameraModels`.
+inline const CameraModel* AllCameraModels() { return internal::kModels.data(); }
+
+/// nullptr if there is no such model.
+inline const CameraModel* FindCameraModel(std::string_view name) {
+  for (const CameraModel& model : internal::kModels) {
+    if (name == model.name) return &model;
+  }
+  return nullptr;
+}
 
 /// Calls visitor(Model()) with the struct behind a model, for code that wants it inlined.
 template <typename Visitor>

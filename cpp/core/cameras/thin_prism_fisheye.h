@@ -1,5 +1,16 @@
 #pragma once
 
+/// Fisheye lenses with radial, tangential and thin prism distortion.
+
+#include <algorithm>
+
+#include "core/cameras/camera_model.h"
+#include "core/cameras/fisheye.h"
+#include "core/cameras/opencv.h"
+#include "core/cameras/perspective.h"
+
+namespace bundle {
+
 /// THIN_PRISM_FISHEYE (fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, sx1, sy1): radial, tangential and
 /// thin prism distortion of the equidistant projection.
 ///
@@ -15,16 +26,6 @@
 ///   du_d/dkj = s^j u,   dv_d/dkj = s^j v,   du_d/dsx1 = dv_d/dsy1 = s.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h, after Weng, Cohen and Herniou, PAMI 1992.
-
-#include <algorithm>
-
-#include "core/cameras/camera_model.h"
-#include "core/cameras/fisheye.h"
-#include "core/cameras/opencv.h"
-#include "core/cameras/perspective.h"
-
-namespace bundle {
-
 struct ThinPrismDistortion {
   static constexpr int kNumParams = 8;
   static constexpr bool kIsPolynomial = false;
@@ -91,7 +92,6 @@ struct ThinPrismFisheye : Lens<Equidistant, ThinPrismDistortion, 2> {
 ///   du_d/d(s0, s1) = dv_d/d(s2, s3) = (q, q^2).
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h; Project Aria's Fisheye624.
-
 struct RadTanThinPrismDistortion {
   static constexpr int kNumParams = 12;
   static constexpr bool kIsPolynomial = false;

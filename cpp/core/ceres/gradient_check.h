@@ -2,8 +2,8 @@
 
 /// Two references for the Jacobians of one cost function at one point.
 ///
-/// ceres::GradientChecker is what users know. It differentiates along the tangent space of the
-/// manifolds, so that errors along their normals hide, with a step of 1e-2 (of 1e-2 of the
+/// The first is ceres::GradientChecker, which users know. It differentiates along the tangent space
+/// of the manifolds, so that errors along their normals hide, with a step of 1e-2 (of 1e-2 of the
 /// parameter) that it shrinks at most a thousandfold, and compares an entry absolutely where one
 /// side is exactly zero. Its numbers are kept, its verdict only counted.
 ///
@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "core/ceres/ceres_version.h"
-#include "core/ceres/jacobian_checks.h"
+#include "core/ceres/reference_checks.h"
 
 namespace bundle {
 

@@ -1,3 +1,15 @@
+/// Checks the Jacobians of a solve's reprojection residuals, observation by observation.
+///
+/// The projection is singular at the camera's centre and, for some models, in the plane through it.
+/// With L the distance of the point to the nearest of these, steps of the reference move the point
+/// by less than L / 4 within its camera's frame, where central differences are a convergent power
+/// series in step / L. The point's coordinates in that frame, R X + t, are only known to about
+///
+///   delta = eps (|R X| + |t|),
+///
+/// so that every derivative by pose and point is only known to delta / L: where that is large,
+/// as for points that an earlier solve left at a camera's centre, there is nothing to compare with.
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -6,7 +18,7 @@
 
 #include "core/cameras/registry.h"
 #include "core/ceres/gradient_check.h"
-#include "core/ceres/jacobian_checks.h"
+#include "core/ceres/reference_checks.h"
 #include "core/ceres/reprojection_cost.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
@@ -17,8 +29,8 @@ namespace {
 
 /// One observation as a problem of its own: one image, one camera, one point.
 ///
-/// A solve's cost function reads the camera side from CameraStates, which an EvaluationCallback
-/// keeps up to date; GradientChecker knows of no callbacks. Here the states belong to the cost
+/// A solve's cost function reads camera parameters from CameraStates, which an EvaluationCallback
+/// keeps up to date; GradientChecker has no callbacks. Here the states belong to the cost
 /// function and follow its parameters at each evaluation, so that what is checked is the cost
 /// function of the solve itself, packing of the columns included.
 class SingleObservation final : public ceres::CostFunction {
@@ -53,7 +65,7 @@ class SingleObservation final : public ceres::CostFunction {
     return bundle::Counts(ProjectionOf(problem_.points), cheirality);
   }
 
-  /// L and delta, and what a unit of rotation moves the point by; see the header.
+  /// L and delta, and what a unit of rotation moves the point by.
   struct Surroundings {
     double distance = 0, rounding = 0, lever = 0;
   };

@@ -1,5 +1,7 @@
 #pragma once
 
+/// The reprojection residual (factors/reprojection.h) as a cost function of Ceres.
+
 #include <atomic>
 #include <cstdint>
 #include <memory>
@@ -10,7 +12,7 @@
 
 namespace bundle {
 
-/// What the reprojection costs of a solve tell of the residuals that observations hold.
+/// Residuals that observations hold, as the reprojection costs of a solve count them.
 struct HoldingWatch {
   std::atomic<int64_t> num_held{0};  ///< at the last state
   /// Since this was last set to false, others counted at a candidate than at the state before.
@@ -24,14 +26,14 @@ struct ReprojectionContext {
   const CameraStates& states;
   Cheirality cheirality;
   HoldingWatch* watch = nullptr;  ///< nullptr: what does not count is zero, and nothing is held
-  /// Where it is true, costs cannot be evaluated any more, so that Ceres ends. Not read if null.
+  /// Once true, no cost can be evaluated any more, so that Ceres ends. nullptr: never.
   const std::atomic<bool>* abandoned = nullptr;
 };
 
 /// The residual of one observation as Ceres sees it. Its parameter blocks are, in this order and as
 /// far as they are free: the point, the image's block, the shared camera's block.
 ///
-/// The camera side is read from `context.states`, not from the parameters: an EvaluationCallback
+/// Camera parameters are read from `context.states`, not from the parameters: an EvaluationCallback
 /// keeps the two equal. The model is one of the registry's and known.
 ///
 /// An observation that does not count has the residual that it holds (factors/reprojection.h),

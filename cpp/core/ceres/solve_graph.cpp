@@ -1,21 +1,19 @@
-#include "core/ceres/solve_graph.h"
-
 #include <algorithm>
 #include <limits>
 #include <string>
 #include <utility>
 
 #include "core/ceres/factor_adapter.h"
+#include "core/ceres/solve_with_ceres.h"
 #include "core/ceres/summarize.h"
 #include "core/ceres/translate_options.h"
 #include "core/error.h"
 #include "core/interface/options.h"
+#include "core/interface/summary.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
-#include "core/stopwatch.h"
 
 namespace bundle {
 

@@ -1,5 +1,7 @@
 #pragma once
 
+/// What a solve by Ceres reports, in our words: iterations as they end, and the summary.
+
 #include <atomic>
 #include <string>
 #include <vector>
@@ -12,11 +14,11 @@
 
 namespace bundle {
 
-/// What Ceres factorises with the linear solver that it used, `type`. Ceres does not tell: sparse
-/// factors are counted here, on the pattern that Ceres builds and in CHOLMOD's AMD order of its
-/// blocks. Ceres asks CHOLMOD for the same kind of order but numbers the blocks its own way and may
-/// have it keep the groups of the ordering apart, so that its factor can be some per cent larger or
-/// smaller. The symbolic time is that of this count.
+/// What Ceres factorises with the linear solver that it used, `type`. Ceres does not report
+/// it: sparse factors are counted here, on the pattern that Ceres builds and in CHOLMOD's AMD order
+/// of its blocks. Ceres asks CHOLMOD for the same kind of order but numbers the blocks its own way
+/// and may have it keep the groups of the ordering apart, so that its factor can be some per cent
+/// larger or smaller. The symbolic time is that of this count.
 FactorSummary CountCeresFactor(const ProblemView& problem, const ParameterLayout& layout,
                                EliminationOrdering ordering, ceres::LinearSolverType type);
 
@@ -29,10 +31,8 @@ std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary);
 
 IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost);
 
-/// How a solve by Ceres is told of, and left early with the best state.
-
-/// Tells of each iteration and looks for an interruption. `abandoned` is set where a candidate
-/// could not be evaluated because the user wants the solve to end: there is nothing to tell of.
+/// Reports each iteration and looks for an interruption. `abandoned` is set where a candidate could
+/// not be evaluated because the user ended the solve: such a step is not reported.
 class ReportProgress final : public ceres::IterationCallback {
  public:
   ReportProgress(const ProgressCallback& progress, double fixed_cost,
@@ -50,7 +50,7 @@ class ReportProgress final : public ceres::IterationCallback {
   bool interrupted_ = false;
 };
 
-/// Makes a step that could not be evaluated one that was never tried.
+/// Removes a step that could not be evaluated from the summary, as if it had not been tried.
 void ForgetAbandonedStep(ceres::Solver::Summary* summary);
 
 }  // namespace bundle

@@ -1,5 +1,7 @@
 #pragma once
 
+/// Our options as Ceres': losses, orderings, solvers, and the settings of the process.
+
 #include <memory>
 #include <string>
 

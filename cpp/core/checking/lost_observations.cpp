@@ -1,3 +1,5 @@
+/// Observations that end behind their cameras, and what that says of the solution.
+
 #include <cmath>
 #include <cstddef>
 #include <cstdint>

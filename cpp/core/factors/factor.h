@@ -63,7 +63,6 @@ class Factor {
 
 /// Whitening: with information Omega = L L^T (Cholesky), a residual e and its Jacobian J become
 /// L^T e and L^T J, so that squared norms are e^T Omega e and normal equations J^T Omega J.
-
 class Whitening {
  public:
   /// From n x n numbers, row-major. Throws InputError, beginning with `subject`, unless they are

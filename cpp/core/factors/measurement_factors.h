@@ -1,10 +1,6 @@
 #pragma once
 
-/// What is known of one variable: r = W Log(Z^-1 X), X near Z with information W^T W.
-///
-/// The manifold may be any; on a Euclidean one r = W (x - z), a prior on a point or on a camera's
-/// parameters. With e = Log(Z^-1 X), Log(Z^-1 X Exp(d)) = e + J_r(e)^-1 d + O(|d|^2), so that
-/// J = W J_r(e)^-1.
+/// Factors that measure variables directly: priors, positions, relative motions, observed points.
 
 #include <vector>
 
@@ -13,6 +9,11 @@
 
 namespace bundle {
 
+/// What is known of one variable: r = W Log(Z^-1 X), X near Z with information W^T W.
+///
+/// The manifold may be any; on a Euclidean one r = W (x - z), a prior on a point or on a camera's
+/// parameters. With e = Log(Z^-1 X), Log(Z^-1 X Exp(d)) = e + J_r(e)^-1 d + O(|d|^2), so that
+/// J = W J_r(e)^-1.
 class PriorFactor final : public Factor {
  public:
   /// Throws InputError if the value is none of the manifold or the information is not positive
@@ -35,7 +36,6 @@ class PriorFactor final : public Factor {
 /// The antenna is at y = X^-1 a. Moving X to X Exp(d), d = (w, v), makes it
 ///
 ///   Exp(-d) y = y - w x y - v + O(|d|^2),        J = W [ [y]x  -I ].
-
 class PositionFactor final : public Factor {
  public:
   /// `lever_arm` and `position` have three numbers. Throws InputError if they are not finite or the
@@ -64,7 +64,6 @@ class PositionFactor final : public Factor {
 ///   Z^-1 Exp(-d) X_i^-1 X_j = Z^-1 X_i^-1 X_j B Exp(-d) B^-1 = Exp(e) Exp(-Ad_B d),
 ///
 ///   J_i = -W J_r(e)^-1 Ad_B,        J_j = W J_r(e)^-1.
-
 class BetweenFactor final : public Factor {
  public:
   /// Of two variables on the same manifold. Throws InputError if the measurement is no value of it
@@ -91,7 +90,6 @@ class BetweenFactor final : public Factor {
 ///   dr/dw = dr/du R,        dr/dv = dr/ds R.
 ///
 /// A point behind the camera keeps the residual that the formula gives.
-
 class ReprojectionFactor final : public Factor {
  public:
   /// `observation` is x and y in pixels. Throws InputError if it is not finite or the information

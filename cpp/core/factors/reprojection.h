@@ -105,8 +105,8 @@ bool EvaluateReprojection(const PoseState& pose, const double* params, const dou
   return true;
 }
 
-/// What an observation costs that does not count (Counts() in reprojection.h): one behind its
-/// camera, or without a projection.
+/// ||h|| / ||r|| of an observation that stops counting (Counts()): it is behind its camera, or has
+/// no projection. What such an observation costs:
 ///
 /// Were it nothing, as in COLMAP, a solve could lower its cost by turning a camera away from its
 /// points, or by moving a camera past points at its centre. Yet a step must not be rejected just
@@ -133,8 +133,6 @@ bool EvaluateReprojection(const PoseState& pose, const double* params, const dou
 /// points are at its camera centres: with 1 the latter still ends with 47 % of its observations
 /// behind, from 1.1 on with none; between 2 and 10 more of the bad starts converge than with zero
 /// cost, and most of them at 4.
-
-/// ||h|| / ||r|| of an observation that stops counting.
 inline constexpr double kHeldFactor = 4;
 
 }  // namespace bundle

@@ -71,8 +71,7 @@ class Retraction {
 /// fit.
 Retraction RetractionFromName(const std::string& name, int ambient_size);
 
-/// A variable of a problem.
-
+/// A variable of a problem: where it is, how it moves, and what of it is held.
 struct Block {
   std::string name;  ///< for messages
   Retraction retraction;

@@ -1,5 +1,7 @@
 #pragma once
 
+/// Rigid motions of the plane and of space.
+///
 /// SE(2): rigid motions of the plane, their exponential map, logarithm, adjoint and right Jacobian.
 ///
 /// A motion is stored as x y angle (units of length, radians), a tangent vector d = (u, v, a) in
@@ -17,7 +19,33 @@
 ///
 /// (Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, eqs.
 /// 156-163, with both quotients written by B and C, which keep their digits at small angles).
-/// Matrices are row-major.
+///
+/// SE(3): rigid motions x -> R x + t, their exponential map, logarithm, adjoint and left Jacobian.
+///
+/// A motion is stored as COLMAP stores a pose: qx qy qz qw tx ty tz. A tangent vector is
+/// d = (w, v), rotation first, in radians and units of length. With W = [w]x and J_l of rotation.h
+///
+///   Exp(d) = (Exp(w), J_l(w) v),        Log(R, t) = (Log(R), J_l(Log R)^-1 t)
+///
+/// (Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, eqs.
+/// 172-174). The adjoint, X Exp(d) X^-1 = Exp(Ad_X d), and the left Jacobian,
+/// Exp(d + e) = Exp(J e) Exp(d) + O(|e|^2), are in this order
+///
+///   Ad_X = [ R       0 ]        J(w, v) = [ J_l(w)     0    ]
+///          [ [t]x R  R ],                 [ Q(w, v)  J_l(w) ],
+///
+/// where, with V = [v]x and C = (a - sin a)/a^3, E = (a^2/2 + cos a - 1)/a^4,
+/// F = (sin a - a + a^3/6)/a^5 (Barfoot, "State Estimation for Robotics", 2017, eq. 7.86),
+///
+///   Q = 1/2 V + C (WV + VW + WVW) + E (WWV + VWW - 3 WVW) + 1/2 (E - 3 F) (WVWW + WWVW).
+///
+/// C, E and F are entire functions of s = a^2: sum (-s)^n / (2n + k)! with k = 3, 4, 5. Nine terms
+/// serve below s = 1; above it the formulas lose at most two digits. The inverse is
+///
+///   J^-1 = [ J_l^-1               0     ]
+///          [ -J_l^-1 Q J_l^-1   J_l^-1  ].
+///
+/// Right Jacobians are left ones of -d. Matrices are row-major.
 
 #include <cmath>
 
@@ -88,33 +116,6 @@ inline void InverseRightJacobianOfPlanarMotion(const double d[3], double out[9])
                              0,        0,        1};
   for (int i = 0; i < 9; ++i) out[i] = inverse[i];
 }
-
-/// SE(3): rigid motions x -> R x + t, their exponential map, logarithm, adjoint and left Jacobian.
-///
-/// A motion is stored as COLMAP stores a pose: qx qy qz qw tx ty tz. A tangent vector is
-/// d = (w, v), rotation first, in radians and units of length. With W = [w]x and J_l of rotation.h
-///
-///   Exp(d) = (Exp(w), J_l(w) v),        Log(R, t) = (Log(R), J_l(Log R)^-1 t)
-///
-/// (Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, eqs.
-/// 172-174). The adjoint, X Exp(d) X^-1 = Exp(Ad_X d), and the left Jacobian,
-/// Exp(d + e) = Exp(J e) Exp(d) + O(|e|^2), are in this order
-///
-///   Ad_X = [ R       0 ]        J(w, v) = [ J_l(w)     0    ]
-///          [ [t]x R  R ],                 [ Q(w, v)  J_l(w) ],
-///
-/// where, with V = [v]x and C = (a - sin a)/a^3, E = (a^2/2 + cos a - 1)/a^4,
-/// F = (sin a - a + a^3/6)/a^5 (Barfoot, "State Estimation for Robotics", 2017, eq. 7.86),
-///
-///   Q = 1/2 V + C (WV + VW + WVW) + E (WWV + VWW - 3 WVW) + 1/2 (E - 3 F) (WVWW + WWVW).
-///
-/// C, E and F are entire functions of s = a^2: sum (-s)^n / (2n + k)! with k = 3, 4, 5. Nine terms
-/// serve below s = 1; above it the formulas lose at most two digits. The inverse is
-///
-///   J^-1 = [ J_l^-1               0     ]
-///          [ -J_l^-1 Q J_l^-1   J_l^-1  ].
-///
-/// Right Jacobians are left ones of -d. 6x6 matrices are row-major.
 
 inline void ExpRigidMotion(const double d[6], double x[7]) {
   double left_jacobian[9];

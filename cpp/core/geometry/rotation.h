@@ -1,6 +1,7 @@
 #pragma once
 
-/// Rotations of three-space: the exponential map, its left Jacobian, and unit quaternions.
+/// Rotations of three-space: the exponential map, its left Jacobian, logarithms, and unit
+/// quaternions.
 ///
 /// For w in R^3 with angle a = |w| and W = [w]x (the matrix with W v = w x v), Rodrigues' formula
 /// is
@@ -14,6 +15,21 @@
 /// (Sola, Deray, Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, eq. 145).
 /// All three coefficients are entire functions of a^2; below a^2 = 1e-4 we take their Taylor series
 /// to a^6, whose first dropped term is under 1e-20, because C by its formula loses all its digits.
+///
+/// A unit quaternion (v, s) = (sin(a/2) u, cos(a/2)) is the rotation Exp(a u). q and -q are the
+/// same rotation; the one with s >= 0 has a in [0, pi]:
+///
+///   Log(q) = 2 atan2(|v|, s) / |v| v,
+///
+/// which keeps its digits at every angle, unlike the logarithm by the trace of the matrix: close to
+/// a = pi the trace is flat. Rotations of pi have two logarithms; either may be returned.
+///
+/// The inverse of J_l(w) = I + B W + C W^2 is
+///
+///   J_l(w)^-1 = I - 1/2 W + D W^2,       D = (1 - (a/2) cot(a/2)) / a^2
+///
+/// (Sola et al. 2018, eq. 146), regular for a < 2 pi. D = sum |B_2n| a^(2n-2) / (2n)! with
+/// Bernoulli's numbers; seven terms serve below a^2 = 1/4, where the formula begins to lose digits.
 ///
 /// Matrices are 3x3, row-major. Quaternions are stored as COLMAP stores them: x y z w.
 
@@ -121,23 +137,6 @@ inline void Cross3(const double a[3], const double b[3], double out[3]) {
   out[1] = a[2] * b[0] - a[0] * b[2];
   out[2] = a[0] * b[1] - a[1] * b[0];
 }
-
-/// Logarithms of rotations and the inverse of the left Jacobian (rotation.h).
-///
-/// A unit quaternion (v, s) = (sin(a/2) u, cos(a/2)) is the rotation Exp(a u). q and -q are the
-/// same rotation; the one with s >= 0 has a in [0, pi]:
-///
-///   Log(q) = 2 atan2(|v|, s) / |v| v,
-///
-/// which keeps its digits at every angle, unlike the logarithm by the trace of the matrix: close to
-/// a = pi the trace is flat. Rotations of pi have two logarithms; either may be returned.
-///
-/// The inverse of J_l(w) = I + B W + C W^2 is
-///
-///   J_l(w)^-1 = I - 1/2 W + D W^2,       D = (1 - (a/2) cot(a/2)) / a^2
-///
-/// (Sola et al. 2018, eq. 146), regular for a < 2 pi. D = sum |B_2n| a^(2n-2) / (2n)! with
-/// Bernoulli's numbers; seven terms serve below a^2 = 1/4, where the formula begins to lose digits.
 
 /// An angle in [-pi, pi] that differs from the given one by whole turns.
 inline double WrapAngle(double angle) { return std::remainder(angle, 2 * M_PI); }

@@ -1,6 +1,7 @@
 #pragma once
 
-/// Variables and factors: a least-squares problem of any structure.
+/// Variables and factors: a least-squares problem of any structure, checked, and what remains of it
+/// when variables are eliminated.
 
 #include <cstdint>
 #include <memory>
@@ -63,7 +64,6 @@ struct LinearizedGraph {
 ///
 /// Lambda' is symmetric to the last bit. Where the graph says nothing of a direction of b, nor does
 /// Lambda' (up to rounding).
-
 struct MarginalInformation {
   std::vector<double> lambda;  ///< n x n, row-major, symmetric
   std::vector<double> eta;     ///< n

@@ -1,7 +1,9 @@
 #pragma once
 
-/// What a user should know about a solve, in words and as a name that programs can rely on.
+/// What a solve reports, whichever backend ran it: iterations and a summary under Ceres' names, and
+/// warnings, each a sentence with a name that programs can rely on.
 
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -68,7 +70,15 @@ inline void Warn(WarningKind kind, std::string text, std::vector<Warning>* warni
   if (!text.empty()) warnings->push_back({kind, std::move(text)});
 }
 
-/// What a solve reports, whichever backend ran it, in Ceres' vocabulary.
+/// Wall time since it was made.
+class Stopwatch {
+ public:
+  double seconds() const { return std::chrono::duration<double>(Clock::now() - start_).count(); }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  Clock::time_point start_ = Clock::now();
+};
 
 /// ceres::IterationSummary; times in seconds.
 struct IterationRecord {
@@ -85,14 +95,14 @@ struct IterationRecord {
   double cumulative_time_in_seconds = 0;
 
   // Beyond Ceres, and not reported.
-  /// The step makes observations count that did not, or the reverse: what the model promised is no
-  /// measure of it.
+  /// The step makes observations count that did not, or the reverse: the decrease that the
+  /// model predicts does not apply to it.
   bool changes_what_counts = false;
 };
 
 /// The matrix that each step factorises, and its Cholesky factor L. Matrices count both triangles
-/// and the diagonal, L its lower triangle with the diagonal; blocks count as full. Empty is what
-/// there is not (no factor, for conjugate gradients), or what nobody can tell.
+/// and the diagonal, L its lower triangle with the diagonal; blocks count as full. A field is empty
+/// where there is no such number (conjugate gradients have no factor) or none is known.
 struct FactorSummary {
   std::optional<int64_t> num_columns;           ///< n
   std::optional<int64_t> num_reduced_nonzeros;  ///< of S as its solver holds it: n^2 if dense
@@ -163,7 +173,7 @@ struct SolveSummary {
 /// to keep, and Interrupted is thrown.
 using ProgressCallback = std::function<bool(const IterationRecord&)>;
 
-/// What every solve tells of itself.
+/// The report of a solve, whatever was solved.
 struct SolveRecord {
   SolveSummary summary;
   std::vector<IterationRecord> iterations;

@@ -1,36 +1,38 @@
 #pragma once
 
+/// BAL files, read and written.
+///
+/// From Bundle Adjustment in the Large to COLMAP and back.
+///
+/// BAL [1] projects a point X by
+///     P = R X + t,   p = -(Px, Py) / Pz,   (x, y) = f (1 + k1 |p|^2 + k2 |p|^4) p
+/// with x to the right, y up, the camera looking along -z, and the image's origin at the principal
+/// point. COLMAP's RADIAL model with principal point (cx, cy) = (0, 0) projects by
+///     P' = R' X + t',   p' = (P'x, P'y) / P'z,   (x', y') = f (1 + k1 |p'|^2 + k2 |p'|^4) p'.
+/// Turn the camera frame by half a turn about its x axis, D = diag(1, -1, -1), P' = D P. Then
+///     p' = (Px, -Py) / (-Pz) = (px, -py),   |p'| = |p|,   so (x', y') = (x, -y)
+/// with the same f, k1, k2. Of the numbers stored, the points, f, k1, k2 and x stay as they are, y
+/// and two components of t change sign: all of this is exact in floating point.
+///
+/// R becomes D R. The quaternion of D is the unit i, so with q = w + x i + y j + z k that of R,
+///     q' = i q = -x + w i - z j + y k,
+/// again exact; and q = -i q' on the way back. Only the step between the angle-axis vector that BAL
+/// stores and q rounds. It preserves the direction to a few ulp because all three components are
+/// scaled by one factor. The sign of q is left as it comes, so that an angle in [0, 2 pi) is found
+/// again as 2 atan2(|v|, w), also where it exceeds pi. A larger angle is reduced to [0, 2 pi): the
+/// rotation is the same, the numbers are not.
+///
+/// [1] https://grail.cs.washington.edu/projects/bal/
+
 #include <cmath>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
 #include <vector>
 
-#include "core/io/output_file.h"
+#include "core/io/files.h"
 
 namespace bundle {
-
-// From Bundle Adjustment in the Large to COLMAP and back.
-//
-// BAL [1] projects a point X by
-//     P = R X + t,   p = -(Px, Py) / Pz,   (x, y) = f (1 + k1 |p|^2 + k2 |p|^4) p
-// with x to the right, y up, the camera looking along -z, and the image's origin at the principal
-// point. COLMAP's RADIAL model with principal point (cx, cy) = (0, 0) projects by
-//     P' = R' X + t',   p' = (P'x, P'y) / P'z,   (x', y') = f (1 + k1 |p'|^2 + k2 |p'|^4) p'.
-// Turn the camera frame by half a turn about its x axis, D = diag(1, -1, -1), P' = D P. Then
-//     p' = (Px, -Py) / (-Pz) = (px, -py),   |p'| = |p|,   so (x', y') = (x, -y)
-// with the same f, k1, k2. Of the numbers stored, the points, f, k1, k2 and x stay as they are, y
-// and two components of t change sign: all of this is exact in floating point.
-//
-// R becomes D R. The quaternion of D is the unit i, so with q = w + x i + y j + z k that of R,
-//     q' = i q = -x + w i - z j + y k,
-// again exact; and q = -i q' on the way back. Only the step between the angle-axis vector that BAL
-// stores and q rounds. It preserves the direction to a few ulp because all three components are
-// scaled by one factor. The sign of q is left as it comes, so that an angle in [0, 2 pi) is found
-// again as 2 atan2(|v|, w), also where it exceeds pi. A larger angle is reduced to [0, 2 pi): the
-// rotation is the same, the numbers are not.
-//
-// [1] https://grail.cs.washington.edu/projects/bal/
 
 /// From a BAL camera's rotation (angle-axis, radians) and translation, 6 numbers, to the 7 of
 /// cam_from_world: qx qy qz qw tx ty tz.

@@ -3,10 +3,10 @@
 //   cameras.bin   u64 count; u32 id, i32 model, u64 width, u64 height, f64 params[]
 //   images.bin    u64 count; u32 id, f64 qw qx qy qz tx ty tz, u32 camera, name '\0',
 //                 u64 count; f64 x y, u64 point (2^64-1: none)
-//   points3D.bin  u64 count; u64 id, f64 xyz[3], u8 rgb[3], f64 error, u64 count; u32 image, u32
-//   keypoint rigs.bin      u64 count; u32 id, u32 count; i32 type, u32 sensor (the reference
-//   sensor), then of
-//                 each other: i32 type, u32 sensor, u8 has_pose, f64 qw qx qy qz tx ty tz if so
+//   points3D.bin  u64 count; u64 id, f64 xyz[3], u8 rgb[3], f64 error, u64 count; u32 image,
+//                 u32 keypoint
+//   rigs.bin      u64 count; u32 id, u32 count; i32 type, u32 sensor (the reference sensor), then
+//                 of each other: i32 type, u32 sensor, u8 has_pose, f64 qw qx qy qz tx ty tz if so
 //   frames.bin    u64 count; u32 id, u32 rig, f64 qw qx qy qz tx ty tz, u32 count;
 //                 i32 type, u32 sensor, u64 datum
 //
@@ -25,11 +25,8 @@ namespace {
 // Bytes of the smallest possible record of each kind.
 constexpr uint64_t kMinCameraSize = 24 + 2 * 8;
 constexpr uint64_t kMinImageSize = 4 + 56 + 4 + 1 + 8;
-constexpr uint64_t kMinPointSize = 8 + 24 + 3 + 8 + 8;
 constexpr uint64_t kMinRigSize = 8;
 constexpr uint64_t kMinFrameSize = 8 + 56 + 4;
-constexpr uint64_t kKeypointSize = 24;
-constexpr uint64_t kTrackElementSize = 8;
 constexpr uint64_t kDatumSize = 16;
 constexpr uint64_t kMinSensorSize = 9;
 
@@ -188,9 +185,9 @@ void ScanImages(ColmapIndex* index) {
 
 void ScanPoints(ColmapIndex* index) {
   ByteReader reader(index->points_file);
-  const auto count = reader.ReadCount<uint64_t>("points", kMinPointSize);
+  const auto count = reader.ReadCount<uint64_t>("points", kPointRecordSize);
   index->points.reserve(count);
-  index->track_elements.reserve((reader.num_left() - count * kMinPointSize) / kTrackElementSize);
+  index->track_elements.reserve((reader.num_left() - count * kPointRecordSize) / kTrackElementSize);
   for (uint64_t i = 0; i < count; ++i) {
     const uint64_t at = reader.position();
     const auto id = reader.Read<uint64_t>("a point id");

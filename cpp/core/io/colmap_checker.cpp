@@ -1,3 +1,5 @@
+/// Reads the files of a COLMAP model and checks that its references resolve.
+
 #include <algorithm>
 #include <filesystem>
 #include <string>
@@ -9,7 +11,7 @@
 #include "core/error.h"
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
-#include "core/io/input_file.h"
+#include "core/io/files.h"
 
 namespace bundle {
 
@@ -78,11 +80,6 @@ void CheckColmapModel(const std::string& folder) {
 }
 
 namespace {
-
-// Bytes of the fixed part of a point and of what follows it, in points3D.bin and images.bin.
-constexpr uint64_t kPointSize = 51;
-constexpr uint64_t kTrackElementSize = 8;
-constexpr uint64_t kKeypointSize = 24;
 
 /// Position of a record by its id.
 class IdMap {
@@ -265,7 +262,7 @@ uint64_t ColmapIndex::KeypointPlace(const Image& image, uint64_t keypoint) const
 
 uint64_t ColmapIndex::TrackElementPlace(const Point& point, uint64_t element) const {
   return point.at +
-         (kind == ModelFile::Kind::kBinary ? kPointSize + element * kTrackElementSize : 0);
+         (kind == ModelFile::Kind::kBinary ? kPointRecordSize + element * kTrackElementSize : 0);
 }
 
 std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index) {

@@ -1,27 +1,61 @@
 #pragma once
 
+/// What the files of a COLMAP model hold, and the parts of reading them: files, scanners, checks.
+
 #include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
 #include <map>
+#include <memory>
 #include <numeric>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "core/cameras/camera_model.h"
-#include "core/io/output_file.h"
 
 namespace bundle {
 
-// COLMAP's kInvalid*Id: what stands for "none" and can be the id of nothing.
+/// One file of a model, read whole, and the place that every complaint about it names.
+class ModelFile {
+ public:
+  enum class Kind { kText, kBinary };
+
+  ModelFile() = default;
+
+  /// Throws InputError when the file cannot be opened, is no regular file or cannot be read.
+  ModelFile(std::string path, Kind kind);
+
+  const std::string& path() const { return path_; }
+  std::string_view contents() const { return {contents_.get(), size_}; }
+
+  /// Frees the contents; `Fail` goes on working.
+  void Release();
+
+  /// Throws InputError "PATH:POSITION: message" (a line, counted from 1) for text and
+  /// "PATH: byte POSITION: message" (an offset, counted from 0) for binary.
+  [[noreturn]] void Fail(uint64_t position, const std::string& message) const;
+
+ private:
+  std::string path_;
+  Kind kind_ = Kind::kText;
+  std::unique_ptr<char[]> contents_;
+  size_t size_ = 0;
+};
+
+// COLMAP's kInvalid*Id: the value for "none", and the id of no record.
 constexpr uint32_t kInvalidColmapId = std::numeric_limits<uint32_t>::max();
 constexpr uint64_t kInvalidPoint3DId = std::numeric_limits<uint64_t>::max();
 
 /// Point ids end here: text files, and our arrays, hold them as signed 64-bit numbers.
 constexpr uint64_t kMaxPoint3DId = std::numeric_limits<int64_t>::max();
+
+// Bytes in binary files: a keypoint, a track element, and the part of a point before its track.
+constexpr uint64_t kKeypointSize = 24;
+constexpr uint64_t kTrackElementSize = 8;
+constexpr uint64_t kPointRecordSize = 8 + 24 + 3 + 8 + 8;
 
 /// COLMAP's SensorType.
 enum class SensorType : int32_t { kCamera = 0, kImu = 1 };

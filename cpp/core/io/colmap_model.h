@@ -1,5 +1,7 @@
 #pragma once
 
+/// COLMAP models: read, checked, written with refined values.
+
 #include <cstdint>
 #include <filesystem>
 #include <string>

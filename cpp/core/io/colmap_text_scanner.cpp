@@ -1,3 +1,17 @@
+// COLMAP's text format, one record a line (two for an image):
+//
+//   cameras.txt   ID MODEL WIDTH HEIGHT PARAMS[]
+//   images.txt    ID QW QX QY QZ TX TY TZ CAMERA_ID NAME
+//                 (X Y POINT3D_ID)[]   -1 for none; the line is there, blank, without keypoints
+//   points3D.txt  ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]
+//   rigs.txt      ID NUM_SENSORS [REF_SENSOR_TYPE REF_SENSOR_ID
+//                 (SENSOR_TYPE SENSOR_ID HAS_POSE [QW QX QY QZ TX TY TZ])[]]
+//   frames.txt    ID RIG_ID QW QX QY QZ TX TY TZ NUM_DATA (SENSOR_TYPE SENSOR_ID DATA_ID)[]
+//
+// Stricter than COLMAP's own reader, which takes half a keypoint or track element at the end of a
+// line for the end of the list, wraps colours round at 256 and drops an image whose second line
+// is missing.
+
 #include <array>
 #include <charconv>
 #include <cmath>
@@ -15,8 +29,6 @@
 namespace bundle {
 
 namespace {
-
-bool IsSpace(char c) { return c == ' ' || (c >= '\t' && c <= '\r'); }
 
 /// What COLMAP strips from both ends of a line.
 bool IsTrimmed(char c) { return c == ' ' || c == '\t' || c == '\r'; }
@@ -128,20 +140,6 @@ void ColmapTextCursor::ExpectEndOfLine() {
 void ColmapTextCursor::FailHere(const std::string& expected) {
   Fail("expected " + expected + ", found " + Quoted(Token("")));
 }
-
-// COLMAP's text format, one record a line (two for an image):
-//
-//   cameras.txt   ID MODEL WIDTH HEIGHT PARAMS[]
-//   images.txt    ID QW QX QY QZ TX TY TZ CAMERA_ID NAME
-//                 (X Y POINT3D_ID)[]   -1 for none; the line is there, blank, without keypoints
-//   points3D.txt  ID X Y Z R G B ERROR (IMAGE_ID POINT2D_IDX)[]
-//   rigs.txt      ID NUM_SENSORS [REF_SENSOR_TYPE REF_SENSOR_ID
-//                 (SENSOR_TYPE SENSOR_ID HAS_POSE [QW QX QY QZ TX TY TZ])[]]
-//   frames.txt    ID RIG_ID QW QX QY QZ TX TY TZ NUM_DATA (SENSOR_TYPE SENSOR_ID DATA_ID)[]
-//
-// Stricter than COLMAP's own reader, which takes half a keypoint or track element at the end of a
-// line for the end of the list, wraps colours round at 256 and drops an image whose second line
-// is missing.
 
 namespace {
 

@@ -1,3 +1,5 @@
+/// Writes a COLMAP model: the files as they were read, with refined values in place of the old.
+
 #include <array>
 #include <cstring>
 #include <string>
@@ -5,7 +7,7 @@
 
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
-#include "core/io/output_file.h"
+#include "core/io/files.h"
 
 namespace bundle {
 namespace {

@@ -1,5 +1,3 @@
-#include "core/io/input_file.h"
-
 #include <bzlib.h>
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -15,6 +13,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/io/files.h"
 
 namespace bundle {
 
@@ -56,6 +55,15 @@ std::string Printable(std::string_view bytes, size_t max_bytes) {
   }
   if (position < bytes.size()) text += "...";
   return text;
+}
+
+std::string Quoted(std::string_view text) {
+  // Appended piece by piece: GCC 12 sees a phantom overlap in a chain of operator+ (-Wrestrict).
+  constexpr size_t kMaxQuotedLength = 40;
+  std::string result = "'";
+  result += Printable(text, kMaxQuotedLength);
+  result += "'";
+  return result;
 }
 
 namespace {

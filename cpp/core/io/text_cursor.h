@@ -1,5 +1,7 @@
 #pragma once
 
+/// Cursors over text: numbers in a stream of any size (BAL), and records in lines (COLMAP).
+
 #include <charconv>
 #include <cstddef>
 #include <cstdint>
@@ -11,15 +13,17 @@
 #include <vector>
 
 #include "core/error.h"
-#include "core/io/input_file.h"
-#include "core/io/output_file.h"
+#include "core/io/colmap_index.h"
+#include "core/io/files.h"
 
 namespace bundle {
+
+inline bool IsSpace(char c) { return c == ' ' || (c >= '\t' && c <= '\r'); }
 
 /// Walks through a text of white-space separated numbers, of any size, in a buffer of fixed size.
 ///
 /// The point of the class is speed: the common case is one std::from_chars on the buffer. A number
-/// that does not please is left under the cursor, so that Fail() can show it.
+/// that is refused stays under the cursor, so that Fail() can show it.
 class TextCursor {
  public:
   /// `on_block` is called between blocks of about a megabyte; it may throw to end the reading.
@@ -66,8 +70,6 @@ class TextCursor {
   static constexpr size_t kLongestNumber = 4096;  ///< a longer token is no number
   static constexpr size_t kShownBytes = 40;
 
-  static bool IsSpace(char c) { return c == ' ' || (c >= '\t' && c <= '\r'); }
-
   void SkipSpace() {
     do {
       for (; position_ < end_; ++position_) {
@@ -77,7 +79,7 @@ class TextCursor {
     } while (Refill());
   }
 
-  /// Everything Read() is too hasty for: a leading plus, a number at the end of the buffer.
+  /// The cases that Read() leaves out: a leading plus, a number at the end of the buffer.
   template <typename T, typename Accept>
   bool ReadSlowly(T* value, Accept accept) {
     const std::string_view token = Token();

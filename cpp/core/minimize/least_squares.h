@@ -14,6 +14,10 @@
 ///
 ///   gradient direction   p = D^-2 J^T r,
 ///   Newton direction     q: (J^T J + damping D^2) q = -J^T r.
+///
+/// A problem may have bounds on coordinates of x. Its candidates are then P(x + d), P moving each
+/// coordinate to the nearest value within its bounds; both directions disregard them. x itself is
+/// within them.
 
 #include <string>
 
@@ -23,7 +27,7 @@ struct Linearization {
   bool is_finite = true;
   double cost = 0;
   double gradient_norm = 0;      ///< ||J^T r||_2
-  double gradient_max_norm = 0;  ///< ||J^T r||_inf
+  double gradient_max_norm = 0;  ///< ||J^T r||_inf; with bounds ||P(x - J^T r) - x||_inf
 };
 
 struct NewtonResult {
@@ -42,10 +46,16 @@ struct DoglegProducts {
 
 struct Candidate {
   double model_cost_change = 0;  ///< -(J d)^T (r + J d / 2) for the step d
-  double step_norm = 0;          ///< ||d||
-  double cost = 0;               ///< f(x + d); not finite where a residual is not
+  double step_norm = 0;          ///< ||d||; with bounds ||P(x + d) - x||
+  double cost = 0;               ///< at the candidate; not finite where a residual is not
   /// Other residuals than at x count, so that the model is of another function.
   bool changes_what_counts = false;
+};
+
+/// The step d of the last Newton or dogleg step, not projected.
+struct StepLine {
+  double slope = 0;     ///< d^T J^T r at x
+  double max_norm = 0;  ///< ||d||_inf
 };
 
 class LeastSquares {
@@ -73,6 +83,15 @@ class LeastSquares {
 
   /// ||x|| over all that is refined.
   virtual double StateNorm() const = 0;
+
+  /// True where a coordinate has a bound. The three passes below are for such problems, along the d
+  /// of the last EvaluateNewtonStep or EvaluateDoglegStep.
+  virtual bool HasBounds() const { return false; }
+  virtual StepLine LineAlongStep() { return {}; }
+  /// The candidate P(x + a d); without its model cost change.
+  virtual Candidate EvaluateAlongStep(double /*a*/) { return {}; }
+  /// d^T J^T r at the last candidate.
+  virtual double SlopeAtCandidate() { return 0; }
 };
 
 }  // namespace bundle::fused

@@ -2,8 +2,8 @@
 
 /// The outer loop of a trust region method: a step that lowers the cost by more than a thousandth
 /// of what the model promised is taken, any other makes the trust region smaller. The order of
-/// everything is that of ceres::internal::TrustRegionMinimizer, for monotonic steps without bounds,
-/// and so are the conventions:
+/// everything is that of ceres::internal::TrustRegionMinimizer, for monotonic steps, and so are the
+/// conventions:
 ///
 /// * The start is iteration 0 and counts as a successful step.
 /// * Parameter and function tolerance are tested before a step is taken: one that meets them is not
@@ -113,6 +113,9 @@ class TrustRegion {
     num_consecutive_invalid_steps_ = 0;
 
     Candidate& candidate = step.candidate;
+    if (problem_.HasBounds() && !(RelativeDecrease(candidate) > kMinRelativeDecrease)) {
+      SearchAlongStep(x_cost_, &problem_, &candidate);
+    }
     if (!std::isfinite(candidate.cost)) candidate.cost = kNoCost;
     record_.step_norm = candidate.step_norm;
     record_.changes_what_counts = candidate.changes_what_counts;

@@ -22,7 +22,7 @@ struct MinimizerSummary {
   int num_candidates = 0;
   double linearization_time_in_seconds = 0;  ///< Linearize
   double solve_time_in_seconds = 0;          ///< SolveNewton
-  double candidate_time_in_seconds = 0;      ///< EvaluateNewtonStep, Products, EvaluateDoglegStep
+  double candidate_time_in_seconds = 0;      ///< all passes that evaluate steps
   std::vector<IterationRecord> iterations;   ///< costs without `fixed_cost` of the problem
 };
 
@@ -63,6 +63,20 @@ class TimedProblem final : public LeastSquares {
   }
   void Accept() override { problem_->Accept(); }
   double StateNorm() const override { return problem_->StateNorm(); }
+  bool HasBounds() const override { return problem_->HasBounds(); }
+  StepLine LineAlongStep() override {
+    const Timer timer(&minimum_->candidate_time_in_seconds);
+    return problem_->LineAlongStep();
+  }
+  Candidate EvaluateAlongStep(double a) override {
+    ++minimum_->num_candidates;
+    const Timer timer(&minimum_->candidate_time_in_seconds);
+    return problem_->EvaluateAlongStep(a);
+  }
+  double SlopeAtCandidate() override {
+    const Timer timer(&minimum_->candidate_time_in_seconds);
+    return problem_->SlopeAtCandidate();
+  }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -83,5 +97,10 @@ class TimedProblem final : public LeastSquares {
   LeastSquares* problem_;
   MinimizerSummary* minimum_;
 };
+
+/// Shortens a step whose projection onto the bounds does not lower the cost enough. `cost`: at x.
+/// `candidate` is that of the whole step; where a shorter one was found it becomes that one's, with
+/// the model cost change of the whole step. The candidate of `problem` follows.
+void SearchAlongStep(double cost, LeastSquares* problem, Candidate* candidate);
 
 }  // namespace bundle::fused

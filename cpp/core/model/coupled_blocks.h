@@ -1,5 +1,7 @@
 #pragma once
 
+/// Which blocks of a problem couple: the patterns of S and of the information matrix.
+
 #include <cstdint>
 #include <vector>
 

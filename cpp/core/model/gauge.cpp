@@ -1,17 +1,32 @@
-#include "core/model/gauge.h"
+/// The gauge.
+///
+/// Fixed by two cameras: the first pose is fixed (six degrees), and of the second one coordinate of
+/// its translation. Scaling the world by s about the first camera moves a second camera's
+/// translation by t_2 -> t_2 + (s - 1) t_21, where t_21 is the translation of cam2_from_cam1.
+/// Holding the coordinate in which t_21 is largest therefore holds the scale best. (COLMAP takes
+/// the largest coordinate of the inverse motion; both hold the gauge, so both reach the same cost.)
+/// The second camera is the first after it, in the order of images, that stands elsewhere, as in
+/// COLMAP.
+///
+/// Fixed by three points: all nine coordinates of three points that are not on a line, as COLMAP
+/// does. That is two more than the gauge has: the shape of their triangle does not change any more.
+/// They are taken far apart but from the bulk of the cloud, so that no stray point becomes the
+/// reference.
+///
+/// Its directions, in which cameras and points may move together without any image changing: the
+/// world goes to X' = X + a, c + Exp(b) (X - c) or c + (1 + s) (X - c), with c the mean of the
+/// projection centres. An image R X + t stays what it is, up to its scale, if
+///
+///   a:  R' = R,            t' = t - R a
+///   b:  R' = R Exp(-b),    t' = t + (R - R') c          = t + R (b x c)   to first order
+///   s:  R' = R,            t' = t + s (t + R c)
+///
+/// and R Exp(-b) = Exp(-R b) R is the change J_l(w) dw = -R b of the chart
+/// (factors/reprojection.h). Intrinsics stay as they are. Columns that are not refined are left
+/// out, so that a direction may not be an exact null vector of the system; near ones are enough for
+/// its use (linear/coarse_space.h).
 
-/// Fixing the gauge.
-///
-/// Two cameras: the first pose is fixed (six degrees), and of the second one coordinate of its
-/// translation. Scaling the world by s about the first camera moves a second camera's translation
-/// by t_2 -> t_2 + (s - 1) t_21, where t_21 is the translation of cam2_from_cam1. Holding the
-/// coordinate in which t_21 is largest therefore holds the scale best. (COLMAP takes the largest
-/// coordinate of the inverse motion; both hold the gauge, so both reach the same cost.) The second
-/// camera is the first after it, in the order of images, that stands elsewhere, as in COLMAP.
-///
-/// Three points: all nine coordinates of three points that are not on a line, as COLMAP does. That
-/// is two more than the gauge has: the shape of their triangle does not change any more. They are
-/// taken far apart but from the bulk of the cloud, so that no stray point becomes the reference.
+#include "core/model/gauge.h"
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -137,39 +152,6 @@ std::string FixThreePoints(const ProblemView& problem, const std::vector<int>& p
   return "";
 }
 
-}  // namespace
-
-std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
-  if (gauge == Gauge::kNone) return "";
-  const std::vector<int> images =
-      Observed(problem.observation_image, problem.num_observations, problem.num_images);
-  const std::vector<int> points =
-      Observed(problem.observation_point, problem.num_observations, problem.num_points);
-  const std::vector<int> fixed_images = Fixed(images, free->pose);
-  const std::vector<int> fixed_points = Fixed(points, free->point);
-  const bool held = fixed_images.size() >= 2 || fixed_images.size() == images.size() ||
-                    fixed_points.size() >= 3 || fixed_points.size() == points.size();
-  if (held) return "";
-  return gauge == Gauge::kTwoCameras ? FixTwoCameras(problem, images, fixed_images, free)
-                                     : FixThreePoints(problem, points, free);
-}
-
-/// The directions in which cameras and points may move together without any image changing.
-///
-/// The world goes to X' = X + a, c + Exp(b) (X - c) or c + (1 + s) (X - c), with c the mean of the
-/// projection centres. An image R X + t stays what it is, up to its scale, if
-///
-///   a:  R' = R,            t' = t - R a
-///   b:  R' = R Exp(-b),    t' = t + (R - R') c          = t + R (b x c)   to first order
-///   s:  R' = R,            t' = t + s (t + R c)
-///
-/// and R Exp(-b) = Exp(-R b) R is the change J_l(w) dw = -R b of the chart
-/// (factors/reprojection.h). Intrinsics stay as they are. Columns that are not refined are left
-/// out, so with some of them a similarity is none for the system any more; near ones are what they
-/// are used for.
-
-namespace {
-
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 using PoseRows = Eigen::Matrix<double, kPoseSize, kNumGaugeDirections>;
 
@@ -198,6 +180,21 @@ PoseRows OfPose(const PoseState& pose, const Eigen::Vector3d& centre) {
 }
 
 }  // namespace
+
+std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
+  if (gauge == Gauge::kNone) return "";
+  const std::vector<int> images =
+      Observed(problem.observation_image, problem.num_observations, problem.num_images);
+  const std::vector<int> points =
+      Observed(problem.observation_point, problem.num_observations, problem.num_points);
+  const std::vector<int> fixed_images = Fixed(images, free->pose);
+  const std::vector<int> fixed_points = Fixed(points, free->point);
+  const bool held = fixed_images.size() >= 2 || fixed_images.size() == images.size() ||
+                    fixed_points.size() >= 3 || fixed_points.size() == points.size();
+  if (held) return "";
+  return gauge == Gauge::kTwoCameras ? FixTwoCameras(problem, images, fixed_images, free)
+                                     : FixThreePoints(problem, points, free);
+}
 
 std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras) {

@@ -1,5 +1,7 @@
 #pragma once
 
+/// The gauge: fixed where the options ask for it, and its directions.
+
 #include <string>
 #include <vector>
 
@@ -17,8 +19,8 @@ std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* fr
 /// Translations, rotations and the scale of the world.
 inline constexpr int kNumGaugeDirections = 7;
 
-/// What moving, turning and scaling the world does to the camera side's unknowns: for each column
-/// of the layout, its derivative by three translations, three rotations and the scale.
+/// What moving, turning and scaling the world does to the camera parameters: for each column of
+/// the layout, its derivative by three translations, three rotations and the scale.
 std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras);
 

@@ -1,5 +1,7 @@
 #pragma once
 
+/// How a user ends a computation: asked for on the calling thread, thrown as Interrupted.
+
 #include <chrono>
 #include <exception>
 #include <functional>

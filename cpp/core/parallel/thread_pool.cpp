@@ -23,6 +23,19 @@ void Pause() {
 #endif
 }
 
+/// Starts threads 1 to count - 1, or as many as there are, and returns them.
+template <typename Function>
+std::vector<std::thread> StartThreads(int64_t count, const Function& run) {
+  std::vector<std::thread> threads;
+  try {
+    threads.reserve(count - 1);
+    for (int64_t s = 1; s < count; ++s) threads.emplace_back([&run, s] { run(s); });
+  } catch (const std::system_error&) {  // the system has no more threads
+  } catch (const std::bad_alloc&) {     // or no memory for one
+  }
+  return threads;
+}
+
 }  // namespace
 
 void SpinWait::Once() {
@@ -95,23 +108,6 @@ void ThreadPool::WorkerLoop(int thread) {
     unfinished_.fetch_sub(1, std::memory_order_release);
   }
 }
-
-namespace {
-
-/// Starts threads 1 to count - 1, or as many as there are, and returns them.
-template <typename Function>
-std::vector<std::thread> StartThreads(int64_t count, const Function& run) {
-  std::vector<std::thread> threads;
-  try {
-    threads.reserve(count - 1);
-    for (int64_t s = 1; s < count; ++s) threads.emplace_back([&run, s] { run(s); });
-  } catch (const std::system_error&) {  // the system has no more threads
-  } catch (const std::bad_alloc&) {     // or no memory for one
-  }
-  return threads;
-}
-
-}  // namespace
 
 void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run) {
   FirstException first;

@@ -1,16 +1,39 @@
-#include "core/prepare/choose_solver.h"
-
-/// Choosing a linear solver by the shape of the problem.
+/// Choosing a linear solver.
 ///
-/// With the points eliminated, what is left to solve is the reduced camera system S of n columns,
-/// of whose block pairs the share d is not zero. Its dense factorisation takes n^3 / 3
-/// multiply-adds at the full rate of the machine. The sparse one saves what S has of zeros but
-/// fills in and runs at a lower rate, so it pays only where S is large and sparse. Where even the
-/// sparse factor grows too large, conjugate gradients need only products with S.
+/// For Ceres, by the shape of the problem: with the points eliminated, what is left to solve is the
+/// reduced camera system S of n columns, of whose block pairs the share d is not zero. Its dense
+/// factorisation takes n^3 / 3 multiply-adds at the full rate of the machine. The sparse one saves
+/// what S has of zeros but fills in and runs at a lower rate, so it pays only where S is large and
+/// sparse. Where even the sparse factor grows too large, conjugate gradients need only products
+/// with S.
 ///
 /// Without a symbolic factorisation its cost is a guess: on synthetic streets, orbits and photo
 /// collections of 300 to 4000 images the factor had about 4 d n entries a column, hence n (4 d n)^2
 /// multiply-adds. The bounds below are where the measured times of the solvers crossed.
+///
+/// For the fused backend, by predicted time. For S of n columns, s stored values and a factor of l
+/// entries and f flops (supernodes.cpp counts both exactly), one solve takes
+///
+///   dense      n^3 / 3 at the rate of dpotrf, and 8 n^2 bytes for the substitutions
+///   sparse     f at the same rate, and a time for each entry of the factor, which is assembled
+///              beside the flops and used by the substitutions
+///   iterative  8 s bytes from memory for each product with S; with two levels
+///   (preconditioners.cpp) a
+///              time for each value of S, which goes into the coarse system once, and two passes
+///              over the coarse factor beside each product: about l / 20 entries, as a fifth of the
+///              columns is left
+///
+/// Measured on a server core (AVX-512, OpenBLAS 0.3.21) in processor time: dpotrf of 2000 columns
+/// 37 GFLOP/s; supernodal_cholesky on bands, grids and random couplings of 33 to 3000 blocks of 9,
+/// f from 2e6 to 3e10: within 30 % of f / 40 GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS'
+/// threads are counted where they are used, and bandwidth as that of at most four cores.
+///
+/// Conjugate gradients with two levels took 2 to 100 products a step (streets of 50 to 1000 images
+/// and 1000 of a photo collection), more towards the end, and their steps gain a little less than
+/// exact ones: 80 are counted, and a direct solver that takes 15 % longer is preferred still. The
+/// coarse system took 10 ns a value.
+
+#include "core/prepare/choose_solver.h"
 
 #include <algorithm>
 #include <cmath>
@@ -21,7 +44,7 @@
 #include "core/linear/supernodal_cholesky.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
-#include "core/prepare/memory.h"
+#include "core/prepare/prepare.h"
 #include "core/symbolic/symbolic.h"
 
 namespace bundle {
@@ -42,64 +65,6 @@ double FactorisationCost(int64_t columns, double density) {
   const double entries = std::min(1.0, 4 * density) * n;
   return n * entries * entries;
 }
-
-}  // namespace
-
-SolverChoice ChooseLinearSolver(const ProblemView& problem, const ParameterLayout& layout,
-                                const ProblemShape& shape) {
-  if (shape.num_free_points == 0) {
-    return {LinearSolverType::kSparseNormalCholesky,
-            "No point is refined, so there is nothing to eliminate: the camera blocks are solved "
-            "sparsely."};
-  }
-  const int64_t columns = shape.num_camera_columns;
-  if (columns <= kSmallSystem) {
-    return {LinearSolverType::kDenseSchur,
-            Subject(shape) + " is small: its dense factorisation costs milliseconds."};
-  }
-  const double density = CountSchurDensity(problem, layout);
-  if (density < 0 || FactorisationCost(columns, density) > kLargestFactorisation) {
-    return {LinearSolverType::kIterativeSchur,
-            Subject(shape) + " is too large to factorise: it is solved by conjugate gradients."};
-  }
-  const std::string full = std::to_string(std::lround(100 * density)) + " % full";
-  const bool fits = PredictDenseMatrixBytes(LinearSolverType::kDenseSchur, shape, false) <
-                    0.5 * AvailableMemoryBytes();
-  if (density >= kDenseFill && fits) {
-    return {LinearSolverType::kDenseSchur,
-            Subject(shape) + " is " + full + ": dense factorisation beats sparse."};
-  }
-  return {LinearSolverType::kSparseSchur,
-          Subject(shape) + " is only " + full + ": sparse factorisation skips the rest."};
-}
-
-}  // namespace bundle
-
-namespace bundle::fused {
-
-/// What `auto` rests on. For S of n columns, s stored values and a factor of l entries and f flops
-/// (supernodes.cpp counts both exactly), one solve takes
-///
-///   dense      n^3 / 3 at the rate of dpotrf, and 8 n^2 bytes for the substitutions
-///   sparse     f at the same rate, and a time for each entry of the factor, which is put together
-///              run by run beside the flops and substituted with
-///   iterative  8 s bytes from memory for each product with S; with two levels
-///   (preconditioners.cpp) a
-///              time for each value of S, which goes into the coarse system once, and two passes
-///              over the coarse factor beside each product: about l / 20 entries, as a fifth of the
-///              columns is left
-///
-/// Measured on a server core (AVX-512, OpenBLAS 0.3.21) in processor time: dpotrf of 2000 columns
-/// 37 GFLOP/s; supernodal_cholesky on bands, grids and random couplings of 33 to 3000 blocks of 9,
-/// f from 2e6 to 3e10: within 30 % of f / 40 GFLOP/s + 7 ns l; products with S 8 GB/s. OpenBLAS'
-/// threads are counted where they are used, and bandwidth as that of at most four cores.
-///
-/// Conjugate gradients with two levels took 2 to 100 products a step (streets of 50 to 1000 images
-/// and 1000 of a photo collection), more towards the end, and their steps gain a little less than
-/// exact ones: 80 are counted, and a direct solver that takes 15 % longer is preferred still. The
-/// coarse system took 10 ns a value.
-
-namespace {
 
 constexpr double kFlopsPerSecond = 40e9;  // of a core
 constexpr double kBytesPerSecond = 8e9;   // of a core
@@ -127,10 +92,47 @@ std::string Describe(const LinearSolverCost& cost, double available_bytes) {
   return FormatSeconds(cost.seconds);
 }
 
+fused::BlockStructure StructureOf(const BlockPatternView& pattern) {
+  std::vector<std::vector<int>> columns(pattern.num_blocks);
+  for (int j = 0; j < pattern.num_blocks; ++j) {
+    columns[j].assign(pattern.row + pattern.column_begin[j],
+                      pattern.row + pattern.column_begin[j + 1]);
+  }
+  return fused::SparseStructure({pattern.size, pattern.size + pattern.num_blocks}, columns);
+}
+
 }  // namespace
 
-LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
-                                           const FillOrdering& ordering, int num_threads) {
+SolverChoice ChooseCeresSolver(const ProblemView& problem, const ParameterLayout& layout,
+                               const ProblemShape& shape) {
+  if (shape.num_free_points == 0) {
+    return {LinearSolverType::kSparseNormalCholesky,
+            "No point is refined, so there is nothing to eliminate: the camera blocks are solved "
+            "sparsely."};
+  }
+  const int64_t columns = shape.num_camera_columns;
+  if (columns <= kSmallSystem) {
+    return {LinearSolverType::kDenseSchur,
+            Subject(shape) + " is small: its dense factorisation costs milliseconds."};
+  }
+  const double density = CountSchurDensity(problem, layout);
+  if (density < 0 || FactorisationCost(columns, density) > kLargestFactorisation) {
+    return {LinearSolverType::kIterativeSchur,
+            Subject(shape) + " is too large to factorise: it is solved by conjugate gradients."};
+  }
+  const std::string full = std::to_string(std::lround(100 * density)) + " % full";
+  const bool fits = PredictDenseMatrixBytes(LinearSolverType::kDenseSchur, shape, false) <
+                    0.5 * AvailableMemoryBytes();
+  if (density >= kDenseFill && fits) {
+    return {LinearSolverType::kDenseSchur,
+            Subject(shape) + " is " + full + ": dense factorisation beats sparse."};
+  }
+  return {LinearSolverType::kSparseSchur,
+          Subject(shape) + " is only " + full + ": sparse factorisation skips the rest."};
+}
+
+LinearSolverCosts PredictLinearSolverCosts(const fused::BlockStructure& structure,
+                                           const fused::FillOrdering& ordering, int num_threads) {
   const double threads = EffectiveNumThreads(num_threads);
   const double bandwidth = kBytesPerSecond * std::min(threads, kCoresThatFillMemory);
   const double n = structure.num_columns();
@@ -157,10 +159,11 @@ LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
   return costs;
 }
 
-LinearSolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
-                                      int num_threads, double available_bytes) {
+SolverChoice ChooseLinearSolver(const fused::BlockStructure& structure,
+                                const fused::FillOrdering& ordering, int num_threads,
+                                double available_bytes) {
   const LinearSolverCosts costs = PredictLinearSolverCosts(structure, ordering, num_threads);
-  LinearSolverChoice choice{LinearSolverType::kIterativeSchur, ""};
+  SolverChoice choice{LinearSolverType::kIterativeSchur, ""};
   double seconds = kExactStepsAreWorth * costs.iterative.seconds;
   const auto consider = [&](LinearSolverType type, const LinearSolverCost& cost) {
     if (cost.bytes > kShareOfMemory * available_bytes || cost.seconds > seconds) return;
@@ -177,32 +180,20 @@ LinearSolverChoice ChooseLinearSolver(const BlockStructure& structure, const Fil
   return choice;
 }
 
-namespace {
-
-BlockStructure StructureOf(const BlockPatternView& pattern) {
-  std::vector<std::vector<int>> columns(pattern.num_blocks);
-  for (int j = 0; j < pattern.num_blocks; ++j) {
-    columns[j].assign(pattern.row + pattern.column_begin[j],
-                      pattern.row + pattern.column_begin[j + 1]);
-  }
-  return SparseStructure({pattern.size, pattern.size + pattern.num_blocks}, columns);
-}
-
-}  // namespace
-
 double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>& order) {
   std::vector<int> postordered;
   for (const int position : CountFactor(pattern, order).postorder) {
     postordered.push_back(order[position]);
   }
-  const Supernodes supernodes = FindSupernodes(Reorder(StructureOf(pattern), postordered));
+  const fused::Supernodes supernodes =
+      fused::FindSupernodes(fused::Reorder(StructureOf(pattern), postordered));
   return static_cast<double>(supernodes.values_begin.back());
 }
 
-LinearSolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads) {
-  const BlockStructure structure = StructureOf(pattern);
-  return ChooseLinearSolver(structure, FindFillOrdering(structure), num_threads,
+SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads) {
+  const fused::BlockStructure structure = StructureOf(pattern);
+  return ChooseLinearSolver(structure, fused::FindFillOrdering(structure), num_threads,
                             AvailableMemoryBytes());
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

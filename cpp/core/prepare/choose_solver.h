@@ -1,5 +1,7 @@
 #pragma once
 
+/// What `auto` means as a linear solver.
+
 #include <string>
 #include <vector>
 
@@ -16,13 +18,9 @@ struct SolverChoice {
   std::string reason;  ///< one sentence
 };
 
-/// Chooses a linear solver for points eliminated first.
-SolverChoice ChooseLinearSolver(const ProblemView& problem, const ParameterLayout& layout,
-                                const ProblemShape& shape);
-
-}  // namespace bundle
-
-namespace bundle::fused {
+/// Chooses a linear solver of Ceres' for points eliminated first, by the shape of the problem.
+SolverChoice ChooseCeresSolver(const ProblemView& problem, const ParameterLayout& layout,
+                               const ProblemShape& shape);
 
 /// What one solve of a reduced camera system is expected to cost.
 struct LinearSolverCost {
@@ -38,26 +36,20 @@ struct LinearSolverCosts {
 };
 
 /// `structure` is a sparse one, `ordering` the one that it would be factorised in.
-LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
-                                           const FillOrdering& ordering, int num_threads);
+LinearSolverCosts PredictLinearSolverCosts(const fused::BlockStructure& structure,
+                                           const fused::FillOrdering& ordering, int num_threads);
 
-struct LinearSolverChoice {
-  LinearSolverType type = LinearSolverType::kDenseSchur;
-  std::string reason;  ///< one sentence
-};
-
-/// The fastest of dense, sparse and iterative that fits into the memory.
-LinearSolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
-                                      int num_threads, double available_bytes);
-
-/// What the solvers of this folder would make of a pattern of S, for those who only ask.
+/// Chooses a linear solver of the fused backend: the fastest of dense, sparse and iterative that
+/// fits into the memory.
+SolverChoice ChooseLinearSolver(const fused::BlockStructure& structure,
+                                const fused::FillOrdering& ordering, int num_threads,
+                                double available_bytes);
 
 /// Values that the panels of the factor of S hold (supernodal_cholesky.h), zeros and all, when the
-/// blocks are eliminated in this order. Any order will do; it is postordered first, as the solver
-/// does.
+/// blocks are eliminated in this order. Any order will do; it is postordered first, as in a solve.
 double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>& order);
 
 /// What `auto` takes, on this machine and now. It does not ask below a few hundred columns.
-LinearSolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads);
+SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads);
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -9,17 +9,24 @@
 #include "core/interface/options.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
-#include "core/prepare/memory.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 
 namespace bundle {
 
+FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptions& options,
+                                    std::string* gauge_warning) {
+  FreeParameters free = SelectFreeParameters(problem, options);
+  *gauge_warning = FixGauge(problem, options.gauge, &free);
+  return free;
+}
+
 PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options) {
   CheckCameraModelsKnown(problem);
-  FreeParameters free = SelectFreeParameters(problem, options);
+  std::string gauge_warning;
+  FreeParameters free = ChooseFreeParameters(problem, options, &gauge_warning);
   std::vector<Warning> warnings;
-  Warn(WarningKind::kGaugeNotHeld, FixGauge(problem, options.gauge, &free), &warnings);
+  Warn(WarningKind::kGaugeNotHeld, std::move(gauge_warning), &warnings);
   ParameterLayout layout(problem, std::move(free));
   std::vector<int64_t> track_lengths = TrackLengths(problem);
   Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),

@@ -1,5 +1,7 @@
 #pragma once
 
+/// The arrays of a bundle adjustment problem, validated, and its observations grouped by point.
+
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -8,7 +10,7 @@ namespace bundle {
 
 struct CameraModel;
 
-/// The arrays of a bundle adjustment problem, owned by somebody else (NumPy, a test), row-major.
+/// The arrays of a bundle adjustment problem, owned by the caller (NumPy, a test), row-major.
 /// Units are pixels for everything in an image and the reconstruction's length unit elsewhere.
 ///
 /// One struct serves readers and the solver: it never writes through these pointers.
@@ -52,12 +54,19 @@ Tracks GroupByPoint(const ProblemView& problem);
 /// The number of observations of each point.
 std::vector<int64_t> TrackLengths(const ProblemView& problem);
 
+/// Throws InputError unless `given` has the same images, cameras, points and observations as
+/// `expected`: all that a solver is laid out for. Poses, parameters, points and measurements may
+/// differ. Arrays at the same place are taken for equal.
+void CheckSameStructure(const ProblemView& expected, const ProblemView& given);
+
+/// Checks what a solve changes: poses, camera parameters and points, as ValidateProblem does.
+void ValidateState(const ProblemView& problem);
+
 /// Checks the values of a problem whose arrays have the right sizes.
 ///
 /// Throws InputError at the first value that is not finite, index out of range, repeated id, zero
 /// quaternion, non-positive focal length or parameter row that is too short, naming what has it by
-/// its id. Camera models that are not known (nullptr) are let through: whoever needs the model says
-/// so.
+/// its id. Unknown camera models (nullptr) pass: a function that needs the model throws.
 void ValidateProblem(const ProblemView& problem);
 
 }  // namespace bundle

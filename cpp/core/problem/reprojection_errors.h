@@ -1,5 +1,7 @@
 #pragma once
 
+/// Reprojection errors of all observations, and their derivatives.
+
 #include <cstdint>
 
 #include "core/factors/reprojection.h"

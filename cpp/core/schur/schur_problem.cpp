@@ -39,8 +39,8 @@ CandidateSum Total(const std::vector<CandidateSum>& parts) {
 class SchurProblem::Impl {
  public:
   Impl(const ProblemView& problem, const ParameterLayout& layout, const SolveOptions& options,
-       BlockStructure structure, LinearSolver* solver)
-      : setup_(problem, layout, options, std::move(structure)),
+       BlockStructure structure, LinearSolver* solver, bool is_reused)
+      : setup_(problem, layout, options, std::move(structure), is_reused),
         solver_(solver),
         pool_(EffectiveNumThreads(options.num_threads)),
         memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_))),
@@ -54,8 +54,15 @@ class SchurProblem::Impl {
     scale_.resize(n);
     d_squared_.resize(n);
     newton_.resize(n);
-    state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
-    fixed_cost_ = setup_.FixedCost(options);
+    MeasureStart(options);
+  }
+
+  void Reset(const SolveOptions& options) {
+    setup_.Reset(options);
+    for (State& state : states_) state.Reset(layout_, plan_);
+    solver_->ForgetValues();
+    scaled_ = false;
+    MeasureStart(options);
   }
 
   Linearization Linearize(double damping) {
@@ -199,6 +206,11 @@ class SchurProblem::Impl {
   }
 
  private:
+  void MeasureStart(const SolveOptions& options) {
+    state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
+    fixed_cost_ = setup_.FixedCost(options);
+  }
+
   /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
   /// finish(thread) on each thread after its last. Where one throws, the others end at their next
   /// chunk.
@@ -293,7 +305,7 @@ class SchurProblem::Impl {
     return sum;
   }
 
-  const SchurSetup setup_;
+  SchurSetup setup_;
   const ProblemView& problem_ = setup_.problem;
   const ParameterLayout& layout_ = setup_.layout;
   const BlockStructure& structure_ = setup_.structure;
@@ -326,11 +338,13 @@ class SchurProblem::Impl {
 
 SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
                            const SolveOptions& options, BlockStructure structure,
-                           LinearSolver* solver)
-    : impl_(std::make_unique<Impl>(problem, layout, options, std::move(structure), solver)) {}
+                           LinearSolver* solver, bool is_reused)
+    : impl_(std::make_unique<Impl>(problem, layout, options, std::move(structure), solver,
+                                   is_reused)) {}
 
 SchurProblem::~SchurProblem() = default;
 
+void SchurProblem::Reset(const SolveOptions& options) { impl_->Reset(options); }
 Linearization SchurProblem::Linearize(double damping) { return impl_->Linearize(damping); }
 NewtonResult SchurProblem::SolveNewton(double eta) { return impl_->SolveNewton(eta); }
 Candidate SchurProblem::EvaluateNewtonStep() { return impl_->EvaluateNewtonStep(); }

@@ -1,3 +1,5 @@
+/// Patterns of symmetric block matrices: checked, permuted, counted.
+
 #include <algorithm>
 #include <numeric>
 #include <string>

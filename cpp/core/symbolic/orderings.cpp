@@ -1,3 +1,5 @@
+/// Elimination orders by CHOLMOD: AMD, COLAMD, METIS, NESDIS.
+
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>

@@ -1,7 +1,11 @@
 #pragma once
 
-/// Which blocks of a symmetric matrix may be nonzero: its graph, a vertex a block row and column,
-/// an edge a pair of blocks that meet. Only the lower triangle is kept, by block columns.
+/// Symbolic factorisation of symmetric block matrices: patterns, elimination orders, and the cost
+/// of the factor.
+///
+/// A pattern says which blocks may be nonzero. It is a graph: a vertex per block row and column, an
+/// edge per pair of blocks that meet. Only the lower triangle is kept, by block columns. An order
+/// holds at k the block that is eliminated as the k-th.
 
 #include <cholmod.h>
 
@@ -11,7 +15,7 @@
 
 namespace bundle {
 
-/// Arrays of someone else.
+/// A pattern in arrays of the caller.
 struct BlockPatternView {
   int num_blocks = 0;
   const int* size = nullptr;  ///< num_blocks: rows and columns of a diagonal block, >= 1
@@ -56,7 +60,7 @@ int64_t NumColumns(const BlockPatternView& pattern);
 /// Nonzeros of the matrix, its blocks full: both triangles and the diagonal.
 double NumNonzeros(const BlockPatternView& pattern);
 
-/// CHOLMOD's workspace and settings for its orderings, silent: what went wrong is in
+/// CHOLMOD's workspace and settings for its orderings, silent: errors are in
 /// `common.status`. Its 64-bit functions throughout, as a matrix may have more than 2^31 values.
 class CholmodSession {
  public:
@@ -76,9 +80,7 @@ class CholmodSession {
   cholmod_common common;
 };
 
-/// Orders in which to eliminate the blocks of a symmetric matrix, found on the graph of its blocks.
-/// An order holds at k the block that is eliminated as the k-th.
-
+/// How an order of elimination is found, on the graph of the blocks.
 enum class OrderingMethod { kNatural, kReverse, kAmd, kColamd, kMetis, kNesdis };
 
 /// Throws InputError if there is no method of that name.

@@ -12,7 +12,7 @@ __all__ = ["factors", "parameter_factors", "terms_of_a_parameter", "zero_entries
 DEGREE = np.pi / 180
 
 LEAST_FACTOR = 1e-4
-"""From 1: what is less is rounding that looks like a factor."""
+"""From 1: smaller factors may be rounding."""
 
 
 def zeros(evidence: Evidence) -> None:

@@ -71,7 +71,7 @@ class UserFunction:
     def _jacobians(self, jacobians: Sequence[Any]) -> list[Array]:
         if len(jacobians) != len(self.sizes):
             raise InputError(
-                f"function: expected {len(self.sizes)} Jacobians, one a block, "
+                f"function: expected {len(self.sizes)} Jacobians, one per block, "
                 f"found {len(jacobians)}"
             )
         result = []

@@ -39,7 +39,7 @@ class Verdict:
             of the entries.
         num_entries: entries of the Jacobians compared.
         num_wrong: those beyond the tolerance.
-        num_undecided: those whose reference is less certain than the tolerance.
+        num_undecided: entries whose reference is less certain than the tolerance.
         max_error: the largest relative error; of entries that are undecided, only the part that
             the reference's uncertainty does not explain.
     """

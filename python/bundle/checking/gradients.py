@@ -54,16 +54,16 @@ def check_gradients(
         assert bundle.check_gradients(residual, [pose, intrinsics, point], ["se3", None, None])
 
     Args:
-        function: takes a list of arrays, one a block, and returns (residual, list of Jacobians),
+        function: takes a list of arrays, one per block, and returns (residual, list of Jacobians),
             Jacobian i of shape (num_residuals, size of block i). It is called some hundred times
             for each sample and block. The C++ header bundle/check.h (``bundle.get_include()``)
             makes one of a compiled ceres cost function.
         blocks: the parameters, one array a block.
-        manifolds: one a block, or None where all are Euclidean: None or "euclidean"; "angle_axis"
+        manifolds: one per block, or None where all are Euclidean: None or "euclidean"; "angle_axis"
             (a rotation vector: its numbers are a vector space, but they are sampled and named as a
             rotation); "quaternion_wxyz", "quaternion_xyzw"; "se3" (qx qy qz qw tx ty tz, as COLMAP
             stores a pose); "sphere"; ("subset", entries that stay constant).
-        names: one a block, for the report: a name, or (name, names of its parameters).
+        names: one per block, for the report: a name, or (name, names of its parameters).
         num_samples: points to check, the given one included.
         radius: how far the others are, relative to each parameter; radians for rotations.
         seed: of the sampling.

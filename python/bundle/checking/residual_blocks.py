@@ -41,12 +41,12 @@ class Layout:
         count = len(start)
         for what, given in (("manifolds", manifolds), ("names", names)):
             if given is not None and not isinstance(given, list | tuple):
-                raise InputError(f"{what}: expected a list, one a block, found {brief(given)}")
+                raise InputError(f"{what}: expected a list, one per block, found {brief(given)}")
         manifolds = [None] * count if manifolds is None else list(manifolds)
         names = [f"block {b}" for b in range(count)] if names is None else list(names)
         for what, given in (("manifolds", manifolds), ("names", names)):
             if len(given) != count:
-                raise InputError(f"{what}: expected one a block, {count}, found {len(given)}")
+                raise InputError(f"{what}: expected one per block, {count}, found {len(given)}")
         layout = Layout([], [], [], [], [])
         for block, manifold, name in zip(start, manifolds, names, strict=True):
             layout._add(Manifold.parse(manifold, len(block)), name)

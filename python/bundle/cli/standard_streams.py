@@ -47,7 +47,7 @@ def print_out(text: str) -> None:
 
 
 def complain(text: str) -> None:
-    """Print a line on standard error; it is no error if nobody reads it."""
+    """Print a line on standard error; a closed stream is no error."""
     with contextlib.suppress(OSError):
         print(text, file=sys.stderr, flush=True)
 

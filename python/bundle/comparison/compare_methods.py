@@ -129,7 +129,7 @@ def compare(
 
 
 def _options(options: SolveOptions | None, changes: Mapping[str, Any]) -> SolveOptions:
-    """Return the options of every solve; refuse those that the methods vary."""
+    """Return the options of every solve; refuse options that the methods vary."""
     own = ("repeat", "timeout", "memory_cap", "progress", *COMPARED.values())
     known = {
         **{

@@ -153,7 +153,7 @@ class Run(Displayed):
             none), "refused" (the method cannot serve these options), "timed_out",
             "out_of_memory", "died" or "not_run".
         message: why, in one sentence, unless the outcome is "done".
-        measurements: one a repeat that ended, in order; empty unless "done" or "failed".
+        measurements: one per repeat that ended, in order; empty unless "done" or "failed".
         unfinished: iterations that a run had sent before its process ended early, under the names
             of Ceres' IterationSummary.
         prediction: None where nothing was predicted.

@@ -29,7 +29,7 @@ def performance_profiles(
 
     Args:
         times: for each problem the seconds of each method; NaN, or nothing, where it was not
-            solved. A problem that nobody solved says nothing and is left out.
+            solved. A problem that no method solved is left out.
         methods: whose profiles.
         gap: what `times` are the times to.
     """

@@ -152,7 +152,7 @@ class FactorGraph(Displayed):
         return Values(self._variables)
 
     def with_values(self, values: Mapping[Key, ArrayLike]) -> FactorGraph:
-        """Return the graph with other values, such as those that a solve found.
+        """Return the graph with other values, such as the result of a solve.
 
         Args:
             values: by key; variables that are not in it keep theirs.

@@ -112,7 +112,7 @@ class _Calibration:
         return find_pattern(problem, self._options("dense_schur"))
 
     def _factor_rate(self, num_images: tuple[int, int]) -> FactorRate:
-        """Solve for flops and entries with two dense systems of 9 columns an image."""
+        """Solve for flops and entries with two dense systems of 9 columns per image."""
         counts, times = [], []
         for images in num_images:
             scene = make_scene(images, 4 * images, 4)

@@ -105,7 +105,7 @@ class FactorCounter:
             return FactorizedSystem(points.num_columns, points.nnz, count, "", values)
         columns = 3 * self._pattern.num_free_points
         number = self._pattern.num_free_points
-        note = "an upper bound, as if all points met: counting those that do takes long"
+        note = "an upper bound, as if all points met: an exact count takes long"
         count = count_dense(columns, number * (number - 1) // 2, number)
         return FactorizedSystem(
             columns, columns**2, count, note, float(columns) * (columns + 1) / 2

@@ -62,7 +62,7 @@ def as_names(
 def as_variables(
     argument: str, values: Iterable[Any] | NDArray[np.int64], num_variables: int
 ) -> NDArray[np.int64]:
-    """Return numbers of variables; refuse those that do not exist."""
+    """Return numbers of variables; refuse numbers of no variable."""
     variables = as_integers(argument, values)
     wrong = variables[(variables < 0) | (variables >= num_variables)]
     if len(wrong):

@@ -28,10 +28,10 @@ class GraphFile:
 
 
 def load_graph(path: str | os.PathLike[str]) -> GraphFile:
-    """Read edges "a b", one a line; a line with one name is a variable, of edges or without.
+    """Read edges "a b", one per line; a line with one name is a variable, of edges or without.
 
     Names are words without spaces or commas, either of which separates them. What follows # or %
-    is a comment. An edge more than once is one edge to those who count it.
+    is a comment. A repeated edge counts once.
 
     Raises:
         InputError: the text is not UTF-8, a line has more than two names or joins a variable to

@@ -1,7 +1,7 @@
 """Peak memory of a solve beyond the loaded problem, as a sum of named terms.
 
 Arrays are counted as the sources make them. What is not an array but many small objects, which is
-how Ceres keeps a problem, was measured (glibc, Ceres 2.1): bytes an observation and a point, the
+how Ceres keeps a problem, was measured (glibc, Ceres 2.1): bytes per observation and per point, the
 same on all real data and on synthetic scenes of 50 to 1000 images to 7 per cent.
 """
 

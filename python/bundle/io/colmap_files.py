@@ -10,16 +10,22 @@ from __future__ import annotations
 import math
 import os
 import sys
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+from bundle import _core, address_space
 from bundle.deferred_source import DeferredSource
-from bundle.errors import InputError
+from bundle.errors import InputError, first_line
+from bundle.io.interrupts import interrupts_deferred
 from bundle.problem import Problem
+
+if TYPE_CHECKING:
+    import pycolmap
 
 __all__ = ["can_rewrite", "load", "lost_in_text", "rewrite"]
 
@@ -53,10 +59,47 @@ def load(path: str | os.PathLike[str]) -> Problem:
         found = "something else" if folder.exists() else "nothing"
         raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
     model, fields = _core.read_colmap_model(os.fsencode(folder))
+    source = DeferredSource(model, fields, partial(_reconstruction, folder, fields))
     try:
-        return Problem(**fields, format="colmap", source=DeferredSource(folder, model, fields))
+        return Problem(**fields, format="colmap", source=source)
     except InputError as error:
         raise InputError(f"{folder}: {error}") from None
+
+
+def _reconstruction(
+    folder: Path, fields: Mapping[str, Any], model: _core.ColmapModel
+) -> pycolmap.Reconstruction:
+    """Read a model by pycolmap, from its files as they were read.
+
+    Raises: see :meth:`bundle.deferred_source.DeferredSource.reconstruction`.
+    """
+    address_space.require("pycolmap", address_space.PYCOLMAP)
+    import tempfile  # takes a while to import
+
+    with interrupts_deferred():  # pycolmap takes a while to import and cannot be interrupted
+        import pycolmap
+
+        from bundle.io.reconstruction import remember
+    reconstruction = pycolmap.Reconstruction()
+    # The files as they were read: those on the disk may have changed.
+    with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
+        for name, content in model.files().items():
+            (Path(temporary) / name).write_bytes(content)
+        try:
+            if model.is_binary:
+                reconstruction.read_binary(temporary)
+            else:
+                reconstruction.read_text(temporary)
+        except (ValueError, LookupError, RuntimeError, MemoryError) as error:
+            # Nothing known comes here, but older versions lack the newest camera models.
+            raise InputError(
+                f"{folder}: expected a model that pycolmap {pycolmap.__version__} reads, "
+                f"found: {first_line(error)}"
+            ) from None
+    for image_id, name in model.names_with_spaces.items():
+        reconstruction.image(image_id).name = name
+    remember(reconstruction, fields)
+    return reconstruction
 
 
 def can_rewrite(problem: Problem, *, binary: bool) -> bool:

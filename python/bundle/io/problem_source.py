@@ -47,7 +47,7 @@ def is_source(source: object) -> bool:
 
 def is_reconstruction(source: object) -> bool:
     """Tell whether a source is a pycolmap.Reconstruction, without importing pycolmap."""
-    pycolmap = sys.modules.get("pycolmap")  # not imported: nobody can hold a reconstruction
+    pycolmap = sys.modules.get("pycolmap")  # not imported: there is no reconstruction
     return pycolmap is not None and isinstance(source, pycolmap.Reconstruction)
 
 

@@ -100,7 +100,7 @@ def baseline_of(reconstruction: pycolmap.Reconstruction) -> Baseline:
         reconstruction.num_points3D(),
         reconstruction.compute_num_observations(),
     )
-    # A source never changes, but nobody is kept from changing it.
+    # A source never changes, but users can change theirs.
     if known and counts == (len(known.image_ids), len(known.point_ids), len(known.image)):
         return known
     _check_rigs(reconstruction)

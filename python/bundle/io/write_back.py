@@ -7,7 +7,7 @@ an edit of the empty reconstruction; its points stay black, COLMAP's "no colour"
 
 Of an image that the problem does not have any more, frame and keypoints go as well; of a camera,
 its rig and the images without a pose that it took. The rig of a camera whose images are gone, and
-points that nobody observes any more, stay while the problem has the camera and the points.
+points without observations, stay while the problem has the camera and the points.
 """
 
 from __future__ import annotations

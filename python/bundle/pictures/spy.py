@@ -34,7 +34,7 @@ def spy(
         pattern: of the matrix, or (sizes, column_begin, rows) of its lower block triangle.
         order: the block in each place; the pattern's own without one.
         title: above the picture.
-        pixels: of the picture's side, at most one a row of the matrix.
+        pixels: of the picture's side, at most one per row of the matrix.
 
     Raises:
         InputError: pattern or order are none.

@@ -101,7 +101,7 @@ def _nonzeros(inspection: Inspection) -> str:
 
 
 def _factors(methods: Sequence[MethodInspection]) -> Columns:
-    """Return a row for each way to factorise, whoever does it."""
+    """Return a row for each way to factorise, of any backend."""
     rows = {}
     for method in methods:
         if method.nnz_factor:

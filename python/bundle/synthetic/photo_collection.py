@@ -1,7 +1,7 @@
 """Photographs of landmarks around a square, as visitors take them.
 
 A few landmarks have most of the images. Visitors take a few shots each, and stand where their lens
-frames what they like, from the whole building to a detail through a telephoto lens; some step back
+frames anything from the whole building to a detail through a telephoto lens; some step back
 and take two neighbouring landmarks at once, which ties the clusters together. Track lengths are
 heavy-tailed: most points are seen by a few images, some by a good share of their cluster.
 

@@ -82,5 +82,12 @@ INSTANTIATE_TEST_SUITE_P(Functions, AgainstCeres,
                                                           TrustRegionStrategy::kSubspaceDogleg)),
                          NameOf);
 
+INSTANTIATE_TEST_SUITE_P(Bounded, AgainstCeres,
+                         testing::Combine(testing::ValuesIn(BoundedFunctions()),
+                                          testing::Values(TrustRegionStrategy::kLevenbergMarquardt,
+                                                          TrustRegionStrategy::kDogleg,
+                                                          TrustRegionStrategy::kSubspaceDogleg)),
+                         NameOf);
+
 }  // namespace
 }  // namespace bundle::fused

@@ -49,6 +49,10 @@ inline CeresResult SolveWithCeres(const ClassicFunction& function, const SolveOp
   result.x = function.start;
   ceres::Problem problem;
   problem.AddResidualBlock(new CeresFunction(function), nullptr, result.x.data());
+  for (size_t k = 0; k < function.lower.size(); ++k) {
+    problem.SetParameterLowerBound(result.x.data(), static_cast<int>(k), function.lower[k]);
+    problem.SetParameterUpperBound(result.x.data(), static_cast<int>(k), function.upper[k]);
+  }
   ceres::Solver::Options ceres_options;
   ceres_options.linear_solver_type = ceres::DENSE_QR;
   ceres_options.logging_type = ceres::SILENT;

@@ -6,6 +6,7 @@
 #include <Eigen/Core>
 #include <cmath>
 #include <functional>
+#include <limits>
 #include <string>
 #include <utility>
 #include <vector>
@@ -20,6 +21,7 @@ struct ClassicFunction {
   int num_residuals = 0;
   /// Writes residuals and Jacobian at x; both have their size already.
   std::function<void(const Vector& x, Vector* r, Eigen::MatrixXd* j)> evaluate;
+  std::vector<double> lower = {}, upper = {};  ///< bounds of x; empty: none
 };
 
 inline ClassicFunction Rosenbrock() {
@@ -114,6 +116,19 @@ inline ClassicFunction Times(int factor, ClassicFunction function) {
   return function;
 }
 
+inline ClassicFunction Within(const std::vector<double>& lower, const std::vector<double>& upper,
+                              const std::string& name, ClassicFunction function) {
+  function.name += name;
+  function.lower = lower;
+  function.upper = upper;
+  return function;
+}
+
+inline ClassicFunction From(const std::vector<double>& start, ClassicFunction function) {
+  function.start = start;
+  return function;
+}
+
 inline std::vector<ClassicFunction> ClassicFunctions() {
   std::vector<ClassicFunction> functions = {Rosenbrock(),  Powell(),        Wood(),
                                             Beale(),       Brown(),         Hilbert(),
@@ -121,6 +136,32 @@ inline std::vector<ClassicFunction> ClassicFunctions() {
   const std::vector<ClassicFunction> plain = functions;
   for (const ClassicFunction& function : plain) functions.push_back(Times(100000, function));
   return functions;
+}
+
+constexpr double kNoBound = std::numeric_limits<double>::infinity();
+
+/// Bounds that are reached and kept, reached and left, never reached; starts on, outside, and in a
+/// corner of them.
+inline std::vector<ClassicFunction> BoundedFunctions() {
+  const double none = kNoBound;
+  return {
+      Within({-2, -none}, {0.5, none}, "Below", Rosenbrock()),
+      Within({-none, 0.9}, {none, none}, "LeavesABound", Rosenbrock()),
+      Within({-100}, {100}, "Inactive", From({-5}, OneParameter())),
+      Within({-1.2, 0.5}, {0.7, 1}, "OnTwoBounds", Rosenbrock()),
+      Within({-1, -0.5}, {0.9, 0.6}, "Outside", Rosenbrock()),
+      Within({0.25, -1}, {0.5, 2}, "Corner", From({0.5, 0.25}, Rosenbrock())),
+      Within({-none, -1, 0.5, -none}, {none, none, none, 0.75}, "Bounded", Powell()),
+      Within({-3, -1, -3, -1}, {none, 0.8, none, 0.8}, "Bounded", Wood()),
+      Within({0, 0.6}, {2, 1}, "Bounded", Beale()),
+      Within({-none, -none}, {none, 0.25}, "OneBound", Beale()),
+      Within({0, 1e-5}, {1e5, 1}, "Bounded", Brown()),
+      Within({-none, -none, -none, -none, -none}, {2, none, none, none, none}, "Bounded",
+             Hilbert()),
+      Within({0.2, -none}, {none, 2}, "Bounded", NanInPlaces()),
+      Within({-none, 0.4, 1}, {0.2, none, none}, "Bounded", RankDeficient()),
+      Within({1.5}, {none}, "Bounded", OneParameter()),
+  };
 }
 
 }  // namespace bundle::fused

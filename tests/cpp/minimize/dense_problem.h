@@ -5,6 +5,7 @@
 
 #include <Eigen/Core>
 #include <Eigen/QR>
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -21,6 +22,7 @@ class DenseProblem final : public LeastSquares {
     x_ = Eigen::Map<const Eigen::VectorXd>(function_.start.data(), num_parameters);
     r_.resize(function_.num_residuals);
     j_.resize(function_.num_residuals, num_parameters);
+    x_ = Project(x_);
   }
 
   Linearization Linearize(double damping) override {
@@ -31,8 +33,9 @@ class DenseProblem final : public LeastSquares {
     scaled_d_ = (squared_norms * scale_.square()).max(1e-6).min(1e32).sqrt();
     d_ = scaled_d_ / scale_;
     damping_ = damping;
+    const Eigen::VectorXd projected = HasBounds() ? (x_ - Project(x_ - gradient)).eval() : gradient;
     return {r_.allFinite() && j_.allFinite(), r_.squaredNorm() / 2, gradient.norm(),
-            gradient.lpNorm<Eigen::Infinity>()};
+            projected.lpNorm<Eigen::Infinity>()};
   }
 
   NewtonResult SolveNewton(double /*eta*/) override {
@@ -62,20 +65,49 @@ class DenseProblem final : public LeastSquares {
 
   double StateNorm() const override { return x_.norm(); }
 
+  bool HasBounds() const override { return !function_.lower.empty(); }
+
+  StepLine LineAlongStep() override {
+    return {step_.dot(j_.transpose() * r_), step_.lpNorm<Eigen::Infinity>()};
+  }
+
+  Candidate EvaluateAlongStep(double a) override {
+    ++num_evaluations_along_steps;
+    return Try(step_, a);
+  }
+
+  double SlopeAtCandidate() override {
+    Eigen::VectorXd r(r_.size());
+    Eigen::MatrixXd j(j_.rows(), j_.cols());
+    function_.evaluate(candidate_, &r, &j);
+    return step_.dot(j.transpose() * r);
+  }
+
   const Eigen::VectorXd& x() const { return x_; }
+  int num_evaluations_along_steps = 0;
 
  private:
-  Candidate Try(const Eigen::VectorXd& d) {
-    candidate_ = x_ + d;
+  Eigen::VectorXd Project(const Eigen::VectorXd& x) const {
+    Eigen::VectorXd projected = x;
+    for (size_t k = 0; k < function_.lower.size(); ++k) {
+      const auto i = static_cast<Eigen::Index>(k);
+      projected[i] = std::min(std::max(x[i], function_.lower[k]), function_.upper[k]);
+    }
+    return projected;
+  }
+
+  Candidate Try(const Eigen::VectorXd& d, double a = 1) {
+    step_ = d;
+    candidate_ = Project(x_ + a * d);
     Eigen::VectorXd r(r_.size());
     Eigen::MatrixXd j(j_.rows(), j_.cols());
     function_.evaluate(candidate_, &r, &j);
     const Eigen::VectorXd jd = j_ * d;
-    return {-jd.dot(r_ + jd / 2), d.norm(), r.squaredNorm() / 2};
+    return {-jd.dot(r_ + jd / 2), (candidate_ - x_).norm(), r.squaredNorm() / 2};
   }
 
   const ClassicFunction function_;
-  Eigen::VectorXd x_, candidate_, r_, p_, q_;
+  Eigen::VectorXd x_, candidate_, step_, r_, p_, q_;
   Eigen::MatrixXd j_;
   Eigen::ArrayXd scale_, scaled_d_, d_;
   double damping_ = 0;

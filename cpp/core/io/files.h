@@ -1,8 +1,12 @@
 #pragma once
 
+/// Files as streams: read and decompressed, compressed and written; and their bytes in messages.
+
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <filesystem>
+#include <future>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -13,6 +17,9 @@ namespace bundle {
 /// characters, line separators and bytes that are no UTF-8 become \xNN, and from `max_bytes` input
 /// bytes on there is "...".
 std::string Printable(std::string_view bytes, size_t max_bytes = std::string_view::npos);
+
+/// The text, fit for a message and not too long for it, in quotes.
+std::string Quoted(std::string_view text);
 
 /// A file as a stream of bytes, decompressed on the way if its first bytes say gzip or bzip2 (the
 /// name does not matter). Concatenated streams, as pigz and pbzip2 write them, are read as one.
@@ -34,6 +41,37 @@ class InputFile {
   virtual uint64_t stored_size() const = 0;
 
   virtual bool is_compressed() const = 0;
+};
+
+enum class Compression { kNone, kGzip, kBzip2 };
+
+/// A file to write, compressed on the way. Compression runs on all cores: the file is a sequence of
+/// independent streams of about a megabyte, which every gzip and bzip2 tool reads as one.
+///
+/// Throws std::system_error, also for errors that the system reports late; only after Close() has
+/// returned is everything handed to the system.
+class OutputFile {
+ public:
+  OutputFile(const std::filesystem::path& path, Compression compression);
+  ~OutputFile();
+  OutputFile(const OutputFile&) = delete;
+  OutputFile& operator=(const OutputFile&) = delete;
+
+  /// Adds a block; blocks of kBlockSize are best.
+  void Write(std::string_view block);
+  void Close();
+
+  static constexpr size_t kBlockSize = 900'000;  ///< what bzip2 compresses at a time
+
+ private:
+  void WriteToSystem(std::string_view bytes);
+  void FinishOldestStream();
+  [[noreturn]] void ThrowSystemError() const;
+
+  std::filesystem::path path_;
+  Compression compression_;
+  int fd_;
+  std::deque<std::future<std::string>> streams_;  ///< being compressed, oldest first
 };
 
 }  // namespace bundle

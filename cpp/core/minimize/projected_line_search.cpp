@@ -1,0 +1,151 @@
+#include "core/minimize/trust_region.h"
+
+/// A step d that disregards the bounds leads to P(x + d), P the projection onto them. The model of
+/// the cost knows nothing of the projection, so that P(x + d) may have a higher cost than the model
+/// promised. The search goes back along the path
+///
+///   phi(a) = f(P(x + a d)),  a <= 1,
+///
+/// to the first a with phi(a) <= f(x) + 1e-4 a s, s = d^T J^T r at x (Armijo's condition). The next
+/// a is the minimum, between a/1000 and 0.6 a, of the polynomial through phi(0), phi at the last a
+/// and at the one before, and their slopes: of degree 3, from the second search step on of degree
+/// 5. Where phi(a) is not finite, the next is a/2. It gives up, and the whole step counts, after 20
+/// values or where a ||d||_inf < 1e-9.
+///
+/// This is ceres::internal::TrustRegionMinimizer::DoLineSearch, with its conventions:
+///
+/// * The slope at a is d^T J^T r at P(x + a d), with the d from before the projection.
+/// * The quality of a shortened step is measured by the model cost change of the whole one.
+///
+/// Ceres searches along every step. Where the trust region would accept d, the search ends at a = 1
+/// (so that ours is for the other steps only, and costs nothing in most iterations). Neither
+/// strategy goes beyond the minimum of the model m(t) = t s + t^2 c / 2 along its own step, so that
+/// -s / c >= 1, and the model cost change -s - c / 2 is at least -s / 2. An accepted step lowers
+/// the cost by more than a thousandth of that: by more than 1e-4 (-s).
+
+#include <Eigen/Core>
+#include <Eigen/LU>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <vector>
+
+namespace bundle::fused {
+namespace {
+
+// Ceres' defaults.
+constexpr double kSufficientDecrease = 1e-4;
+constexpr double kMaxContraction = 1e-3;
+constexpr double kMinContraction = 0.6;
+constexpr double kMinStepSize = 1e-9;
+constexpr int kMaxValues = 20;
+
+struct Sample {
+  double a = 0, value = 0, slope = 0;
+  bool is_valid = false;
+};
+
+/// Coefficients of 1, a, a^2, ...
+using Polynomial = Eigen::VectorXd;
+
+Polynomial Interpolate(const std::array<Sample, 3>& samples) {
+  const auto n = 2 * std::count_if(samples.begin(), samples.end(),
+                                   [](const Sample& sample) { return sample.is_valid; });
+  Eigen::MatrixXd conditions = Eigen::MatrixXd::Zero(n, n);
+  Eigen::VectorXd values(n);
+  int row = 0;
+  for (const Sample& sample : samples) {
+    if (!sample.is_valid) continue;
+    for (int k = 0; k < n; ++k) conditions(row, k) = std::pow(sample.a, k);
+    for (int k = 1; k < n; ++k) conditions(row + 1, k) = k * std::pow(sample.a, k - 1);
+    values[row] = sample.value;
+    values[row + 1] = sample.slope;
+    row += 2;
+  }
+  Eigen::FullPivLU<Eigen::MatrixXd> lu(conditions);
+  return lu.setThreshold(0.0).solve(values);
+}
+
+double Evaluate(const Polynomial& polynomial, double a) {
+  double value = 0;
+  for (Eigen::Index k = polynomial.size() - 1; k >= 0; --k) value = value * a + polynomial[k];
+  return value;
+}
+
+Polynomial Derivative(const Polynomial& polynomial) {
+  Polynomial derivative(polynomial.size() - 1);
+  for (int k = 1; k < polynomial.size(); ++k) derivative[k - 1] = k * polynomial[k];
+  return derivative;
+}
+
+/// Where a polynomial that rises or falls from `low` to `high` changes its sign.
+double Bisect(const Polynomial& polynomial, double low, double high) {
+  const bool rises = Evaluate(polynomial, low) < 0;
+  for (;;) {
+    const double middle = (low + high) / 2;
+    if (!(low < middle && middle < high)) return middle;
+    ((Evaluate(polynomial, middle) < 0) == rises ? low : high) = middle;
+  }
+}
+
+/// Where the polynomial changes its sign between `low` and `high`, ascending: at most once between
+/// two such places of its derivative.
+std::vector<double> SignChanges(const Polynomial& polynomial, double low, double high) {
+  std::vector<double> changes;
+  if (polynomial.size() < 2) return changes;
+  std::vector<double> ends = SignChanges(Derivative(polynomial), low, high);
+  ends.push_back(high);
+  for (const double end : ends) {
+    if ((Evaluate(polynomial, low) < 0) != (Evaluate(polynomial, end) < 0)) {
+      changes.push_back(Bisect(polynomial, low, end));
+    }
+    low = end;
+  }
+  return changes;
+}
+
+/// Where the polynomial is least in [low, high]: at an end or where its derivative changes its
+/// sign. In the middle where its values are no numbers.
+double Minimum(const Polynomial& polynomial, double low, double high) {
+  std::vector<double> candidates = SignChanges(Derivative(polynomial), low, high);
+  candidates.push_back(low);
+  candidates.push_back(high);
+  double best = (low + high) / 2;
+  for (const double a : candidates) {
+    if (Evaluate(polynomial, a) < Evaluate(polynomial, best)) best = a;
+  }
+  return best;
+}
+
+}  // namespace
+
+void SearchAlongStep(double cost, LeastSquares* problem, Candidate* candidate) {
+  const StepLine line = problem->LineAlongStep();
+  const Sample start{0, cost, line.slope, true};
+  Candidate shorter = *candidate;
+  Sample previous, last{1, candidate->cost, 0, std::isfinite(candidate->cost)};
+  for (int num_values = 1;
+       !last.is_valid || last.value > cost + kSufficientDecrease * line.slope * last.a;
+       ++num_values) {
+    double a = last.a / 2;
+    if (last.is_valid) {
+      last.slope = problem->SlopeAtCandidate();
+      last.is_valid = std::isfinite(last.slope);
+    }
+    if (last.is_valid) {
+      a = Minimum(Interpolate({start, last, previous}), kMaxContraction * last.a,
+                  kMinContraction * last.a);
+    }
+    if (num_values == kMaxValues || a * line.max_norm < kMinStepSize) {
+      problem->EvaluateAlongStep(1);
+      return;
+    }
+    previous = last;
+    shorter = problem->EvaluateAlongStep(a);
+    last = {a, shorter.cost, 0, std::isfinite(shorter.cost)};
+  }
+  shorter.model_cost_change = candidate->model_cost_change;
+  *candidate = shorter;
+}
+
+}  // namespace bundle::fused
