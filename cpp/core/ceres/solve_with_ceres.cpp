@@ -11,15 +11,14 @@
 #include "core/ceres/summarize.h"
 #include "core/ceres/translate_options.h"
 #include "core/checking/check_solution.h"
+#include "core/interface/summary.h"
 #include "core/model/coupled_blocks.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/choose_solver.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
-#include "core/stopwatch.h"
 
 namespace bundle {
 namespace {

@@ -9,7 +9,6 @@
 #include "core/interface/options.h"
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
-#include "core/prepare/memory.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 

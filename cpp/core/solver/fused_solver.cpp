@@ -16,11 +16,9 @@
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/choose_solver.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/schur_problem.h"
-#include "core/stopwatch.h"
 
 namespace bundle::fused {
 FusedSolver::FusedSolver(const ProblemView& problem, const SolveOptions& options,

@@ -20,13 +20,12 @@
 #include "core/ceres/translate_options.h"
 #include "core/error.h"
 #include "core/interface/options.h"
+#include "core/interface/summary.h"
 #include "core/model/scene_frame.h"
 #include "core/parallel/blas.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/solver/fused_solver.h"
-#include "core/stopwatch.h"
 
 namespace bundle {
 
