@@ -129,7 +129,7 @@ OPTIONS = {
         ),
         ("None", "word", "bytes", "itself"),
     ),
-    "deterministic": OF_A_FLAG,
+    **dict.fromkeys(("deterministic", "check_solution"), OF_A_FLAG),
     "refine": ("word", *OF_A_LIST),
     "fixed_image_ids": OF_IDS,
     "fixed_camera_ids": ("word", "bytes", "1.5"),

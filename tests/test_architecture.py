@@ -119,6 +119,7 @@ PYTHON_MAY_IMPORT = {
     "solver": {
         "_core",
         "arguments",
+        "display",
         "errors",
         "graph",
         "io",
@@ -127,6 +128,7 @@ PYTHON_MAY_IMPORT = {
         "reprojection",
         "result",
         "solve_record",
+        "words",
     },
     "check_defaults": set(),
     "checking": {

@@ -11,7 +11,7 @@ import pytest
 from bundle import SolveOptions
 from bundle.options import REFINABLE
 
-HEADER = (Path(__file__).parents[1] / "cpp" / "core" / "solve" / "options.h").read_text()
+HEADER = (Path(__file__).parents[1] / "cpp" / "core" / "interface" / "options.h").read_text()
 PYTHON = {field.name: field for field in dataclasses.fields(SolveOptions)}
 
 # name -> (type, default as written or ""), of the C++ struct.
@@ -19,7 +19,7 @@ STRUCT = {
     name: (type_, default)
     for type_, name, default in re.findall(
         r"^  ([\w:<>]+) (\w+)(?: = ([^;]+))?;",
-        HEADER[HEADER.index("struct SolveOptions") :],
+        HEADER[HEADER.index("struct SolveOptions") :].partition("};")[0],
         re.MULTILINE,
     )
 }

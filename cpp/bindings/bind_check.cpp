@@ -12,7 +12,7 @@
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
-#include "core/ceres/jacobian_checks.h"
+#include "core/ceres/reference_checks.h"
 #include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/model/gauge.h"

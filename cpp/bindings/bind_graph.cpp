@@ -19,7 +19,6 @@
 #include "core/factors/factor.h"
 #include "core/graph/factor_graph.h"
 #include "core/parallel/interruption.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 
 namespace py = pybind11;

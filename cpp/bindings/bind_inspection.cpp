@@ -11,7 +11,6 @@
 #include "bindings/to_numpy.h"
 #include "core/interface/options.h"
 #include "core/prepare/choose_solver.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/symbolic/symbolic.h"

@@ -3,6 +3,7 @@
 #include <pybind11/stl.h>
 
 #include <functional>
+#include <memory>
 #include <string>
 #include <utility>
 
@@ -17,7 +18,7 @@
 #include "core/graph/factor_graph.h"
 #include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"
-#include "core/solver/solve.h"
+#include "core/solver/solver.h"
 
 namespace py = pybind11;
 
@@ -55,17 +56,7 @@ struct GivenFactors {
   }
 };
 
-py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress,
-               const py::object& given_factors) {
-  bundle::ProblemView view = ViewProblem(problem);
-  GivenFactors factors(given_factors);
-  const bundle::SolveOptions solve_options = OptionsFromPython(options);
-  PythonProgress report(progress);
-  bundle::SolveOutput output = RunWatched(&report, [&] {
-    view.factors = factors.Check();
-    return bundle::Solve(view, solve_options, std::ref(report));
-  });
-  report.Rethrow();
+py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
   py::dict result;
   const py::ssize_t num_images = view.num_images, num_cameras = view.num_cameras;
   const py::ssize_t num_points = view.num_points, stride = view.camera_params_stride;
@@ -82,6 +73,50 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   return result;
 }
 
+py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress,
+               const py::object& given_factors) {
+  bundle::ProblemView view = ViewProblem(problem);
+  GivenFactors factors(given_factors);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  PythonProgress report(progress);
+  bundle::SolveOutput output = RunWatched(&report, [&] {
+    view.factors = factors.Check();
+    return bundle::Solve(view, solve_options, std::ref(report));
+  });
+  report.Rethrow();
+  return ToPython(view, std::move(output));
+}
+
+/// A solver and the problem it was made for, whose arrays nothing in Python can change and which it
+/// keeps alive.
+class PythonSolver {
+ public:
+  PythonSolver(py::object problem, const py::dict& options)
+      : problem_(std::move(problem)), options_(OptionsFromPython(options)) {
+    const bundle::ProblemView view = ViewProblem(problem_);
+    PythonProgress watch{py::none()};
+    solver_ = RunWatched(&watch, [&] { return std::make_unique<bundle::Solver>(view, options_); });
+    watch.Rethrow();
+  }
+
+  /// `options` may be None: those of the constructor.
+  py::dict Solve(const py::object& problem, const py::object& options, const py::object& progress) {
+    const bundle::ProblemView view = ViewProblem(problem);
+    const bundle::SolveOptions changed =
+        options.is_none() ? options_ : OptionsFromPython(py::cast<py::dict>(options));
+    PythonProgress report(progress);
+    bundle::SolveOutput output =
+        RunWatched(&report, [&] { return solver_->Solve(view, changed, std::ref(report)); });
+    report.Rethrow();
+    return ToPython(view, std::move(output));
+  }
+
+ private:
+  const py::object problem_;
+  const bundle::SolveOptions options_;
+  std::unique_ptr<bundle::Solver> solver_;
+};
+
 }  // namespace
 
 void BindSolve(py::module_& m) {
@@ -92,4 +127,8 @@ void BindSolve(py::module_& m) {
   m.def("watch_convergence", &WatchConvergence, py::arg("iterations"));
   m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"),
         py::arg("factors") = py::none());
+  py::class_<PythonSolver>(m, "Solver")
+      .def(py::init<py::object, const py::dict&>(), py::arg("problem"), py::arg("options"))
+      .def("solve", &PythonSolver::Solve, py::arg("problem"), py::arg("options"),
+           py::arg("progress"));
 }

@@ -41,6 +41,7 @@ void VisitOptions(Options& o, const Visitor& visit) {
   visit("fixed_point_ids", o.fixed_point_ids);
   visit("gauge", o.gauge, bundle::kGauges);
   visit("cheirality", o.cheirality, bundle::kCheiralities);
+  visit("check_solution", o.check_solution);
 }
 
 /// The names that `refine` may hold, each with its flag.

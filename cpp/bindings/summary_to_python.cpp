@@ -80,11 +80,13 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   BUNDLE_FIELD(backend_choice);
   BUNDLE_FIELD(instruction_set);
   BUNDLE_FIELD(linear_solver_choice);
-  BUNDLE_FIELD(num_information_nonzeros);
   BUNDLE_FIELD(interrupted);
 #undef BUNDLE_FIELD
   d["linear_solver_ordering_given"] = py::tuple(py::cast(s.linear_solver_ordering_given));
   d["linear_solver_ordering_used"] = py::tuple(py::cast(s.linear_solver_ordering_used));
+  d["num_information_nonzeros"] = s.num_information_nonzeros < 0
+                                      ? py::object(py::none())
+                                      : py::int_(s.num_information_nonzeros);
   d["num_factor_columns"] = s.factor.num_columns;
   d["num_reduced_nonzeros"] = s.factor.num_reduced_nonzeros;
   d["num_factor_nonzeros"] = s.factor.num_nonzeros;

@@ -1,17 +1,5 @@
 #pragma once
 
-#include <chrono>
+/// Its content is in the header below.
 
-namespace bundle {
-
-/// Wall time since it was made.
-class Stopwatch {
- public:
-  double seconds() const { return std::chrono::duration<double>(Clock::now() - start_).count(); }
-
- private:
-  using Clock = std::chrono::steady_clock;
-  Clock::time_point start_ = Clock::now();
-};
-
-}  // namespace bundle
+#include "core/interface/summary.h"

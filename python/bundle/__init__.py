@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from bundle.problem import Problem
     from bundle.reprojection import ReprojectionError, reprojection_errors
     from bundle.result import Result
-    from bundle.solver import solve
+    from bundle.solver import Solver, solve
     from bundle.statistics import Description, describe
     from bundle.summary import Summary
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
@@ -63,6 +63,7 @@ __all__ = [
     "Result",
     "SceneOptions",
     "SolveOptions",
+    "Solver",
     "Summary",
     "SyntheticScene",
     "__version__",
@@ -116,7 +117,7 @@ _DEFERRED = {
     "problem": ("Problem",),
     "reprojection": ("ReprojectionError", "reprojection_errors"),
     "result": ("Result",),
-    "solver": ("solve",),
+    "solver": ("Solver", "solve"),
     "statistics": ("Description", "describe"),
     "summary": ("Summary",),
     "synthetic": ("SceneOptions", "SyntheticScene", "synthesize"),

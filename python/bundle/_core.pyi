@@ -113,6 +113,15 @@ def solve(
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
 ) -> dict[str, Any]: ...
 
+class Solver:
+    def __init__(self, problem: Problem, options: dict[str, Any]) -> None: ...
+    def solve(
+        self,
+        problem: Problem,
+        options: dict[str, Any] | None,
+        progress: Callable[[dict[str, Any]], None] | None,
+    ) -> dict[str, Any]: ...
+
 # bind_check.cpp
 def richardson_jacobian(
     function: Callable[[list[NDArray[np.float64]], bool], Any],

@@ -37,6 +37,16 @@ PRECONDITIONER_TYPES = (
     "schur_power_series_expansion",
     "two_level",
 )
+# What may differ from one solve of a bundle.Solver to the next.
+CHANGEABLE = (
+    "loss",
+    "loss_scale",
+    "max_num_iterations",
+    "function_tolerance",
+    "gradient_tolerance",
+    "parameter_tolerance",
+    "check_solution",
+)
 # What auto means, by backend and linear solver; the core decides, this is for who asks beforehand.
 AUTO_PRECONDITIONER = {
     ("fused", "iterative_schur"): "two_level",
@@ -193,6 +203,12 @@ class SolveOptions(Options):
         "behind later costs more than in front) or algebraic (BAL); auto: the convention of the "
         "input's format",
         choices=CHEIRALITIES,
+    )
+    check_solution: bool = option(
+        True,
+        "--check-solution",
+        "look for signs of a wrong Jacobian after the solve and count the nonzeros of the "
+        "information matrix; a result that is no reconstruction is found out in any case",
     )
 
     def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:

@@ -208,6 +208,14 @@ class Problem(Displayed):
         """Return a copy with some arrays replaced; the others are shared, not copied."""
         return dataclasses.replace(self, **{"source": vars(self)["source"], **changes})
 
+    def _moved(self, cam_from_world: Any, camera_params: Any, points: Any) -> Self:
+        """Return a copy in another state, whose arrays are immutable and which the core checked."""
+        moved = object.__new__(type(self))
+        vars(moved).update(
+            vars(self), cam_from_world=cam_from_world, camera_params=camera_params, points=points
+        )
+        return moved
+
     @staticmethod
     def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
         """Take over the registered images of a reconstruction, which is copied and kept as source.

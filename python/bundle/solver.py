@@ -7,18 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 from bundle import _core
 from bundle.arguments import check_function
+from bundle.display import Display, Displayed
+from bundle.errors import InputError
 from bundle.io import Source, as_problem
-from bundle.options import SolveOptions
+from bundle.options import CHANGEABLE, SolveOptions
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.result import Result
 from bundle.solve_record import Progress, record_fields
+from bundle.words import contents
 
 if TYPE_CHECKING:
     from bundle.graph import Factor
     from bundle.graph.problem_factors import ProblemFactors
 
-__all__ = ["Progress", "resolve_defaults", "solve"]
+__all__ = ["Progress", "Solver", "resolve_defaults", "solve"]
 
 
 def solve(
@@ -83,12 +86,101 @@ def solve(
         options = options.replace(gauge="none")
     options = resolve_defaults(problem, options)
     given = None if known is None else known.core()
-    output = _core.solve(problem, options.asdict(), progress, given)
-    refined = problem.replace(
-        cam_from_world=output["cam_from_world"],
-        camera_params=output["camera_params"],
-        points=output["points"],
-    )
+    return _result(problem, options, _core.solve(problem, options.asdict(), progress, given))
+
+
+class Solver(Displayed):
+    """Bundle adjustment of one structure, solved again and again without setting up again.
+
+    The structure is which image sees which point, the cameras' models, what is refined and how it
+    is solved. All that follows from it is laid out once: threads, unknowns, the order of the
+    elimination, the analysed linear solver, buffers. A solve then starts at the values of a
+    problem: poses, camera parameters, points, observed pixels. It takes the steps of
+    :func:`bundle.solve`, bit for bit, and spends nearly all of its time in them.
+
+    Ceres has no such solver: where ``options.backend`` or ``auto`` means Ceres, each solve starts
+    from scratch. Values that make the gauge hold other numbers lay out everything anew; the
+    two-level preconditioner forms its clusters by values in each solve.
+
+    A solver pickles as its problem and options, and is laid out anew when it is read.
+
+    Args:
+        problem: the structure, and the values that :meth:`solve` starts from if not given others;
+            also a path or a pycolmap.Reconstruction.
+        options: how to solve; the defaults of :class:`SolveOptions` if not given. What depends on
+            where the problem comes from (``gauge``, ``cheirality``) is settled here.
+        **changes: options by name, in place of those in ``options``.
+
+    Raises:
+        KeyboardInterrupt, MemoryError, InputError, OSError: as :func:`bundle.solve`.
+    """
+
+    def __init__(
+        self, problem: Source, options: SolveOptions | None = None, **changes: Any
+    ) -> None:
+        problem = as_problem(problem)
+        options = SolveOptions.of(options, changes, "Solver")
+        self._problem = problem
+        self._options = resolve_defaults(problem, options)
+        self._core = _core.Solver(problem, self._options.asdict())
+
+    @property
+    def problem(self) -> Problem:
+        """The problem that the solver was made for."""
+        return self._problem
+
+    @property
+    def options(self) -> SolveOptions:
+        """Every option as used where :meth:`solve` does not change it."""
+        return self._options
+
+    def solve(
+        self, problem: Source | None = None, *, progress: Progress | None = None, **changes: Any
+    ) -> Result:
+        """Refine a problem of this structure, from its values; see :func:`bundle.solve`.
+
+        One solve at a time: threads need a solver each. After any exception the solver can be used
+        again.
+
+        Args:
+            problem: left untouched; the one of the constructor if not given. Its poses, camera
+                parameters, points and observed pixels are free; all else that a solve looks at has
+                to be the same.
+            progress: as in :func:`bundle.solve`.
+            **changes: for this solve alone: ``loss``, ``loss_scale``, ``max_num_iterations``,
+                ``function_tolerance``, ``gradient_tolerance``, ``parameter_tolerance``,
+                ``check_solution``.
+
+        Raises:
+            InputError: the problem has another structure, an option is none of these, or the
+                solver is in use.
+            KeyboardInterrupt, MemoryError, OSError: as :func:`bundle.solve`.
+        """
+        problem = self._problem if problem is None else as_problem(problem)
+        check_function("progress", progress)
+        options = self._options
+        if changes:
+            options = SolveOptions.of(options, changes, "Solver.solve")
+            for name in changes:
+                if name not in CHANGEABLE:
+                    raise InputError(
+                        f"{name}: expected one of {', '.join(CHANGEABLE)}, which may differ from "
+                        "solve to solve; other options need another Solver"
+                    )
+        output = self._core.solve(problem, options.asdict() if changes else None, progress)
+        return _result(problem, options, output)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Solver, (self._problem, self._options)
+
+    def _display(self) -> Display:
+        changed = repr(self._options).partition("(")[2].rstrip(")")
+        facts = (("problem", contents(self._problem)), ("options", changed or "defaults"))
+        return Display(title="Solver", facts=facts)
+
+
+def _result(problem: Problem, options: SolveOptions, output: dict[str, Any]) -> Result:
+    refined = problem._moved(output["cam_from_world"], output["camera_params"], output["points"])
     return Result(
         problem=refined,
         initial_problem=problem,

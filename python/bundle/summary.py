@@ -35,7 +35,8 @@ class Summary(Displayed):
     blocks count as full, matrices by both triangles and the diagonal, the factor L by its lower
     triangle with the diagonal, all as in ``bundle.inspect``):
 
-    - ``num_information_nonzeros``: of J^T J, J the Jacobian of all that is refined; never None.
+    - ``num_information_nonzeros``: of J^T J, J the Jacobian of all that is refined; None only
+      without ``check_solution``.
     - ``num_factor_columns``: n of the factorised matrix, which is the reduced camera system S with
       a Schur solver (the points' system where the cameras are eliminated) and J^T J without.
     - ``num_reduced_nonzeros``: of S as its solver holds it, n^2 where that is dense.
@@ -43,7 +44,7 @@ class Summary(Displayed):
       entries below the diagonal.
     - ``factor_ordering``: "natural", "amd", "metis", or "points first, amd".
     - ``symbolic_time_in_seconds``: of finding the pattern, the ordering and L's structure; part of
-      the fused backend's preprocessor time.
+      the fused backend's preprocessor time; 0 of a ``bundle.Solver``, whose constructor spent it.
 
     The fused backend's numbers are exact, those of the factor that it stores without the zeros that
     its panels add. Ceres tells nothing of its factor. With it a dense one is exact as well; a

@@ -49,6 +49,7 @@ DRAWN = {
     "--max-iterations": ("0", "1", "4"),
     "--function-tolerance": ("1e-6", "0", "1e300"),
     "--loss-scale": ("1", "1e-12", "1e150"),
+    "--no-check-solution": (),
 }
 
 

@@ -9,7 +9,7 @@
 #include <random>
 
 #include "core/ceres/factor_adapter.h"
-#include "core/ceres/jacobian_checks.h"
+#include "core/ceres/reference_checks.h"
 #include "core/checking/richardson.h"
 
 namespace bundle {

@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "core/ceres/ceres_version.h"
-#include "core/ceres/jacobian_checks.h"
+#include "core/ceres/reference_checks.h"
 
 namespace bundle {
 

@@ -18,7 +18,7 @@
 
 #include "core/cameras/registry.h"
 #include "core/ceres/gradient_check.h"
-#include "core/ceres/jacobian_checks.h"
+#include "core/ceres/reference_checks.h"
 #include "core/ceres/reprojection_cost.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"

@@ -9,12 +9,11 @@
 #include "core/ceres/translate_options.h"
 #include "core/error.h"
 #include "core/interface/options.h"
+#include "core/interface/summary.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
-#include "core/stopwatch.h"
 
 namespace bundle {
 

@@ -13,15 +13,15 @@
 #include "core/ceres/summarize.h"
 #include "core/ceres/translate_options.h"
 #include "core/checking/check_solution.h"
+#include "core/interface/summary.h"
+#include "core/model/coupled_blocks.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/choose_solver.h"
-#include "core/prepare/memory.h"
 #include "core/prepare/prepare.h"
-#include "core/stopwatch.h"
 
 namespace bundle {
 namespace {
@@ -245,6 +245,9 @@ class CeresSolve {
     output->cam_from_world = states_.CamFromWorld();
     output->camera_params = states_.camera_params();
     output->points = std::move(points_);
+    if (options_.check_solution) {
+      output->summary.num_information_nonzeros = NumInformationNonzeros(problem_, layout_);
+    }
     FinishSolve(problem_, layout_, states_, options_, std::move(warnings_), watch_.num_held.load(),
                 output);
   }

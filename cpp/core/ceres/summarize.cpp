@@ -7,9 +7,9 @@
 #include <new>
 
 #include "core/ceres/translate_options.h"
+#include "core/interface/summary.h"
 #include "core/model/coupled_blocks.h"
 #include "core/parallel/interruption.h"
-#include "core/stopwatch.h"
 #include "core/symbolic/symbolic.h"
 
 namespace bundle {

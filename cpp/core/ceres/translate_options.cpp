@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "core/ceres/robust_kernels.h"
+#include "core/ceres/reference_checks.h"
 #include "core/error.h"
 #include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"

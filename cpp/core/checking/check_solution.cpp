@@ -12,7 +12,6 @@
 
 #include "core/cameras/registry.h"
 #include "core/error.h"
-#include "core/model/coupled_blocks.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 
@@ -86,7 +85,7 @@ bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
   try {
-    ValidateProblem(refined);
+    ValidateState(refined);  // the solver changes nothing else
     return false;
   } catch (const InputError& error) {
     const auto restore = [](const double* from, std::vector<double>* to) {
@@ -222,7 +221,6 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
   SolveSummary& summary = output->summary;
   summary.warnings = std::move(warnings);
   FailIfNotFinite(output);
-  summary.num_information_nonzeros = NumInformationNonzeros(problem, layout);
   const auto warn = [&summary](WarningKind kind, std::string text) {
     Warn(kind, std::move(text), &summary.warnings);
   };
@@ -230,9 +228,11 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
     summary.is_solution_usable = false;
     warn(WarningKind::kResidualNotFinite, FindOverflow(problem, options.cheirality));
   }
-  warn(WarningKind::kSuspiciousSteps, WatchConvergence(output->iterations));
-  warn(WarningKind::kSuspiciousJacobian,
-       CheckSolution(problem, layout, states, output->points, options.cheirality));
+  if (options.check_solution) {
+    warn(WarningKind::kSuspiciousSteps, WatchConvergence(output->iterations));
+    warn(WarningKind::kSuspiciousJacobian,
+         CheckSolution(problem, layout, states, output->points, options.cheirality));
+  }
   const bool is_rejected = RejectImpossibleSolution(problem, output);
   if (num_held > 0 && !is_rejected)
     JudgeLostObservations(problem, layout, options, num_held, output);

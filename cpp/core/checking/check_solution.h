@@ -106,8 +106,10 @@ std::string WatchConvergence(const std::vector<IterationRecord>& iterations);
 
 /// What every backend ends with: looks at the iterations and the solution that a backend left in
 /// `output`, says in its warnings, after `warnings`, what is wrong with them, and drops a solution
-/// that is none. `states` are the camera parameters of the solution; `num_held` is the number of
-/// observations that hold a residual there (factors/reprojection.h).
+/// that is none. Without SolveOptions::check_solution it does not look for signs of a wrong
+/// Jacobian; it always looks for what makes a solution unusable. `states` are the camera parameters
+/// of the solution; `num_held` is the number of observations that hold a residual there
+/// (factors/reprojection.h).
 void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,
                  std::vector<Warning> warnings, int64_t num_held, SolveOutput* output);

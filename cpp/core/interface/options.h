@@ -107,7 +107,20 @@ struct SolveOptions {
   std::vector<int64_t> fixed_point_ids;
   Gauge gauge = Gauge::kNone;
   Cheirality cheirality = Cheirality::kZero;
+  bool check_solution = true;  ///< look for signs of a wrong Jacobian (checking/check_solution.h)
 };
+
+/// Copies what may change from one solve to the next of a Solver: the loss, when to stop, and what
+/// is checked afterwards.
+inline void CopyChangeable(const SolveOptions& from, SolveOptions* to) {
+  to->loss = from.loss;
+  to->loss_scale = from.loss_scale;
+  to->max_num_iterations = from.max_num_iterations;
+  to->function_tolerance = from.function_tolerance;
+  to->gradient_tolerance = from.gradient_tolerance;
+  to->parameter_tolerance = from.parameter_tolerance;
+  to->check_solution = from.check_solution;
+}
 
 /// An option's value as users write it: "dense_schur".
 template <typename Enum, size_t kSize>

@@ -3,6 +3,7 @@
 /// What a solve reports, whichever backend ran it: iterations and a summary under Ceres' names, and
 /// warnings, each a sentence with a name that programs can rely on.
 
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -70,6 +71,16 @@ struct Warning {
 inline void Warn(WarningKind kind, std::string text, std::vector<Warning>* warnings) {
   if (!text.empty()) warnings->push_back({kind, std::move(text)});
 }
+
+/// Wall time since it was made.
+class Stopwatch {
+ public:
+  double seconds() const { return std::chrono::duration<double>(Clock::now() - start_).count(); }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  Clock::time_point start_ = Clock::now();
+};
 
 /// ceres::IterationSummary; times in seconds.
 struct IterationRecord {

@@ -26,6 +26,7 @@
 #include <memory>
 #include <numeric>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/linear/block_structure.h"
@@ -68,20 +69,30 @@ class IterativeSolver final : public LinearSolver {
   bool NeedsCameraDiagonal() const override { return preconditioner_->NeedsCameraDiagonal(); }
   bool NeedsGaugeDirections() const override { return preconditioner_->NeedsGaugeDirections(); }
 
-  LinearSolution Solve(BlockSystem* system, const std::vector<double>& scale, double eta,
-                       double* x) override {
-    if (!preconditioner_->Update(*system, scale)) {
-      return {Status::kFailure, 0, "The preconditioner is not positive definite."};
-    }
-    std::fill(x_.begin(), x_.end(), 0.0);
-    const LinearSolution solution = Iterate(*system, eta * preconditioner_->ForcingFactor());
-    std::copy(x_.begin(), x_.end(), x);
-    return solution;
-  }
+  void ForgetValues() override { preconditioner_->ForgetValues(); }
 
  private:
-  LinearSolution Iterate(const BlockSystem& system, double eta) {
-    const std::vector<double>& b = system.rhs;
+  LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& scale) override {
+    system_ = system;
+    if (preconditioner_->Update(*system, scale)) return {Status::kSuccess, 0, ""};
+    return {Status::kFailure, 0, "The preconditioner is not positive definite."};
+  }
+
+  LinearSolution DoSolve(const double* rhs, int num_rhs, double eta, double* x) override {
+    LinearSolution all{Status::kSuccess, 0, ""};
+    const auto n = static_cast<std::ptrdiff_t>(x_.size());
+    for (int k = 0; k < num_rhs && all.status == Status::kSuccess; ++k) {
+      b_.assign(rhs + k * n, rhs + (k + 1) * n);
+      std::fill(x_.begin(), x_.end(), 0.0);
+      LinearSolution one = Iterate(b_, eta * preconditioner_->ForcingFactor());
+      std::copy(x_.begin(), x_.end(), x + k * n);
+      one.num_iterations += all.num_iterations;
+      all = std::move(one);
+    }
+    return all;
+  }
+
+  LinearSolution Iterate(const std::vector<double>& b, double eta) {
     if (IsZero(b)) return {Status::kSuccess, 0, "Convergence. |b| = 0."};
     r_ = b;
     double last_rho = 1;
@@ -99,7 +110,7 @@ class IterativeSolver final : public LinearSolver {
       for (size_t k = 0; k < p_.size(); ++k) p_[k] = z_[k] + (i == 1 ? 0 : beta * p_[k]);
       last_rho = rho;
 
-      product_.Multiply(system.values, p_.data(), q_.data());
+      product_.Multiply(system_->values, p_.data(), q_.data());
       const double curvature = Dot(p_, q_);
       if (curvature <= 0 || std::isinf(curvature)) {
         // Ceres keeps what it has and lets the trust region judge it.
@@ -108,7 +119,7 @@ class IterativeSolver final : public LinearSolver {
       }
       const double alpha = rho / curvature;
       if (!std::isfinite(alpha)) return Broken(i, "p'Sp", curvature);
-      Advance(system, alpha, i);
+      Advance(b, alpha, i);
 
       const double model = Model(b);
       const double zeta = i * (model - last_model) / model;
@@ -123,11 +134,11 @@ class IterativeSolver final : public LinearSolver {
   }
 
   /// x += alpha p, and the residual that belongs to it.
-  void Advance(const BlockSystem& system, double alpha, int iteration) {
+  void Advance(const std::vector<double>& b, double alpha, int iteration) {
     for (size_t k = 0; k < x_.size(); ++k) x_[k] += alpha * p_[k];
     if (iteration % kResidualResetPeriod == 0) {
-      product_.Multiply(system.values, x_.data(), z_.data());
-      for (size_t k = 0; k < x_.size(); ++k) r_[k] = system.rhs[k] - z_[k];
+      product_.Multiply(system_->values, x_.data(), z_.data());
+      for (size_t k = 0; k < x_.size(); ++k) r_[k] = b[k] - z_[k];
     } else {
       for (size_t k = 0; k < x_.size(); ++k) r_[k] -= alpha * q_[k];
     }
@@ -150,7 +161,8 @@ class IterativeSolver final : public LinearSolver {
   SymmetricProduct product_;
   std::unique_ptr<Preconditioner> preconditioner_;
   const int max_iterations_;
-  std::vector<double> x_, r_, z_, p_, q_;
+  const BlockSystem* system_ = nullptr;  ///< of the last Factorize
+  std::vector<double> b_, x_, r_, z_, p_, q_;
 };
 
 }  // namespace

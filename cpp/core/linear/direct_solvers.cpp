@@ -1,7 +1,8 @@
-/// S = L L^T in place, n^3 / 3 flops, then two triangular solves of n^2 each.
+/// S = L L^T in place, n^3 / 3 flops, then two triangular solves of n^2 each per right-hand side.
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <utility>
@@ -17,42 +18,30 @@ namespace bundle::fused {
 
 namespace {
 
+LinearSolution RefusedArgument(int info) {
+  return {LinearSolution::Status::kFatal, 1,
+          "LAPACK refused argument " + std::to_string(-info) + "."};
+}
+
+/// `where`: "" or " in the order of ...".
+LinearSolution NotPositiveDefinite(int minor, const std::string& where) {
+  return {LinearSolution::Status::kFailure, 1,
+          "The reduced camera system is not positive definite: its leading minor of order " +
+              std::to_string(minor) + where + " is not."};
+}
+
+LinearSolution CheckFinite(const double* x, int64_t size) {
+  if (std::all_of(x, x + size, [](double v) { return std::isfinite(v); })) return {};
+  return {LinearSolution::Status::kFailure, 1,
+          "The solution of the reduced camera system is not finite."};
+}
+
 class DenseSolver final : public LinearSolver {
  public:
   DenseSolver(const BlockStructure& structure, int num_threads)
       : num_columns_(structure.num_columns()),
         blas_threads_(num_columns_ >= kColumnsWorthBlasThreads ? EffectiveNumThreads(num_threads)
                                                                : 1) {}
-
-  LinearSolution Solve(BlockSystem* system, const std::vector<double>& /*scale*/, double /*eta*/,
-                       double* x) override {
-    LinearSolution solution;
-    if (num_columns_ == 0) return solution;
-    std::copy(system->rhs.begin(), system->rhs.end(), x);
-    const ScopedBlasThreads blas_threads(blas_threads_);
-    const char lower = 'L';
-    const int one = 1;
-    int info = 0;
-    dpotrf_(&lower, &num_columns_, system->values.data(), &num_columns_, &info);
-    if (info == 0) {
-      dpotrs_(&lower, &num_columns_, &one, system->values.data(), &num_columns_, x, &num_columns_,
-              &info);
-    }
-    if (info < 0) {
-      solution.status = LinearSolution::Status::kFatal;
-      solution.message = "LAPACK refused argument " + std::to_string(-info) + ".";
-    } else if (info > 0) {
-      solution.status = LinearSolution::Status::kFailure;
-      solution.message =
-          "The reduced camera system is not positive definite: its leading minor of "
-          "order " +
-          std::to_string(info) + " is not.";
-    } else if (!std::all_of(x, x + num_columns_, [](double v) { return std::isfinite(v); })) {
-      solution.status = LinearSolution::Status::kFailure;
-      solution.message = "The solution of the reduced camera system is not finite.";
-    }
-    return solution;
-  }
 
   FactorStatistics factor_statistics() const override {
     const double n = num_columns_;
@@ -61,6 +50,28 @@ class DenseSolver final : public LinearSolver {
   }
 
  private:
+  LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& /*scale*/) override {
+    values_ = system->values.data();
+    if (num_columns_ == 0) return {};
+    const ScopedBlasThreads blas_threads(blas_threads_);
+    int info = 0;
+    dpotrf_(&kLower, &num_columns_, values_, &num_columns_, &info);
+    if (info < 0) return RefusedArgument(info);
+    return info == 0 ? LinearSolution{} : NotPositiveDefinite(info, "");
+  }
+
+  LinearSolution DoSolve(const double* rhs, int num_rhs, double /*eta*/, double* x) override {
+    if (num_columns_ == 0 || num_rhs == 0) return {};
+    const int64_t size = int64_t{num_columns_} * num_rhs;
+    std::copy(rhs, rhs + size, x);
+    const ScopedBlasThreads blas_threads(blas_threads_);
+    int info = 0;
+    dpotrs_(&kLower, &num_columns_, &num_rhs, values_, &num_columns_, x, &num_columns_, &info);
+    return info < 0 ? RefusedArgument(info) : CheckFinite(x, size);
+  }
+
+  static constexpr char kLower = 'L';
+  double* values_ = nullptr;  ///< S, then L
   const int num_columns_;
   const int blas_threads_;
 };
@@ -95,34 +106,32 @@ class SparseSolver final : public LinearSolver {
         blas_threads_(BlasThreadsFor(ordering, num_threads)),
         cholesky_(std::move(offset), std::move(supernodes)) {}
 
-  LinearSolution Solve(BlockSystem* system, const std::vector<double>& /*scale*/, double /*eta*/,
-                       double* x) override {
-    if (num_columns_ == 0) return {};
-    const ScopedBlasThreads blas_threads(blas_threads_);
-    const int minor = cholesky_.Factorize(system->values.data());
-    if (minor != 0) {
-      return Failure(
-          "The reduced camera system is not positive definite: its leading minor of "
-          "order " +
-          std::to_string(minor) + " in the order of " + statistics_.ordering + " is not.");
-    }
-    std::copy(system->rhs.begin(), system->rhs.end(), x);
-    cholesky_.Solve(system->values.data(), x);
-    if (std::all_of(x, x + num_columns_, [](double v) { return std::isfinite(v); })) return {};
-    return Failure("The solution of the reduced camera system is not finite.");
-  }
-
   FactorStatistics factor_statistics() const override { return statistics_; }
 
  private:
-  static LinearSolution Failure(std::string message) {
-    return {LinearSolution::Status::kFailure, 1, std::move(message)};
+  LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& /*scale*/) override {
+    values_ = system->values.data();
+    if (num_columns_ == 0) return {};
+    const ScopedBlasThreads blas_threads(blas_threads_);
+    const int minor = cholesky_.Factorize(values_);
+    if (minor == 0) return {};
+    return NotPositiveDefinite(minor, " in the order of " + statistics_.ordering);
+  }
+
+  LinearSolution DoSolve(const double* rhs, int num_rhs, double /*eta*/, double* x) override {
+    if (num_columns_ == 0 || num_rhs == 0) return {};
+    const int64_t size = int64_t{num_columns_} * num_rhs;
+    std::copy(rhs, rhs + size, x);
+    const ScopedBlasThreads blas_threads(blas_threads_);
+    cholesky_.Solve(values_, x, num_rhs);
+    return CheckFinite(x, size);
   }
 
   const FactorStatistics statistics_;
   const int num_columns_;
   const int blas_threads_;
   SupernodalCholesky cholesky_;
+  double* values_ = nullptr;  ///< S, then L
 };
 
 }  // namespace

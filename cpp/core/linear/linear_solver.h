@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -41,16 +42,45 @@ struct FactorStatistics {
   double stored = 0;     ///< entries with the zeros, diagonal blocks by their lower triangle
 };
 
-/// Solves the reduced camera system of one structure again and again.
+/// Solves the reduced camera systems of one structure, one after the other: Factorize once a
+/// system, then Solve with any number of right-hand sides, any number of times.
 class LinearSolver {
  public:
   virtual ~LinearSolver() = default;
 
-  /// x = S^-1 b. May overwrite the system. `scale` holds the Jacobi scaling of the columns: the
-  /// unknowns that an iterative solver iterates on are x / scale, as in Ceres. `eta` is the forcing
-  /// term of an iterative solver; the others ignore it.
-  virtual LinearSolution Solve(BlockSystem* system, const std::vector<double>& scale, double eta,
-                               double* x) = 0;
+  /// Factorises S; conjugate gradients prepare their preconditioner. Reads and may overwrite the
+  /// values, which have to stay as it leaves them until the last Solve. `scale` holds the Jacobi
+  /// scaling of the columns: the unknowns that an iterative solver iterates on are x / scale, as in
+  /// Ceres. After a failure, or an exception, there is nothing to solve with until it succeeds.
+  LinearSolution Factorize(BlockSystem* system, const std::vector<double>& scale) {
+    is_factorized_ = false;
+    LinearSolution result = DoFactorize(system, scale);
+    is_factorized_ = result.status == LinearSolution::Status::kSuccess;
+    return result;
+  }
+
+  /// X = S^-1 B, both num_columns x num_rhs, column-major, and not the same array. `eta` is the
+  /// forcing term of an iterative solver, which counts the iterations of all right-hand sides; the
+  /// others ignore it. Stops at the first right-hand side that fails; X then means nothing.
+  ///
+  /// Throws std::logic_error without a successful Factorize.
+  LinearSolution Solve(const double* rhs, int num_rhs, double eta, double* x) {
+    if (!is_factorized_)
+      throw std::logic_error("Solve: expected a Factorize that succeeded before");
+    return DoSolve(rhs, num_rhs, eta, x);
+  }
+
+  /// Both for the system's own right-hand side, as a step needs them.
+  LinearSolution Solve(BlockSystem* system, const std::vector<double>& scale, double eta,
+                       double* x) {
+    LinearSolution factorized = Factorize(system, scale);
+    if (factorized.status != LinearSolution::Status::kSuccess) return factorized;
+    return Solve(system->rhs.data(), 1, eta, x);
+  }
+
+  /// Forgets what the values of systems before taught it (clusters of blocks, for instance), so
+  /// that it solves as a new one would. What the structure alone says stays.
+  virtual void ForgetValues() {}
 
   /// True if it reads BlockSystem::camera_diagonal.
   virtual bool NeedsCameraDiagonal() const { return false; }
@@ -58,6 +88,12 @@ class LinearSolver {
   virtual bool NeedsGaugeDirections() const { return false; }
 
   virtual FactorStatistics factor_statistics() const { return {}; }
+
+ private:
+  virtual LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& scale) = 0;
+  virtual LinearSolution DoSolve(const double* rhs, int num_rhs, double eta, double* x) = 0;
+
+  bool is_factorized_ = false;
 };
 
 /// LAPACK's Cholesky factorisation; takes a dense structure.

@@ -220,6 +220,8 @@ class TwoLevel final : public Preconditioner {
     coarse_->AddProlonged(correction_.data(), z);
   }
 
+  void ForgetValues() override { coarse_.reset(); }
+
   bool NeedsGaugeDirections() const override { return true; }
   double ForcingFactor() const override { return kForcingFactor; }
 

@@ -19,6 +19,9 @@ class Preconditioner {
 
   virtual void Multiply(const double* r, double* z) = 0;
 
+  /// As LinearSolver::ForgetValues.
+  virtual void ForgetValues() {}
+
   virtual bool NeedsCameraDiagonal() const { return false; }
   virtual bool NeedsGaugeDirections() const { return false; }
   /// Of the forcing term that conjugate gradients stop by.

@@ -40,12 +40,13 @@ class SupernodalCholesky {
   /// or the order of a leading minor that is not positive definite; `values` then mean nothing.
   int Factorize(double* values);
 
-  /// x = S^-1 x with the values that Factorize left.
-  void Solve(const double* values, double* x);
+  /// X = S^-1 X with the values that Factorize left; num_columns x num_rhs, column-major. One
+  /// right-hand side goes by vectors, more by matrix products, whose rounding differs.
+  void Solve(const double* values, double* x, int num_rhs = 1);
 
  private:
   /// Rows that follow each other both in a panel and in one that it updates.
-  struct Run {
+  struct RowRange {
     int source, target, length;
   };
 
@@ -57,6 +58,8 @@ class SupernodalCholesky {
   void Update(int panel, int by, double* values);
   void UpdateColumns(int panel, int by, int64_t first_row, int64_t last_row, double* values);
   void FindRuns(int by, int64_t first_row);
+  void SolveOne(const double* values, double* x);
+  void SolveMany(const double* values, double* x, int num_rhs);
 
   const std::vector<int> offset_;
   const Supernodes supernodes_;
@@ -65,7 +68,7 @@ class SupernodalCholesky {
   std::vector<int> first_update_;  ///< of each panel: the first of those waiting to update it; -1
   std::vector<int> next_update_;   ///< of each panel: the next in the queue that it waits in; -1
   std::vector<int64_t> next_row_;  ///< of each panel: the first row that no panel has had yet
-  std::vector<Run> runs_;
+  std::vector<RowRange> row_ranges_;
   std::vector<double> product_;
 };
 

@@ -21,7 +21,6 @@
 #include <memory>
 #include <utility>
 
-#include "core/minimize/projected_line_search.h"
 #include "core/minimize/strategy.h"
 #include "core/minimize/trust_region.h"
 #include "core/parallel/interruption.h"

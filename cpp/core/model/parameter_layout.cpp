@@ -245,16 +245,21 @@ CameraStates::CameraStates(const ProblemView& problem, const ParameterLayout& la
       stride_(problem.camera_params_stride),
       charts_(static_cast<size_t>(problem.num_images) * kPoseSize),
       start_rotations_(static_cast<size_t>(problem.num_images) * 9),
-      poses_(problem.num_images),
-      camera_params_(
-          problem.camera_params,
-          problem.camera_params + static_cast<std::ptrdiff_t>(problem.num_cameras) * stride_) {
-  for (int64_t i = 0; i < problem.num_images; ++i) {
-    const double* pose = problem.cam_from_world + 7 * i;
+      poses_(problem.num_images) {
+  Reset();
+}
+
+void CameraStates::Reset() {
+  camera_params_.assign(
+      problem_.camera_params,
+      problem_.camera_params + static_cast<std::ptrdiff_t>(problem_.num_cameras) * stride_);
+  std::fill(charts_.begin(), charts_.end(), 0.0);
+  for (int64_t i = 0; i < problem_.num_images; ++i) {
+    const double* pose = problem_.cam_from_world + 7 * i;
     QuaternionToRotation(pose, &start_rotations_[9 * i]);
     std::copy(pose + 4, pose + 7, &charts_[kPoseSize * i + 3]);
   }
-  Update(layout.InitialState(problem).data());
+  Update(layout_.InitialState(problem_).data());
 }
 
 void CameraStates::Update(const double* state) {

@@ -19,6 +19,10 @@ struct FreeParameters {
   std::vector<uint8_t> pose;     ///< num_images
   std::vector<uint32_t> camera;  ///< num_cameras
   std::vector<uint8_t> point;    ///< num_points: 0 or 1
+
+  bool operator==(const FreeParameters& other) const {
+    return pose == other.pose && camera == other.camera && point == other.point;
+  }
 };
 
 /// What the options leave free. Nothing is free that neither an observation nor a factor touches.
@@ -51,6 +55,7 @@ class ParameterLayout {
   /// Puts the blocks into another order: order[k] becomes the k-th.
   void Reorder(const std::vector<int>& order);
 
+  const FreeParameters& free() const { return free_; }
   const std::vector<CameraSideBlock>& blocks() const { return blocks_; }
   int state_size() const { return state_size_; }
   int num_free_points() const { return num_free_points_; }
@@ -109,6 +114,9 @@ class CameraStates {
  public:
   /// Keeps references to both; starts at the problem's own values.
   CameraStates(const ProblemView& problem, const ParameterLayout& layout);
+
+  /// Goes to the problem's own values, after these changed.
+  void Reset();
 
   void Update(const double* state);
 

@@ -44,7 +44,7 @@
 #include "core/linear/supernodal_cholesky.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
-#include "core/prepare/memory.h"
+#include "core/prepare/prepare.h"
 #include "core/symbolic/symbolic.h"
 
 namespace bundle {

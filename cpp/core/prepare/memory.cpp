@@ -1,4 +1,4 @@
-#include "core/prepare/memory.h"
+/// Memory: predicted for each solver, and available to this process.
 
 #include <sys/resource.h>
 #include <unistd.h>
@@ -10,6 +10,8 @@
 #include <limits>
 #include <sstream>
 #include <vector>
+
+#include "core/prepare/prepare.h"
 
 namespace bundle {
 namespace {

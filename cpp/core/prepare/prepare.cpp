@@ -10,7 +10,6 @@
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/prepare/memory.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 
@@ -41,15 +40,22 @@ std::string FindSuperfluousGauge(const ProblemView& problem, const FreeParameter
 
 }  // namespace
 
+FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptions& options,
+                                    std::string* gauge_warning) {
+  FreeParameters free = SelectFreeParameters(problem, options);
+  *gauge_warning = FixGauge(problem, options.gauge, &free);
+  return free;
+}
+
 PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options) {
   CheckCameraModelsKnown(problem);
-  FreeParameters free = SelectFreeParameters(problem, options);
+  std::string gauge_warning;
+  FreeParameters free = ChooseFreeParameters(problem, options, &gauge_warning);
   std::vector<Warning> warnings;
-  const FreeParameters without_gauge = problem.factors != nullptr ? free : FreeParameters();
-  Warn(WarningKind::kGaugeNotHeld, FixGauge(problem, options.gauge, &free), &warnings);
+  Warn(WarningKind::kGaugeNotHeld, std::move(gauge_warning), &warnings);
   if (problem.factors != nullptr) {
-    Warn(WarningKind::kGaugeBesideFactors, FindSuperfluousGauge(problem, without_gauge, free),
-         &warnings);
+    Warn(WarningKind::kGaugeBesideFactors,
+         FindSuperfluousGauge(problem, SelectFreeParameters(problem, options), free), &warnings);
   }
   ParameterLayout layout(problem, std::move(free));
   std::vector<int64_t> track_lengths = TrackLengths(problem);

@@ -1,6 +1,7 @@
 #pragma once
 
-/// From a problem and options to a layout, or a refusal before any work is done.
+/// From a problem and options to a layout, or a refusal before any work is done: options that
+/// exclude each other, and memory, predicted and available (memory.cpp).
 
 #include <cstdint>
 #include <string>
@@ -23,6 +24,11 @@ struct PreparedSolve {
   std::string factor_for_ceres;
 };
 
+/// What the options leave free and the gauge does not hold; the values of the problem matter to the
+/// gauge alone. `gauge_warning`: a sentence where it could not be held as asked; else "".
+FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptions& options,
+                                    std::string* gauge_warning);
+
 /// Decides what is free and how it is laid out. The problem is valid (problem_view.h).
 ///
 /// Throws InputError if a camera model is not supported or an id to be fixed does not exist.
@@ -40,6 +46,39 @@ std::string FindIdlePreconditioner(const SolveOptions& options);
 
 /// One sentence if an elimination ordering was asked for of a linear solver that has none; else "".
 std::string FindIdleOrdering(const SolveOptions& options);
+
+/// Bytes of the dense matrices that a solver allocates: the Jacobian, the normal equations or the
+/// Schur complement, by where the method keeps them. 0 for the solvers without a dense matrix.
+/// `solver` is the one that really runs, after fallbacks.
+double PredictDenseMatrixBytes(LinearSolverType solver, const ProblemShape& shape,
+                               bool cameras_eliminated);
+
+/// Bytes of memory that this process may still take: the least of what the machine has, what the
+/// control groups of the process leave (versions 1 and 2, with pages of files that can be dropped)
+/// and what the limits on address space and data segment leave (ulimit -v and -d). A huge number
+/// where nothing of that can be told. `root` stands before the paths in /proc and /sys.
+double AvailableMemoryBytes(const std::string& root = "");
+
+/// AvailableMemoryBytes(), or a huge number where no more than `bytes` are needed and they are few:
+/// asking the system takes a tenth of a millisecond, a tenth of a small problem's solve.
+double AvailableMemoryFor(double bytes);
+
+/// True if the address space or the data segment of this process has a limit.
+bool HasMemoryLimit();
+
+/// Bytes of what the fused backend keeps beside S or its factor: the sorted observations, the
+/// numbers of their pairs, two states with what belongs to each, and chunk buffers of
+/// `num_threads` threads of at most `buffer_bytes`.
+double PredictFusedWorkingBytes(const ParameterLayout& layout,
+                                const std::vector<int64_t>& track_lengths, int num_threads,
+                                double buffer_bytes);
+
+/// Bytes of Ceres' objects for observations and points, and of the Jacobian, as measured
+/// (bundle/inspection/peak_memory.py).
+double PredictCeresWorkingBytes(const ProblemShape& shape);
+
+/// "1.4 GB": powers of 1000 and three digits, as python/bundle/memory_sizes.py writes them.
+std::string FormatBytes(double bytes);
 
 /// True if `bytes` leave a tenth of the available memory to everything else.
 bool FitsIntoMemory(double bytes, double available);

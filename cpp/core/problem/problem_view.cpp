@@ -127,14 +127,58 @@ void CheckObservations(const ProblemView& problem) {
 
 }  // namespace
 
+void ValidateState(const ProblemView& problem) {
+  CheckImages(problem);
+  CheckCameras(problem);
+  CheckPoints(problem);
+}
+
 void ValidateProblem(const ProblemView& problem) {
   CheckIdsUnique("image", problem.image_ids, problem.num_images);
   CheckIdsUnique("camera", problem.camera_ids, problem.num_cameras);
   CheckIdsUnique("point", problem.point_ids, problem.num_points);
-  CheckImages(problem);
-  CheckCameras(problem);
-  CheckPoints(problem);
+  ValidateState(problem);
   CheckObservations(problem);
+}
+
+namespace {
+
+constexpr const char* kSameStructure = "expected the structure that the solver was made for, ";
+
+void CheckSameCount(const char* name, int64_t expected, int64_t found) {
+  if (expected == found) return;
+  Fail(name, ": ", kSameStructure, expected, " entries, found ", found);
+}
+
+template <typename T>
+void CheckSameArray(const char* name, const T* expected, const T* found, int64_t size) {
+  if (expected == found) return;
+  const auto [a, b] = std::mismatch(expected, expected + size, found);
+  if (a == expected + size) return;
+  Fail(name, ": ", kSameStructure, *a, " at index ", a - expected, ", found ", *b);
+}
+
+}  // namespace
+
+void CheckSameStructure(const ProblemView& expected, const ProblemView& given) {
+  CheckSameCount("cam_from_world", expected.num_images, given.num_images);
+  CheckSameCount("camera_params", expected.num_cameras, given.num_cameras);
+  CheckSameCount("points", expected.num_points, given.num_points);
+  CheckSameCount("observation_xy", expected.num_observations, given.num_observations);
+  if (expected.camera_params_stride != given.camera_params_stride) {
+    Fail("camera_params: ", kSameStructure, "rows of ", expected.camera_params_stride, ", found ",
+         given.camera_params_stride);
+  }
+  CheckSameArray("camera_models", expected.camera_model_names.data(),
+                 given.camera_model_names.data(), expected.num_cameras);
+  CheckSameArray("image_ids", expected.image_ids, given.image_ids, expected.num_images);
+  CheckSameArray("image_camera", expected.image_camera, given.image_camera, expected.num_images);
+  CheckSameArray("camera_ids", expected.camera_ids, given.camera_ids, expected.num_cameras);
+  CheckSameArray("point_ids", expected.point_ids, given.point_ids, expected.num_points);
+  CheckSameArray("observation_image", expected.observation_image, given.observation_image,
+                 expected.num_observations);
+  CheckSameArray("observation_point", expected.observation_point, given.observation_point,
+                 expected.num_observations);
 }
 
 }  // namespace bundle

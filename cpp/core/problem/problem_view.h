@@ -59,6 +59,14 @@ Tracks GroupByPoint(const ProblemView& problem);
 /// The number of observations of each point.
 std::vector<int64_t> TrackLengths(const ProblemView& problem);
 
+/// Throws InputError unless `given` has the same images, cameras, points and observations as
+/// `expected`: all that a solver is laid out for. Poses, parameters, points and measurements may
+/// differ. Arrays at the same place are taken for equal.
+void CheckSameStructure(const ProblemView& expected, const ProblemView& given);
+
+/// Checks what a solve changes: poses, camera parameters and points, as ValidateProblem does.
+void ValidateState(const ProblemView& problem);
+
 /// Checks the values of a problem whose arrays have the right sizes.
 ///
 /// Throws InputError at the first value that is not finite, index out of range, repeated id, zero

@@ -264,22 +264,28 @@ class Planner {
 };
 
 EliminationPlan Plan(const ProblemView& problem, const ParameterLayout& layout, bool active,
-                     int block_bytes, int num_threads) {
+                     int block_bytes, int num_threads, bool keep_order) {
   ImageOrder images = OrderImages(problem, layout);
-  EliminationPlan sorted = SortPoints(problem, layout, images, active, num_threads);
+  EliminationPlan sorted = SortPoints(problem, layout, images, active, num_threads, keep_order);
   return Planner(std::move(images), std::move(sorted), num_threads).Plan(block_bytes);
 }
 
 }  // namespace
 
 EliminationPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout,
-                           int block_bytes, int num_threads) {
-  return Plan(problem, layout, true, block_bytes, num_threads);
+                           int block_bytes, int num_threads, bool keep_order) {
+  return Plan(problem, layout, true, block_bytes, num_threads, keep_order);
 }
 
 EliminationPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout,
-                                int num_threads) {
-  return Plan(problem, layout, false, 1, num_threads);
+                                int num_threads, bool keep_order) {
+  return Plan(problem, layout, false, 1, num_threads, keep_order);
+}
+
+void TakeMeasurements(const ProblemView& problem, EliminationPlan* plan) {
+  for (size_t k = 0; k < plan->observation.size(); ++k) {
+    std::copy_n(problem.observation_xy + 2 * int64_t{plan->observation[k]}, 2, &plan->xy[2 * k]);
+  }
 }
 
 PlanSize MeasurePlan(const ProblemView& problem, const ParameterLayout& layout) {

@@ -103,7 +103,8 @@ struct EliminationPlan {
   /// Of each observation; within a point in the order of the images' blocks in the layout, then
   /// images with nothing to refine.
   std::vector<int32_t> image;
-  std::vector<double> xy;                ///< two of each observation
+  std::vector<double> xy;            ///< two of each observation
+  std::vector<int32_t> observation;  ///< of each: its index in the problem; empty unless asked for
   std::vector<uint16_t> image_in_chunk;  ///< of each observation: index into Chunk::images
   /// Of each pair of observations i < j of a free point, i slowest, whose images have something to
   /// refine: the chunk's block.
@@ -123,12 +124,17 @@ inline constexpr int64_t kMaxTrackLength = 10000;
 inline constexpr int64_t kMaxBufferBytes = 1 << 25;
 
 /// The observations with something to refine. `block_bytes`: of one block's buffer.
+/// `keep_order`: fills EliminationPlan::observation, for TakeMeasurements.
 EliminationPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout,
-                           int block_bytes, int num_threads = 1);
+                           int block_bytes, int num_threads = 1, bool keep_order = false);
 
 /// The other observations, whose cost does not change.
 EliminationPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout,
-                                int num_threads = 1);
+                                int num_threads = 1, bool keep_order = false);
+
+/// Copies the measurements of the problem anew, after they changed, into a plan that kept its
+/// order.
+void TakeMeasurements(const ProblemView& problem, EliminationPlan* plan);
 
 struct ImageOrder {
   std::vector<uint8_t> refined;  ///< of each image: has something to refine
@@ -143,7 +149,7 @@ ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout
 /// have something to refine, if `active`, or else with others, sorted lexicographically by the
 /// ranks of the images in these observations.
 EliminationPlan SortPoints(const ProblemView& problem, const ParameterLayout& layout,
-                           const ImageOrder& images, bool active, int num_threads);
+                           const ImageOrder& images, bool active, int num_threads, bool keep_order);
 
 /// The sizes that decide what the passes over the points cost, without a pass.
 
@@ -186,6 +192,9 @@ class HeldResiduals {
 
   /// Puts together what all chunks hold, after a pass.
   void Merge();
+
+  /// Forgets all.
+  void Clear();
 
   /// Ascending.
   const std::vector<HeldResidual>& all() const { return all_; }

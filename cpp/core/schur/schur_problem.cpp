@@ -40,8 +40,8 @@ CandidateSum Total(const std::vector<CandidateSum>& parts) {
 class SchurProblem::Impl {
  public:
   Impl(const ProblemView& problem, const ParameterLayout& layout, const SolveOptions& options,
-       BlockStructure structure, LinearSolver* solver)
-      : setup_(problem, layout, options, std::move(structure)),
+       BlockStructure structure, LinearSolver* solver, bool is_reused)
+      : setup_(problem, layout, options, std::move(structure), is_reused),
         solver_(solver),
         factors_(problem, layout, structure_, plan_),
         input_(WithPriors(setup_.input)),
@@ -57,8 +57,16 @@ class SchurProblem::Impl {
     scale_.resize(n);
     d_squared_.resize(n);
     newton_.resize(n);
-    state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
-    fixed_cost_ = setup_.FixedCost(options) + factors_.fixed_cost();
+    MeasureStart(options);
+  }
+
+  void Reset(const SolveOptions& options) {
+    setup_.Reset(options);
+    input_ = WithPriors(setup_.input);
+    for (State& state : states_) state.Reset(layout_, plan_);
+    solver_->ForgetValues();
+    scaled_ = false;
+    MeasureStart(options);
   }
 
   Linearization Linearize(double damping) {
@@ -214,6 +222,11 @@ class SchurProblem::Impl {
     return input;
   }
 
+  void MeasureStart(const SolveOptions& options) {
+    state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
+    fixed_cost_ = setup_.FixedCost(options) + factors_.fixed_cost();
+  }
+
   /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
   /// finish(thread) on each thread after its last. Where one throws, the others end at their next
   /// chunk.
@@ -308,7 +321,7 @@ class SchurProblem::Impl {
     return sum;
   }
 
-  const SchurSetup setup_;
+  SchurSetup setup_;
   const ProblemView& problem_ = setup_.problem;
   const ParameterLayout& layout_ = setup_.layout;
   const BlockStructure& structure_ = setup_.structure;
@@ -317,7 +330,7 @@ class SchurProblem::Impl {
   const Assembler& assembler_ = setup_.assembler;
   LinearSolver* const solver_;
   CameraFactors factors_;
-  const EliminationInput input_;
+  EliminationInput input_;
   ThreadPool pool_;
   std::vector<std::vector<double>> memory_;  ///< of each thread
   State states_[2];
@@ -342,11 +355,13 @@ class SchurProblem::Impl {
 
 SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
                            const SolveOptions& options, BlockStructure structure,
-                           LinearSolver* solver)
-    : impl_(std::make_unique<Impl>(problem, layout, options, std::move(structure), solver)) {}
+                           LinearSolver* solver, bool is_reused)
+    : impl_(std::make_unique<Impl>(problem, layout, options, std::move(structure), solver,
+                                   is_reused)) {}
 
 SchurProblem::~SchurProblem() = default;
 
+void SchurProblem::Reset(const SolveOptions& options) { impl_->Reset(options); }
 Linearization SchurProblem::Linearize(double damping) { return impl_->Linearize(damping); }
 NewtonResult SchurProblem::SolveNewton(double eta) { return impl_->SolveNewton(eta); }
 Candidate SchurProblem::EvaluateNewtonStep() { return impl_->EvaluateNewtonStep(); }

@@ -18,9 +18,15 @@ class CameraFactors;
 class SchurProblem final : public LeastSquares {
  public:
   /// Keeps references to the problem, the layout and the solver. `structure` is that of the solver.
+  /// `is_reused`: Reset will be called.
   SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
-               const SolveOptions& options, BlockStructure structure, LinearSolver* solver);
+               const SolveOptions& options, BlockStructure structure, LinearSolver* solver,
+               bool is_reused = false);
   ~SchurProblem() override;
+
+  /// Starts anew at the problem's values (poses, camera parameters, points, measurements) and with
+  /// the options' loss, after any of these changed. Every bit is that of a new SchurProblem.
+  void Reset(const SolveOptions& options);
 
   Linearization Linearize(double damping) override;
   NewtonResult SolveNewton(double eta) override;

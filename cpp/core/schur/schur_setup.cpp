@@ -6,16 +6,17 @@
 namespace bundle::fused {
 
 SchurSetup::SchurSetup(const ProblemView& of_problem, const ParameterLayout& of_layout,
-                       const SolveOptions& options, BlockStructure of_structure)
+                       const SolveOptions& options, BlockStructure of_structure, bool is_reused)
     : problem(of_problem),
       layout(of_layout),
       structure(std::move(of_structure)),
       kernels(SelectKernels()),
       groups(GroupImages(problem, layout)),
       plan(PlanPoints(problem, layout, groups.block_size() * static_cast<int>(sizeof(double)),
-                      options.num_threads)),
+                      options.num_threads, is_reused)),
       input(MakeInput(options, plan)),
-      assembler(problem, layout, groups.groups, groups.image_group, structure) {}
+      assembler(problem, layout, groups.groups, groups.image_group, structure),
+      is_reused_(is_reused) {}
 
 EliminationInput SchurSetup::MakeInput(const SolveOptions& options,
                                        const EliminationPlan& points) const {
@@ -39,13 +40,32 @@ EliminationInput SchurSetup::MakeInput(const SolveOptions& options,
   return result;
 }
 
-double SchurSetup::FixedCost(const SolveOptions& options) const {
+void SchurSetup::Reset(const SolveOptions& options) {
+  const auto reset = [&](EliminationPlan* points, EliminationInput* with) {
+    TakeMeasurements(problem, points);
+    with->loss = options.loss;
+    with->loss_scale = options.loss_scale;
+  };
+  reset(&plan, &input);
+  if (fixed_ == nullptr) return;
+  reset(&fixed_->plan, &fixed_->input);
+  fixed_->state.Reset(layout, fixed_->plan);
+}
+
+double SchurSetup::FixedCost(const SolveOptions& options) {
   if (plan.num_observations() == problem.num_observations) return 0;
-  const EliminationPlan fixed = PlanFixedPoints(problem, layout, options.num_threads);
-  const EliminationInput fixed_input = MakeInput(options, fixed);
-  const State state(problem, layout, fixed);
+  if (fixed_ == nullptr) {
+    EliminationPlan fixed = PlanFixedPoints(problem, layout, options.num_threads, is_reused_);
+    State state(problem, layout, fixed);
+    fixed_ = std::make_unique<FixedObservations>(
+        FixedObservations{std::move(fixed), {}, std::move(state)});
+    fixed_->input = MakeInput(options, fixed_->plan);
+  }
   double cost = 0;
-  for (const Chunk& chunk : fixed.chunks) cost += kernels.cost(fixed_input, state.records(), chunk);
+  for (const Chunk& chunk : fixed_->plan.chunks) {
+    cost += kernels.cost(fixed_->input, fixed_->state.records(), chunk);
+  }
+  if (!is_reused_) fixed_.reset();
   return cost;
 }
 

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <memory>
+
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
 #include "core/model/parameter_layout.h"
@@ -16,26 +18,38 @@ namespace bundle::fused {
 /// structure of the problem, which image sees which point and what is refined, but for the
 /// measurements.
 struct SchurSetup {
-  /// Keeps references to the problem and the layout.
+  /// Keeps references to the problem and the layout. `is_reused`: Reset will be called.
   SchurSetup(const ProblemView& problem, const ParameterLayout& layout, const SolveOptions& options,
-             BlockStructure structure);
+             BlockStructure structure, bool is_reused);
   SchurSetup(const SchurSetup&) = delete;
   SchurSetup& operator=(const SchurSetup&) = delete;
 
+  /// Takes the problem's measurements and the options' loss anew, after these changed.
+  void Reset(const SolveOptions& options);
+
   /// Cost of the observations with nothing to refine, by the same kernels.
-  double FixedCost(const SolveOptions& options) const;
+  double FixedCost(const SolveOptions& options);
 
   const ProblemView& problem;
   const ParameterLayout& layout;
   const BlockStructure structure;
   const Kernels& kernels;
   const ModelGroups groups;
-  const EliminationPlan plan;
-  const EliminationInput input;
+  EliminationPlan plan;
+  EliminationInput input;
   const Assembler assembler;
 
  private:
-  EliminationInput MakeInput(const SolveOptions& options, const EliminationPlan& plan) const;
+  struct FixedObservations {
+    EliminationPlan plan;
+    EliminationInput input;
+    State state;
+  };
+
+  EliminationInput MakeInput(const SolveOptions& options, const EliminationPlan& points) const;
+
+  const bool is_reused_;
+  std::unique_ptr<FixedObservations> fixed_;  ///< where they will be needed again
 };
 
 }  // namespace bundle::fused

@@ -17,12 +17,13 @@ namespace {
 class PointSorter {
  public:
   PointSorter(const ProblemView& problem, const ParameterLayout& layout, const ImageOrder& images,
-              bool active, int num_threads)
+              bool active, int num_threads, bool keep_order)
       : problem_(problem),
         layout_(layout),
         images_(images),
         active_(active),
-        num_threads_(num_threads) {}
+        num_threads_(num_threads),
+        keep_order_(keep_order) {}
 
   EliminationPlan Sort() {
     GroupObservations();
@@ -170,6 +171,7 @@ class PointSorter {
     ReserveHugePages(2 * by_point_.size(), &plan_.xy);
     plan_.image.resize(by_point_.size());
     plan_.xy.resize(2 * by_point_.size());
+    if (keep_order_) plan_.observation.resize(by_point_.size());
   }
 
   void CopyObservations(int64_t first_point, int64_t last_point) {
@@ -180,6 +182,7 @@ class PointSorter {
         plan_.image[to] = problem_.observation_image[i];
         plan_.xy[2 * to] = problem_.observation_xy[2 * i];
         plan_.xy[2 * to + 1] = problem_.observation_xy[2 * i + 1];
+        if (keep_order_) plan_.observation[to] = static_cast<int32_t>(i);
       }
     }
   }
@@ -189,6 +192,7 @@ class PointSorter {
   const ImageOrder& images_;
   const bool active_;
   const int num_threads_;
+  const bool keep_order_;
   std::vector<int64_t> begin_;  ///< of each point of the problem in by_point_, and the end
   std::vector<int64_t> by_point_;
   std::vector<Key> keys_;              ///< of the points of the problem, then of those in the plan
@@ -217,8 +221,9 @@ ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout
 }
 
 EliminationPlan SortPoints(const ProblemView& problem, const ParameterLayout& layout,
-                           const ImageOrder& images, bool active, int num_threads) {
-  return PointSorter(problem, layout, images, active, num_threads).Sort();
+                           const ImageOrder& images, bool active, int num_threads,
+                           bool keep_order) {
+  return PointSorter(problem, layout, images, active, num_threads, keep_order).Sort();
 }
 
 }  // namespace bundle::fused

@@ -26,6 +26,11 @@ void HeldResiduals::Merge() {
   });
 }
 
+void HeldResiduals::Clear() {
+  for (std::vector<HeldResidual>& chunk : of_chunk_) chunk.clear();
+  all_.clear();
+}
+
 bool HeldResiduals::HasSameObservations(const HeldResiduals& other) const {
   return std::equal(
       all_.begin(), all_.end(), other.all_.begin(), other.all_.end(),
@@ -113,17 +118,23 @@ int RoundedParams(const ProblemView& problem) {
 }  // namespace
 
 State::State(const ProblemView& problem, const ParameterLayout& layout, const EliminationPlan& plan)
-    : camera_side(layout.InitialState(problem)),
+    : points(3 * plan.point.size()),
       held(plan.chunks.size()),
       problem_(problem),
       cameras_(problem, layout),
+      images_(static_cast<int64_t>(problem.num_images) *
+              (StateRecords::kParams + RoundedParams(problem))),
       stride_(StateRecords::kParams + RoundedParams(problem)) {
-  points.reserve(3 * plan.point.size());
-  for (const int p : plan.point) {
-    points.insert(points.end(), problem.points + 3 * static_cast<int64_t>(p),
-                  problem.points + 3 * static_cast<int64_t>(p) + 3);
+  Reset(layout, plan);
+}
+
+void State::Reset(const ParameterLayout& layout, const EliminationPlan& plan) {
+  camera_side = layout.InitialState(problem_);
+  for (size_t k = 0; k < plan.point.size(); ++k) {
+    std::copy_n(problem_.points + 3 * int64_t{plan.point[k]}, 3, &points[3 * k]);
   }
-  images_.resize(static_cast<int64_t>(problem.num_images) * stride_);
+  held.Clear();
+  cameras_.Reset();
   Update();
 }
 

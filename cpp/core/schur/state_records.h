@@ -37,6 +37,8 @@ class State {
  public:
   State(const ProblemView& problem, const ParameterLayout& layout, const EliminationPlan& plan);
 
+  /// Goes to the problem's own values, after these changed.
+  void Reset(const ParameterLayout& layout, const EliminationPlan& plan);
   /// Expands `camera_side`, after it changed.
   void Update();
   StateRecords records() const;

@@ -7,7 +7,7 @@
 #include "core/interface/options.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/camera_factors.h"
-#include "core/solver/solve_with_fused.h"
+#include "core/solver/fused_solver.h"
 
 namespace bundle::fused {
 namespace {

@@ -181,8 +181,8 @@ def _scope(inspection: Inspection, name: str) -> str:
     sizes = inspection.methods[0]
     words = (
         f"{inspection.num_observations:,} observations, {inspection.num_free_points:,} points and "
-        f"{inspection.num_camera_blocks:,} blocks of {inspection.num_camera_columns:,} unknowns on "
-        f"the camera side: {sizes.num_unknowns:,} unknowns. J has {amount(sizes.nnz_jacobian)} "
+        f"{inspection.num_camera_blocks:,} blocks of {inspection.num_camera_columns:,} camera "
+        f"parameters: {sizes.num_unknowns:,} unknowns. J has {amount(sizes.nnz_jacobian)} "
         f"nonzeros, the information matrix {amount(sizes.nnz_information)}, S is "
         f"{inspection.reduced_density:.2%} full. Times are for {inspection.num_threads} threads of "
         f"this machine, which has {format_size(inspection.available_memory_in_bytes)} free."

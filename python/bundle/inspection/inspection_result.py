@@ -96,7 +96,8 @@ class Inspection(Displayed):
     Attributes:
         num_observations: those with something to refine.
         num_free_points, num_camera_columns, num_camera_blocks: of the unknowns.
-        reduced_density: share of S that is not zero, by nonzeros; 1.0 without a camera side.
+        reduced_density: share of S that is not zero, by nonzeros; 1.0 where no camera
+            parameter is refined.
         num_threads: that the times are for.
         available_memory_in_bytes: of the machine, now.
         methods: what each costs.

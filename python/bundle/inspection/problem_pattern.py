@@ -1,7 +1,7 @@
 """The pattern of a problem: unknowns, nonzeros, and who meets whom, before any arithmetic.
 
-With the free points p and the camera side's blocks c (``cpp/core/model/parameter_layout.h``: an
-image's pose and intrinsics, or a shared camera's intrinsics) as unknowns,
+With the free points p and the blocks c of camera parameters (an image's pose and
+intrinsics, or a shared camera's intrinsics; ``cpp/core/model/parameter_layout.h``) as unknowns,
 
     J   two rows an observation, nonzero in its point's and its image's blocks,
     H   = J^T J, the information matrix; H_pp is block diagonal,
@@ -118,12 +118,12 @@ class ProblemPattern:
         num_free_points: points that are refined.
         reduced: the pattern of S.
         nnz_jacobian, nnz_information: of J and H.
-        block_pairs: over all free points, the pairs of camera-side blocks that see it, each pair
+        block_pairs: over all free points, the pairs of camera blocks that see it, each pair
             once and every block with itself: block products of the elimination.
         pair_entries: the same in entries: half the sum of F^2 over the free points, F the columns
-            on the camera side that a point meets.
+            of camera parameters that a point meets.
         longest_track: most observations of a point.
-        has_equal_blocks: all blocks of the camera side have one size, and no observation sees two:
+        has_equal_blocks: all camera blocks have one size, and no observation sees two:
             where Ceres has Schur kernels of fixed size.
         plan: of the fused backend.
     """
@@ -141,7 +141,7 @@ class ProblemPattern:
 
     @property
     def num_camera_columns(self) -> int:
-        """Unknowns on the camera side."""
+        """Unknown camera parameters."""
         return self.reduced.num_columns
 
     @property
@@ -181,13 +181,13 @@ def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
     columns = np.bincount(seen_point, seen_size, problem.num_points)
     both = (image_block >= 0) & (camera_block >= 0)
     within_images = np.unique(np.stack([image_block[both], camera_block[both]]), axis=1)
-    camera_side = int((sizes**2).sum() + 2 * sizes[within_images].prod(0).sum())
+    camera_parameters = int((sizes**2).sum() + 2 * sizes[within_images].prod(0).sum())
     return ProblemPattern(
         num_observations=int(np.count_nonzero(free | (width > 0))),
         num_free_points=int(is_free.sum()),
         reduced=reduced,
         nnz_jacobian=int(2 * (3 * free.sum() + width.sum())),
-        nnz_information=camera_side + 9 * int(is_free.sum()) + 2 * int(3 * seen_size.sum()),
+        nnz_information=camera_parameters + 9 * int(is_free.sum()) + 2 * int(3 * seen_size.sum()),
         block_pairs=int((num_seen * (num_seen + 1) / 2).sum()),
         pair_entries=float((columns**2).sum() / 2),
         longest_track=longest_track,
@@ -203,7 +203,7 @@ def _seen_blocks(
     camera_block: Sizes,
     num_blocks: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (point, block) of each free point and each camera-side block that sees it, once."""
+    """Return (point, block) of each free point and each camera block that sees it, once."""
     point = problem.observation_point[free].astype(np.int64)
     image = problem.observation_image[free]
     codes = [

@@ -21,7 +21,7 @@ class FactorRate:
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """Seconds of a step for one of each; entries are those of 9 columns on the camera side.
+    """Seconds of a step for one of each; entries are those of blocks of 9 camera parameters.
 
     Attributes:
         num_threads: of the solves that were timed.

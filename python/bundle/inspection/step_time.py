@@ -22,7 +22,7 @@ _SECONDS_PER_COARSE_VALUE, COARSE_FACTOR_SHARE = 10e-9, 0.05
 POWER_SERIES_PRODUCTS = 6
 """Products of one iteration with the power series as preconditioner."""
 
-# What the rates are for: 9 columns on the camera side, whose blocks take 9 x 12 doubles in chunks.
+# What the rates are for: 9 camera parameters per block, whose blocks take 9 x 12 doubles in chunks.
 _COLUMNS, _BLOCK_DOUBLES = 9, 108
 
 # From here on S is read and written beyond the caches.

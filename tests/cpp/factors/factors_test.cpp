@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "core/cameras/registry.h"
-#include "core/ceres/jacobian_checks.h"
+#include "core/ceres/reference_checks.h"
 #include "core/error.h"
 #include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"

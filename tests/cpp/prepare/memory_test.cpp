@@ -1,4 +1,3 @@
-#include "core/prepare/memory.h"
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>

@@ -15,9 +15,16 @@ class CapturingSolver final : public LinearSolver {
  public:
   explicit CapturingSolver(BlockStructure structure) : structure_(std::move(structure)) {}
 
-  LinearSolution Solve(BlockSystem* system, const std::vector<double>& scale, double /*eta*/,
-                       double* x) override {
-    const int n = structure_.num_blocks() == 0 ? 0 : structure_.num_columns();
+  bool NeedsCameraDiagonal() const override { return true; }
+
+  const std::vector<double>& scale() const { return scale_; }
+
+  testing::RealMatrix matrix, camera_diagonal;
+  testing::RealVector rhs;
+
+ private:
+  LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& scale) override {
+    const int n = num_columns();
     scale_ = scale;
     matrix = testing::RealMatrix::Zero(n, n);
     camera_diagonal = testing::RealMatrix::Zero(n, n);
@@ -42,19 +49,20 @@ class CapturingSolver final : public LinearSolver {
         }
       }
     }
+    return {};
+  }
+
+  LinearSolution DoSolve(const double* /*rhs*/, int /*num_rhs*/, double /*eta*/,
+                         double* x) override {
+    const int n = num_columns();
     const testing::RealVector solution =
         n > 0 ? testing::RealVector(matrix.ldlt().solve(rhs)) : testing::RealVector();
     for (int i = 0; i < n; ++i) x[i] = static_cast<double>(solution[i]);
     return {};
   }
-  bool NeedsCameraDiagonal() const override { return true; }
 
-  const std::vector<double>& scale() const { return scale_; }
+  int num_columns() const { return structure_.num_blocks() == 0 ? 0 : structure_.num_columns(); }
 
-  testing::RealMatrix matrix, camera_diagonal;
-  testing::RealVector rhs;
-
- private:
   const BlockStructure structure_;
   std::vector<double> scale_;
 };

@@ -2,7 +2,7 @@
 
 #include "core/error.h"
 #include "core/schur/elimination_plan.h"
-#include "core/solver/solve.h"
+#include "core/solver/solver.h"
 #include "support/scene.h"
 
 namespace bundle {

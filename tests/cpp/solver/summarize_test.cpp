@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "core/solver/solve_with_fused.h"
+#include "core/solver/fused_solver.h"
 
 namespace bundle::fused {
 namespace {

@@ -5,7 +5,7 @@
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/problem/problem_view.h"
-#include "core/solver/solve.h"
+#include "core/solver/solver.h"
 #include "support/cost.h"
 #include "support/scene.h"
 

@@ -1,4 +1,4 @@
-#include "core/solver/solve_with_fused.h"
+#include "core/solver/fused_solver.h"
 
 #include <gtest/gtest.h>
 
@@ -10,7 +10,7 @@
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/parallel/interruption.h"
-#include "core/solver/solve.h"
+#include "core/solver/solver.h"
 #include "support/checked_solve.h"
 #include "support/cost.h"
 #include "support/no_threads.h"

@@ -1,0 +1,197 @@
+#include "core/solver/fused_solver.h"
+
+#include <algorithm>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/checking/check_solution.h"
+#include "core/linear/block_structure.h"
+#include "core/linear/linear_solver.h"
+#include "core/minimize/trust_region.h"
+#include "core/model/coupled_blocks.h"
+#include "core/model/parameter_layout.h"
+#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
+#include "core/prepare/choose_solver.h"
+#include "core/prepare/prepare.h"
+#include "core/schur/elimination_plan.h"
+#include "core/schur/schur_problem.h"
+
+namespace bundle::fused {
+FusedSolver::FusedSolver(const ProblemView& problem, const SolveOptions& options,
+                         PreparedSolve prepared, bool is_reused)
+    : problem_(problem),
+      options_(options),
+      is_reused_(is_reused),
+      layout_(std::move(prepared.layout)),
+      track_lengths_(std::move(prepared.track_lengths)) {
+  const Stopwatch time;
+  ChooseSolver();
+  BuildProblem();
+  // Of a solver that is reused, no solve spends it.
+  build_time_ = is_reused ? 0 : time.seconds();
+  if (is_reused) factor_.symbolic_time_in_seconds = 0;
+}
+
+SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning> warnings,
+                               const ProgressCallback& progress) {
+  const Stopwatch total;
+  CopyChangeable(options, &options_);
+  if (is_reused_) schur_->Reset(options_);
+  SolveTimes times;
+  times.preprocessor = build_time_ + total.seconds();
+
+  const Stopwatch minimizer;
+  MinimizerSummary minimum = Minimize(options_, AddFixedCost(progress), schur_.get());
+  times.minimizer = minimizer.seconds();
+
+  const Stopwatch postprocessor;
+  if (!is_reused_) schur_->FreeSystem();
+  SolveOutput output;
+  CollectState(&output);
+  times.postprocessor = postprocessor.seconds();
+  times.total = build_time_ + total.seconds();
+  output.solve_time_in_seconds = times.total;
+
+  output.summary = Summarize(options_, layout_, *schur_, minimum, times);
+  output.summary.linear_solver_choice = linear_solver_choice_;
+  output.summary.factor = factor_;
+  if (options_.check_solution) output.summary.num_information_nonzeros = CountInformation();
+  output.iterations = std::move(minimum.iterations);
+  for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
+  warnings.insert(warnings.end(), warnings_.begin(), warnings_.end());
+  FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings),
+              schur_->num_held(), &output);
+  return output;
+}
+
+void FusedSolver::ChooseSolver() {
+  const ProblemShape shape = ShapeOf(layout_, 2 * problem_.num_observations);
+  if (options_.linear_solver_type == LinearSolverType::kAuto) ChooseBySize(shape);
+  CheckTrustRegion(options_);
+  Warn(WarningKind::kPreconditionerNotUsed, FindIdlePreconditioner(options_), &warnings_);
+  RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
+  working_bytes_ = PredictFusedWorkingBytes(
+      layout_, track_lengths_, EffectiveNumThreads(options_.num_threads), BufferBytes());
+  track_lengths_ = {};
+  RefuseTooMuchMemory(working_bytes_);
+  if (options_.preconditioner_type == PreconditionerType::kAuto) {
+    options_.preconditioner_type = PreconditionerType::kTwoLevel;
+  }
+  options_.num_threads = EffectiveNumThreads(options_.num_threads);
+}
+
+/// At most, of a chunk's buffer: a block for each pair of images.
+double FusedSolver::BufferBytes() const {
+  double columns = 0;
+  for (const CameraSideBlock& block : layout_.blocks())
+    columns = std::max<double>(columns, block.size);
+  const double images = problem_.num_images;
+  return std::min<double>(kMaxBufferBytes,
+                          sizeof(double) * columns * columns * images * (images + 1) / 2);
+}
+
+/// Below a few hundred columns even the structure costs more than a dense factorisation.
+void FusedSolver::ChooseBySize(const ProblemShape& shape) {
+  constexpr int64_t kColumnsWorthALook = 300;
+  SolverChoice choice;
+  if (shape.num_camera_columns < kColumnsWorthALook) {
+    choice.reason = "The reduced camera system (" + std::to_string(shape.num_camera_columns) +
+                    " columns) is small: its dense factorisation costs less than a millisecond.";
+  } else {
+    FindSparseStructure();
+    // A choice that is to be the same for any number of threads must not know it.
+    const int num_threads = options_.deterministic ? 1 : options_.num_threads;
+    const auto columns = static_cast<double>(shape.num_camera_columns);
+    const double available = AvailableMemoryFor(sizeof(double) * columns * columns);
+    choice = ChooseLinearSolver(structure_, ordering_, num_threads, available);
+  }
+  options_.linear_solver_type = choice.type;
+  linear_solver_choice_ = std::move(choice.reason);
+}
+
+std::vector<int> FusedSolver::BlockSizes() const {
+  std::vector<int> sizes;
+  for (const CameraSideBlock& block : layout_.blocks()) sizes.push_back(block.size);
+  return sizes;
+}
+
+void FusedSolver::FindSparseStructure() {
+  ThrowIfInterrupted();
+  const Stopwatch symbolic;
+  structure_ =
+      SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_, options_.num_threads));
+  ordering_ = FindFillOrdering(structure_);
+  symbolic_time_ += symbolic.seconds();
+}
+
+void FusedSolver::BuildProblem() {
+  if (options_.linear_solver_type == LinearSolverType::kDenseSchur) {
+    structure_ = DenseStructure(BlockSizes());
+  } else if (structure_.offset.empty()) {
+    FindSparseStructure();
+  }
+  if (options_.linear_solver_type != LinearSolverType::kDenseSchur) {
+    // The order of the elimination becomes that of the blocks for everyone. Images that share
+    // points are near each other in it, which the passes over points like as well.
+    layout_.Reorder(ordering_.order);
+    structure_ = Reorder(structure_, ordering_.order);
+  }
+  ThrowIfInterrupted();
+  const Stopwatch symbolic;
+  solver_ = MakeSolver();
+  symbolic_time_ += symbolic.seconds();
+  SummarizeFactor();
+  RefuseTooMuchMemory(options_.linear_solver_type,
+                      sizeof(double) * static_cast<double>(structure_.num_values), working_bytes_);
+  ThrowIfInterrupted();
+  schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure_),
+                                          solver_.get(), is_reused_);
+}
+
+void FusedSolver::SummarizeFactor() {
+  const FactorStatistics statistics = solver_->factor_statistics();
+  factor_ = fused::SummarizeFactor(structure_, statistics, symbolic_time_);
+  Warn(WarningKind::kFactorLargerThanPredicted, FindSwollenFactor(statistics), &warnings_);
+}
+
+/// Only the factorisations round by their number of threads, which are OpenBLAS'.
+std::unique_ptr<LinearSolver> FusedSolver::MakeSolver() {
+  const int factorisation_threads = options_.deterministic ? 1 : options_.num_threads;
+  switch (options_.linear_solver_type) {
+    case LinearSolverType::kDenseSchur:
+      return MakeDenseSolver(structure_, factorisation_threads);
+    case LinearSolverType::kSparseSchur:
+      return MakeSparseSolver(ordering_, factorisation_threads, &structure_);
+    default:
+      return MakeIterativeSolver(structure_, options_.preconditioner_type, options_.num_threads);
+  }
+}
+
+ProgressCallback FusedSolver::AddFixedCost(const ProgressCallback& progress) const {
+  if (!progress) return progress;
+  return [&progress, fixed_cost = schur_->fixed_cost()](const IterationRecord& iteration) {
+    IterationRecord record = iteration;
+    record.cost += fixed_cost;
+    return progress(record);
+  };
+}
+
+void FusedSolver::CollectState(SolveOutput* output) {
+  const CameraStates& cameras = schur_->cameras();
+  output->cam_from_world = cameras.CamFromWorld();
+  output->camera_params = cameras.camera_params();
+  output->points = schur_->Points();
+}
+
+int64_t FusedSolver::CountInformation() {
+  if (num_information_nonzeros_ < 0) {
+    num_information_nonzeros_ = NumInformationNonzeros(problem_, layout_);
+  }
+  return num_information_nonzeros_;
+}
+
+}  // namespace bundle::fused

@@ -1,0 +1,300 @@
+#include "core/solver/solver.h"
+
+/// The fused backend does one thing: it eliminates the points and factorises or iterates on the
+/// reduced camera system. Whatever else can be asked for is Ceres'.
+
+#if __has_include(<unistd.h>)
+#include <unistd.h>
+#endif
+
+#include <algorithm>
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/ceres/solve_with_ceres.h"
+#include "core/ceres/translate_options.h"
+#include "core/error.h"
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
+#include "core/model/problem_factors.h"
+#include "core/model/scene_frame.h"
+#include "core/parallel/blas.h"
+#include "core/prepare/prepare.h"
+#include "core/schur/elimination_plan.h"
+#include "core/solver/fused_solver.h"
+
+namespace bundle {
+
+namespace {
+
+/// An option that the fused backend does not take as it is.
+struct Unsupported {
+  std::string option;
+  std::string expected;
+  std::string found;
+};
+
+bool IsSupported(LinearSolverType type) {
+  return type == LinearSolverType::kAuto || type == LinearSolverType::kDenseSchur ||
+         type == LinearSolverType::kSparseSchur || type == LinearSolverType::kIterativeSchur;
+}
+
+bool IsSupported(PreconditionerType type) {
+  return type != PreconditionerType::kClusterJacobi &&
+         type != PreconditionerType::kClusterTridiagonal;
+}
+
+/// A preconditioner that no one reads is no obstacle.
+bool MayIterate(LinearSolverType type) {
+  return type == LinearSolverType::kAuto || type == LinearSolverType::kIterativeSchur;
+}
+
+std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
+                                           const PreparedSolve& prepared) {
+  if (!IsSupported(options.linear_solver_type)) {
+    return Unsupported{"linear_solver_type", "auto, dense_schur, sparse_schur or iterative_schur",
+                       NameOf(options.linear_solver_type, kLinearSolverTypes)};
+  }
+  if (options.linear_solver_ordering != EliminationOrdering::kPointsFirst) {
+    return Unsupported{"linear_solver_ordering", "points_first",
+                       NameOf(options.linear_solver_ordering, kEliminationOrderings)};
+  }
+  if (MayIterate(options.linear_solver_type) && !IsSupported(options.preconditioner_type)) {
+    return Unsupported{"preconditioner_type",
+                       "identity, jacobi, schur_jacobi, schur_power_series_expansion or two_level",
+                       NameOf(options.preconditioner_type, kPreconditionerTypes)};
+  }
+  const ParameterLayout& layout = prepared.layout;
+  if (layout.num_free_points() == 0) {
+    return Unsupported{"refine", "points, to eliminate them,", "none that is refined"};
+  }
+  if (layout.blocks().empty()) {
+    return Unsupported{"refine", "poses or intrinsics beside the points", "none that are refined"};
+  }
+  const std::vector<int64_t>& lengths = prepared.track_lengths;
+  const int64_t longest_track = *std::max_element(lengths.begin(), lengths.end());
+  if (longest_track > fused::kMaxTrackLength) {
+    return Unsupported{
+        "backend", "at most " + std::to_string(fused::kMaxTrackLength) + " observations a point",
+        "one with " + std::to_string(longest_track)};
+  }
+  if (!prepared.factor_for_ceres.empty()) {
+    return Unsupported{"factors", "factors of images and cameras, or of one point,",
+                       prepared.factor_for_ceres};
+  }
+  return std::nullopt;
+}
+
+}  // namespace
+
+BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& prepared) {
+  if (options.backend == Backend::kCeres) return {Backend::kCeres, ""};
+  const std::optional<Unsupported> obstacle = FindUnsupported(options, prepared);
+  if (options.backend == Backend::kFused) {
+    if (!obstacle) return {Backend::kFused, ""};
+    throw InputError(obstacle->option + ": expected " + obstacle->expected +
+                     " with the fused backend, found " + obstacle->found);
+  }
+  if (!obstacle) {
+    return {Backend::kFused,
+            "The points are eliminated as they are linearised, in one pass over the observations."};
+  }
+  return {Backend::kCeres, "The fused backend expects " + obstacle->expected + " and found " +
+                               obstacle->found + " (" + obstacle->option + ")."};
+}
+
+namespace {
+
+/// Ceres adds costs and products up in the order in which its threads come by: the same bits for
+/// any number of threads are those of one.
+SolveOutput SolveWithCeresAsAsked(const ProblemView& problem, SolveOptions options,
+                                  PreparedSolve prepared, const ProgressCallback& progress) {
+  if (options.deterministic && options.num_threads != 1) {
+    options.num_threads = 1;
+    Warn(WarningKind::kSingleThread,
+         "Ceres is deterministic on one thread only, and so it got one.", &prepared.warnings);
+  }
+  return SolveWithCeres(problem, options, std::move(prepared), progress);
+}
+
+#if __has_include(<unistd.h>)
+int64_t ProcessId() { return getpid(); }
+#else
+int64_t ProcessId() { return 1; }
+#endif
+constexpr int64_t kNobody = 0;
+
+/// At the start and at the solution, in the world of the factors.
+void SetFactorCosts(const ProblemView& given, SolveOutput* output) {
+  if (given.factors == nullptr) return;
+  output->summary.num_factors = static_cast<int>(given.factors->factors.size());
+  output->factor_costs_before = FactorCosts(given);
+  ProblemView refined = given;
+  refined.cam_from_world = output->cam_from_world.data();
+  refined.camera_params = output->camera_params.data();
+  refined.points = output->points.data();
+  output->factor_costs_after = FactorCosts(refined);
+}
+
+LossFunction MakeLossFunction(const SolveOptions& options) {
+  return [loss = std::shared_ptr<ceres::LossFunction>(MakeLoss(options.loss, options.loss_scale))](
+             double squared_norm) {
+    double rho[3] = {squared_norm, 1, 0};
+    if (loss) loss->Evaluate(squared_norm, rho);
+    return std::make_pair(rho[0], rho[1]);
+  };
+}
+
+}  // namespace
+
+/// A solver and the problem that it is at.
+class Solver::Impl {
+ public:
+  Impl(const ProblemView& problem, const SolveOptions& options, bool is_reused)
+      : problem_(problem), options_(options), is_reused_(is_reused) {
+    RefuseTooLarge(problem);
+    if (HasMemoryLimit()) TakeBlasBuffers();
+  }
+
+  ~Impl() { AbandonAfterFork(); }
+
+  /// Lays out everything for these values.
+  void PrepareFor(const ProblemView& given) {
+    const SceneFrame frame(given);
+    const CenteredProblem centered(given, frame);
+    TakeValues(centered.view());
+    Prepare();
+    if (fused_ == nullptr) prepared_.reset();  // Ceres' solves prepare themselves
+  }
+
+  SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
+                    const ProgressCallback& progress) {
+    const UseGuard guard(&user_);
+    const Stopwatch time;
+    if (is_reused_) CheckSameStructure(problem_, given);
+    AbandonAfterFork();
+    const SceneFrame given_frame(given);
+    const CenteredProblem centered(given, given_frame);
+    TakeValues(centered.view());
+    if (!IsPreparedForValues()) Prepare();
+    SolveOptions options = options_;
+    CopyChangeable(given_options, &options);
+    FarPoints far =
+        FindFarPoints(problem_, layout(), centered.is_moved() ? SceneFrame(problem_) : given_frame);
+    options.parameter_tolerance *= far.norm_without;
+    std::vector<Warning> warnings = warnings_;
+    Warn(WarningKind::kFarPoints, std::move(far.warning), &warnings);
+    SolveOutput output = Run(options, std::move(warnings), progress);
+    JudgeFarPoints(problem_, far, options, MakeLossFunction(options), &output);
+    centered.MoveBack(&output);
+    SetFactorCosts(given, &output);
+    output.summary.backend_given = UpperName(options.backend, kBackends);
+    output.summary.backend_used = UpperName(choice_.backend, kBackends);
+    output.summary.backend_choice = choice_.reason;
+    output.build_time_in_seconds = time.seconds() - output.solve_time_in_seconds;
+    return output;
+  }
+
+ private:
+  /// One solve at a time.
+  class UseGuard {
+   public:
+    explicit UseGuard(std::atomic<int64_t>* user) : user_(user) {
+      // A process that was forked within a solve finds its parent there.
+      int64_t found = user->load();
+      if (found == ProcessId() || !user->compare_exchange_strong(found, ProcessId())) {
+        throw InputError(
+            "Solver: expected one solve at a time, found another that has not ended; threads need "
+            "a solver each");
+      }
+    }
+    ~UseGuard() { user_->store(kNobody); }
+    UseGuard(const UseGuard&) = delete;
+    UseGuard& operator=(const UseGuard&) = delete;
+
+   private:
+    std::atomic<int64_t>* const user_;
+  };
+
+  /// Threads do not survive a fork: there is nobody to join, or to wait for.
+  void AbandonAfterFork() {
+    if (std::exchange(process_, ProcessId()) != ProcessId()) static_cast<void>(fused_.release());
+  }
+
+  void TakeValues(const ProblemView& from) {
+    problem_.cam_from_world = from.cam_from_world;
+    problem_.camera_params = from.camera_params;
+    problem_.points = from.points;
+    problem_.observation_xy = from.observation_xy;
+    std::copy_n(from.origin, 3, problem_.origin);
+  }
+
+  const ParameterLayout& layout() const {
+    return fused_ != nullptr ? fused_->layout() : prepared_->layout;
+  }
+
+  void Prepare() {
+    fused_.reset();
+    prepared_.emplace(PrepareSolve(problem_, options_));
+    choice_ = ChooseBackend(options_, *prepared_);
+    warnings_ = prepared_->warnings;
+    if (choice_.backend != Backend::kFused) return;
+    fused_ =
+        std::make_unique<fused::FusedSolver>(problem_, options_, std::move(*prepared_), is_reused_);
+    prepared_.reset();
+  }
+
+  /// What is free depends on the values by the gauge alone.
+  bool IsPreparedForValues() const {
+    if (fused_ == nullptr) return false;
+    if (options_.gauge == Gauge::kNone) return true;
+    std::string gauge_warning;  // it follows from what is free
+    return ChooseFreeParameters(problem_, options_, &gauge_warning) == fused_->layout().free();
+  }
+
+  SolveOutput Run(const SolveOptions& options, std::vector<Warning> warnings,
+                  const ProgressCallback& progress) {
+    if (fused_ != nullptr) return fused_->Solve(options, std::move(warnings), progress);
+    PreparedSolve prepared = std::move(*prepared_);
+    prepared_.reset();
+    prepared.warnings = std::move(warnings);
+    return SolveWithCeresAsAsked(problem_, options, std::move(prepared), progress);
+  }
+
+  ProblemView problem_;  ///< the structure of the first, the values of the last, about its centre
+  const SolveOptions options_;
+  const bool is_reused_;
+  std::optional<PreparedSolve> prepared_;  ///< of the next solve by Ceres
+  BackendChoice choice_;
+  std::vector<Warning> warnings_;              ///< of PrepareSolve
+  std::unique_ptr<fused::FusedSolver> fused_;  ///< nullptr: not prepared, or Ceres'
+  int64_t process_ = ProcessId();              ///< where its threads are
+  std::atomic<int64_t> user_{kNobody};         ///< the process that solves
+};
+
+Solver::Solver(const ProblemView& problem, const SolveOptions& options)
+    : impl_(std::make_unique<Impl>(problem, options, /*is_reused=*/true)) {
+  impl_->PrepareFor(problem);
+}
+
+Solver::Solver(const ProblemView& problem, const SolveOptions& options, Once /*once*/)
+    : impl_(std::make_unique<Impl>(problem, options, /*is_reused=*/false)) {}
+
+Solver::~Solver() = default;
+
+SolveOutput Solver::Solve(const ProblemView& problem, const SolveOptions& options,
+                          const ProgressCallback& progress) {
+  return impl_->Solve(problem, options, progress);
+}
+
+SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+                  const ProgressCallback& progress) {
+  return Solver(problem, options, Solver::Once()).Solve(problem, options, progress);
+}
+
+}  // namespace bundle

@@ -1,0 +1,75 @@
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
+#include "core/prepare/prepare.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+struct BackendChoice {
+  Backend backend = Backend::kCeres;  ///< not kAuto
+  std::string reason;                 ///< one sentence; "" where the backend was asked for
+};
+
+/// Chooses the backend: the fused one for what it supports, unless another was asked for.
+///
+/// Throws InputError if the fused backend was asked for what it does not support; the message names
+/// the option.
+BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& prepared);
+
+/// Bundle adjustment of one structure, again and again: which image sees which point, the camera
+/// models, what is refined and how it is solved stay; values and stopping rules may change.
+///
+/// The fused backend keeps its threads, the layout, the order of the elimination, the analysed
+/// linear solver and all buffers; a solve does no symbolic work and ends bit for bit as that of a
+/// new solver would. There are two exceptions, which keep it so. Where other values make the gauge
+/// hold other numbers, the solve lays out everything anew; and the two-level preconditioner forms
+/// its clusters by values, in each solve. Ceres keeps nothing and starts from scratch.
+///
+/// A process that was forked from the solver's lays out everything anew at its first solve, as
+/// threads do not survive a fork.
+class Solver {
+ public:
+  /// Lays out everything. The problem is valid (problem_view.h); its arrays have to live and stay
+  /// as they are as long as the solver, but for poses, camera parameters, points and measurements.
+  ///
+  /// Throws InputError as bundle::Solve below.
+  Solver(const ProblemView& problem, const SolveOptions& options);
+  ~Solver();
+  Solver(const Solver&) = delete;
+  Solver& operator=(const Solver&) = delete;
+
+  /// Solves from the values of a valid problem. Options may differ from the constructor's in what
+  /// CopyChangeable copies; anything else in them has no effect. After an exception the solver can
+  /// be used again.
+  ///
+  /// Throws InputError if the problem has another structure, or the solver is in use: by another
+  /// thread, or by its caller where a progress callback calls it.
+  SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+                    const ProgressCallback& progress);
+
+ private:
+  friend SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+                           const ProgressCallback& progress);
+  class Impl;
+
+  struct Once {};
+  Solver(const ProblemView& problem, const SolveOptions& options, Once once);
+
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Bundle adjustment by the backend that the options ask for. The problem is valid
+/// (problem_view.h).
+///
+/// Throws InputError if a camera model is not supported, an id to be fixed does not exist, options
+/// exclude each other or the backend, or the dense matrices of the solver would not fit into
+/// memory. Anything else that keeps the solve from converging is in the summary.
+SolveOutput Solve(const ProblemView& problem, const SolveOptions& options,
+                  const ProgressCallback& progress);
+
+}  // namespace bundle
