@@ -36,8 +36,10 @@ py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
   return result;
 }
 
-py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress) {
-  const bundle::ProblemView view = ViewProblem(problem);
+py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress,
+               const py::object& camera_bounds) {
+  bundle::ProblemView view = ViewProblem(problem);
+  PutCameraBounds(camera_bounds, &view);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   PythonProgress report(progress);
   bundle::SolveOutput output =
@@ -84,7 +86,8 @@ void BindSolve(py::module_& m) {
   m.def("option_choices", &OptionChoices);
   m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });
   m.def("watch_convergence", &WatchConvergence, py::arg("iterations"));
-  m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"));
+  m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"),
+        py::arg("camera_bounds") = py::none());
   py::class_<PythonSolver>(m, "Solver")
       .def(py::init<py::object, const py::dict&>(), py::arg("problem"), py::arg("options"))
       .def("solve", &PythonSolver::Solve, py::arg("problem"), py::arg("options"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+from bundle.camera_bounds import ActiveBound
 from bundle.display import Display
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error
@@ -27,10 +28,13 @@ class Result(SolveRecord):
         iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
         build_time_in_seconds: from the arrays to a solver's problem and back, outside the solver.
         solve_time_in_seconds: inside the solver.
+        active_bounds: the bounds on which camera parameters end: key of the camera, name of the
+            parameter, "lower" or "upper".
     """
 
     problem: Problem
     initial_problem: Problem
+    active_bounds: tuple[ActiveBound, ...] = ()
 
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:
@@ -52,6 +56,13 @@ class Result(SolveRecord):
         """Measure all of these now, so that asking for them takes no time."""
         _ = self.reprojection_error_before, self.reprojection_error_after, self.worst_images
 
+    def _bound_facts(self) -> tuple[tuple[str, str], ...]:
+        bounds = [f"{name} of camera {key[1]} ({side})" for key, name, side in self.active_bounds]
+        if not bounds:
+            return ()
+        more = f" and {len(bounds) - 3} more" if len(bounds) > 3 else ""
+        return (("at bounds", ", ".join(bounds[:3]) + more),)
+
     def _measure(self, problem: Problem) -> ReprojectionError:
         options = self.options
         return reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
@@ -66,6 +77,7 @@ class Result(SolveRecord):
             ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
             ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),
             ("problem", contents(self.problem)),
+            *self._bound_facts(),
             *(("warning", warning) for warning in summary.warnings),
         ]
         return Display(title=f"Result: {self.outcome}", facts=tuple(facts))

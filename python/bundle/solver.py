@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
+
+from numpy.typing import ArrayLike
 
 from bundle import _core
 from bundle.arguments import check_function
+from bundle.camera_bounds import CameraBounds
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.io import Source, as_problem
@@ -26,6 +29,7 @@ def solve(
     problem: Source,
     options: SolveOptions | None = None,
     *,
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     progress: Progress | None = None,
     **changes: Any,
 ) -> Result:
@@ -39,6 +43,10 @@ def solve(
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
+        bounds: ``{("camera", camera_id): (lower, upper)}``, a number for each parameter in COLMAP's
+            order, infinite where there is no bound. The parameter starts between its bounds and
+            stays there; bounds that are equal hold it. ``active_bounds`` of the result has those
+            on which it ends.
         progress: called after each iteration with a dict under the names of Ceres'
             IterationSummary. What it raises stops the solve and comes out of this function;
             KeyboardInterrupt stops it as Ctrl-C does.
@@ -48,15 +56,18 @@ def solve(
         KeyboardInterrupt: Ctrl-C before the start was evaluated, so that there is nothing to keep.
         MemoryError: memory or a limit of it does not suffice.
         InputError: an option that does not exist, a camera model that is not supported, a fixed id
-            that does not exist, options that exclude each other or the backend asked for, or dense
-            matrices beyond the memory of this machine.
+            that does not exist, options that exclude each other or the backend asked for, dense
+            matrices beyond the memory of this machine, or bounds of no camera, of another number of
+            parameters, or that exclude the start.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
     options = resolve_defaults(problem, options)
-    return _result(problem, options, _core.solve(problem, options.asdict(), progress))
+    limits = None if bounds is None else CameraBounds.make(problem, bounds)
+    output = _core.solve(problem, options.asdict(), progress, limits)
+    return _result(problem, options, output, limits)
 
 
 class Solver(Displayed):
@@ -149,12 +160,18 @@ class Solver(Displayed):
         return Display(title="Solver", facts=facts)
 
 
-def _result(problem: Problem, options: SolveOptions, output: dict[str, Any]) -> Result:
+def _result(
+    problem: Problem,
+    options: SolveOptions,
+    output: dict[str, Any],
+    limits: CameraBounds | None = None,
+) -> Result:
     refined = problem._moved(output["cam_from_world"], output["camera_params"], output["points"])
     return Result(
         problem=refined,
         initial_problem=problem,
         options=options,
+        active_bounds=() if limits is None else limits.active(refined),
         **record_fields(output),
     )
 
