@@ -13,14 +13,15 @@ BUILT_FROM := pyproject.toml CMakeLists.txt $(shell find cpp -type f) tools/setu
 CPP_SOURCES = $(shell find cpp python/bundle examples tests -name '*.h' -o -name '*.cpp')
 # Where pip builds the module (pyproject.toml); the C++ tests share its objects.
 BUILD := build/release
-SANITIZE_BUILD := build/sanitize
-SANITIZERS := address,undefined,float-cast-overflow
+SANITIZED := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" bash tools/build_sanitized.sh
+ADDRESS_BUILD := build/sanitize
+THREAD_BUILD := build/thread
 # Runs a GoogleTest program once per core, each with its share of the tests.
 SHARDED = seq 0 $$(($$(nproc) - 1)) | UBSAN_OPTIONS=print_stacktrace=1 GTEST_TOTAL_SHARDS=$$(nproc) \
   xargs -P 0 -I {} env GTEST_SHARD_INDEX={}
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test sanitize lint format docs bench clean
+.PHONY: help setup demo test sanitize tsan lint lint-python lint-cpp format docs bench clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -43,22 +44,28 @@ test: $(READY)  ## run the tests
 	$(VENV)/bin/python -m pytest --numprocesses auto --dist worksteal
 
 sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(SANITIZE_BUILD) -G Ninja --log-level=WARNING \
-	  -DBUNDLE_PYTHON=OFF -DBUNDLE_CPP_TESTS=ON -DBUNDLE_SANITIZE=$(SANITIZERS) \
-	  -DCMAKE_BUILD_TYPE=Sanitize -DCMAKE_CXX_FLAGS_SANITIZE="-O1 -g1"
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(SANITIZE_BUILD) --target bundle_tests
-	$(SHARDED) $(SANITIZE_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
+	$(SANITIZED) g++ address,undefined,float-cast-overflow $(ADDRESS_BUILD)
+	$(SHARDED) $(ADDRESS_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
 	for set in baseline avx2; do \
-	  $(SHARDED) BUNDLE_INSTRUCTION_SET=$$set $(SANITIZE_BUILD)/tests/cpp/bundle_tests \
+	  $(SHARDED) BUNDLE_INSTRUCTION_SET=$$set $(ADDRESS_BUILD)/tests/cpp/bundle_tests \
 	    --gtest_brief=1 --gtest_filter='*Schur*:*Fused*' || exit 1; \
 	done
 
-lint: $(READY)  ## check format, style, types and compiler warnings
+tsan: $(READY)  ## run the C++ tests under ThreadSanitizer
+	$(SANITIZED) clang++ thread $(THREAD_BUILD)
+	TSAN_OPTIONS=suppressions=tools/tsan_suppressions.txt $(SHARDED) $(THREAD_BUILD)/tests/cpp/bundle_tests \
+	  --gtest_brief=1
+
+lint: lint-python lint-cpp  ## check format, style, types and compiler warnings
+
+lint-python: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/clang-format --dry-run -Werror $(CPP_SOURCES)
 	$(VENV)/bin/mypy
 	$(VENV)/bin/python -m mypy.stubtest bundle._core --ignore-disjoint-bases --allowlist tools/stubtest_allowlist.txt
+
+lint-cpp: $(READY)
+	$(VENV)/bin/clang-format --dry-run -Werror $(CPP_SOURCES)
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(BUILD) --log-level=WARNING \
 	  -DBUNDLE_WARNINGS_AS_ERRORS=ON -DBUNDLE_CPP_TESTS=ON
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(BUILD) --target all bundle_tests

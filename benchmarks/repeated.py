@@ -91,7 +91,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--threads", type=int, default=0)
     threads = parser.parse_args().threads
-    small = bundle.synthesize(num_images=10, num_points=100, mean_track_length=5, seed=1).problem
+    small = bundle.synthesize(num_images=10, num_points=115, mean_track_length=5, seed=1).problem
     compare(small, "synthetic", count=1000, rounds=3, threads=threads)
     for path in sorted((data_folder() / "bal").glob("*16-22106*")):
         compare(bundle.load(path), path.name, count=2, rounds=7, threads=threads)

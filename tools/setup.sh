@@ -6,15 +6,11 @@
 # stand, the C++ core is compiled incrementally in build/.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
+source tools/debian.sh
 
 python=$1
 venv=$2
 extras=$3
-
-die() {
-  echo "error: $*" >&2
-  exit 2
-}
 
 require_python() {
   command -v "$python" >/dev/null ||
@@ -35,39 +31,6 @@ if sys.base_prefix == "/usr":
     name = f"python{sys.version_info.major}.{sys.version_info.minor}"
     print(f"{name}-venv", f"{name}-dev", sep="\n")
 PY
-}
-
-is_installed() {
-  [[ "$(dpkg-query -W -f='${Status}' "$1" 2>/dev/null)" == "install ok installed" ]]
-}
-
-install_packages() {
-  if ! command -v apt-get >/dev/null; then
-    echo "no apt-get here: taking it that a C++17 compiler, Ceres, SuiteSparse, OpenBLAS, bzip2," \
-      "zlib and GoogleTest are installed" >&2
-    return
-  fi
-  local missing=() package
-  for package in $(wanted_packages); do
-    is_installed "$package" || missing+=("$package")
-  done
-  [[ ${#missing[@]} -gt 0 ]] || return 0
-  can_install ||
-    die "missing Debian packages and neither root nor sudo to install them: ${missing[*]}"
-  apt_install "${missing[@]}"
-}
-
-can_install() {
-  [[ $(id -u) -eq 0 ]] || command -v sudo >/dev/null
-}
-
-apt_install() {
-  local as_root=(env DEBIAN_FRONTEND=noninteractive)
-  [[ $(id -u) -eq 0 ]] || as_root=(sudo "${as_root[@]}")
-  echo "installing $*"
-  # One broken third-party source fails the update as a whole; Debian's own lists may be fine.
-  "${as_root[@]}" apt-get update -qq || echo "apt-get update failed; trying the lists at hand" >&2
-  "${as_root[@]}" apt-get install -y -qq --no-install-recommends "$@"
 }
 
 # Tests open the pages that bundle writes in a browser, 64 MB to fetch, and are skipped without one:
@@ -101,7 +64,8 @@ print(*project["build-system"]["requires"], sep="\n")')
 }
 
 require_python
-install_packages
+mapfile -t packages < <(wanted_packages)
+install_packages "${packages[@]}"
 install_browser
 make_venv
 install_bundle

@@ -7,7 +7,7 @@
 #include "bindings/immutable_array.h"
 #include "bindings/problem_from_python.h"
 #include "core/error.h"
-#include "core/io/input_file.h"
+#include "core/io/files.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 

@@ -7,7 +7,7 @@
 #include <memory>
 #include <string>
 
-#include "core/io/input_file.h"
+#include "core/io/files.h"
 #include "core/io/text_cursor.h"
 
 namespace bundle {

@@ -17,7 +17,7 @@
 #include "core/cameras/registry.h"
 #include "core/error.h"
 #include "core/io/colmap_index.h"
-#include "core/io/input_file.h"
+#include "core/io/files.h"
 
 namespace bundle {
 

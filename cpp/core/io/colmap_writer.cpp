@@ -7,7 +7,7 @@
 
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
-#include "core/io/output_file.h"
+#include "core/io/files.h"
 
 namespace bundle {
 namespace {

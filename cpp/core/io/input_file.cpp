@@ -1,5 +1,3 @@
-#include "core/io/input_file.h"
-
 #include <bzlib.h>
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -15,6 +13,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/io/files.h"
 
 namespace bundle {
 

@@ -1,5 +1,3 @@
-#include "core/io/output_file.h"
-
 #include <bzlib.h>
 #include <fcntl.h>
 #include <unistd.h>
@@ -11,6 +9,8 @@
 #include <system_error>
 #include <thread>
 #include <utility>
+
+#include "core/io/files.h"
 
 namespace bundle {
 

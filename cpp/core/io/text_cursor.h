@@ -14,7 +14,7 @@
 
 #include "core/error.h"
 #include "core/io/colmap_index.h"
-#include "core/io/input_file.h"
+#include "core/io/files.h"
 
 namespace bundle {
 

@@ -7,10 +7,10 @@
 ///
 /// What differs from CHOLMOD, and why this is not CHOLMOD's: S is put together where L will be.
 /// CHOLMOD takes it as another array, with a row index for each value, and copies. Rows come as
-/// blocks and as runs of blocks here, which are added contiguously, and where all rows of a product
-/// are one run, it is added where it belongs by BLAS itself.
+/// blocks and as ranges of rows here, which are added contiguously, and where all rows of a product
+/// are one range, it is added where it belongs by BLAS itself.
 ///
-/// A product goes in strips of columns, so that it is in the cache when it is added.
+/// A product takes some columns at a time, so that it is in the cache when it is added.
 
 #include "core/linear/supernodal_cholesky.h"
 
@@ -23,7 +23,7 @@
 namespace bundle::fused {
 namespace {
 
-constexpr int kStripColumns = 96;
+constexpr int kProductColumns = 96;
 
 }  // namespace
 
@@ -97,7 +97,7 @@ void SupernodalCholesky::Update(int panel, int by, double* values) {
     int columns = 0;
     for (; row < last_row && supernodes_.row_block[row] < end_block; ++row) {
       columns += BlockSize(row);
-      if (columns >= kStripColumns) {
+      if (columns >= kProductColumns) {
         ++row;
         break;
       }
@@ -120,8 +120,8 @@ void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int
   const double* const from = values + supernodes_.values_begin[by] + top;
   const int target_stride = supernodes_.height[panel];
   double* const to = values + supernodes_.values_begin[panel];
-  if (runs_.size() == 1) {
-    const int position = runs_.front().target;
+  if (row_ranges_.size() == 1) {
+    const int position = row_ranges_.front().target;
     dgemm_(&kPlain, &kTransposed, &rows, &columns, &width, &kMinusOne, from, &stride, from, &stride,
            &kOne, to + position + static_cast<int64_t>(position) * target_stride, &target_stride);
     return;
@@ -133,10 +133,10 @@ void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int
   for (int64_t e = first_row; e < last_row; ++e) {
     double* column = to + static_cast<int64_t>(position_[supernodes_.row_block[e]]) * target_stride;
     for (int c = 0; c < BlockSize(e); ++c, column += target_stride, product += rows) {
-      for (const Run& run : runs_) {
-        double* const target = column + run.target;
-        const double* const source = product + run.source;
-        for (int i = 0; i < run.length; ++i) target[i] += source[i];
+      for (const RowRange& range : row_ranges_) {
+        double* const target = column + range.target;
+        const double* const source = product + range.source;
+        for (int i = 0; i < range.length; ++i) target[i] += source[i];
       }
     }
   }
@@ -144,15 +144,15 @@ void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int
 
 /// Of the rows of panel `by` from `first_row` on.
 void SupernodalCholesky::FindRuns(int by, int64_t first_row) {
-  runs_.clear();
+  row_ranges_.clear();
   const int top = supernodes_.row_in_panel[first_row];
   for (int64_t e = first_row; e < supernodes_.rows_begin[by + 1]; ++e) {
     const int source = supernodes_.row_in_panel[e] - top;
     const int target = position_[supernodes_.row_block[e]];
-    if (runs_.empty() || runs_.back().target + runs_.back().length != target) {
-      runs_.push_back({source, target, 0});
+    if (row_ranges_.empty() || row_ranges_.back().target + row_ranges_.back().length != target) {
+      row_ranges_.push_back({source, target, 0});
     }
-    runs_.back().length += BlockSize(e);
+    row_ranges_.back().length += BlockSize(e);
   }
 }
 

@@ -46,7 +46,7 @@ class SupernodalCholesky {
 
  private:
   /// Rows that follow each other both in a panel and in one that it updates.
-  struct Run {
+  struct RowRange {
     int source, target, length;
   };
 
@@ -68,7 +68,7 @@ class SupernodalCholesky {
   std::vector<int> first_update_;  ///< of each panel: the first of those waiting to update it; -1
   std::vector<int> next_update_;   ///< of each panel: the next in the queue that it waits in; -1
   std::vector<int64_t> next_row_;  ///< of each panel: the first row that no panel has had yet
-  std::vector<Run> runs_;
+  std::vector<RowRange> row_ranges_;
   std::vector<double> product_;
 };
 

@@ -5,7 +5,8 @@
 /// with P_j the panel of block column j below its diagonal block. Both products take each value of
 /// P_j once from memory, 4 flops for 8 bytes, so memory is what this waits for. The rows of the
 /// panel are gathered and scattered a block at a time, 2 m accesses to cache for m^2 values from
-/// memory. Rows go in pieces that leave x and y in L1 while three columns of values stream by.
+/// memory. Rows go some at a time, so as to leave x and y in L1 while three columns of values
+/// stream by.
 ///
 /// Block columns are cut into slices of equally many values. A slice adds into a vector of its own,
 /// as long as the rows that it reaches; these vectors are then added in order. The slices are the
@@ -24,7 +25,7 @@ namespace {
 
 constexpr int kMaxSlices = 16;
 constexpr int64_t kMinSliceValues = 20000;
-constexpr int kPieceRows = 1024;
+constexpr int kRowsAtATime = 1024;
 constexpr int kLanes = 4;
 using Lanes = double __attribute__((vector_size(kLanes * sizeof(double))));
 
@@ -158,17 +159,17 @@ void SymmetricProduct::MultiplyPanel(const double* values, int block, const doub
   }
   const int rows = PanelRows(s, block);
   std::fill_n(slice->panel_y.begin(), rows, 0.0);
-  for (int begin = size; begin < rows; begin += kPieceRows) {
-    const int piece = std::min(kPieceRows, rows - begin);
-    const double* piece_x = slice->panel_x.data() + begin;
-    double* piece_y = slice->panel_y.data() + begin;
+  for (int begin = size; begin < rows; begin += kRowsAtATime) {
+    const int count = std::min(kRowsAtATime, rows - begin);
+    const double* rows_x = slice->panel_x.data() + begin;
+    double* rows_y = slice->panel_y.data() + begin;
     int c = 0;
     for (; c + 3 <= size; c += 3) {
-      MultiplyColumns<3>(panel + c * stride + begin, stride, piece, x_j + c, piece_x, piece_y,
+      MultiplyColumns<3>(panel + c * stride + begin, stride, count, x_j + c, rows_x, rows_y,
                          y_j + c);
     }
     for (; c < size; ++c) {
-      MultiplyColumns<1>(panel + c * stride + begin, stride, piece, x_j + c, piece_x, piece_y,
+      MultiplyColumns<1>(panel + c * stride + begin, stride, count, x_j + c, rows_x, rows_y,
                          y_j + c);
     }
   }

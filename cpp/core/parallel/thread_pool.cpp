@@ -90,9 +90,9 @@ void ThreadPool::Work(const std::function<void(int thread)>& work, int thread) {
 }
 
 void ThreadPool::WorkerLoop(int thread) {
-  for (int seen = 0;;) {
+  for (int64_t seen = 0;;) {
     const auto asleep_at = std::chrono::steady_clock::now() + kStayAwake;
-    int generation = generation_.load(std::memory_order_acquire);
+    int64_t generation = generation_.load(std::memory_order_acquire);
     for (SpinWait wait; generation == seen && std::chrono::steady_clock::now() < asleep_at;) {
       wait.Once();
       generation = generation_.load(std::memory_order_acquire);

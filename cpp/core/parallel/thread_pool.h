@@ -83,7 +83,7 @@ class ThreadPool {
 
   std::vector<std::thread> workers_;
   const std::function<void(int)>* work_ = nullptr;
-  std::atomic<int> generation_{0};  ///< counts the runs; -1 ends the threads
+  std::atomic<int64_t> generation_{0};  ///< counts the runs; -1 ends the threads
   std::atomic<int> unfinished_{0};
   std::mutex mutex_;
   std::condition_variable wake_;

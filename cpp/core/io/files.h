@@ -1,10 +1,12 @@
 #pragma once
 
-/// Files to read as streams, decompressed on the way, and their bytes in messages.
+/// Files as streams: read and decompressed, compressed and written; and their bytes in messages.
 
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <filesystem>
+#include <future>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -39,6 +41,37 @@ class InputFile {
   virtual uint64_t stored_size() const = 0;
 
   virtual bool is_compressed() const = 0;
+};
+
+enum class Compression { kNone, kGzip, kBzip2 };
+
+/// A file to write, compressed on the way. Compression runs on all cores: the file is a sequence of
+/// independent streams of about a megabyte, which every gzip and bzip2 tool reads as one.
+///
+/// Throws std::system_error, also for errors that the system reports late; only after Close() has
+/// returned is everything handed to the system.
+class OutputFile {
+ public:
+  OutputFile(const std::filesystem::path& path, Compression compression);
+  ~OutputFile();
+  OutputFile(const OutputFile&) = delete;
+  OutputFile& operator=(const OutputFile&) = delete;
+
+  /// Adds a block; blocks of kBlockSize are best.
+  void Write(std::string_view block);
+  void Close();
+
+  static constexpr size_t kBlockSize = 900'000;  ///< what bzip2 compresses at a time
+
+ private:
+  void WriteToSystem(std::string_view bytes);
+  void FinishOldestStream();
+  [[noreturn]] void ThrowSystemError() const;
+
+  std::filesystem::path path_;
+  Compression compression_;
+  int fd_;
+  std::deque<std::future<std::string>> streams_;  ///< being compressed, oldest first
 };
 
 }  // namespace bundle
