@@ -84,7 +84,16 @@ PYTHON_MAY_IMPORT = {
     "reprojection": {"_core", "errors", "io", "option_fields", "options", "problem"},
     "worst_images": {"problem", "reprojection"},
     "solve_record": {"display", "options", "summary", "termination"},
-    "result": {"display", "problem", "reprojection", "solve_record", "words", "worst_images"},
+    "camera_bounds": {"arguments", "cameras", "errors", "problem"},
+    "result": {
+        "camera_bounds",
+        "display",
+        "problem",
+        "reprojection",
+        "solve_record",
+        "words",
+        "worst_images",
+    },
     "camera_changes": {"cameras", "result"},
     "io": {
         "_core",
@@ -119,6 +128,7 @@ PYTHON_MAY_IMPORT = {
     "solver": {
         "_core",
         "arguments",
+        "camera_bounds",
         "display",
         "errors",
         "graph",

@@ -74,8 +74,9 @@ py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
 }
 
 py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress,
-               const py::object& given_factors) {
+               const py::object& camera_bounds, const py::object& given_factors) {
   bundle::ProblemView view = ViewProblem(problem);
+  PutCameraBounds(camera_bounds, &view);
   GivenFactors factors(given_factors);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   PythonProgress report(progress);
@@ -126,7 +127,7 @@ void BindSolve(py::module_& m) {
   m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });
   m.def("watch_convergence", &WatchConvergence, py::arg("iterations"));
   m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"),
-        py::arg("factors") = py::none());
+        py::arg("camera_bounds") = py::none(), py::arg("factors") = py::none());
   py::class_<PythonSolver>(m, "Solver")
       .def(py::init<py::object, const py::dict&>(), py::arg("problem"), py::arg("options"))
       .def("solve", &PythonSolver::Solve, py::arg("problem"), py::arg("options"),

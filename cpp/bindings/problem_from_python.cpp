@@ -89,3 +89,10 @@ bundle::ProblemView ViewProblem(const py::handle& problem) {
   }
   return view;
 }
+
+void PutCameraBounds(const py::object& bounds, bundle::ProblemView* view) {
+  if (bounds.is_none()) return;
+  const py::ssize_t num_cameras = view->num_cameras, stride = view->camera_params_stride;
+  view->camera_lower = Data<double>(bounds, "lower", {num_cameras, stride});
+  view->camera_upper = Data<double>(bounds, "upper", {num_cameras, stride});
+}

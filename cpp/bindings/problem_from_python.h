@@ -7,3 +7,7 @@
 /// Views the arrays of a bundle.Problem, which must outlive the view. Throws InputError if a shape
 /// is wrong; values are not looked at.
 bundle::ProblemView ViewProblem(const pybind11::handle& problem);
+
+/// Adds the arrays `lower` and `upper` of a bundle.bounds.CameraBounds, which must outlive the
+/// view, unless it is None.
+void PutCameraBounds(const pybind11::object& bounds, bundle::ProblemView* view);

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.camera_bounds import CameraBounds
 from bundle.problem import Problem
 
 __version__: str
@@ -110,6 +111,7 @@ def solve(
     problem: Problem,
     options: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
+    camera_bounds: CameraBounds | None = None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
 ) -> dict[str, Any]: ...
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.camera_bounds import ActiveBound
 from bundle.display import Display
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error
@@ -33,12 +34,15 @@ class Result(SolveRecord):
         factor_costs_before: (num_factors,) 1/2 rho(||r||^2) of each factor beside the observations,
             in the order given, at the input; nan where it has no value.
         factor_costs_after: the same at the output.
+        active_bounds: the bounds on which camera parameters end: key of the camera, name of the
+            parameter, "lower" or "upper".
     """
 
     problem: Problem
     initial_problem: Problem
     factor_costs_before: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     factor_costs_after: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    active_bounds: tuple[ActiveBound, ...] = ()
 
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:
@@ -67,6 +71,13 @@ class Result(SolveRecord):
         before, after = float(self.factor_costs_before.sum()), float(self.factor_costs_after.sum())
         return (("factors", f"{count}, cost {change(before, after)}"),)
 
+    def _bound_facts(self) -> tuple[tuple[str, str], ...]:
+        bounds = [f"{name} of camera {key[1]} ({side})" for key, name, side in self.active_bounds]
+        if not bounds:
+            return ()
+        more = f" and {len(bounds) - 3} more" if len(bounds) > 3 else ""
+        return (("at bounds", ", ".join(bounds[:3]) + more),)
+
     def _measure(self, problem: Problem) -> ReprojectionError:
         options = self.options
         return reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
@@ -82,6 +93,7 @@ class Result(SolveRecord):
             ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),
             ("problem", contents(self.problem)),
             *self._factor_facts(),
+            *self._bound_facts(),
             *(("warning", warning) for warning in summary.warnings),
         ]
         return Display(title=f"Result: {self.outcome}", facts=tuple(facts))

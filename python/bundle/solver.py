@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
 
 from bundle import _core
 from bundle.arguments import check_function
+from bundle.camera_bounds import CameraBounds
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.io import Source, as_problem
@@ -29,6 +32,7 @@ def solve(
     options: SolveOptions | None = None,
     *,
     factors: Iterable[Factor] = (),
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     progress: Progress | None = None,
     **changes: Any,
 ) -> Result:
@@ -64,6 +68,10 @@ def solve(
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
         factors: beside the observations, such as :class:`bundle.PriorFactor`.
+        bounds: ``{("camera", camera_id): (lower, upper)}``, a number for each parameter in COLMAP's
+            order, infinite where there is no bound. The parameter starts between its bounds and
+            stays there; bounds that are equal hold it. ``active_bounds`` of the result has those
+            on which it ends.
         progress: called after each iteration with a dict under the names of Ceres'
             IterationSummary. What it raises stops the solve and comes out of this function;
             KeyboardInterrupt stops it as Ctrl-C does.
@@ -74,8 +82,10 @@ def solve(
         MemoryError: memory or a limit of it does not suffice.
         InputError: an option that does not exist, a camera model that is not supported, a fixed id
             that does not exist, options that exclude each other or the backend asked for, dense
-            matrices beyond the memory of this machine, or a factor with an unknown key, numbers
-            that do not fit its variables, or no finite value at the start.
+            matrices beyond the memory of this machine, bounds of no camera, of another number of
+            parameters, or that exclude the start, a factor with an unknown key, numbers that do not
+            fit its variables, or no finite value at the start, or factors beside bounds, which no
+            backend takes yet.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
@@ -85,8 +95,12 @@ def solve(
     if known is not None and known.locate and options.gauge == "auto":
         options = options.replace(gauge="none")
     options = resolve_defaults(problem, options)
+    limits = None if bounds is None else CameraBounds.make(problem, bounds)
+    if known is not None and limits is not None:
+        raise InputError("bounds: expected none beside factors, found some")
     given = None if known is None else known.core()
-    return _result(problem, options, _core.solve(problem, options.asdict(), progress, given))
+    output = _core.solve(problem, options.asdict(), progress, limits, given)
+    return _result(problem, options, output, limits)
 
 
 class Solver(Displayed):
@@ -179,7 +193,12 @@ class Solver(Displayed):
         return Display(title="Solver", facts=facts)
 
 
-def _result(problem: Problem, options: SolveOptions, output: dict[str, Any]) -> Result:
+def _result(
+    problem: Problem,
+    options: SolveOptions,
+    output: dict[str, Any],
+    limits: CameraBounds | None = None,
+) -> Result:
     refined = problem._moved(output["cam_from_world"], output["camera_params"], output["points"])
     return Result(
         problem=refined,
@@ -187,6 +206,7 @@ def _result(problem: Problem, options: SolveOptions, output: dict[str, Any]) -> 
         options=options,
         factor_costs_before=output["factor_costs_before"],
         factor_costs_after=output["factor_costs_after"],
+        active_bounds=() if limits is None else limits.active(refined),
         **record_fields(output),
     )
 

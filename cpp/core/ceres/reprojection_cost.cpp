@@ -51,7 +51,7 @@ class ReprojectionCost final : public ceres::CostFunction {
     ReprojectionJacobian<kParams> jacobian;
     const bool in_front = EvaluateReprojection<Model>(*pose_, params_, point, measurement_,
                                                       cheirality_, residuals, &jacobian);
-    if (watch_ != nullptr) AtState(in_front, residuals, &jacobian);
+    if (watch_ != nullptr) AtStateOrCandidate(in_front, residuals, &jacobian);
     if (fixed_point_ == nullptr) {
       if (jacobians[0] != nullptr) std::copy_n(jacobian.point, 6, jacobians[0]);
       ++jacobians;
@@ -71,16 +71,25 @@ class ReprojectionCost final : public ceres::CostFunction {
     if (counts != counted_) watch_->has_changed.store(true, std::memory_order_relaxed);
   }
 
-  void AtState(bool in_front, double* residual, ReprojectionJacobian<kParams>* jacobian) const {
+  void AtStateOrCandidate(bool in_front, double* residual,
+                          ReprojectionJacobian<kParams>* jacobian) const {
     const bool counts = CountsAfterState(in_front, residual);
+    if (watch_->is_at_candidate.load(std::memory_order_relaxed)) {
+      if (!counts) Hold(residual, jacobian);
+      return;
+    }
     if (counts != counted_) watch_->num_held.fetch_add(counts ? -1 : 1);
     counted_ = counts;
     if (counts) {
       for (int i = 0; i < 2; ++i) held_[i] = kHeldFactor * residual[i];
     } else {
-      std::copy_n(held_, 2, residual);
-      *jacobian = {};
+      Hold(residual, jacobian);
     }
+  }
+
+  void Hold(double* residual, ReprojectionJacobian<kParams>* jacobian) const {
+    std::copy_n(held_, 2, residual);
+    *jacobian = {};
   }
 
   bool CountsAfterState(bool in_front, const double* r) const {

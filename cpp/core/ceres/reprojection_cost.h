@@ -17,6 +17,8 @@ struct HoldingWatch {
   std::atomic<int64_t> num_held{0};  ///< at the last state
   /// Since this was last set to false, others counted at a candidate than at the state before.
   std::atomic<bool> has_changed{false};
+  /// Derivatives that are asked for now are at a candidate.
+  std::atomic<bool> is_at_candidate{false};
 };
 
 /// What all reprojection costs of a solve share. Outlives them.
@@ -37,8 +39,9 @@ struct ReprojectionContext {
 /// keeps the two equal. The model is one of the registry's and known.
 ///
 /// An observation that does not count has the residual that it holds (factors/reprojection.h),
-/// which depends on the states of the solve. Ceres' trust region asks for derivatives at these
-/// only, and for the residual alone at candidates.
+/// which depends on the states of the solve. Ceres' trust region asks for derivatives at these, and
+/// for the residual alone at candidates; only its search along a projected step asks for
+/// derivatives at candidates, which HoldingWatch::is_at_candidate tells apart.
 std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
                                                           int64_t observation);
 

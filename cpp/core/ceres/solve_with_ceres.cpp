@@ -8,6 +8,7 @@
 #include <string>
 #include <utility>
 
+#include "core/ceres/active_bounds.h"
 #include "core/ceres/factor_adapter.h"
 #include "core/ceres/reprojection_cost.h"
 #include "core/ceres/summarize.h"
@@ -31,19 +32,29 @@ namespace {
 /// From then on no cost can be evaluated, and the candidate is rejected.
 class UpdateCameraStates final : public ceres::EvaluationCallback {
  public:
-  UpdateCameraStates(const double* state, CameraStates* states, Abandonment* abandonment)
-      : state_(state), states_(states), abandonment_(abandonment) {}
+  UpdateCameraStates(const double* state, CameraStates* states, HoldingWatch* watch,
+                     ActiveBounds* bounds, Abandonment* abandonment)
+      : state_(state), states_(states), watch_(watch), bounds_(bounds), abandonment_(abandonment) {}
 
   void PrepareForEvaluation(bool evaluate_jacobians, bool new_evaluation_point) override {
     if (!evaluate_jacobians && InterruptionRequested())
       abandonment_->happened.store(true, std::memory_order_relaxed);
     if (new_evaluation_point) states_->Update(state_);
+    // Ceres has evaluated the cost at every state but the first when it asks for derivatives there.
+    const bool is_at_state = evaluate_jacobians && !(new_evaluation_point && has_start_);
+    has_start_ = has_start_ || evaluate_jacobians;
+    watch_->is_at_candidate.store(true);  // no evaluation of ours is one at a state
+    if (is_at_state) bounds_->Find();
+    watch_->is_at_candidate.store(!is_at_state);
   }
 
  private:
   const double* state_;
   CameraStates* states_;
+  HoldingWatch* watch_;
+  ActiveBounds* bounds_;
   Abandonment* abandonment_;
+  bool has_start_ = false;  ///< the derivatives at the start
 };
 
 /// Remembers in which iterations other observations counted at the candidate than at the state.
@@ -74,7 +85,8 @@ class CeresSolve {
         states_(problem, layout_),
         points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
         state_(layout_.InitialState(problem)),
-        update_states_(state_.data(), &states_, &abandonment_),
+        active_bounds_(layout_.Bounds(problem), state_.data()),
+        update_states_(state_.data(), &states_, &watch_, &active_bounds_, &abandonment_),
         context_{problem_, layout_, states_, options.cheirality, &watch_, &abandonment_.happened},
         loss_(MakeLoss(options.loss, options.loss_scale)) {}
 
@@ -122,6 +134,7 @@ class CeresSolve {
     for (const CameraSideBlock& block : layout_.blocks()) {
       ceres_problem_->AddParameterBlock(state_.data() + block.offset, block.size);
     }
+    AddBounds();
     costs_.reserve(problem_.num_observations);
     for (int64_t i = 0; i < problem_.num_observations; ++i) AddObservation(i);
     num_residuals_ = 2 * static_cast<int64_t>(costs_.size());
@@ -163,6 +176,18 @@ class CeresSolve {
     ceres_problem_->AddResidualBlock(costs_.back().get(), factor_losses_.back().get(), blocks);
   }
 
+  void AddBounds() {
+    const StateBounds& bounds = active_bounds_.bounds();
+    if (bounds.empty()) return;
+    for (const CameraSideBlock& block : layout_.blocks()) {
+      double* const data = state_.data() + block.offset;
+      for (int k = 0; k < block.size; ++k) {
+        ceres_problem_->SetParameterLowerBound(data, k, bounds.lower[block.offset + k]);
+        ceres_problem_->SetParameterUpperBound(data, k, bounds.upper[block.offset + k]);
+      }
+    }
+  }
+
   void AddObservation(int64_t i) {
     const int image = problem_.observation_image[i];
     const int point = problem_.observation_point[i];
@@ -178,6 +203,7 @@ class CeresSolve {
       fixed_cost_ += Cost(*cost);
       return;
     }
+    cost = active_bounds_.Wrap(std::move(cost), loss_.get(), {blocks, blocks + num_blocks});
     ceres_problem_->AddResidualBlock(cost.get(), loss_.get(), blocks, num_blocks);
     costs_.push_back(std::move(cost));
   }
@@ -265,6 +291,7 @@ class CeresSolve {
   std::vector<double> points_;
   std::vector<double> state_;
   Abandonment abandonment_;
+  ActiveBounds active_bounds_;
   UpdateCameraStates update_states_;
   ReprojectionContext context_;
   std::unique_ptr<ceres::LossFunction> loss_;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <string>
 #include <unordered_map>
 #include <utility>
@@ -76,6 +77,18 @@ void FreeTouched(const ProblemView& problem, const SolveOptions& options, FreePa
   }
 }
 
+void HoldBetweenEqualBounds(const ProblemView& problem, FreeParameters* free) {
+  if (problem.camera_lower == nullptr) return;
+  const int num_params = std::min(problem.camera_params_stride, kMaxCameraParams);
+  for (int c = 0; c < problem.num_cameras; ++c) {
+    const int64_t first = static_cast<int64_t>(c) * problem.camera_params_stride;
+    for (int j = 0; j < num_params; ++j) {
+      const bool equal = problem.camera_lower[first + j] == problem.camera_upper[first + j];
+      if (equal) free->camera[c] &= ~(1u << j);
+    }
+  }
+}
+
 }  // namespace
 
 FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptions& options) {
@@ -94,6 +107,7 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
     }
   }
   if (problem.factors != nullptr) FreeTouched(problem, options, &free);
+  HoldBetweenEqualBounds(problem, &free);
   ForEachIndex("camera", options.fixed_camera_ids, problem.camera_ids, problem.num_cameras,
                [&](int index) { free.camera[index] = 0; });
   ForEachIndex("image", options.fixed_image_ids, problem.image_ids, problem.num_images,
@@ -171,26 +185,44 @@ bool ParameterLayout::IsRefined(const ProblemView& problem, int64_t observation)
          camera_block_[problem.image_camera[image]] >= 0;
 }
 
-std::vector<double> ParameterLayout::InitialState(const ProblemView& problem) const {
+template <typename Pose>
+std::vector<double> ParameterLayout::Gather(const ProblemView& problem, const Pose& pose,
+                                            const double* camera_params) const {
   std::vector<double> state(state_size_);
-  const auto fill = [&](int index, const double* translation, const double* params) {
+  const auto fill = [&](int index, int image, int camera) {
     if (index < 0) return;
     const CameraSideBlock& block = blocks_[index];
+    const double* const params =
+        camera_params + static_cast<int64_t>(camera) * problem.camera_params_stride;
     for (int k = 0; k < block.size; ++k) {
       const int column = block.columns[k];
-      state[block.offset + k] = column < 3           ? 0.0
-                                : column < kPoseSize ? translation[column - 3]
-                                                     : params[column - kPoseSize];
+      state[block.offset + k] =
+          column < kPoseSize ? pose(image, column) : params[column - kPoseSize];
     }
   };
-  for (int i = 0; i < problem.num_images; ++i) {
-    fill(image_block_[i], problem.cam_from_world + 7 * static_cast<int64_t>(i) + 4,
-         problem.ParamsOf(problem.image_camera[i]));
-  }
-  for (int c = 0; c < problem.num_cameras; ++c) {
-    fill(camera_block_[c], nullptr, problem.ParamsOf(c));
-  }
+  for (int i = 0; i < problem.num_images; ++i) fill(image_block_[i], i, problem.image_camera[i]);
+  for (int c = 0; c < problem.num_cameras; ++c) fill(camera_block_[c], -1, c);
   return state;
+}
+
+std::vector<double> ParameterLayout::InitialState(const ProblemView& problem) const {
+  const auto pose = [&](int image, int column) {
+    const double* const translation = problem.cam_from_world + 7 * static_cast<int64_t>(image) + 4;
+    return column < 3 ? 0.0 : translation[column - 3];
+  };
+  return Gather(problem, pose, problem.camera_params);
+}
+
+StateBounds ParameterLayout::Bounds(const ProblemView& problem) const {
+  if (problem.camera_lower == nullptr) return {};
+  constexpr double kNone = std::numeric_limits<double>::infinity();
+  StateBounds bounds;
+  bounds.lower = Gather(problem, [](int, int) { return -kNone; }, problem.camera_lower);
+  bounds.upper = Gather(problem, [](int, int) { return kNone; }, problem.camera_upper);
+  const auto is_none = [](double bound) { return std::isinf(bound); };
+  const bool has_none = std::all_of(bounds.lower.begin(), bounds.lower.end(), is_none) &&
+                        std::all_of(bounds.upper.begin(), bounds.upper.end(), is_none);
+  return has_none ? StateBounds() : bounds;
 }
 
 void ParameterLayout::Scatter(const ProblemView& problem, const double* state, double* poses,

@@ -2,6 +2,8 @@
 
 /// Which numbers of a problem a solve may change.
 
+#include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -48,6 +50,29 @@ struct CameraSideBlock {
   int8_t columns[kPoseSize + kMaxCameraParams] = {};  ///< what they are, ascending
 };
 
+/// Bounds of the numbers in a state; no numbers where none of them has any.
+///
+/// A candidate is projected onto them, number by number. A number on a bound beyond which the cost
+/// falls is *active*: it stays until the gradient turns. Without that, the model of a step would
+/// move it, and the numbers coupled to it, to where the projection takes it back; the decrease that
+/// the model promises does not come, and a trust region rejects every step (D. P. Bertsekas:
+/// Projected Newton Methods for Optimization Problems with Simple Constraints, 1982; Ceres knows
+/// the projection only).
+struct StateBounds {
+  std::vector<double> lower, upper;
+
+  bool empty() const { return lower.empty(); }
+  /// The number within its bounds that is nearest to `value`.
+  double Project(size_t j, double value) const {
+    return empty() ? value : std::min(std::max(value, lower[j]), upper[j]);
+  }
+  bool IsOn(size_t j, double value) const { return value <= lower[j] || value >= upper[j]; }
+  /// `gradient`: of the cost by the number.
+  bool IsActive(size_t j, double value, double gradient) const {
+    return (value <= lower[j] && gradient > 0) || (value >= upper[j] && gradient < 0);
+  }
+};
+
 class ParameterLayout {
  public:
   ParameterLayout(const ProblemView& problem, FreeParameters free);
@@ -75,6 +100,8 @@ class ParameterLayout {
   /// The state at the problem's own values: w = 0.
   std::vector<double> InitialState(const ProblemView& problem) const;
 
+  StateBounds Bounds(const ProblemView& problem) const;
+
   /// Writes a state into poses (num_images x 6) and camera parameters (as in ProblemView); what is
   /// not in the state is left alone.
   void Scatter(const ProblemView& problem, const double* state, double* poses,
@@ -82,6 +109,10 @@ class ParameterLayout {
 
  private:
   int AddBlock(uint8_t pose_bits, uint32_t camera_bits);
+  /// A state: pose(image, column) of the poses, and camera parameters (as in ProblemView).
+  template <typename Pose>
+  std::vector<double> Gather(const ProblemView& problem, const Pose& pose,
+                             const double* camera_params) const;
 
   FreeParameters free_;
   std::vector<CameraSideBlock> blocks_;

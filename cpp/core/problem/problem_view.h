@@ -30,6 +30,10 @@ struct ProblemView {
   std::vector<const CameraModel*> camera_models;  ///< num_cameras; nullptr: a model we do not know
   const double* camera_params = nullptr;          ///< num_cameras x camera_params_stride
   int camera_params_stride = 0;
+  /// Bounds of camera_params while they are refined, as many numbers each; nullptr: there are none.
+  /// Infinite where a parameter has none; a parameter with equal bounds is held.
+  const double* camera_lower = nullptr;
+  const double* camera_upper = nullptr;
 
   const double* points = nullptr;      ///< num_points x 3
   const int64_t* point_ids = nullptr;  ///< num_points, for messages

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 #include "core/model/gauge.h"
@@ -52,7 +53,8 @@ class SchurProblem::Impl {
         other_step_(problem, layout),
         squared_scale_(x_->points.size()),
         sums_(input_, structure_, assembler_, problem.num_images, pool_.num_threads(),
-              solver->NeedsCameraDiagonal()) {
+              solver->NeedsCameraDiagonal()),
+        bounds_(layout.Bounds(problem)) {
     const auto n = static_cast<size_t>(structure_.num_columns());
     scale_.resize(n);
     d_squared_.resize(n);
@@ -96,10 +98,13 @@ class SchurProblem::Impl {
       if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
     }
     factors_.AddTo(&sums_.sums());
+    HoldActive();
     DampCameras(damping, first);
-    for (const double g : gradient()) {
+    for (size_t j = 0; j < gradient().size(); ++j) {
+      const double g = gradient()[j];
       gradient_squared += g * g;
-      if (!(std::abs(g) <= gradient_max)) gradient_max = std::abs(g);
+      const double size = std::abs(ProjectedStep(j, -g));
+      if (!(size <= gradient_max)) gradient_max = size;
     }
     result.gradient_norm = std::sqrt(gradient_squared);
     result.gradient_max_norm = gradient_max;
@@ -139,6 +144,7 @@ class SchurProblem::Impl {
     });
     CandidateSum total = Total(parts);
     total.model_cost_change += factors_.ModelCostChange(newton_);
+    line_ = newton_;
     return Finish(newton_, total);
   }
 
@@ -177,18 +183,37 @@ class SchurProblem::Impl {
     std::vector<double> step(newton_.size());
     for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
     MoveCameras(step);
-    std::vector<CandidateSum> parts(plan_.chunks.size());
-    const StateRecords x = x_->records();
-    ForChunks([&](int c, int) {
-      MovePoints(plan_.chunks[c], a, b, &parts[c]);
-      parts[c].cost = kernels_.cost(input_, candidate_->CandidateRecords(x, c), plan_.chunks[c]);
-    });
-    CandidateSum total = Total(parts);
+    CandidateSum total = MovePoints([&](int64_t i) { return a * points_p_[i] + b * points_q_[i]; });
     const DoglegProducts& d = products_;
     total.model_cost_change =
         -(a * d.d_pp + b * d.d_pq) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
+    line_ = step;
     return Finish(step, total);
   }
+
+  bool has_bounds() const { return !bounds_.empty(); }
+
+  StepLine LineAlongStep() {
+    points_line_.resize(x_->points.size());
+    for (size_t i = 0; i < points_line_.size(); ++i) {
+      points_line_[i] = candidate_->points[i] - x_->points[i];
+    }
+    StepLine line;
+    line.slope = SlopeAt(*x_);
+    for (const std::vector<double>* d : {&line_, &points_line_}) {
+      for (const double value : *d) line.max_norm = std::max(line.max_norm, std::abs(value));
+    }
+    return line;
+  }
+
+  Candidate EvaluateAlongStep(double a) {
+    std::vector<double> step(line_.size());
+    for (size_t j = 0; j < step.size(); ++j) step[j] = a * line_[j];
+    MoveCameras(step);
+    return Finish(step, MovePoints([&](int64_t i) { return a * points_line_[i]; }));
+  }
+
+  double SlopeAtCandidate() { return SlopeAt(*candidate_); }
 
   void Accept() {
     std::swap(x_, candidate_);
@@ -281,24 +306,86 @@ class SchurProblem::Impl {
 
   const std::vector<double>& gradient() { return sums_.sums().gradient; }
 
+  /// Takes the columns of numbers on active bounds out of the normal equations.
+  void HoldActive() {
+    if (!has_bounds()) return;
+    CameraSums& sums = sums_.sums();
+    std::vector<uint8_t> is_active(gradient().size());
+    for (size_t j = 0; j < is_active.size(); ++j) {
+      is_active[j] = bounds_.IsActive(j, x_->camera_side[j], gradient()[j]);
+      if (is_active[j]) sums.gradient[j] = sums.system.rhs[j] = sums.squared_norms[j] = 0;
+    }
+    if (std::count(is_active.begin(), is_active.end(), 1) == 0) return;
+    for (int b = 0; b < structure_.num_blocks(); ++b) {
+      const uint8_t* const columns = is_active.data() + structure_.offset[b];
+      const int width = structure_.block_size(b);
+      for (int64_t e = structure_.column_begin[b]; e < structure_.column_begin[b + 1]; ++e) {
+        const uint8_t* const rows = is_active.data() + structure_.offset[structure_.row_block[e]];
+        const int height = structure_.block_size(structure_.row_block[e]);
+        for (int k = 0; k < width; ++k) {
+          for (int i = 0; i < height; ++i) {
+            if (columns[k] || rows[i]) sums.system.values[structure_.ValueIndex(b, e, i, k)] = 0;
+          }
+        }
+      }
+      if (sums.system.camera_diagonal.empty()) continue;
+      double* const diagonal = sums.system.camera_diagonal.data() + assembler_.diagonal_begin()[b];
+      for (int k = 0; k < width; ++k) {
+        for (int i = 0; i < width; ++i) {
+          if (columns[k] || columns[i]) diagonal[k * width + i] = 0;
+        }
+      }
+    }
+  }
+
   void MoveCameras(const std::vector<double>& step) {
     for (size_t j = 0; j < step.size(); ++j) {
-      candidate_->camera_side[j] = x_->camera_side[j] + step[j];
+      candidate_->camera_side[j] = bounds_.Project(j, x_->camera_side[j] + step[j]);
     }
     candidate_->Update();
   }
 
-  void MovePoints(const Chunk& chunk, double a, double b, CandidateSum* sum) {
+  /// What is left of a step of one number of the camera side within its bounds.
+  double ProjectedStep(size_t j, double step) const {
+    if (!has_bounds()) return step;
+    return bounds_.Project(j, x_->camera_side[j] + step) - x_->camera_side[j];
+  }
+
+  /// Moves the candidate's points, number i by point_step(i), and evaluates its cost.
+  template <typename PointStep>
+  CandidateSum MovePoints(const PointStep& point_step) {
+    std::vector<CandidateSum> parts(plan_.chunks.size());
+    const StateRecords x = x_->records();
+    ForChunks([&](int c, int) {
+      MovePoints(plan_.chunks[c], point_step, &parts[c]);
+      parts[c].cost = kernels_.cost(input_, candidate_->CandidateRecords(x, c), plan_.chunks[c]);
+    });
+    return Total(parts);
+  }
+
+  template <typename PointStep>
+  void MovePoints(const Chunk& chunk, const PointStep& point_step, CandidateSum* sum) {
     if (chunk.first_row > 0) return;
     for (int64_t i = 3 * static_cast<int64_t>(chunk.first_point);
          i < 3 * static_cast<int64_t>(chunk.last_point); ++i) {
       const bool free = i < 3 * static_cast<int64_t>(plan_.num_free_points);
-      const double step = free ? a * points_p_[i] + b * points_q_[i] : 0;
+      const double step = free ? point_step(i) : 0;
       candidate_->points[i] = x_->points[i] + step;
       if (!free) continue;
       sum->step_squared += step * step;
       sum->state_squared += candidate_->points[i] * candidate_->points[i];
     }
+  }
+
+  /// d^T J^T r along the last step, at a state.
+  double SlopeAt(const State& state) {
+    step_.Set(line_, state.cameras());
+    std::vector<double> parts(plan_.chunks.size());
+    ForChunks([&](int c, int thread) {
+      parts[c] = kernels_.slope(input_, state.records(), plan_.chunks[c], step_.records(),
+                                points_line_.data(), Memory(thread));
+    });
+    return std::accumulate(parts.begin(), parts.end(), 0.0);
   }
 
   Candidate Finish(const std::vector<double>& step, const CandidateSum& sum) {
@@ -308,7 +395,12 @@ class SchurProblem::Impl {
     Candidate result;
     result.changes_what_counts = !candidate_->held.HasSameObservations(x_->held);
     result.model_cost_change = sum.model_cost_change;
-    result.step_norm = std::sqrt(Dot(step, step) + sum.step_squared);
+    double step_squared = 0;
+    for (size_t j = 0; j < step.size(); ++j) {
+      const double moved = ProjectedStep(j, step[j]);
+      step_squared += moved * moved;
+    }
+    result.step_norm = std::sqrt(step_squared + sum.step_squared);
     result.cost = sum.cost + factors_.Cost(candidate_->cameras(), candidate_->points.data());
     return result;
   }
@@ -345,7 +437,9 @@ class SchurProblem::Impl {
   std::vector<double> newton_;     ///< camera side of the Newton direction
   std::vector<double> gradient_direction_;
   std::vector<double> points_p_, points_q_;
+  std::vector<double> line_, points_line_;  ///< the last step, not projected
   DoglegProducts products_;
+  const StateBounds bounds_;
   double damping_ = 0;
   double state_norm_ = 0;
   double candidate_norm_ = 0;
@@ -372,6 +466,10 @@ Candidate SchurProblem::EvaluateDoglegStep(double a, double b) {
 void SchurProblem::Accept() { impl_->Accept(); }
 void SchurProblem::FreeSystem() { impl_->FreeSystem(); }
 double SchurProblem::StateNorm() const { return impl_->state_norm(); }
+bool SchurProblem::HasBounds() const { return impl_->has_bounds(); }
+StepLine SchurProblem::LineAlongStep() { return impl_->LineAlongStep(); }
+Candidate SchurProblem::EvaluateAlongStep(double a) { return impl_->EvaluateAlongStep(a); }
+double SchurProblem::SlopeAtCandidate() { return impl_->SlopeAtCandidate(); }
 int64_t SchurProblem::num_active_observations() const { return impl_->num_observations(); }
 double SchurProblem::fixed_cost() const { return impl_->fixed_cost(); }
 const CameraFactors& SchurProblem::factors() const { return impl_->factors(); }

@@ -35,6 +35,10 @@ class SchurProblem final : public LeastSquares {
   Candidate EvaluateDoglegStep(double a, double b) override;
   void Accept() override;
   double StateNorm() const override;
+  bool HasBounds() const override;
+  StepLine LineAlongStep() override;
+  Candidate EvaluateAlongStep(double a) override;
+  double SlopeAtCandidate() override;
 
   /// Observations that reach the solver: those with something to refine.
   int64_t num_active_observations() const;

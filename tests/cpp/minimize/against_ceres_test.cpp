@@ -65,6 +65,9 @@ TEST_P(AgainstCeres, SameIterations) {
     ExpectSameRecord(minimum.iterations[k], record, ceres.summary.initial_cost, measures_step);
     measures_step = measures_step || (k > 0 && record.step_is_successful);
   }
+  if (function.lower.empty()) {
+    EXPECT_EQ(problem.num_evaluations_along_steps, 0);
+  }
   for (size_t k = 0; k < ceres.x.size(); ++k) {
     EXPECT_NEAR(problem.x()[k], ceres.x[k], 1e-6 * std::max(1.0, problem.x().norm()));
   }
@@ -81,6 +84,27 @@ INSTANTIATE_TEST_SUITE_P(Functions, AgainstCeres,
                                                           TrustRegionStrategy::kDogleg,
                                                           TrustRegionStrategy::kSubspaceDogleg)),
                          NameOf);
+
+/// The list has what it is meant to have.
+TEST(BoundedFunctions, SearchEndOnBoundsAndWithinThem) {
+  int num_that_search = 0, num_on_bounds = 0, num_within = 0;
+  for (const ClassicFunction& function : BoundedFunctions()) {
+    DenseProblem problem(function);
+    Minimize(SolveOptions(), nullptr, &problem);
+    bool is_on_bound = false;
+    for (size_t k = 0; k < function.lower.size(); ++k) {
+      const double x = problem.x()[static_cast<Eigen::Index>(k)];
+      EXPECT_LE(function.lower[k], x);
+      EXPECT_LE(x, function.upper[k]);
+      is_on_bound = is_on_bound || x == function.lower[k] || x == function.upper[k];
+    }
+    num_that_search += problem.num_evaluations_along_steps > 0;
+    ++(is_on_bound ? num_on_bounds : num_within);
+  }
+  EXPECT_GE(num_that_search, 3);
+  EXPECT_GE(num_on_bounds, 5);
+  EXPECT_GE(num_within, 3);
+}
 
 INSTANTIATE_TEST_SUITE_P(Bounded, AgainstCeres,
                          testing::Combine(testing::ValuesIn(BoundedFunctions()),

@@ -172,4 +172,28 @@ inline double Cost(const EliminationInput& input, const StateRecords& x, const C
   return cost;
 }
 
+/// d^T J^T r at x, for a step of the cameras and one of the points, 3 each.
+inline double Slope(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                    const StepRecords& step, const double* points_step, double* memory) {
+  const int64_t* const begin = input.plan->first.data();
+  double slope = 0;
+  for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
+    const Strip strip(input, point, chunk.last_point);
+    VisitBatches(input, strip, [&](const Batch& batch) {
+      LinearizeAlong(input, x, strip, batch, step, nullptr, memory);
+    });
+    const double* record = memory;
+    for (int p = strip.first; p < strip.last; ++p) {
+      for (int64_t i = begin[p]; i < begin[p + 1]; ++i, record += kStepRecord) {
+        for (int row = 0; row < 2; ++row) {
+          const double along = record[8 + row] + Dot3(record + 4 * row, points_step + 3 * p);
+          slope += along * record[4 * row + 3];
+        }
+      }
+    }
+    point = strip.last;
+  }
+  return slope;
+}
+
 }  // namespace bundle::fused::BUNDLE_ISA

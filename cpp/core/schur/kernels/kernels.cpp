@@ -23,7 +23,7 @@ inline int64_t MemoryDoubles(const EliminationInput& input) {
          static_cast<int64_t>(record > kStepRecord ? record : kStepRecord);
 }
 
-extern constexpr Kernels kKernels = {BUNDLE_ISA_NAME,     &MemoryDoubles, &Eliminate,
-                                     &EvaluateNewtonStep, &Products,      &Cost};
+extern constexpr Kernels kKernels = {
+    BUNDLE_ISA_NAME, &MemoryDoubles, &Eliminate, &EvaluateNewtonStep, &Products, &Cost, &Slope};
 
 }  // namespace bundle::fused::BUNDLE_ISA

@@ -102,7 +102,7 @@ struct ProductSum {
   double d_pp = 0, d_pq = 0, d_qq = 0, j_pp = 0, j_pq = 0, j_qq = 0;
 };
 
-/// Each pass but the last works in `memory`, which holds as many doubles as `memory_doubles` says.
+/// Each pass but `cost` works in `memory`, which holds as many doubles as `memory_doubles` says.
 struct Kernels {
   const char* name;
 
@@ -128,6 +128,10 @@ struct Kernels {
 
   /// The cost of the chunk at a state.
   double (*cost)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk);
+
+  /// d^T J^T r over the chunk at a state, for a step d of the cameras and the points (3 each).
+  double (*slope)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                  const StepRecords& step, const double* points_step, double* memory);
 };
 
 /// Those for the best instruction set that this machine has.

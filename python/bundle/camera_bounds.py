@@ -1,0 +1,137 @@
+"""Bounds of camera parameters: within which a solve keeps them, and which it ends on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.arguments import as_array
+from bundle.cameras import camera_models
+from bundle.errors import InputError, brief
+from bundle.problem import Problem
+
+__all__ = ["ActiveBound", "CameraBounds"]
+
+ActiveBound = tuple[tuple[str, int], str, str]
+"""Key of a camera, name of a parameter, "lower" or "upper"."""
+
+_SIDES = ("lower", "upper")
+
+
+@dataclass(frozen=True, eq=False)
+class CameraBounds:
+    """Bounds of every camera parameter of a problem.
+
+    Attributes:
+        lower: (num_cameras, width) as in ``Problem.camera_params``; -inf where there is none.
+        upper: likewise; inf where there is none.
+    """
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+
+    @staticmethod
+    def make(problem: Problem, bounds: Any) -> CameraBounds:
+        """Return bounds given as {("camera", id): (lower, upper)}, checked.
+
+        Raises:
+            InputError: a key names no camera of the problem, a bound has not one number for each
+                parameter of the camera's model or is nan, a lower bound is above the upper one, or
+                the problem's parameter is not between them.
+        """
+        if not isinstance(bounds, Mapping):
+            raise InputError(
+                'bounds: expected a mapping {("camera", id): (lower, upper)}, '
+                f"found {brief(bounds)}"
+            )
+        shape = problem.camera_params.shape
+        result = CameraBounds(np.full(shape, -np.inf), np.full(shape, np.inf))
+        indices = {number: index for index, number in enumerate(problem.camera_ids.tolist())}
+        for key, pair in bounds.items():
+            index = _find(indices, key)
+            names = _parameters(problem, index)
+            name = f"bounds: camera {problem.camera_ids[index]}"
+            for side, array, values in zip(
+                _SIDES, (result.lower, result.upper), _pair(name, pair), strict=True
+            ):
+                array[index, : len(names)] = _bound(f"{name}: {side}", names, values)
+            result._check(name, names, problem, index)
+        return result
+
+    def active(self, problem: Problem) -> tuple[ActiveBound, ...]:
+        """Return the bounds on which parameters of the problem are."""
+        params = problem.camera_params
+        found = []
+        for camera, j in np.argwhere(
+            ((params == self.lower) | (params == self.upper)) & (self.lower < self.upper)
+        ):
+            key = ("camera", int(problem.camera_ids[camera]))
+            side = _SIDES[int(params[camera, j] == self.upper[camera, j])]
+            found.append((key, camera_models()[problem.camera_models[camera]][j], side))
+        return tuple(found)
+
+    def _check(self, name: str, names: tuple[str, ...], problem: Problem, index: int) -> None:
+        rows = (self.lower[index], self.upper[index], problem.camera_params[index])
+        for parameter, lower, upper, value in zip(
+            names, *(row[: len(names)].tolist() for row in rows), strict=True
+        ):
+            if lower > upper:
+                raise InputError(
+                    f"{name}: {parameter}: expected a lower bound of at most the upper one "
+                    f"({upper:g}), found {lower:g}"
+                )
+            if not lower <= value <= upper:
+                raise InputError(
+                    f"{name}: {parameter}: expected a start within [{lower:g}, {upper:g}], "
+                    f"found {value:.10g}"
+                )
+
+
+def _find(indices: Mapping[int, int], key: Any) -> int:
+    if (
+        not isinstance(key, tuple)
+        or len(key) != 2
+        or key[0] != "camera"
+        or isinstance(key[1], bool)
+        or not isinstance(key[1], int | np.integer)
+    ):
+        raise InputError(f"bounds: expected ('camera', id) for a key, found {brief(key)}")
+    index = indices.get(int(key[1]))
+    if index is None:
+        raise InputError(f"bounds: there is no camera {key[1]} in the problem")
+    return index
+
+
+def _parameters(problem: Problem, index: int) -> tuple[str, ...]:
+    model = problem.camera_models[index]
+    names = camera_models().get(model)
+    if names is None:
+        raise InputError(
+            f"bounds: camera {problem.camera_ids[index]}: model {model} is not supported"
+        )
+    return names
+
+
+def _pair(name: str, pair: Any) -> tuple[Any, Any]:
+    try:
+        lower, upper = pair
+    except (TypeError, ValueError):
+        raise InputError(f"{name}: expected (lower, upper), found {brief(pair)}") from None
+    return lower, upper
+
+
+def _bound(name: str, names: tuple[str, ...], values: Any) -> NDArray[np.float64]:
+    array = as_array(name, values)
+    if array.shape != (len(names),):
+        raise InputError(
+            f"{name}: expected {len(names)} numbers ({', '.join(names)}), found an array of shape "
+            f"{array.shape}"
+        )
+    if np.isnan(array).any():
+        parameter = names[int(np.argmax(np.isnan(array)))]
+        raise InputError(f"{name}: expected numbers, or infinity for none, found nan ({parameter})")
+    return array
