@@ -135,7 +135,8 @@ def test_a_scene_far_from_its_origin_keeps_its_factors(backend):
     assert found.summary.warning_kinds == ("far_origin",)
     assert found.summary.initial_cost == pytest.approx(expected.summary.initial_cost, rel=1e-6)
     assert found.summary.final_cost == pytest.approx(expected.summary.final_cost, rel=1e-6)
-    np.testing.assert_allclose(found.problem.points - shift, expected.problem.points, atol=1e-5)
+    # Where the last steps end depends on rounding, with Ceres on two threads from run to run.
+    np.testing.assert_allclose(found.problem.points - shift, expected.problem.points, atol=1e-4)
     np.testing.assert_allclose(
         found.factor_costs_after, expected.factor_costs_after, rtol=1e-4, atol=1e-6
     )
