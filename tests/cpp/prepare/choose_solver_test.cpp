@@ -42,20 +42,20 @@ LinearSolverType Choose(const testing::Scene& scene, int64_t columns, int64_t fr
   ProblemShape shape = ShapeOf(prepared.layout, 2 * problem.num_observations);
   shape.num_camera_columns = columns;
   shape.num_free_points = free_points;
-  return ChooseLinearSolver(problem, prepared.layout, shape).type;
+  return ChooseCeresSolver(problem, prepared.layout, shape).type;
 }
 
-TEST(ChooseLinearSolver, TakesDenseForSmallSystems) {
+TEST(ChooseCeresSolver, TakesDenseForSmallSystems) {
   EXPECT_EQ(Choose(Coupled(20), 1000), LinearSolverType::kDenseSchur);
   EXPECT_EQ(Choose(Coupled(20), 1001), LinearSolverType::kSparseSchur);
 }
 
-TEST(ChooseLinearSolver, TakesDenseFromAThirdOn) {
+TEST(ChooseCeresSolver, TakesDenseFromAThirdOn) {
   EXPECT_EQ(Choose(Coupled(60), 2000), LinearSolverType::kDenseSchur);   // (20 + 120) / 400 full
   EXPECT_EQ(Choose(Coupled(59), 2000), LinearSolverType::kSparseSchur);  // (20 + 118) / 400
 }
 
-TEST(ChooseLinearSolver, IteratesOnWhatIsTooLargeToFactorise) {
+TEST(ChooseCeresSolver, IteratesOnWhatIsTooLargeToFactorise) {
   // n^3 = 5e11, then n (4 d n)^2 with d = (20 + 38) / 400
   EXPECT_EQ(Choose(Coupled(190), 7937), LinearSolverType::kDenseSchur);
   EXPECT_EQ(Choose(Coupled(190), 7938), LinearSolverType::kIterativeSchur);
@@ -63,12 +63,12 @@ TEST(ChooseLinearSolver, IteratesOnWhatIsTooLargeToFactorise) {
   EXPECT_EQ(Choose(Coupled(19), 11413), LinearSolverType::kIterativeSchur);
 }
 
-TEST(ChooseLinearSolver, EliminatesNothingWithoutFreePoints) {
+TEST(ChooseCeresSolver, EliminatesNothingWithoutFreePoints) {
   EXPECT_EQ(Choose(Coupled(20), 100, 0), LinearSolverType::kSparseNormalCholesky);
 }
 
 // 7000 columns are 392 MB.
-TEST(ChooseLinearSolver, LeavesHalfOfTheMemoryFree) {
+TEST(ChooseCeresSolver, LeavesHalfOfTheMemoryFree) {
   const testing::Scene scene = Coupled(190);
   const auto choose = [&](double left) {
     double pages = 0;
