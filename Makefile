@@ -68,7 +68,7 @@ lint-cpp: $(READY)
 	$(VENV)/bin/clang-format --dry-run -Werror $(CPP_SOURCES)
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(BUILD) --log-level=WARNING \
 	  -DBUNDLE_WARNINGS_AS_ERRORS=ON -DBUNDLE_CPP_TESTS=ON
-	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(BUILD) --target all bundle_tests
+	MAKEFLAGS= PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(BUILD) --target all bundle_tests
 
 format: $(READY)  ## rewrite the sources in the house format
 	$(VENV)/bin/ruff check --fix-only .
