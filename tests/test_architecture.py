@@ -84,7 +84,8 @@ PYTHON_MAY_IMPORT = {
     "reprojection": {"_core", "errors", "io", "option_fields", "options", "problem"},
     "worst_images": {"problem", "reprojection"},
     "solve_record": {"display", "options", "summary", "termination"},
-    "camera_bounds": {"arguments", "cameras", "errors", "problem"},
+    "problem_keys": {"cameras", "errors", "problem"},
+    "camera_bounds": {"arguments", "cameras", "errors", "problem", "problem_keys"},
     "result": {
         "camera_bounds",
         "display",
@@ -166,6 +167,7 @@ PYTHON_MAY_IMPORT = {
         "option_fields",
         "options",
         "problem",
+        "problem_keys",
         "solve_record",
         "words",
     },

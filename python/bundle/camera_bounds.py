@@ -13,6 +13,7 @@ from bundle.arguments import as_array
 from bundle.cameras import camera_models
 from bundle.errors import InputError, brief
 from bundle.problem import Problem
+from bundle.problem_keys import ProblemKeys, parameter_names
 
 __all__ = ["ActiveBound", "CameraBounds"]
 
@@ -50,10 +51,10 @@ class CameraBounds:
             )
         shape = problem.camera_params.shape
         result = CameraBounds(np.full(shape, -np.inf), np.full(shape, np.inf))
-        indices = {number: index for index, number in enumerate(problem.camera_ids.tolist())}
+        keys = ProblemKeys(problem, ("camera",), "key")
         for key, pair in bounds.items():
-            index = _find(indices, key)
-            names = _parameters(problem, index)
+            _, index = keys.find("bounds", key)
+            names = parameter_names("bounds", problem, index)
             name = f"bounds: camera {problem.camera_ids[index]}"
             for side, array, values in zip(
                 _SIDES, (result.lower, result.upper), _pair(name, pair), strict=True
@@ -89,31 +90,6 @@ class CameraBounds:
                     f"{name}: {parameter}: expected a start within [{lower:g}, {upper:g}], "
                     f"found {value:.10g}"
                 )
-
-
-def _find(indices: Mapping[int, int], key: Any) -> int:
-    if (
-        not isinstance(key, tuple)
-        or len(key) != 2
-        or key[0] != "camera"
-        or isinstance(key[1], bool)
-        or not isinstance(key[1], int | np.integer)
-    ):
-        raise InputError(f"bounds: expected ('camera', id) for a key, found {brief(key)}")
-    index = indices.get(int(key[1]))
-    if index is None:
-        raise InputError(f"bounds: there is no camera {key[1]} in the problem")
-    return index
-
-
-def _parameters(problem: Problem, index: int) -> tuple[str, ...]:
-    model = problem.camera_models[index]
-    names = camera_models().get(model)
-    if names is None:
-        raise InputError(
-            f"bounds: camera {problem.camera_ids[index]}: model {model} is not supported"
-        )
-    return names
 
 
 def _pair(name: str, pair: Any) -> tuple[Any, Any]:

@@ -2,40 +2,63 @@
 
 /// Numbers of a state that stand on a bound beyond which the cost falls, for Ceres.
 ///
-/// model/parameter_layout.h (StateBounds) says why these are active and stay where they are. Ceres
-/// does not know active bounds. It asks for derivatives at each new state, and before that we find
-/// the active numbers by the gradient; then costs have no derivatives by them, so that no step
-/// moves them and the model expects nothing of it.
-
-#include <ceres/cost_function.h>
-#include <ceres/loss_function.h>
+/// Ceres projects a step onto the bounds after it has computed it, and then compares the decrease
+/// of the cost with that of a model in which such numbers have left their bounds. Where they have
+/// most of the gradient the ratio is near zero, every step is rejected, and the solve "converges"
+/// where it stands (ceres-solver issue 187). model/parameter_layout.h (StateBounds) says why these
+/// numbers are active and stay where they are.
+///
+/// Ceres asks for derivatives at each new state, and before that we find the active numbers by the
+/// gradient; then costs have no derivatives by them, so that no step moves them and the model
+/// expects nothing of it.
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
-#include <functional>
 #include <memory>
+#include <unordered_map>
 #include <utility>
 #include <vector>
 
+#include "core/ceres/ceres_version.h"
+#include "core/factors/loss.h"
 #include "core/model/parameter_layout.h"
 
 namespace bundle {
 
 class ActiveBounds {
  public:
-  /// `state` is where Ceres evaluates; it outlives this.
-  ActiveBounds(StateBounds bounds, const double* state)
-      : bounds_(std::move(bounds)), state_(state), is_active_(bounds_.lower.size()) {}
+  /// Sets the bounds of a parameter block of the problem, at whose numbers Ceres evaluates. Before
+  /// any cost is wrapped.
+  void Add(ceres::Problem* problem, double* data, StateBounds bounds) {
+    bool has_bound = false;
+    for (size_t k = 0; k < bounds.lower.size(); ++k) {
+      const int index = static_cast<int>(k);
+      const bool has_lower = std::isfinite(bounds.lower[k]);
+      const bool has_upper = std::isfinite(bounds.upper[k]);
+      if (has_lower) problem->SetParameterLowerBound(data, index, bounds.lower[k]);
+      if (has_upper) problem->SetParameterUpperBound(data, index, bounds.upper[k]);
+      has_bound = has_bound || has_lower || has_upper;
+    }
+    if (!has_bound) return;
+    const size_t size = bounds.lower.size();
+    place_[data] = static_cast<int>(blocks_.size());
+    blocks_.push_back({data, std::move(bounds), std::vector<uint8_t>(size), {}});
+  }
 
-  const StateBounds& bounds() const { return bounds_; }
-
-  /// The cost without derivatives by active numbers; itself where there are no bounds. `blocks`: of
-  /// parameters, those of the state among them. `loss` may be nullptr.
+  /// The cost without derivatives by active numbers; itself where none of its parameter blocks has
+  /// bounds. `loss` may be nullptr and outlives it.
   std::unique_ptr<ceres::CostFunction> Wrap(std::unique_ptr<ceres::CostFunction> cost,
                                             const ceres::LossFunction* loss,
-                                            std::vector<double*> blocks) {
-    if (bounds_.empty()) return cost;
-    auto wrapped = std::make_unique<Cost>(std::move(cost), loss, std::move(blocks), *this);
+                                            std::vector<double*> parameters) {
+    std::vector<int> places;
+    for (const double* parameter : parameters) {
+      const auto found = place_.find(parameter);
+      places.push_back(found == place_.end() ? -1 : found->second);
+    }
+    if (std::all_of(places.begin(), places.end(), [](int place) { return place < 0; })) return cost;
+    auto wrapped = std::make_unique<Cost>(std::move(cost), loss, std::move(parameters),
+                                          std::move(places), *this);
     costs_.push_back(wrapped.get());
     return wrapped;
   }
@@ -43,39 +66,55 @@ class ActiveBounds {
   /// Finds the active numbers at the state. Takes an evaluation of the costs that depend on numbers
   /// on their bounds.
   void Find() {
-    const size_t n = is_active_.size();
-    std::fill(is_active_.begin(), is_active_.end(), 0);
-    std::vector<uint8_t> on_bound(n);
-    for (size_t j = 0; j < n; ++j) on_bound[j] = bounds_.IsOn(j, state_[j]);
-    if (std::count(on_bound.begin(), on_bound.end(), 1) == 0) return;
-    std::vector<double> gradient(n);
-    for (const Cost* cost : costs_) cost->AddGradient(on_bound, &gradient);
-    for (size_t j = 0; j < n; ++j) is_active_[j] = bounds_.IsActive(j, state_[j], gradient[j]);
+    bool any_on_bound = false;
+    for (Block& block : blocks_) {
+      const size_t size = block.is_active.size();
+      std::fill(block.is_active.begin(), block.is_active.end(), 0);
+      block.gradient.clear();
+      for (size_t k = 0; k < size; ++k) {
+        if (block.bounds.IsOn(k, block.data[k])) block.gradient.assign(size, 0.0);
+      }
+      any_on_bound = any_on_bound || !block.gradient.empty();
+    }
+    if (!any_on_bound) return;
+    for (const Cost* cost : costs_) cost->AddGradient(&blocks_);
+    for (Block& block : blocks_) {
+      for (size_t k = 0; k < block.gradient.size(); ++k) {
+        block.is_active[k] = block.bounds.IsActive(k, block.data[k], block.gradient[k]);
+      }
+    }
   }
 
  private:
+  struct Block {
+    const double* data;
+    StateBounds bounds;
+    std::vector<uint8_t> is_active;
+    std::vector<double> gradient;  ///< empty where no number is on its bound
+  };
+
   class Cost final : public ceres::CostFunction {
    public:
     Cost(std::unique_ptr<ceres::CostFunction> cost, const ceres::LossFunction* loss,
-         std::vector<double*> blocks, const ActiveBounds& active)
-        : cost_(std::move(cost)), loss_(loss), blocks_(std::move(blocks)), active_(active) {
+         std::vector<double*> parameters, std::vector<int> places, const ActiveBounds& active)
+        : cost_(std::move(cost)),
+          loss_(loss),
+          parameters_(std::move(parameters)),
+          places_(std::move(places)),
+          active_(active) {
       set_num_residuals(cost_->num_residuals());
       *mutable_parameter_block_sizes() = cost_->parameter_block_sizes();
-      const double* const end = active.state_ + active.is_active_.size();
-      for (const double* block : blocks_) {
-        const bool is_of_state = !std::less<>()(block, active.state_) && std::less<>()(block, end);
-        offsets_.push_back(is_of_state ? block - active.state_ : -1);
-      }
     }
 
     bool Evaluate(double const* const* parameters, double* residuals,
                   double** jacobians) const override {
       if (!cost_->Evaluate(parameters, residuals, jacobians)) return false;
-      for (size_t b = 0; jacobians != nullptr && b < offsets_.size(); ++b) {
-        if (jacobians[b] == nullptr || offsets_[b] < 0) continue;
-        const int size = parameter_block_sizes()[b];
-        for (int k = 0; k < size; ++k) {
-          if (active_.is_active_[offsets_[b] + k] == 0) continue;
+      for (size_t b = 0; jacobians != nullptr && b < places_.size(); ++b) {
+        if (jacobians[b] == nullptr || places_[b] < 0) continue;
+        const std::vector<uint8_t>& is_active = active_.blocks_[places_[b]].is_active;
+        const size_t size = is_active.size();
+        for (size_t k = 0; k < size; ++k) {
+          if (is_active[k] == 0) continue;
           for (int r = 0; r < num_residuals(); ++r) jacobians[b][r * size + k] = 0;
         }
       }
@@ -83,22 +122,21 @@ class ActiveBounds {
     }
 
     /// Adds J^T r, corrected for the loss, by the blocks with a number on its bound.
-    void AddGradient(const std::vector<uint8_t>& on_bound, std::vector<double>* gradient) const {
-      for (size_t b = 0; b < offsets_.size(); ++b) {
-        if (offsets_[b] < 0) continue;
-        const int size = parameter_block_sizes()[b], rows = num_residuals();
-        const auto first = on_bound.begin() + offsets_[b];
-        if (std::count(first, first + size, 1) == 0) continue;
-        std::vector<double> residual(rows), jacobian(static_cast<size_t>(rows) * size);
-        std::vector<double*> jacobians(offsets_.size());
+    void AddGradient(std::vector<Block>* blocks) const {
+      for (size_t b = 0; b < places_.size(); ++b) {
+        if (places_[b] < 0 || (*blocks)[places_[b]].gradient.empty()) continue;
+        std::vector<double>& gradient = (*blocks)[places_[b]].gradient;
+        const size_t size = gradient.size();
+        const int rows = num_residuals();
+        std::vector<double> residual(rows), jacobian(rows * size);
+        std::vector<double*> jacobians(places_.size());
         jacobians[b] = jacobian.data();
-        if (!cost_->Evaluate(blocks_.data(), residual.data(), jacobians.data())) continue;
-        double rho[3] = {0, 1, 0}, squared = 0;
-        for (const double r : residual) squared += r * r;
-        if (loss_ != nullptr) loss_->Evaluate(squared, rho);
+        if (!cost_->Evaluate(parameters_.data(), residual.data(), jacobians.data())) continue;
+        double rho[3] = {0, 1, 0};
+        if (loss_ != nullptr) loss_->Evaluate(SquaredNorm(residual.data(), rows), rho);
         for (int r = 0; r < rows; ++r) {
-          for (int k = 0; k < size; ++k) {
-            (*gradient)[offsets_[b] + k] += rho[1] * residual[r] * jacobian[r * size + k];
+          for (size_t k = 0; k < size; ++k) {
+            gradient[k] += rho[1] * residual[r] * jacobian[r * size + k];
           }
         }
       }
@@ -107,14 +145,13 @@ class ActiveBounds {
    private:
     const std::unique_ptr<ceres::CostFunction> cost_;
     const ceres::LossFunction* const loss_;
-    const std::vector<double*> blocks_;
-    std::vector<int64_t> offsets_;  ///< of each block in the state; -1: it is a point
+    const std::vector<double*> parameters_;
+    const std::vector<int> places_;  ///< of each parameter block in blocks_; -1: without bounds
     const ActiveBounds& active_;
   };
 
-  const StateBounds bounds_;
-  const double* const state_;
-  std::vector<uint8_t> is_active_;
+  std::vector<Block> blocks_;
+  std::unordered_map<const double*, int> place_;  ///< in blocks_, of a parameter block's numbers
   std::vector<const Cost*> costs_;
 };
 

@@ -128,10 +128,7 @@ class CeresGraph::Cost final : public ceres::CostFunction {
       return false;
     }
     for (size_t b = 0; jacobians != nullptr && b < factor_.retractions().size(); ++b) {
-      if (jacobians[b] == nullptr) continue;
-      Widen(rows, factor_.retractions()[b], jacobians[b]);
-      const int bounded = graph_.bounded_of_block_[factor_.blocks()[b]];
-      if (bounded >= 0) ClearColumns(rows, graph_.bounded_[bounded].is_active, jacobians[b]);
+      if (jacobians[b] != nullptr) Widen(rows, factor_.retractions()[b], jacobians[b]);
     }
     return true;
   }
@@ -148,13 +145,6 @@ class CeresGraph::Cost final : public ceres::CostFunction {
     }
   }
 
-  static void ClearColumns(int rows, const std::vector<bool>& which, double* jacobian) {
-    const size_t size = which.size();
-    for (size_t i = 0; i < size; ++i) {
-      for (int r = 0; which[i] && r < rows; ++r) jacobian[r * size + i] = 0;
-    }
-  }
-
   const Factor& factor_;
   const CeresGraph& graph_;
 };
@@ -165,7 +155,7 @@ class CeresGraph::Watch final : public ceres::EvaluationCallback {
 
   void PrepareForEvaluation(bool evaluate_jacobians, bool /*new_evaluation_point*/) override {
     if (evaluate_jacobians) {
-      graph_->FindActiveCoordinates();
+      graph_->active_bounds_.Find();
     } else if (InterruptionRequested()) {
       graph_->abandonment_.happened.store(true);
     }
@@ -218,9 +208,7 @@ class CeresGraph::BlockManifold final : public ceres::Manifold {
 };
 
 CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
-    : graph_(graph),
-      bounded_of_block_(graph.blocks.size(), -1),
-      watch_(std::make_unique<Watch>(this)) {
+    : graph_(graph), watch_(std::make_unique<Watch>(this)) {
   ceres::Problem::Options options;
   options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -245,28 +233,14 @@ CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
       problem_->SetParameterBlockConstant(data);
       continue;
     }
-    if (!block.lower.empty()) {
-      const int index = static_cast<int>(values_.size()) - 1;
-      bounded_of_block_[index] = static_cast<int>(bounded_.size());
-      bounded_.push_back({index, {}, std::vector<bool>(size)});
-    }
-    for (size_t i = 0; i < block.lower.size(); ++i) {
-      if (std::isfinite(block.lower[i]))
-        problem_->SetParameterLowerBound(data, static_cast<int>(i), block.lower[i]);
-      if (std::isfinite(block.upper[i]))
-        problem_->SetParameterUpperBound(data, static_cast<int>(i), block.upper[i]);
-    }
+    active_bounds_.Add(problem_.get(), data, {block.lower, block.upper});
   }
   for (const auto& factor : graph.factors) {
-    costs_.push_back(std::make_unique<Cost>(*factor, *this));
     losses_.push_back(MakeLoss(factor->loss(), factor->loss_scale()));
     std::vector<double*> parameters;
-    for (const int b : factor->blocks()) {
-      parameters.push_back(values_[b].data());
-      const int bounded = bounded_of_block_[b];
-      const int index = static_cast<int>(costs_.size()) - 1;
-      if (bounded >= 0) bounded_[bounded].factors.push_back(index);
-    }
+    for (const int b : factor->blocks()) parameters.push_back(values_[b].data());
+    costs_.push_back(active_bounds_.Wrap(std::make_unique<Cost>(*factor, *this),
+                                         losses_.back().get(), parameters));
     problem_->AddResidualBlock(costs_.back().get(), losses_.back().get(), parameters);
   }
 }
@@ -276,54 +250,6 @@ CeresGraph::~CeresGraph() = default;
 bool CeresGraph::Evaluate(const Factor& factor, double const* const* parameters, double* residuals,
                           double** jacobians) const {
   return abandonment_.Guard([&] { return factor.Evaluate(parameters, residuals, jacobians); });
-}
-
-void CeresGraph::FindActiveCoordinates() {
-  for (Bounded& bounded : bounded_) {
-    const Block& block = graph_.blocks[bounded.block];
-    const std::vector<double>& x = values_[bounded.block];
-    const size_t size = x.size();
-    bounded.is_active.assign(size, false);
-    bool at_bound = false;
-    for (size_t i = 0; i < size; ++i) {
-      at_bound = at_bound || x[i] <= block.lower[i] || x[i] >= block.upper[i];
-    }
-    if (!at_bound) continue;
-    const std::vector<double> gradient = GradientOf(bounded);
-    for (size_t i = 0; i < size; ++i) {
-      bounded.is_active[i] = (x[i] <= block.lower[i] && gradient[i] > 0) ||
-                             (x[i] >= block.upper[i] && gradient[i] < 0);
-    }
-  }
-}
-
-/// Of the cost by the block at the values; zeros where a factor has no value.
-std::vector<double> CeresGraph::GradientOf(const Bounded& bounded) const {
-  const size_t size = values_[bounded.block].size();
-  std::vector<double> gradient(size), residual, jacobian;
-  for (const int f : bounded.factors) {
-    const Factor& factor = *graph_.factors[f];
-    const int rows = factor.num_residuals();
-    residual.resize(rows);
-    jacobian.resize(rows * size);
-    std::vector<const double*> parameters;
-    std::vector<double*> jacobians;
-    for (const int b : factor.blocks()) {
-      parameters.push_back(values_[b].data());
-      jacobians.push_back(b == bounded.block ? jacobian.data() : nullptr);
-    }
-    if (!Evaluate(factor, parameters.data(), residual.data(), jacobians.data())) {
-      return std::vector<double>(size);
-    }
-    double rho[3] = {0, 1, 0}, squared = 0;
-    for (const double r : residual) squared += r * r;
-    if (losses_[f] != nullptr) losses_[f]->Evaluate(squared, rho);
-    for (int r = 0; r < rows; ++r) {
-      for (size_t i = 0; i < size; ++i)
-        gradient[i] += rho[1] * residual[r] * jacobian[r * size + i];
-    }
-  }
-  return gradient;
 }
 
 bool CeresGraph::IsThreadSafe() const {

@@ -1,18 +1,13 @@
 #pragma once
-///
-/// A coordinate at a bound is *active* if the cost falls beyond the bound. Ceres projects a step
-/// onto the bounds after it has computed it, and then compares the decrease of the cost with that
-/// of a model in which active coordinates have left their bounds. If they have most of the gradient
-/// the ratio is near zero, every step is rejected, and the solve "converges" where it stands
-/// (ceres-solver issue 187). So wherever Jacobians are wanted we first find the active coordinates,
-/// by the gradient, and give them zero columns: they stay where they are and the model knows it
-/// (Bertsekas, "Projected Newton methods for optimization problems with simple constraints", 1982).
+
+/// Factors (factors/factor.h) and manifolds as Ceres sees them.
 
 #include <atomic>
 #include <memory>
 #include <string>
 #include <vector>
 
+#include "core/ceres/active_bounds.h"
 #include "core/ceres/ceres_version.h"
 #include "core/graph/factor_graph.h"
 #include "core/interface/summary.h"
@@ -64,7 +59,7 @@ std::unique_ptr<ceres::CostFunction> MakeFactorCost(ChartedFactor factor,
 /// that matrix for nothing else, both are chosen so that the product is J itself: the cost function
 /// writes [J 0], as wide as the stored value, and PlusJacobian is [I 0]^T, without the columns of
 /// coordinates that are held. No digit is lost and nothing is differentiated twice.
-
+///
 /// Lives as long as the ceres::Problem does. The graph stays where it is and is not changed.
 class CeresGraph {
  public:
@@ -92,26 +87,16 @@ class CeresGraph {
   class Cost;
   class BlockManifold;
   class Watch;
-  /// A block with bounds.
-  struct Bounded {
-    int block;
-    std::vector<int> factors;  ///< that touch it
-    std::vector<bool> is_active;
-  };
-
   /// Evaluates a factor; what it throws is kept, as nothing may leave through Ceres.
   bool Evaluate(const Factor& factor, double const* const* parameters, double* residuals,
                 double** jacobians) const;
-  void FindActiveCoordinates();
-  std::vector<double> GradientOf(const Bounded& bounded) const;
 
   const FactorGraph& graph_;
   std::vector<std::vector<double>> values_;
   std::vector<std::unique_ptr<ceres::Manifold>> manifolds_;
   std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
   std::vector<std::unique_ptr<ceres::LossFunction>> losses_;
-  std::vector<Bounded> bounded_;
-  std::vector<int> bounded_of_block_;  ///< -1: without bounds
+  ActiveBounds active_bounds_;
   std::unique_ptr<ceres::EvaluationCallback> watch_;
   std::unique_ptr<ceres::Problem> problem_;
   mutable Abandonment abandonment_;

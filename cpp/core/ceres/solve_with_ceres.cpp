@@ -85,7 +85,6 @@ class CeresSolve {
         states_(problem, layout_),
         points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
         state_(layout_.InitialState(problem)),
-        active_bounds_(layout_.Bounds(problem), state_.data()),
         update_states_(state_.data(), &states_, &watch_, &active_bounds_, &abandonment_),
         context_{problem_, layout_, states_, options.cheirality, &watch_, &abandonment_.happened},
         loss_(MakeLoss(options.loss, options.loss_scale)) {}
@@ -158,11 +157,7 @@ class CeresSolve {
   void AddFactor(const Factor& factor) {
     ChartedFactor charted(factor, problem_, layout_);
     if (charted.is_fixed()) {
-      std::vector<double> residual(charted.num_residuals());
-      // Without a value no cost of the solve has one, in Ceres' way.
-      fixed_cost_ += charted.Evaluate(states_, nullptr, residual.data(), nullptr)
-                         ? ApplyLoss(factor, 0, residual.data(), nullptr)
-                         : std::numeric_limits<double>::quiet_NaN();
+      fixed_cost_ += charted.Cost(states_, nullptr);
       return;
     }
     std::vector<double*> blocks;
@@ -177,14 +172,15 @@ class CeresSolve {
   }
 
   void AddBounds() {
-    const StateBounds& bounds = active_bounds_.bounds();
+    const StateBounds bounds = layout_.Bounds(problem_);
     if (bounds.empty()) return;
     for (const CameraSideBlock& block : layout_.blocks()) {
-      double* const data = state_.data() + block.offset;
-      for (int k = 0; k < block.size; ++k) {
-        ceres_problem_->SetParameterLowerBound(data, k, bounds.lower[block.offset + k]);
-        ceres_problem_->SetParameterUpperBound(data, k, bounds.upper[block.offset + k]);
-      }
+      const auto part = [&](const std::vector<double>& of) {
+        const auto first = of.begin() + block.offset;
+        return std::vector<double>(first, first + block.size);
+      };
+      active_bounds_.Add(ceres_problem_.get(), state_.data() + block.offset,
+                         {part(bounds.lower), part(bounds.upper)});
     }
   }
 

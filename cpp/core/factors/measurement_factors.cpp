@@ -54,6 +54,29 @@ bool PositionFactor::Evaluate(const double* const* values, double* residual,
   return true;
 }
 
+namespace {
+
+/// out = J_r(e)^-1 Ad_X, tangent size squared, of J_r(e)^-1 = `inverse`.
+void TimesAdjoint(const Retraction& retraction, const double* inverse, const double* x,
+                  double* out) {
+  const int n = retraction.tangent_size();
+  std::vector<double> adjoint(n * n);
+  retraction.Adjoint(x, adjoint.data());
+  for (int r = 0; r < n; ++r) {
+    for (int c = 0; c < n; ++c) {
+      double sum = 0;
+      for (int k = 0; k < n; ++k) sum += inverse[r * n + k] * adjoint[k * n + c];
+      out[r * n + c] = sum;
+    }
+  }
+}
+
+void Negate(int count, double* numbers) {
+  for (int i = 0; i < count; ++i) numbers[i] = -numbers[i];
+}
+
+}  // namespace
+
 BetweenFactor::BetweenFactor(FactorHead head, const Retraction& retraction,
                              std::vector<double> measurement, std::vector<double> information)
     : Factor(std::move(head), {retraction, retraction}, retraction.tangent_size()),
@@ -71,18 +94,12 @@ bool BetweenFactor::Evaluate(const double* const* values, double* residual,
     whitening_.Apply(residual, 1);
     return true;
   }
-  std::vector<double> inverse(n * n), adjoint(n * n);
+  std::vector<double> inverse(n * n);
   retraction.InverseRightJacobian(residual, inverse.data());
   if (jacobians[0] != nullptr) {
     retraction.Between(values[1], values[0], between.data());
-    retraction.Adjoint(between.data(), adjoint.data());
-    for (int r = 0; r < n; ++r) {
-      for (int c = 0; c < n; ++c) {
-        double sum = 0;
-        for (int k = 0; k < n; ++k) sum += inverse[r * n + k] * adjoint[k * n + c];
-        jacobians[0][r * n + c] = -sum;
-      }
-    }
+    TimesAdjoint(retraction, inverse.data(), between.data(), jacobians[0]);
+    Negate(n * n, jacobians[0]);
   }
   if (jacobians[1] != nullptr) std::copy(inverse.begin(), inverse.end(), jacobians[1]);
   whitening_.Apply(residual, jacobians, {n, n});
@@ -106,17 +123,14 @@ bool RelativePoseFactor::Evaluate(const double* const* values, double* residual,
   pose.Between(inverse[1], inverse[0], relative);
   pose.Local(measurement_.data(), relative, residual);
   if (jacobians != nullptr) {
-    double by_error[kSize * kSize], adjoint[kSize * kSize];
-    pose.InverseRightJacobian(residual, by_error);
-    pose.Adjoint(values[0], adjoint);
-    for (int r = 0; r < kSize; ++r) {
-      for (int c = 0; c < kSize; ++c) {
-        double sum = 0;
-        for (int k = 0; k < kSize; ++k) sum += by_error[r * kSize + k] * adjoint[k * kSize + c];
-        if (jacobians[0] != nullptr) jacobians[0][r * kSize + c] = -sum;
-        if (jacobians[1] != nullptr) jacobians[1][r * kSize + c] = sum;
+    double inverse_jacobian[kSize * kSize];
+    pose.InverseRightJacobian(residual, inverse_jacobian);
+    for (int k = 0; k < 2; ++k) {
+      if (jacobians[k] != nullptr) {
+        TimesAdjoint(pose, inverse_jacobian, values[0], jacobians[k]);
       }
     }
+    if (jacobians[0] != nullptr) Negate(kSize * kSize, jacobians[0]);
   }
   whitening_.Apply(residual, jacobians, {kSize, kSize});
   return true;

@@ -92,7 +92,6 @@ class BetweenFactor final : public Factor {
 /// and moving X_i to X_i Exp(d) puts Exp(-d) there, so that
 ///
 ///   J_j = W J_r(e)^-1 Ad_{X_i},        J_i = -J_j.
-
 class RelativePoseFactor final : public Factor {
  public:
   /// Throws InputError if the measurement is no pose or the information (6 x 6) is not positive

@@ -115,6 +115,16 @@ inline void QuaternionProduct(const double a[4], const double b[4], double out[4
   out[3] = a[3] * b[3] - a[0] * b[0] - a[1] * b[1] - a[2] * b[2];
 }
 
+/// Free of overflow and underflow.
+inline double QuaternionNorm(const double q[4]) {
+  return std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
+}
+
+inline void NormalizeQuaternion(double q[4]) {
+  const double norm = QuaternionNorm(q);
+  for (int j = 0; j < 4; ++j) q[j] /= norm;
+}
+
 inline void MatrixVector3(const double m[9], const double v[3], double out[3]) {
   out[0] = m[0] * v[0] + m[1] * v[1] + m[2] * v[2];
   out[1] = m[3] * v[0] + m[4] * v[1] + m[5] * v[2];

@@ -309,9 +309,8 @@ void CameraStates::CamFromWorld(int image, double pose[7]) const {
   double increment[4], rotated[4];
   ExpQuaternion(w, increment);
   QuaternionProduct(increment, pose, rotated);
-  const double norm =
-      std::hypot(std::hypot(rotated[0], rotated[1]), std::hypot(rotated[2], rotated[3]));
-  for (int j = 0; j < 4; ++j) pose[j] = rotated[j] / norm;
+  NormalizeQuaternion(rotated);
+  std::copy_n(rotated, 4, pose);
 }
 
 std::vector<double> CameraStates::CamFromWorld() const {

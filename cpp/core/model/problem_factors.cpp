@@ -26,11 +26,6 @@ int BlockOf(const ProblemVariable& variable, const ParameterLayout& layout) {
                                        : layout.params_block(variable.index);
 }
 
-void NormalizeQuaternion(double* value) {
-  const double norm = std::hypot(std::hypot(value[0], value[1]), std::hypot(value[2], value[3]));
-  for (int j = 0; j < 4; ++j) value[j] /= norm;
-}
-
 /// The free columns of a variable within its block: what each is in the block, and of the variable.
 template <typename Visit>
 void ForFreeColumns(Kind kind, const CameraSideBlock& block, const Visit& visit) {
@@ -183,6 +178,13 @@ void PoseOf(const CameraStates& cameras, int image, const double* origin, double
 }
 
 }  // namespace
+
+double ChartedFactor::Cost(const CameraStates& cameras, const double* const* points) const {
+  std::vector<double> residual(num_residuals());
+  const bool has_value = Evaluate(cameras, points, residual.data(), nullptr);
+  return has_value ? ApplyLoss(factor_, 0, residual.data(), nullptr)
+                   : std::numeric_limits<double>::quiet_NaN();
+}
 
 bool ChartedFactor::Evaluate(const CameraStates& cameras, const double* const* points,
                              double* residual, double* jacobian) const {

@@ -91,6 +91,9 @@ class ChartedFactor {
   bool Evaluate(const CameraStates& cameras, const double* const* points, double* residual,
                 double* jacobian) const;
 
+  /// 1/2 rho(||r||^2); NaN where there is no value. `points` as for Evaluate.
+  double Cost(const CameraStates& cameras, const double* const* points) const;
+
  private:
   struct Variable {
     ProblemVariable::Kind kind;

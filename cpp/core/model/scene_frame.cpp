@@ -6,6 +6,7 @@
 #include <numeric>
 #include <sstream>
 
+#include "core/factors/loss.h"
 #include "core/geometry/rotation.h"
 #include "core/problem/reprojection_errors.h"
 
@@ -34,12 +35,6 @@ double Distance(const double* a, const double* b) {
   const double d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
   const double squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
   return squared > 1e-280 && squared < 1e280 ? std::sqrt(squared) : std::hypot(d[0], d[1], d[2]);
-}
-
-double SquaredNorm(const double* begin, int64_t count) {
-  double sum = 0;
-  for (int64_t i = 0; i < count; ++i) sum += begin[i] * begin[i];
-  return sum;
 }
 
 /// out = t + sign R c of a pose.
@@ -145,7 +140,7 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
   FarPoints result;
   if (!(frame.size > 0) || !(frame.reach > kFarPoint * frame.size)) return result;
   const std::vector<double> cameras = layout.InitialState(problem);
-  double near_squared = SquaredNorm(cameras.data(), static_cast<int64_t>(cameras.size()));
+  double near_squared = SquaredNorm(cameras.data(), static_cast<int>(cameras.size()));
   double far_squared = 0;
   std::vector<uint8_t> is_far(problem.num_points), is_used(problem.num_points);
   for (int p = 0; p < problem.num_points; ++p) {
@@ -184,7 +179,7 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
 }
 
 void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const SolveOptions& options,
-                    const LossFunction& loss, SolveOutput* output) {
+                    SolveOutput* output) {
   SolveSummary& summary = output->summary;
   if (far.observations.empty() || !summary.is_solution_usable || options.max_num_iterations == 0) {
     return;
@@ -195,14 +190,19 @@ void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const Solv
   refined.points = output->points.data();
   const std::vector<double> before = SquaredErrors(problem, options);
   const std::vector<double> after = SquaredErrors(refined, options);
+  double rho[3];
   double weighted = 0;
   for (const int64_t i : far.observations) {
-    if (!std::isnan(after[i])) weighted += loss(after[i]).second * after[i];
+    if (std::isnan(after[i])) continue;
+    ValueOfLoss(options.loss, options.loss_scale, after[i], rho);
+    weighted += rho[1] * after[i];
   }
   const auto cost = [&](const std::vector<int64_t>& observations, const std::vector<double>& at) {
     double sum = 0;
     for (const int64_t i : observations) {
-      if (!std::isnan(before[i]) && !std::isnan(after[i])) sum += 0.5 * loss(at[i]).first;
+      if (std::isnan(before[i]) || std::isnan(after[i])) continue;
+      ValueOfLoss(options.loss, options.loss_scale, at[i], rho);
+      sum += 0.5 * rho[0];
     }
     return sum;
   };

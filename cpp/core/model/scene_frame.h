@@ -27,9 +27,7 @@
 /// others.
 
 #include <cstdint>
-#include <functional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "core/interface/summary.h"
@@ -89,9 +87,6 @@ struct FarPoints {
 FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layout,
                         const SceneFrame& frame);
 
-/// rho and rho' at a squared residual, in pixels squared.
-using LossFunction = std::function<std::pair<double, double>(double)>;
-
 /// A solution that far points bent is not usable. The signs of that: they cost more than all the
 /// others at the end, or the others cost more than kMaxNearRise times what they did at the start;
 /// observations behind their cameras at either end are left out. Both only where far points pull:
@@ -100,6 +95,6 @@ using LossFunction = std::function<std::pair<double, double>(double)>;
 /// rounding, or that a loss bounds (rho' s is what an observation adds to the gradient along its
 /// residual). A solve without iterations is not judged.
 void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const SolveOptions& options,
-                    const LossFunction& loss, SolveOutput* output);
+                    SolveOutput* output);
 
 }  // namespace bundle

@@ -41,23 +41,21 @@ std::string FindSuperfluousGauge(const ProblemView& problem, const FreeParameter
 }  // namespace
 
 FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptions& options,
-                                    std::string* gauge_warning) {
+                                    std::vector<Warning>* warnings) {
   FreeParameters free = SelectFreeParameters(problem, options);
-  *gauge_warning = FixGauge(problem, options.gauge, &free);
+  const FreeParameters without_gauge = problem.factors != nullptr ? free : FreeParameters();
+  Warn(WarningKind::kGaugeNotHeld, FixGauge(problem, options.gauge, &free), warnings);
+  if (problem.factors != nullptr) {
+    Warn(WarningKind::kGaugeBesideFactors, FindSuperfluousGauge(problem, without_gauge, free),
+         warnings);
+  }
   return free;
 }
 
 PreparedSolve PrepareSolve(const ProblemView& problem, const SolveOptions& options) {
   CheckCameraModelsKnown(problem);
-  std::string gauge_warning;
-  FreeParameters free = ChooseFreeParameters(problem, options, &gauge_warning);
   std::vector<Warning> warnings;
-  Warn(WarningKind::kGaugeNotHeld, std::move(gauge_warning), &warnings);
-  if (problem.factors != nullptr) {
-    Warn(WarningKind::kGaugeBesideFactors,
-         FindSuperfluousGauge(problem, SelectFreeParameters(problem, options), free), &warnings);
-  }
-  ParameterLayout layout(problem, std::move(free));
+  ParameterLayout layout(problem, ChooseFreeParameters(problem, options, &warnings));
   std::vector<int64_t> track_lengths = TrackLengths(problem);
   Warn(WarningKind::kPointsSeenOnce, CountPointsSeenOnce(problem, layout, track_lengths),
        &warnings);

@@ -25,9 +25,9 @@ struct PreparedSolve {
 };
 
 /// What the options leave free and the gauge does not hold; the values of the problem matter to the
-/// gauge alone. `gauge_warning`: a sentence where it could not be held as asked; else "".
+/// gauge alone. Warns where the gauge could not be held as asked, or need not be.
 FreeParameters ChooseFreeParameters(const ProblemView& problem, const SolveOptions& options,
-                                    std::string* gauge_warning);
+                                    std::vector<Warning>* warnings);
 
 /// Decides what is free and how it is laid out. The problem is valid (problem_view.h).
 ///

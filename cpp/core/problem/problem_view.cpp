@@ -9,6 +9,7 @@
 
 #include "core/cameras/camera_model.h"
 #include "core/error.h"
+#include "core/geometry/rotation.h"
 
 namespace bundle {
 
@@ -56,7 +57,7 @@ void CheckImages(const ProblemView& problem) {
         Fail("image ", problem.image_ids[i], ": expected a finite pose, found ", pose[j]);
       }
     }
-    const double norm = std::hypot(std::hypot(pose[0], pose[1]), std::hypot(pose[2], pose[3]));
+    const double norm = QuaternionNorm(pose);
     if (!(norm > 1e-150) || !std::isfinite(norm * norm)) {
       Fail("image ", problem.image_ids[i], ": expected a rotation, found a quaternion of norm ",
            norm);

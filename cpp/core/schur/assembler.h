@@ -57,6 +57,9 @@ class Assembler {
   void AddSharedCameras(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                         CameraSums* sums) const;
 
+  /// Takes the marked columns of the Jacobian out of the sums: their rows and columns become zero.
+  void ClearColumns(const std::vector<uint8_t>& which, CameraSums* sums) const;
+
   /// True if some camera block of the layout belongs to several images.
   bool has_shared_cameras() const { return has_shared_cameras_; }
 

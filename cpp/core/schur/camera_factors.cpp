@@ -21,10 +21,7 @@ CameraFactors::CameraFactors(const ProblemView& problem, const ParameterLayout& 
   for (const auto& factor : problem.factors->factors) {
     ChartedFactor charted(*factor, problem, layout);
     if (charted.is_fixed()) {
-      std::vector<double> residual(charted.num_residuals());
-      fixed_cost_ += charted.Evaluate(start, nullptr, residual.data(), nullptr)
-                         ? ApplyLoss(*factor, 0, residual.data(), nullptr)
-                         : kNoValue;
+      fixed_cost_ += charted.Cost(start, nullptr);
       continue;
     }
     num_residuals_ += charted.num_residuals();
@@ -140,17 +137,10 @@ void CameraFactors::AddTo(CameraSums* sums) const {
 
 double CameraFactors::Cost(const CameraStates& cameras, const double* points) const {
   double cost = 0;
-  std::vector<double> residual;
-  const auto add = [&](const ChartedFactor& factor, const double* const* point) {
-    residual.resize(factor.num_residuals());
-    cost += factor.Evaluate(cameras, point, residual.data(), nullptr)
-                ? ApplyLoss(factor.factor(), 0, residual.data(), nullptr)
-                : kNoValue;
-  };
-  for (const OfCameras& of : of_cameras_) add(of.factor, nullptr);
+  for (const OfCameras& of : of_cameras_) cost += of.factor.Cost(cameras, nullptr);
   for (const OfPoint& of : of_points_) {
     const double* const point = points + 3 * int64_t{of.point};
-    add(of.factor, &point);
+    cost += of.factor.Cost(cameras, &point);
   }
   return cost;
 }

@@ -38,444 +38,329 @@ CandidateSum Total(const std::vector<CandidateSum>& parts) {
 
 }  // namespace
 
-class SchurProblem::Impl {
- public:
-  Impl(const ProblemView& problem, const ParameterLayout& layout, const SolveOptions& options,
-       BlockStructure structure, LinearSolver* solver, bool is_reused)
-      : setup_(problem, layout, options, std::move(structure), is_reused),
-        solver_(solver),
-        factors_(problem, layout, structure_, plan_),
-        input_(WithPriors(setup_.input)),
-        pool_(EffectiveNumThreads(options.num_threads)),
-        memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_))),
-        states_{State(problem, layout, plan_), State(problem, layout, plan_)},
-        step_(problem, layout),
-        other_step_(problem, layout),
-        squared_scale_(x_->points.size()),
-        sums_(input_, structure_, assembler_, problem.num_images, pool_.num_threads(),
-              solver->NeedsCameraDiagonal()),
-        bounds_(layout.Bounds(problem)) {
-    const auto n = static_cast<size_t>(structure_.num_columns());
-    scale_.resize(n);
-    d_squared_.resize(n);
-    newton_.resize(n);
-    MeasureStart(options);
-  }
-
-  void Reset(const SolveOptions& options) {
-    setup_.Reset(options);
-    input_ = WithPriors(setup_.input);
-    for (State& state : states_) state.Reset(layout_, plan_);
-    solver_->ForgetValues();
-    scaled_ = false;
-    MeasureStart(options);
-  }
-
-  Linearization Linearize(double damping) {
-    damping_ = damping;
-    sums_.Clear(&pool_);
-    const bool first = !scaled_;
-    Linearization result;
-    result.cost = factors_.Linearize(x_->cameras(), x_->points.data());
-    double gradient_squared = 0, gradient_max = 0;
-    std::vector<ChunkSum> parts(plan_.chunks.size());
-    ForChunks(
-        [&](int c, int thread) {
-          ThrowIfInterrupted();
-          ChunkSum& sum = sums_.Begin(c, thread);
-          StateRecords x = x_->records();
-          if (first && plan_.chunks[c].first_row == 0) x.sink = x_->held.Collect(c);
-          kernels_.eliminate(input_, x, plan_.chunks[c], damping, first, squared_scale_.data(),
-                             Memory(thread), &sum);
-          parts[c] = sum;
-          sums_.End(thread);
-        },
-        [&](int thread) { sums_.Flush(thread); });
-    if (first) x_->held.Merge();
-    for (const ChunkSum& part : parts) {
-      result.cost += part.cost;
-      gradient_squared += part.gradient_squared;
-      if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
-    }
-    factors_.AddTo(&sums_.sums());
-    HoldActive();
-    DampCameras(damping, first);
-    for (size_t j = 0; j < gradient().size(); ++j) {
-      const double g = gradient()[j];
-      gradient_squared += g * g;
-      const double size = std::abs(ProjectedStep(j, -g));
-      if (!(size <= gradient_max)) gradient_max = size;
-    }
-    result.gradient_norm = std::sqrt(gradient_squared);
-    result.gradient_max_norm = gradient_max;
-    result.is_finite = std::isfinite(result.cost) && std::isfinite(result.gradient_norm);
-    scaled_ = true;
-    return result;
-  }
-
-  NewtonResult SolveNewton(double eta) {
-    if (solver_->NeedsGaugeDirections()) {
-      sums_.sums().system.gauge_directions = GaugeDirections(problem_, layout_, x_->cameras());
-    }
-    const LinearSolution solution =
-        solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
-    NewtonResult result;
-    result.num_iterations = solution.num_iterations;
-    result.message = solution.message;
-    const bool finite = std::all_of(newton_.begin(), newton_.end(),
-                                    [](double value) { return std::isfinite(value); });
-    if (solution.status == LinearSolution::Status::kFatal) {
-      result.status = NewtonResult::Status::kFatal;
-    } else if (solution.status == LinearSolution::Status::kFailure || !finite) {
-      result.status = NewtonResult::Status::kFailure;
-    }
-    return result;
-  }
-
-  Candidate EvaluateNewtonStep() {
-    step_.Set(newton_, x_->cameras());
-    MoveCameras(newton_);
-    std::vector<CandidateSum> parts(plan_.chunks.size());
-    const StateRecords x = x_->records();
-    ForChunks([&](int c, int thread) {
-      kernels_.evaluate_newton_step(input_, x, plan_.chunks[c], damping_, squared_scale_.data(),
-                                    step_.records(), candidate_->CandidateRecords(x, c),
-                                    candidate_->points.data(), Memory(thread), &parts[c]);
-    });
-    CandidateSum total = Total(parts);
-    total.model_cost_change += factors_.ModelCostChange(newton_);
-    line_ = newton_;
-    return Finish(newton_, total);
-  }
-
-  DoglegProducts Products() {
-    gradient_direction_.resize(newton_.size());
-    for (size_t j = 0; j < newton_.size(); ++j) {
-      gradient_direction_[j] = gradient()[j] / d_squared_[j];
-    }
-    points_p_.resize(x_->points.size());
-    points_q_.resize(x_->points.size());
-    step_.Set(gradient_direction_, x_->cameras());
-    other_step_.Set(newton_, x_->cameras());
-    DoglegProducts total;
-    std::vector<ProductSum> parts(plan_.chunks.size());
-    ForChunks([&](int c, int thread) {
-      kernels_.products(input_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
-                        step_.records(), other_step_.records(), points_p_.data(), points_q_.data(),
-                        Memory(thread), &parts[c]);
-    });
-    for (const ProductSum& part : parts) {
-      total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
-      total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
-    }
-    for (size_t j = 0; j < newton_.size(); ++j) {
-      const double p = gradient_direction_[j], q = newton_[j];
-      total.d_pp += p * d_squared_[j] * p;
-      total.d_pq += p * d_squared_[j] * q;
-      total.d_qq += q * d_squared_[j] * q;
-    }
-    factors_.AddProducts(gradient_direction_, newton_, &total);
-    products_ = total;
-    return total;
-  }
-
-  Candidate EvaluateDoglegStep(double a, double b) {
-    std::vector<double> step(newton_.size());
-    for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
-    MoveCameras(step);
-    CandidateSum total = MovePoints([&](int64_t i) { return a * points_p_[i] + b * points_q_[i]; });
-    const DoglegProducts& d = products_;
-    total.model_cost_change =
-        -(a * d.d_pp + b * d.d_pq) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
-    line_ = step;
-    return Finish(step, total);
-  }
-
-  bool has_bounds() const { return !bounds_.empty(); }
-
-  StepLine LineAlongStep() {
-    points_line_.resize(x_->points.size());
-    for (size_t i = 0; i < points_line_.size(); ++i) {
-      points_line_[i] = candidate_->points[i] - x_->points[i];
-    }
-    StepLine line;
-    line.slope = SlopeAt(*x_);
-    for (const std::vector<double>* d : {&line_, &points_line_}) {
-      for (const double value : *d) line.max_norm = std::max(line.max_norm, std::abs(value));
-    }
-    return line;
-  }
-
-  Candidate EvaluateAlongStep(double a) {
-    std::vector<double> step(line_.size());
-    for (size_t j = 0; j < step.size(); ++j) step[j] = a * line_[j];
-    MoveCameras(step);
-    return Finish(step, MovePoints([&](int64_t i) { return a * points_line_[i]; }));
-  }
-
-  double SlopeAtCandidate() { return SlopeAt(*candidate_); }
-
-  void Accept() {
-    std::swap(x_, candidate_);
-    std::swap(state_norm_, candidate_norm_);
-  }
-
-  void FreeSystem() { sums_.FreeSystem(); }
-
-  double state_norm() const { return state_norm_; }
-  int64_t num_observations() const { return plan_.num_observations(); }
-  double fixed_cost() const { return fixed_cost_; }
-  const CameraFactors& factors() const { return factors_; }
-  int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
-  const char* instruction_set() const { return kernels_.name; }
-  const CameraStates& cameras() const { return x_->cameras(); }
-
-  std::vector<double> Points() const {
-    std::vector<double> points(problem_.points,
-                               problem_.points + 3 * static_cast<int64_t>(problem_.num_points));
-    for (int p = 0; p < plan_.num_free_points; ++p) {
-      std::copy_n(x_->points.data() + 3 * static_cast<int64_t>(p), 3,
-                  points.data() + 3 * static_cast<int64_t>(plan_.point[p]));
-    }
-    return points;
-  }
-
- private:
-  EliminationInput WithPriors(EliminationInput input) const {
-    input.point_prior = factors_.point_prior();
-    input.prior_sums = factors_.prior_sums();
-    return input;
-  }
-
-  void MeasureStart(const SolveOptions& options) {
-    state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
-    fixed_cost_ = setup_.FixedCost(options) + factors_.fixed_cost();
-  }
-
-  /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
-  /// finish(thread) on each thread after its last. Where one throws, the others end at their next
-  /// chunk.
-  template <typename Visit, typename Finish>
-  void ForChunks(const Visit& visit, const Finish& finish) {
-    const auto count = static_cast<int>(plan_.chunks.size());
-    std::atomic<int> next{0};
-    pool_.Run([&](int thread) {
-      try {
-        for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) {
-          visit(c, thread);
-        }
-        finish(thread);
-      } catch (const OrderedSums::Abandoned&) {  // the other thread's exception counts
-      } catch (...) {
-        next.store(count);
-        sums_.Abandon();
-        throw;
-      }
-    });
-  }
-
-  template <typename Visit>
-  void ForChunks(const Visit& visit) {
-    ForChunks(visit, [](int) {});
-  }
-
-  double* Memory(int thread) { return memory_[thread].data(); }
-
-  /// S += damping D^2, and the same for the block diagonal of the camera side.
-  void DampCameras(double damping, bool first) {
-    CameraSums& sums = sums_.sums();
-    for (int b = 0; b < structure_.num_blocks(); ++b) {
-      const int size = structure_.block_size(b);
-      for (int k = 0; k < size; ++k) {
-        const int j = structure_.offset[b] + k;
-        const double squared_norm = sums.squared_norms[j];
-        if (first) scale_[j] = 1 / (1 + std::sqrt(squared_norm));
-        const double squared_scale = scale_[j] * scale_[j];
-        d_squared_[j] =
-            std::clamp(squared_scale * squared_norm, kMinDiagonal, kMaxDiagonal) / squared_scale;
-        const double added = damping * d_squared_[j];
-        sums.system.values[structure_.ValueIndex(b, structure_.column_begin[b], k, k)] += added;
-        if (sums.system.camera_diagonal.empty()) continue;
-        double* const diagonal =
-            sums.system.camera_diagonal.data() + assembler_.diagonal_begin()[b];
-        diagonal[k * size + k] += added;
-        for (int i = 0; i < k; ++i) diagonal[k * size + i] = diagonal[i * size + k];
-      }
-    }
-  }
-
-  const std::vector<double>& gradient() { return sums_.sums().gradient; }
-
-  /// Takes the columns of numbers on active bounds out of the normal equations.
-  void HoldActive() {
-    if (!has_bounds()) return;
-    CameraSums& sums = sums_.sums();
-    std::vector<uint8_t> is_active(gradient().size());
-    for (size_t j = 0; j < is_active.size(); ++j) {
-      is_active[j] = bounds_.IsActive(j, x_->camera_side[j], gradient()[j]);
-      if (is_active[j]) sums.gradient[j] = sums.system.rhs[j] = sums.squared_norms[j] = 0;
-    }
-    if (std::count(is_active.begin(), is_active.end(), 1) == 0) return;
-    for (int b = 0; b < structure_.num_blocks(); ++b) {
-      const uint8_t* const columns = is_active.data() + structure_.offset[b];
-      const int width = structure_.block_size(b);
-      for (int64_t e = structure_.column_begin[b]; e < structure_.column_begin[b + 1]; ++e) {
-        const uint8_t* const rows = is_active.data() + structure_.offset[structure_.row_block[e]];
-        const int height = structure_.block_size(structure_.row_block[e]);
-        for (int k = 0; k < width; ++k) {
-          for (int i = 0; i < height; ++i) {
-            if (columns[k] || rows[i]) sums.system.values[structure_.ValueIndex(b, e, i, k)] = 0;
-          }
-        }
-      }
-      if (sums.system.camera_diagonal.empty()) continue;
-      double* const diagonal = sums.system.camera_diagonal.data() + assembler_.diagonal_begin()[b];
-      for (int k = 0; k < width; ++k) {
-        for (int i = 0; i < width; ++i) {
-          if (columns[k] || columns[i]) diagonal[k * width + i] = 0;
-        }
-      }
-    }
-  }
-
-  void MoveCameras(const std::vector<double>& step) {
-    for (size_t j = 0; j < step.size(); ++j) {
-      candidate_->camera_side[j] = bounds_.Project(j, x_->camera_side[j] + step[j]);
-    }
-    candidate_->Update();
-  }
-
-  /// What is left of a step of one number of the camera side within its bounds.
-  double ProjectedStep(size_t j, double step) const {
-    if (!has_bounds()) return step;
-    return bounds_.Project(j, x_->camera_side[j] + step) - x_->camera_side[j];
-  }
-
-  /// Moves the candidate's points, number i by point_step(i), and evaluates its cost.
-  template <typename PointStep>
-  CandidateSum MovePoints(const PointStep& point_step) {
-    std::vector<CandidateSum> parts(plan_.chunks.size());
-    const StateRecords x = x_->records();
-    ForChunks([&](int c, int) {
-      MovePoints(plan_.chunks[c], point_step, &parts[c]);
-      parts[c].cost = kernels_.cost(input_, candidate_->CandidateRecords(x, c), plan_.chunks[c]);
-    });
-    return Total(parts);
-  }
-
-  template <typename PointStep>
-  void MovePoints(const Chunk& chunk, const PointStep& point_step, CandidateSum* sum) {
-    if (chunk.first_row > 0) return;
-    for (int64_t i = 3 * static_cast<int64_t>(chunk.first_point);
-         i < 3 * static_cast<int64_t>(chunk.last_point); ++i) {
-      const bool free = i < 3 * static_cast<int64_t>(plan_.num_free_points);
-      const double step = free ? point_step(i) : 0;
-      candidate_->points[i] = x_->points[i] + step;
-      if (!free) continue;
-      sum->step_squared += step * step;
-      sum->state_squared += candidate_->points[i] * candidate_->points[i];
-    }
-  }
-
-  /// d^T J^T r along the last step, at a state.
-  double SlopeAt(const State& state) {
-    step_.Set(line_, state.cameras());
-    std::vector<double> parts(plan_.chunks.size());
-    ForChunks([&](int c, int thread) {
-      parts[c] = kernels_.slope(input_, state.records(), plan_.chunks[c], step_.records(),
-                                points_line_.data(), Memory(thread));
-    });
-    return std::accumulate(parts.begin(), parts.end(), 0.0);
-  }
-
-  Candidate Finish(const std::vector<double>& step, const CandidateSum& sum) {
-    candidate_norm_ =
-        std::sqrt(Dot(candidate_->camera_side, candidate_->camera_side) + sum.state_squared);
-    candidate_->held.Merge();
-    Candidate result;
-    result.changes_what_counts = !candidate_->held.HasSameObservations(x_->held);
-    result.model_cost_change = sum.model_cost_change;
-    double step_squared = 0;
-    for (size_t j = 0; j < step.size(); ++j) {
-      const double moved = ProjectedStep(j, step[j]);
-      step_squared += moved * moved;
-    }
-    result.step_norm = std::sqrt(step_squared + sum.step_squared);
-    result.cost = sum.cost + factors_.Cost(candidate_->cameras(), candidate_->points.data());
-    return result;
-  }
-
-  double FreePointsSquared() const {
-    double sum = 0;
-    for (int64_t i = 0; i < 3 * static_cast<int64_t>(plan_.num_free_points); ++i) {
-      sum += x_->points[i] * x_->points[i];
-    }
-    return sum;
-  }
-
-  SchurSetup setup_;
-  const ProblemView& problem_ = setup_.problem;
-  const ParameterLayout& layout_ = setup_.layout;
-  const BlockStructure& structure_ = setup_.structure;
-  const Kernels& kernels_ = setup_.kernels;
-  const EliminationPlan& plan_ = setup_.plan;
-  const Assembler& assembler_ = setup_.assembler;
-  LinearSolver* const solver_;
-  CameraFactors factors_;
-  EliminationInput input_;
-  ThreadPool pool_;
-  std::vector<std::vector<double>> memory_;  ///< of each thread
-  State states_[2];
-  State* x_ = &states_[0];
-  State* candidate_ = &states_[1];
-  Step step_;
-  Step other_step_;
-  std::vector<double> squared_scale_;  ///< of each point's columns
-  OrderedSums sums_;
-  std::vector<double> scale_;      ///< Jacobi scaling of the camera side's columns
-  std::vector<double> d_squared_;  ///< D^2 of the camera side
-  std::vector<double> newton_;     ///< camera side of the Newton direction
-  std::vector<double> gradient_direction_;
-  std::vector<double> points_p_, points_q_;
-  std::vector<double> line_, points_line_;  ///< the last step, not projected
-  DoglegProducts products_;
-  const StateBounds bounds_;
-  double damping_ = 0;
-  double state_norm_ = 0;
-  double candidate_norm_ = 0;
-  double fixed_cost_ = 0;
-  bool scaled_ = false;
-};
-
 SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
                            const SolveOptions& options, BlockStructure structure,
                            LinearSolver* solver, bool is_reused)
-    : impl_(std::make_unique<Impl>(problem, layout, options, std::move(structure), solver,
-                                   is_reused)) {}
-
-SchurProblem::~SchurProblem() = default;
-
-void SchurProblem::Reset(const SolveOptions& options) { impl_->Reset(options); }
-Linearization SchurProblem::Linearize(double damping) { return impl_->Linearize(damping); }
-NewtonResult SchurProblem::SolveNewton(double eta) { return impl_->SolveNewton(eta); }
-Candidate SchurProblem::EvaluateNewtonStep() { return impl_->EvaluateNewtonStep(); }
-DoglegProducts SchurProblem::Products() { return impl_->Products(); }
-Candidate SchurProblem::EvaluateDoglegStep(double a, double b) {
-  return impl_->EvaluateDoglegStep(a, b);
+    : setup_(problem, layout, options, std::move(structure), is_reused),
+      solver_(solver),
+      factors_(problem, layout, structure_, plan_),
+      input_(WithPriors(setup_.input)),
+      pool_(EffectiveNumThreads(options.num_threads)),
+      memory_(pool_.num_threads(), std::vector<double>(kernels_.memory_doubles(input_))),
+      states_{State(problem, layout, plan_), State(problem, layout, plan_)},
+      step_(problem, layout),
+      other_step_(problem, layout),
+      squared_scale_(x_->points.size()),
+      sums_(input_, structure_, assembler_, problem.num_images, pool_.num_threads(),
+            solver->NeedsCameraDiagonal()),
+      bounds_(layout.Bounds(problem)) {
+  const auto n = static_cast<size_t>(structure_.num_columns());
+  scale_.resize(n);
+  d_squared_.resize(n);
+  newton_.resize(n);
+  MeasureStart(options);
 }
-void SchurProblem::Accept() { impl_->Accept(); }
-void SchurProblem::FreeSystem() { impl_->FreeSystem(); }
-double SchurProblem::StateNorm() const { return impl_->state_norm(); }
-bool SchurProblem::HasBounds() const { return impl_->has_bounds(); }
-StepLine SchurProblem::LineAlongStep() { return impl_->LineAlongStep(); }
-Candidate SchurProblem::EvaluateAlongStep(double a) { return impl_->EvaluateAlongStep(a); }
-double SchurProblem::SlopeAtCandidate() { return impl_->SlopeAtCandidate(); }
-int64_t SchurProblem::num_active_observations() const { return impl_->num_observations(); }
-double SchurProblem::fixed_cost() const { return impl_->fixed_cost(); }
-const CameraFactors& SchurProblem::factors() const { return impl_->factors(); }
-int64_t SchurProblem::num_held() const { return impl_->num_held(); }
-const char* SchurProblem::instruction_set() const { return impl_->instruction_set(); }
-const CameraStates& SchurProblem::cameras() const { return impl_->cameras(); }
-std::vector<double> SchurProblem::Points() const { return impl_->Points(); }
+
+void SchurProblem::Reset(const SolveOptions& options) {
+  setup_.Reset(options);
+  input_ = WithPriors(setup_.input);
+  for (State& state : states_) state.Reset(layout_, plan_);
+  solver_->ForgetValues();
+  scaled_ = false;
+  MeasureStart(options);
+}
+
+Linearization SchurProblem::Linearize(double damping) {
+  damping_ = damping;
+  sums_.Clear(&pool_);
+  const bool first = !scaled_;
+  Linearization result;
+  result.cost = factors_.Linearize(x_->cameras(), x_->points.data());
+  double gradient_squared = 0, gradient_max = 0;
+  std::vector<ChunkSum> parts(plan_.chunks.size());
+  ForChunks(
+      [&](int c, int thread) {
+        ThrowIfInterrupted();
+        ChunkSum& sum = sums_.Begin(c, thread);
+        StateRecords x = x_->records();
+        if (first && plan_.chunks[c].first_row == 0) x.sink = x_->held.Collect(c);
+        kernels_.eliminate(input_, x, plan_.chunks[c], damping, first, squared_scale_.data(),
+                           Memory(thread), &sum);
+        parts[c] = sum;
+        sums_.End(thread);
+      },
+      [&](int thread) { sums_.Flush(thread); });
+  if (first) x_->held.Merge();
+  for (const ChunkSum& part : parts) {
+    result.cost += part.cost;
+    gradient_squared += part.gradient_squared;
+    if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
+  }
+  factors_.AddTo(&sums_.sums());
+  HoldActive();
+  DampCameras(damping, first);
+  for (size_t j = 0; j < gradient().size(); ++j) {
+    const double g = gradient()[j];
+    gradient_squared += g * g;
+    const double size = std::abs(ProjectedStep(j, -g));
+    if (!(size <= gradient_max)) gradient_max = size;
+  }
+  result.gradient_norm = std::sqrt(gradient_squared);
+  result.gradient_max_norm = gradient_max;
+  result.is_finite = std::isfinite(result.cost) && std::isfinite(result.gradient_norm);
+  scaled_ = true;
+  return result;
+}
+
+NewtonResult SchurProblem::SolveNewton(double eta) {
+  if (solver_->NeedsGaugeDirections()) {
+    sums_.sums().system.gauge_directions = GaugeDirections(problem_, layout_, x_->cameras());
+  }
+  const LinearSolution solution = solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
+  NewtonResult result;
+  result.num_iterations = solution.num_iterations;
+  result.message = solution.message;
+  const bool finite = std::all_of(newton_.begin(), newton_.end(),
+                                  [](double value) { return std::isfinite(value); });
+  if (solution.status == LinearSolution::Status::kFatal) {
+    result.status = NewtonResult::Status::kFatal;
+  } else if (solution.status == LinearSolution::Status::kFailure || !finite) {
+    result.status = NewtonResult::Status::kFailure;
+  }
+  return result;
+}
+
+Candidate SchurProblem::EvaluateNewtonStep() {
+  step_.Set(newton_, x_->cameras());
+  MoveCameras(newton_);
+  std::vector<CandidateSum> parts(plan_.chunks.size());
+  const StateRecords x = x_->records();
+  ForChunks([&](int c, int thread) {
+    kernels_.evaluate_newton_step(input_, x, plan_.chunks[c], damping_, squared_scale_.data(),
+                                  step_.records(), candidate_->CandidateRecords(x, c),
+                                  candidate_->points.data(), Memory(thread), &parts[c]);
+  });
+  CandidateSum total = Total(parts);
+  total.model_cost_change += factors_.ModelCostChange(newton_);
+  line_ = newton_;
+  return Finish(newton_, total);
+}
+
+DoglegProducts SchurProblem::Products() {
+  gradient_direction_.resize(newton_.size());
+  for (size_t j = 0; j < newton_.size(); ++j) {
+    gradient_direction_[j] = gradient()[j] / d_squared_[j];
+  }
+  points_p_.resize(x_->points.size());
+  points_q_.resize(x_->points.size());
+  step_.Set(gradient_direction_, x_->cameras());
+  other_step_.Set(newton_, x_->cameras());
+  DoglegProducts total;
+  std::vector<ProductSum> parts(plan_.chunks.size());
+  ForChunks([&](int c, int thread) {
+    kernels_.products(input_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
+                      step_.records(), other_step_.records(), points_p_.data(), points_q_.data(),
+                      Memory(thread), &parts[c]);
+  });
+  for (const ProductSum& part : parts) {
+    total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
+    total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
+  }
+  for (size_t j = 0; j < newton_.size(); ++j) {
+    const double p = gradient_direction_[j], q = newton_[j];
+    total.d_pp += p * d_squared_[j] * p;
+    total.d_pq += p * d_squared_[j] * q;
+    total.d_qq += q * d_squared_[j] * q;
+  }
+  factors_.AddProducts(gradient_direction_, newton_, &total);
+  products_ = total;
+  return total;
+}
+
+Candidate SchurProblem::EvaluateDoglegStep(double a, double b) {
+  std::vector<double> step(newton_.size());
+  for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
+  MoveCameras(step);
+  CandidateSum total = MovePoints([&](int64_t i) { return a * points_p_[i] + b * points_q_[i]; });
+  const DoglegProducts& d = products_;
+  total.model_cost_change =
+      -(a * d.d_pp + b * d.d_pq) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
+  line_ = step;
+  return Finish(step, total);
+}
+
+StepLine SchurProblem::LineAlongStep() {
+  points_line_.resize(x_->points.size());
+  for (size_t i = 0; i < points_line_.size(); ++i) {
+    points_line_[i] = candidate_->points[i] - x_->points[i];
+  }
+  StepLine line;
+  line.slope = SlopeAt(*x_);
+  for (const std::vector<double>* d : {&line_, &points_line_}) {
+    for (const double value : *d) line.max_norm = std::max(line.max_norm, std::abs(value));
+  }
+  return line;
+}
+
+Candidate SchurProblem::EvaluateAlongStep(double a) {
+  std::vector<double> step(line_.size());
+  for (size_t j = 0; j < step.size(); ++j) step[j] = a * line_[j];
+  MoveCameras(step);
+  return Finish(step, MovePoints([&](int64_t i) { return a * points_line_[i]; }));
+}
+
+double SchurProblem::SlopeAtCandidate() { return SlopeAt(*candidate_); }
+
+void SchurProblem::Accept() {
+  std::swap(x_, candidate_);
+  std::swap(state_norm_, candidate_norm_);
+}
+
+std::vector<double> SchurProblem::Points() const {
+  std::vector<double> points(problem_.points,
+                             problem_.points + 3 * static_cast<int64_t>(problem_.num_points));
+  for (int p = 0; p < plan_.num_free_points; ++p) {
+    std::copy_n(x_->points.data() + 3 * static_cast<int64_t>(p), 3,
+                points.data() + 3 * static_cast<int64_t>(plan_.point[p]));
+  }
+  return points;
+}
+
+EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
+  input.point_prior = factors_.point_prior();
+  input.prior_sums = factors_.prior_sums();
+  return input;
+}
+
+void SchurProblem::MeasureStart(const SolveOptions& options) {
+  state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
+  fixed_cost_ = setup_.FixedCost(options) + factors_.fixed_cost();
+}
+
+template <typename Visit, typename Done>
+void SchurProblem::ForChunks(const Visit& visit, const Done& done) {
+  const auto count = static_cast<int>(plan_.chunks.size());
+  std::atomic<int> next{0};
+  pool_.Run([&](int thread) {
+    try {
+      for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) {
+        visit(c, thread);
+      }
+      done(thread);
+    } catch (const OrderedSums::Abandoned&) {  // the other thread's exception counts
+    } catch (...) {
+      next.store(count);
+      sums_.Abandon();
+      throw;
+    }
+  });
+}
+
+template <typename Visit>
+void SchurProblem::ForChunks(const Visit& visit) {
+  ForChunks(visit, [](int) {});
+}
+
+void SchurProblem::DampCameras(double damping, bool first) {
+  CameraSums& sums = sums_.sums();
+  for (int b = 0; b < structure_.num_blocks(); ++b) {
+    const int size = structure_.block_size(b);
+    for (int k = 0; k < size; ++k) {
+      const int j = structure_.offset[b] + k;
+      const double squared_norm = sums.squared_norms[j];
+      if (first) scale_[j] = 1 / (1 + std::sqrt(squared_norm));
+      const double squared_scale = scale_[j] * scale_[j];
+      d_squared_[j] =
+          std::clamp(squared_scale * squared_norm, kMinDiagonal, kMaxDiagonal) / squared_scale;
+      const double added = damping * d_squared_[j];
+      sums.system.values[structure_.ValueIndex(b, structure_.column_begin[b], k, k)] += added;
+      if (sums.system.camera_diagonal.empty()) continue;
+      double* const diagonal = sums.system.camera_diagonal.data() + assembler_.diagonal_begin()[b];
+      diagonal[k * size + k] += added;
+      for (int i = 0; i < k; ++i) diagonal[k * size + i] = diagonal[i * size + k];
+    }
+  }
+}
+
+void SchurProblem::HoldActive() {
+  if (!HasBounds()) return;
+  std::vector<uint8_t> is_active(gradient().size());
+  for (size_t j = 0; j < is_active.size(); ++j) {
+    is_active[j] = bounds_.IsActive(j, x_->camera_side[j], gradient()[j]);
+  }
+  assembler_.ClearColumns(is_active, &sums_.sums());
+}
+
+void SchurProblem::MoveCameras(const std::vector<double>& step) {
+  for (size_t j = 0; j < step.size(); ++j) {
+    candidate_->camera_side[j] = bounds_.Project(j, x_->camera_side[j] + step[j]);
+  }
+  candidate_->Update();
+}
+
+double SchurProblem::ProjectedStep(size_t j, double step) const {
+  if (!HasBounds()) return step;
+  return bounds_.Project(j, x_->camera_side[j] + step) - x_->camera_side[j];
+}
+
+template <typename PointStep>
+CandidateSum SchurProblem::MovePoints(const PointStep& point_step) {
+  std::vector<CandidateSum> parts(plan_.chunks.size());
+  const StateRecords x = x_->records();
+  ForChunks([&](int c, int) {
+    MovePoints(plan_.chunks[c], point_step, &parts[c]);
+    parts[c].cost = kernels_.cost(input_, candidate_->CandidateRecords(x, c), plan_.chunks[c]);
+  });
+  return Total(parts);
+}
+
+template <typename PointStep>
+void SchurProblem::MovePoints(const Chunk& chunk, const PointStep& point_step, CandidateSum* sum) {
+  if (chunk.first_row > 0) return;
+  for (int64_t i = 3 * static_cast<int64_t>(chunk.first_point);
+       i < 3 * static_cast<int64_t>(chunk.last_point); ++i) {
+    const bool free = i < 3 * static_cast<int64_t>(plan_.num_free_points);
+    const double step = free ? point_step(i) : 0;
+    candidate_->points[i] = x_->points[i] + step;
+    if (!free) continue;
+    sum->step_squared += step * step;
+    sum->state_squared += candidate_->points[i] * candidate_->points[i];
+  }
+}
+
+double SchurProblem::SlopeAt(const State& state) {
+  step_.Set(line_, state.cameras());
+  std::vector<double> parts(plan_.chunks.size());
+  ForChunks([&](int c, int thread) {
+    parts[c] = kernels_.slope(input_, state.records(), plan_.chunks[c], step_.records(),
+                              points_line_.data(), Memory(thread));
+  });
+  return std::accumulate(parts.begin(), parts.end(), 0.0);
+}
+
+Candidate SchurProblem::Finish(const std::vector<double>& step, const CandidateSum& sum) {
+  candidate_norm_ =
+      std::sqrt(Dot(candidate_->camera_side, candidate_->camera_side) + sum.state_squared);
+  candidate_->held.Merge();
+  Candidate result;
+  result.changes_what_counts = !candidate_->held.HasSameObservations(x_->held);
+  result.model_cost_change = sum.model_cost_change;
+  double step_squared = 0;
+  for (size_t j = 0; j < step.size(); ++j) {
+    const double moved = ProjectedStep(j, step[j]);
+    step_squared += moved * moved;
+  }
+  result.step_norm = std::sqrt(step_squared + sum.step_squared);
+  result.cost = sum.cost + factors_.Cost(candidate_->cameras(), candidate_->points.data());
+  return result;
+}
+
+double SchurProblem::FreePointsSquared() const {
+  double sum = 0;
+  for (int64_t i = 0; i < 3 * static_cast<int64_t>(plan_.num_free_points); ++i) {
+    sum += x_->points[i] * x_->points[i];
+  }
+  return sum;
+}
 
 }  // namespace bundle::fused

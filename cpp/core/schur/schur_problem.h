@@ -1,6 +1,5 @@
 #pragma once
 
-#include <memory>
 #include <vector>
 
 #include "core/interface/options.h"
@@ -8,11 +7,16 @@
 #include "core/linear/linear_solver.h"
 #include "core/minimize/least_squares.h"
 #include "core/model/parameter_layout.h"
+#include "core/parallel/thread_pool.h"
 #include "core/problem/problem_view.h"
+#include "core/schur/assembler.h"
+#include "core/schur/camera_factors.h"
+#include "core/schur/elimination_plan.h"
+#include "core/schur/kernels/kernels.h"
+#include "core/schur/schur_setup.h"
+#include "core/schur/state_records.h"
 
 namespace bundle::fused {
-
-class CameraFactors;
 
 /// Bundle adjustment with the points eliminated: a LeastSquares made of passes over the points.
 class SchurProblem final : public LeastSquares {
@@ -22,7 +26,8 @@ class SchurProblem final : public LeastSquares {
   SchurProblem(const ProblemView& problem, const ParameterLayout& layout,
                const SolveOptions& options, BlockStructure structure, LinearSolver* solver,
                bool is_reused = false);
-  ~SchurProblem() override;
+  SchurProblem(const SchurProblem&) = delete;
+  SchurProblem& operator=(const SchurProblem&) = delete;
 
   /// Starts anew at the problem's values (poses, camera parameters, points, measurements) and with
   /// the options' loss, after any of these changed. Every bit is that of a new SchurProblem.
@@ -34,35 +39,93 @@ class SchurProblem final : public LeastSquares {
   DoglegProducts Products() override;
   Candidate EvaluateDoglegStep(double a, double b) override;
   void Accept() override;
-  double StateNorm() const override;
-  bool HasBounds() const override;
+  double StateNorm() const override { return state_norm_; }
+  bool HasBounds() const override { return !bounds_.empty(); }
   StepLine LineAlongStep() override;
   Candidate EvaluateAlongStep(double a) override;
   double SlopeAtCandidate() override;
 
   /// Observations that reach the solver: those with something to refine.
-  int64_t num_active_observations() const;
+  int64_t num_active_observations() const { return plan_.num_observations(); }
   /// Cost of the others, and of factors with nothing to refine; not part of Linearization::cost.
-  double fixed_cost() const;
+  double fixed_cost() const { return fixed_cost_; }
   /// Those beside the observations.
-  const CameraFactors& factors() const;
+  const CameraFactors& factors() const { return factors_; }
   /// The name of the instruction set that its kernels were compiled for: "baseline", "avx2+fma",
   /// "avx512".
-  const char* instruction_set() const;
+  const char* instruction_set() const { return kernels_.name; }
 
   /// Observations that do not count at the state but hold a residual (factors/reprojection.h).
-  int64_t num_held() const;
+  int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
 
   /// Frees S, which can be most of its memory, after the last linearisation.
-  void FreeSystem();
+  void FreeSystem() { sums_.FreeSystem(); }
 
   /// Camera side and points (as in ProblemView) at the state.
-  const CameraStates& cameras() const;
+  const CameraStates& cameras() const { return x_->cameras(); }
   std::vector<double> Points() const;
 
  private:
-  class Impl;
-  std::unique_ptr<Impl> impl_;
+  EliminationInput WithPriors(EliminationInput input) const;
+  void MeasureStart(const SolveOptions& options);
+  /// Calls visit(chunk index, thread) for all chunks, on all threads, lower indices first, and
+  /// done(thread) on each thread after its last. Where one throws, the others end at their next
+  /// chunk.
+  template <typename Visit, typename Done>
+  void ForChunks(const Visit& visit, const Done& done);
+  template <typename Visit>
+  void ForChunks(const Visit& visit);
+  double* Memory(int thread) { return memory_[thread].data(); }
+  /// S += damping D^2, and the same for the block diagonal of the camera side.
+  void DampCameras(double damping, bool first);
+  const std::vector<double>& gradient() { return sums_.sums().gradient; }
+  /// Takes the columns of numbers on active bounds out of the normal equations.
+  void HoldActive();
+  void MoveCameras(const std::vector<double>& step);
+  /// What is left of a step of one number of the camera side within its bounds.
+  double ProjectedStep(size_t j, double step) const;
+  /// Moves the candidate's points, number i by point_step(i), and evaluates its cost.
+  template <typename PointStep>
+  CandidateSum MovePoints(const PointStep& point_step);
+  template <typename PointStep>
+  void MovePoints(const Chunk& chunk, const PointStep& point_step, CandidateSum* sum);
+  /// d^T J^T r along the last step, at a state.
+  double SlopeAt(const State& state);
+  Candidate Finish(const std::vector<double>& step, const CandidateSum& sum);
+  double FreePointsSquared() const;
+
+  SchurSetup setup_;
+  const ProblemView& problem_ = setup_.problem;
+  const ParameterLayout& layout_ = setup_.layout;
+  const BlockStructure& structure_ = setup_.structure;
+  const Kernels& kernels_ = setup_.kernels;
+  const EliminationPlan& plan_ = setup_.plan;
+  const Assembler& assembler_ = setup_.assembler;
+  LinearSolver* const solver_;
+  CameraFactors factors_;
+  EliminationInput input_;
+  ThreadPool pool_;
+  std::vector<std::vector<double>> memory_;  ///< of each thread
+  State states_[2];
+  State* x_ = &states_[0];
+  State* candidate_ = &states_[1];
+  Step step_;
+  Step other_step_;
+  std::vector<double> squared_scale_;  ///< of each point's columns
+  OrderedSums sums_;
+  std::vector<double> scale_;      ///< Jacobi scaling of the camera side's columns
+  std::vector<double> d_squared_;  ///< D^2 of the camera side
+  std::vector<double> newton_;     ///< camera side of the Newton direction
+  std::vector<double> gradient_direction_;
+  std::vector<double> points_p_, points_q_;
+  std::vector<double> line_, points_line_;  ///< the last step, not projected
+  DoglegProducts products_;
+  const StateBounds bounds_;
+  double damping_ = 0;
+  double state_norm_ = 0;
+  double candidate_norm_ = 0;
+  double fixed_cost_ = 0;
+  bool scaled_ = false;
 };
 
 }  // namespace bundle::fused

@@ -17,7 +17,6 @@
 #include <vector>
 
 #include "core/ceres/solve_with_ceres.h"
-#include "core/ceres/translate_options.h"
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
@@ -141,15 +140,6 @@ void SetFactorCosts(const ProblemView& given, SolveOutput* output) {
   output->factor_costs_after = FactorCosts(refined);
 }
 
-LossFunction MakeLossFunction(const SolveOptions& options) {
-  return [loss = std::shared_ptr<ceres::LossFunction>(MakeLoss(options.loss, options.loss_scale))](
-             double squared_norm) {
-    double rho[3] = {squared_norm, 1, 0};
-    if (loss) loss->Evaluate(squared_norm, rho);
-    return std::make_pair(rho[0], rho[1]);
-  };
-}
-
 }  // namespace
 
 /// A solver and the problem that it is at.
@@ -190,7 +180,7 @@ class Solver::Impl {
     std::vector<Warning> warnings = warnings_;
     Warn(WarningKind::kFarPoints, std::move(far.warning), &warnings);
     SolveOutput output = Run(options, std::move(warnings), progress);
-    JudgeFarPoints(problem_, far, options, MakeLossFunction(options), &output);
+    JudgeFarPoints(problem_, far, options, &output);
     centered.MoveBack(&output);
     SetFactorCosts(given, &output);
     output.summary.backend_given = UpperName(options.backend, kBackends);
@@ -253,8 +243,8 @@ class Solver::Impl {
   bool IsPreparedForValues() const {
     if (fused_ == nullptr) return false;
     if (options_.gauge == Gauge::kNone) return true;
-    std::string gauge_warning;  // it follows from what is free
-    return ChooseFreeParameters(problem_, options_, &gauge_warning) == fused_->layout().free();
+    std::vector<Warning> same_warnings;  // they follow from what is free
+    return ChooseFreeParameters(problem_, options_, &same_warnings) == fused_->layout().free();
   }
 
   SolveOutput Run(const SolveOptions& options, std::vector<Warning> warnings,

@@ -149,7 +149,29 @@ class PriorFactor(Factor):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BetweenFactor(Factor):
+class _RelativeFactor(Factor):
+    """A measurement between two variables."""
+
+    a: Key
+    b: Key
+    measurement: ArrayLike
+    information: ArrayLike
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.a == self.b:
+            raise InputError(f"{self.name}: expected two different variables, found one twice")
+        self._freeze_row("measurement")
+        self._freeze_matrix("information")
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The variables, in the order of the Jacobians."""
+        return self.a, self.b
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BetweenFactor(_RelativeFactor):
     """A relative measurement of two variables on one manifold: e = Log(Z^-1 A^-1 B).
 
     The error of a pose graph's edge, with the full logarithm of SE(2) or SE(3). On Euclidean
@@ -166,24 +188,7 @@ class BetweenFactor(Factor):
         InputError: these are no numbers, or both keys are the same.
     """
 
-    a: Key
-    b: Key
-    measurement: ArrayLike
-    information: ArrayLike
-
     kind = "between"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.a == self.b:
-            raise InputError(f"{self.name}: expected two different variables, found one twice")
-        self._freeze_row("measurement")
-        self._freeze_matrix("information")
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order of the Jacobians."""
-        return self.a, self.b
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
         """See :meth:`Factor.core_arguments`."""
@@ -191,7 +196,7 @@ class BetweenFactor(Factor):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RelativePoseFactor(Factor):
+class RelativePoseFactor(_RelativeFactor):
     """A measured relative pose of two images A and B: e = Log(Z^-1 B A^-1).
 
     The variables are cam_from_world, so that B A^-1 is cam_b_from_cam_a, which no motion of the
@@ -208,24 +213,7 @@ class RelativePoseFactor(Factor):
         InputError: these are no numbers, or both keys are the same.
     """
 
-    a: Key
-    b: Key
-    measurement: ArrayLike
-    information: ArrayLike
-
     kind = "relative_pose"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.a == self.b:
-            raise InputError(f"{self.name}: expected two different variables, found one twice")
-        self._freeze_row("measurement")
-        self._freeze_matrix("information")
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order of the Jacobians."""
-        return self.a, self.b
 
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
         """See :meth:`Factor.core_arguments`."""

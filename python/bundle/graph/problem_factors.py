@@ -14,18 +14,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
-
-from bundle.cameras import camera_models
 from bundle.errors import InputError, brief
 from bundle.graph.factor_graph import FactorGraph
 from bundle.graph.factors import Factor
 from bundle.graph.variables import Array, Key, as_list
 from bundle.problem import Problem
+from bundle.problem_keys import ProblemKeys, parameter_names
 
 __all__ = ["ProblemFactors"]
-
-_KINDS = ("image", "camera", "point")
 
 
 class ProblemFactors:
@@ -38,7 +34,7 @@ class ProblemFactors:
 
     def __init__(self, problem: Problem, factors: Iterable[Factor]) -> None:
         self._problem = problem
-        self._indices: dict[str, dict[int, int]] = {}
+        self._keys = ProblemKeys(problem, ("image", "camera", "point"), "variable")
         self._graph = FactorGraph()
         self._places: list[tuple[str, int]] = []
         for position, factor in enumerate(as_list("factors", "factors", factors)):
@@ -63,33 +59,12 @@ class ProblemFactors:
         return (*self._graph.core(), self._places)
 
     def _add(self, name: str, key: Key) -> None:
-        kind, index = self._find(name, key)
+        kind, index = self._keys.find(name, key)
         if key in self._graph.values:
             return
         value, manifold = self._value(name, kind, index)
         self._graph.add_variable(key, value, manifold)
         self._places.append((kind, index))
-
-    def _find(self, name: str, key: Key) -> tuple[str, int]:
-        if (
-            not isinstance(key, tuple)
-            or len(key) != 2
-            or key[0] not in _KINDS
-            or isinstance(key[1], bool)
-            or not isinstance(key[1], int | np.integer)
-        ):
-            raise InputError(
-                f"{name}: expected ('image', id), ('camera', id) or ('point', id) for a variable, "
-                f"found {brief(key)}"
-            )
-        kind, number = key
-        if kind not in self._indices:
-            ids = getattr(self._problem, f"{kind}_ids").tolist()
-            self._indices[kind] = {known: index for index, known in enumerate(ids)}
-        index = self._indices[kind].get(int(number))
-        if index is None:
-            raise InputError(f"{name}: there is no {kind} {number} in the problem")
-        return kind, index
 
     def _value(self, name: str, kind: str, index: int) -> tuple[Array, str]:
         problem = self._problem
@@ -97,10 +72,5 @@ class ProblemFactors:
             return problem.cam_from_world[index], "se3"
         if kind == "point":
             return problem.points[index], "euclidean"
-        model = problem.camera_models[index]
-        parameters = camera_models().get(model)
-        if parameters is None:
-            raise InputError(
-                f"{name}: camera {problem.camera_ids[index]}: model {model} is not supported"
-            )
+        parameters = parameter_names(name, problem, index)
         return problem.camera_params[index, : len(parameters)], "euclidean"

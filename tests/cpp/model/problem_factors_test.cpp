@@ -16,18 +16,8 @@ namespace {
 
 using testing::FactorMaker;
 using testing::Kind;
-using testing::MakeScene;
 using testing::Scene;
-using testing::SceneOptions;
-
-Scene SmallScene(int images_per_camera) {
-  SceneOptions options;
-  options.num_images = 4;
-  options.num_points = 14;
-  options.track_length = 3;
-  options.images_per_camera = images_per_camera;
-  return MakeScene(options);
-}
+using testing::SmallScene;
 
 std::vector<double> Evaluate(const ChartedFactor& factor, const CameraStates& cameras,
                              const std::vector<double>& points, std::vector<double>* jacobian) {

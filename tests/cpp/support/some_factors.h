@@ -17,6 +17,15 @@ namespace bundle::testing {
 
 using Kind = ProblemVariable::Kind;
 
+inline Scene SmallScene(int images_per_camera) {
+  SceneOptions options;
+  options.num_images = 4;
+  options.num_points = 14;
+  options.track_length = 3;
+  options.images_per_camera = images_per_camera;
+  return MakeScene(options);
+}
+
 class FactorMaker {
  public:
   explicit FactorMaker(const Scene& scene) : problem_(scene.View()) {}

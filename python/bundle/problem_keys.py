@@ -1,0 +1,71 @@
+"""Keys of a problem's variables: ``("image", id)``, ``("camera", id)`` and ``("point", id)``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bundle.cameras import camera_models
+from bundle.errors import InputError, brief
+from bundle.problem import Problem
+
+__all__ = ["ProblemKeys", "parameter_names"]
+
+
+class ProblemKeys:
+    """What keys name in a problem.
+
+    Args:
+        problem: whose variables they name.
+        kinds: the first members that a key may have.
+        what: what a key is to the caller, in messages.
+    """
+
+    def __init__(self, problem: Problem, kinds: tuple[str, ...], what: str) -> None:
+        self._problem = problem
+        self._kinds = kinds
+        self._what = what
+        self._indices: dict[str, dict[int, int]] = {}
+
+    def find(self, argument: str, key: Any) -> tuple[str, int]:
+        """Return the kind and the index in the problem's arrays.
+
+        Raises:
+            InputError: this is no such key, or names nothing of the problem.
+        """
+        if (
+            not isinstance(key, tuple)
+            or len(key) != 2
+            or key[0] not in self._kinds
+            or isinstance(key[1], bool)
+            or not isinstance(key[1], int | np.integer)
+        ):
+            *others, last = (f"({kind!r}, id)" for kind in self._kinds)
+            expected = f"{', '.join(others)} or {last}" if others else last
+            raise InputError(
+                f"{argument}: expected {expected} for a {self._what}, found {brief(key)}"
+            )
+        kind, number = key
+        if kind not in self._indices:
+            ids = getattr(self._problem, f"{kind}_ids").tolist()
+            self._indices[kind] = {known: index for index, known in enumerate(ids)}
+        index = self._indices[kind].get(int(number))
+        if index is None:
+            raise InputError(f"{argument}: there is no {kind} {number} in the problem")
+        return kind, index
+
+
+def parameter_names(argument: str, problem: Problem, camera: int) -> tuple[str, ...]:
+    """Return the names of a camera's parameters, by its index.
+
+    Raises:
+        InputError: its model is not supported.
+    """
+    model = problem.camera_models[camera]
+    names = camera_models().get(model)
+    if names is None:
+        raise InputError(
+            f"{argument}: camera {problem.camera_ids[camera]}: model {model} is not supported"
+        )
+    return names
