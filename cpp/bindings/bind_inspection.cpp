@@ -10,7 +10,6 @@
 #include "bindings/problem_from_python.h"
 #include "bindings/to_numpy.h"
 #include "core/interface/options.h"
-#include "core/prepare/choose_solver.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/symbolic/symbolic.h"
@@ -25,7 +24,7 @@ py::dict ParameterBlocks(const py::object& problem, const py::dict& options) {
   const bundle::PreparedSolve prepared = bundle::PrepareSolve(view, OptionsFromPython(options));
   const bundle::ParameterLayout& layout = prepared.layout;
   std::vector<int> sizes, image_block, camera_block;
-  for (const bundle::CameraSideBlock& block : layout.blocks()) sizes.push_back(block.size);
+  for (const bundle::CameraBlock& block : layout.blocks()) sizes.push_back(block.size);
   for (int i = 0; i < view.num_images; ++i) image_block.push_back(layout.image_block(i));
   for (int c = 0; c < view.num_cameras; ++c) camera_block.push_back(layout.camera_block(c));
   py::array_t<bool> free_points(view.num_points);
@@ -41,15 +40,15 @@ py::dict ParameterBlocks(const py::object& problem, const py::dict& options) {
   return d;
 }
 
-/// The fused backend's passes over the points: bundle::fused::PlanSize.
+/// The fused backend's passes over the points: bundle::PlanSize.
 py::dict EliminationPlan(const py::object& problem, const py::dict& options) {
   const bundle::ProblemView view = ViewProblem(problem);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
-  bundle::fused::PlanSize size;
+  bundle::PlanSize size;
   {
     const py::gil_scoped_release release;
     const bundle::PreparedSolve prepared = bundle::PrepareSolve(view, solve_options);
-    size = bundle::fused::MeasurePlan(view, prepared.layout);
+    size = bundle::MeasurePlan(view, prepared.layout);
   }
   py::dict d;
 #define BUNDLE_FIELD(name) d[#name] = size.name
@@ -93,7 +92,7 @@ std::string AutoChoice(const Ints& sizes, const Int64s& column_begin, const Ints
 }  // namespace
 
 void BindInspection(py::module_& m) {
-  m.attr("MAX_TRACK_LENGTH") = bundle::fused::kMaxTrackLength;
+  m.attr("MAX_TRACK_LENGTH") = bundle::kMaxTrackLength;
   m.def("available_memory", [] { return bundle::AvailableMemoryBytes(); });
   m.def("parameter_blocks", &ParameterBlocks, py::arg("problem"), py::arg("options"));
   m.def("panel_values", &PanelValues, py::arg("sizes"), py::arg("column_begin"), py::arg("rows"),

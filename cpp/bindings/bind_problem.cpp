@@ -65,8 +65,8 @@ py::tuple Linearize(const py::object& problem, bool algebraic,
   py::array_t<double> d_pose({n, two, py::ssize_t{6}});
   py::array_t<double> d_params({n, two, py::ssize_t{view.camera_params_stride}});
   py::array_t<double> d_point({n, two, py::ssize_t{3}});
-  const bundle::Linearization out{residual.mutable_data(), d_pose.mutable_data(),
-                                  d_params.mutable_data(), d_point.mutable_data()};
+  const bundle::ReprojectionDerivatives out{residual.mutable_data(), d_pose.mutable_data(),
+                                            d_params.mutable_data(), d_point.mutable_data()};
   const double* offsets = rotation_offsets.data();
   {
     py::gil_scoped_release release;

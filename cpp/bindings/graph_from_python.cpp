@@ -13,7 +13,6 @@
 #include "core/cameras/registry.h"
 #include "core/error.h"
 #include "core/factors/factor.h"
-#include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
 
 namespace py = pybind11;

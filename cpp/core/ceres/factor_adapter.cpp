@@ -5,7 +5,7 @@
 #include <set>
 #include <utility>
 
-#include "core/ceres/translate_options.h"
+#include "core/ceres/translate.h"
 #include "core/error.h"
 #include "core/factors/factor.h"
 #include "core/parallel/interruption.h"

@@ -46,8 +46,8 @@ struct Abandonment {
 };
 
 /// A factor beside the observations of a problem as Ceres sees it. Its parameter blocks are its
-/// free points, then its blocks of the layout (ChartedFactor::unknowns). Values of the camera side
-/// are read from `states`, as MakeReprojectionCost does.
+/// free points, then its blocks of the layout (ChartedFactor::unknowns). Values of the camera
+/// parameters are read from `states`, as MakeReprojectionCost does.
 std::unique_ptr<ceres::CostFunction> MakeFactorCost(ChartedFactor factor,
                                                     const CameraStates& states,
                                                     Abandonment* abandonment);

@@ -57,7 +57,7 @@ class SingleObservation final : public ceres::CostFunction {
   }
 
   std::vector<const double*> start() const { return {problem_.points, state_.data()}; }
-  const CameraSideBlock& block() const { return layout_.blocks()[0]; }
+  const CameraBlock& block() const { return layout_.blocks()[0]; }
 
   /// True if the observation contributes under `cheirality` where it starts.
   bool Counts(Cheirality cheirality) const {
@@ -85,7 +85,8 @@ class SingleObservation final : public ceres::CostFunction {
     return {distance, kEpsilon * (lever + Length(pose.translation)), lever};
   }
 
-  /// Steps of each column: point, then what is free of the camera side; and the size of the pixels.
+  /// Steps of each column: point, then what is free of the camera parameters; and the size of the
+  /// pixels.
   KnownScales Scales() const {
     constexpr double kShare = 0.25;  // of the distance to the singularity
     constexpr double kAny = std::numeric_limits<double>::infinity();
@@ -169,7 +170,7 @@ class SingleObservation final : public ceres::CostFunction {
 /// side) to the columns of ReprojectionCheck.
 class Columns {
  public:
-  Columns(const CameraSideBlock& block, int stride)
+  Columns(const CameraBlock& block, int stride)
       : block_(block), size_(kPoseSize + stride + 3), sources_(3 + block.size) {}
 
   int size() const { return size_; }
@@ -183,7 +184,7 @@ class Columns {
   }
 
  private:
-  const CameraSideBlock& block_;
+  const CameraBlock& block_;
   const int size_, sources_;
 };
 

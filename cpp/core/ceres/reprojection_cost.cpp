@@ -32,7 +32,7 @@ class ReprojectionCost final : public ceres::CostFunction {
     }
     for (const int index : {layout.image_block(image), layout.camera_block(camera)}) {
       if (index < 0) continue;
-      const CameraSideBlock& block = layout.blocks()[index];
+      const CameraBlock& block = layout.blocks()[index];
       blocks_[num_blocks_++] = &block;
       mutable_parameter_block_sizes()->push_back(block.size);
     }
@@ -97,7 +97,7 @@ class ReprojectionCost final : public ceres::CostFunction {
     return r[0] * r[0] + r[1] * r[1] <= held_[0] * held_[0] + held_[1] * held_[1];
   }
 
-  static void Gather(const ReprojectionJacobian<kParams>& jacobian, const CameraSideBlock& block,
+  static void Gather(const ReprojectionJacobian<kParams>& jacobian, const CameraBlock& block,
                      double* out) {
     for (int k = 0; k < block.size; ++k) {
       const int column = block.columns[k];
@@ -112,7 +112,7 @@ class ReprojectionCost final : public ceres::CostFunction {
   const double* params_;
   const double* fixed_point_ = nullptr;
   const double* measurement_;
-  const CameraSideBlock* blocks_[2] = {};
+  const CameraBlock* blocks_[2] = {};
   HoldingWatch* watch_;
   mutable double held_[2] = {0, 0};  ///< what is held if the observation stops counting, or is held
   int8_t num_blocks_ = 0;

@@ -5,8 +5,7 @@
 
 #include "core/ceres/factor_adapter.h"
 #include "core/ceres/solve_with_ceres.h"
-#include "core/ceres/summarize.h"
-#include "core/ceres/translate_options.h"
+#include "core/ceres/translate.h"
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"

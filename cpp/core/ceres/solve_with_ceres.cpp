@@ -11,8 +11,7 @@
 #include "core/ceres/active_bounds.h"
 #include "core/ceres/factor_adapter.h"
 #include "core/ceres/reprojection_cost.h"
-#include "core/ceres/summarize.h"
-#include "core/ceres/translate_options.h"
+#include "core/ceres/translate.h"
 #include "core/checking/check_solution.h"
 #include "core/interface/summary.h"
 #include "core/model/coupled_blocks.h"
@@ -21,15 +20,14 @@
 #include "core/parallel/blas.h"
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
-#include "core/prepare/choose_solver.h"
 #include "core/prepare/prepare.h"
 
 namespace bundle {
 namespace {
 
-/// Expands the camera side once per evaluation. Looks for an interruption before a candidate is
-/// evaluated: Ceres has no other moment within a step at which it can be left with the best state.
-/// From then on no cost can be evaluated, and the candidate is rejected.
+/// Expands the camera parameters once per evaluation. Looks for an interruption before a candidate
+/// is evaluated: Ceres has no other moment within a step at which it can be left with the best
+/// state. From then on no cost can be evaluated, and the candidate is rejected.
 class UpdateCameraStates final : public ceres::EvaluationCallback {
  public:
   UpdateCameraStates(const double* state, CameraStates* states, HoldingWatch* watch,
@@ -130,7 +128,7 @@ class CeresSolve {
     for (int p = 0; p < problem_.num_points; ++p) {
       if (layout_.point_is_free(p)) ceres_problem_->AddParameterBlock(PointData(p), 3);
     }
-    for (const CameraSideBlock& block : layout_.blocks()) {
+    for (const CameraBlock& block : layout_.blocks()) {
       ceres_problem_->AddParameterBlock(state_.data() + block.offset, block.size);
     }
     AddBounds();
@@ -174,7 +172,7 @@ class CeresSolve {
   void AddBounds() {
     const StateBounds bounds = layout_.Bounds(problem_);
     if (bounds.empty()) return;
-    for (const CameraSideBlock& block : layout_.blocks()) {
+    for (const CameraBlock& block : layout_.blocks()) {
       const auto part = [&](const std::vector<double>& of) {
         const auto first = of.begin() + block.offset;
         return std::vector<double>(first, first + block.size);

@@ -1,4 +1,3 @@
-#include "core/ceres/summarize.h"
 
 #include <algorithm>
 #include <cmath>
@@ -6,7 +5,7 @@
 #include <limits>
 #include <new>
 
-#include "core/ceres/translate_options.h"
+#include "core/ceres/translate.h"
 #include "core/interface/summary.h"
 #include "core/model/coupled_blocks.h"
 #include "core/parallel/interruption.h"
@@ -26,7 +25,7 @@ bool IsSchur(ceres::LinearSolverType type) {
 int64_t NumColumnsWithoutImages(const ParameterLayout& layout) {
   int64_t num_columns = kPointSize * layout.num_free_points();
   if (!layout.has_shared_intrinsics()) return num_columns;
-  for (const CameraSideBlock& block : layout.blocks()) {
+  for (const CameraBlock& block : layout.blocks()) {
     if (block.columns[0] >= kPoseSize) num_columns += block.size;
   }
   return num_columns;

@@ -1,5 +1,3 @@
-#include "core/ceres/translate_options.h"
-
 #include <algorithm>
 #include <memory>
 #include <mutex>
@@ -8,6 +6,7 @@
 #include <vector>
 
 #include "core/ceres/reference_checks.h"
+#include "core/ceres/translate.h"
 #include "core/error.h"
 #include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"

@@ -134,7 +134,7 @@ uint32_t SolutionUnderCheck::FreeColumns(int64_t observation) const {
   uint32_t free = 0;
   for (const int index : {layout_.image_block(image), layout_.camera_block(camera)}) {
     if (index < 0) continue;
-    const CameraSideBlock& block = layout_.blocks()[index];
+    const CameraBlock& block = layout_.blocks()[index];
     for (int k = 0; k < block.size; ++k) free |= 1u << block.columns[k];
   }
   if (layout_.point_is_free(problem_.observation_point[observation])) {

@@ -1,4 +1,20 @@
-#include "core/factors/linear_prior.h"
+/// A dense quadratic prior on several variables, as marginalisation leaves it:
+///
+///   1/2 d^T Lambda d - eta^T d,        d = (Log(X_1*^-1 X_1), Log(X_2*^-1 X_2), ...),
+///
+/// about linearization points X*, with Lambda symmetric and positive semidefinite: what a gauge
+/// leaves free stays free. As a residual it needs a square root. With D = diag(Lambda)^(1/2), so
+/// that units do not matter, and the eigenvalues and eigenvectors of D^-1 Lambda D^-1 = V S V^T,
+///
+///   A = S^(1/2) V^T D,        b = S^(-1/2) V^T D^-1 eta        give        A^T A = Lambda,  A^T b
+///   = eta,
+///
+/// where only eigenvalues above rounding are kept, one residual each:
+///
+///   r = A d - b,        1/2 ||r||^2 = 1/2 d^T Lambda d - eta^T d + 1/2 ||b||^2,
+///
+/// and dr/dX_k = A_k J_r(d_k)^-1. The constant makes the least cost 0. eta must not point along a
+/// direction that Lambda leaves free: the cost would have no minimum.
 
 #include <Eigen/Eigenvalues>
 #include <cmath>
@@ -6,6 +22,7 @@
 #include <utility>
 
 #include "core/factors/factor.h"
+#include "core/factors/measurement_factors.h"
 
 namespace bundle {
 namespace {

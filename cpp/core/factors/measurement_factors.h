@@ -1,6 +1,7 @@
 #pragma once
 
-/// Factors that measure variables directly: priors, positions, relative motions, observed points.
+/// Factors of a graph: priors, positions, relative motions, observed points, and the dense priors
+/// that marginalisation leaves (linear_prior.cpp).
 
 #include <vector>
 
@@ -132,6 +133,32 @@ class ReprojectionFactor final : public Factor {
   const CameraModel& model_;
   std::vector<double> observation_;
   Whitening whitening_;
+};
+
+class LinearPrior final : public Factor {
+ public:
+  /// `lambda` is n x n, row-major, and `eta` n, n the sum of the tangent sizes. Throws InputError
+  /// unless Lambda is symmetric, positive semidefinite, not zero, and eta in its range.
+  LinearPrior(FactorHead head, std::vector<Retraction> retractions,
+              std::vector<std::vector<double>> linearization_point,
+              const std::vector<double>& lambda, const std::vector<double>& eta);
+
+  bool Evaluate(const double* const* values, double* residual,
+                double* const* jacobians) const override;
+
+ private:
+  struct Root {
+    int rows = 0;
+    std::vector<double> a;  ///< rows x n, row-major
+    std::vector<double> b;
+  };
+  static Root SquareRoot(const std::string& subject, int n, const std::vector<double>& lambda,
+                         const std::vector<double>& eta);
+  LinearPrior(FactorHead head, std::vector<Retraction> retractions,
+              std::vector<std::vector<double>> linearization_point, Root root);
+
+  std::vector<std::vector<double>> linearization_point_;
+  Root root_;
 };
 
 }  // namespace bundle

@@ -9,7 +9,7 @@
 #include <cstdint>
 #include <numeric>
 
-namespace bundle::fused {
+namespace bundle {
 
 namespace {
 
@@ -108,4 +108,4 @@ void AdviseHugePages(void* begin, size_t num_bytes) {
 void AdviseHugePages(void*, size_t) {}
 #endif
 
-}  // namespace bundle::fused
+}  // namespace bundle

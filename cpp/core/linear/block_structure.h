@@ -1,7 +1,7 @@
 #pragma once
 
 /// The reduced camera system S x = b: what is left of the normal equations once the points are
-/// eliminated (eliminate/).
+/// eliminated (schur/).
 ///
 /// S is symmetric positive definite with one block row and column a block of the parameter layout.
 /// Its lower triangle is stored by block columns. Each is a panel of column-major values as tall as
@@ -19,7 +19,7 @@
 #include "core/cameras/camera_model.h"
 #include "core/parallel/thread_pool.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// Which blocks of S may be nonzero and where they lie.
 struct BlockStructure {
@@ -69,9 +69,9 @@ BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& 
 struct BlockSystem {
   std::vector<double> values;  ///< S, as the structure says; zero where it has no block
   std::vector<double> rhs;     ///< b
-  /// The camera side of the normal equations before anything is eliminated, J_c^T J_c plus damping:
-  /// its block diagonal, each block square and column-major, one after the other. Empty unless a
-  /// preconditioner asks for it.
+  /// The camera parameters' part of the normal equations before anything is eliminated, J_c^T J_c
+  /// plus damping: its block diagonal, each block square and column-major, one after the other.
+  /// Empty unless a preconditioner asks for it.
   std::vector<double> camera_diagonal;
   /// For each column of S, what the seven similarities of the world do to its unknown
   /// (model/gauge.h). Empty unless a preconditioner asks for it.
@@ -124,4 +124,4 @@ class SymmetricProduct {
   std::vector<Slice> slices_;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

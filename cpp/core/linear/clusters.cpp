@@ -14,7 +14,7 @@
 #include <numeric>
 #include <utility>
 
-namespace bundle::fused {
+namespace bundle {
 
 namespace {
 
@@ -191,4 +191,4 @@ ClusterDirections FindClusterDirections(const BlockStructure& structure, const B
   return directions;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -27,7 +27,7 @@
 #include "core/linear/supernodal_cholesky.h"
 #include "core/parallel/thread_pool.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 /// With as many images a cluster, A has about a fifth of the columns of S, and its factorisation
@@ -252,4 +252,4 @@ void CoarseSpace::AddProlonged(const double* from, double* to) const {
   }
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -8,7 +8,7 @@
 #include "core/linear/block_structure.h"
 #include "core/linear/supernodal_cholesky.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// Groups of strongly coupled blocks, of at most `max_size` each: the cluster of every block, from
 /// 0 on. Blocks marked in `alone` are clusters of their own. `values` are those of S.
@@ -84,4 +84,4 @@ class CoarseSpace {
   std::vector<double> values_;            ///< of A
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -34,7 +34,7 @@
 #include "core/linear/preconditioners.h"
 #include "core/parallel/interruption.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 using Status = LinearSolution::Status;
@@ -173,4 +173,4 @@ std::unique_ptr<LinearSolver> MakeIterativeSolver(const BlockStructure& structur
   return std::make_unique<IterativeSolver>(structure, preconditioner, num_threads);
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

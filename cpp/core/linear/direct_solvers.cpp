@@ -14,7 +14,7 @@
 #include "core/parallel/thread_pool.h"
 #include "core/symbolic/symbolic.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 namespace {
 
@@ -144,4 +144,4 @@ std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int
                                         num_threads);
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -8,7 +8,7 @@
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// An order in which to eliminate the blocks of S, and what its Cholesky factor then costs.
 struct FillOrdering {
@@ -112,4 +112,4 @@ std::unique_ptr<LinearSolver> MakeIterativeSolver(const BlockStructure& structur
                                                   PreconditionerType preconditioner,
                                                   int num_threads);
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -1,8 +1,8 @@
 #include "core/linear/preconditioners.h"
 
-/// Ceres' preconditioners for ITERATIVE_SCHUR, with U the camera side of the normal equations
-/// (block diagonal, as no observation sees two cameras' blocks, or cut to that where one has a
-/// block of intrinsics beside that of its pose) and S = U - W V^-1 W^T:
+/// Ceres' preconditioners for ITERATIVE_SCHUR, with U the camera parameters' part of the normal
+/// equations (block diagonal, as no observation sees two cameras' blocks, or cut to that where one
+/// has a block of intrinsics beside that of its pose) and S = U - W V^-1 W^T:
 ///
 ///   identity                      M = I for the scaled unknowns x / scale, hence M^-1 = scale^2
 ///   jacobi                        M = U
@@ -23,7 +23,7 @@
 
 #include "core/linear/coarse_space.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 namespace {
 
@@ -241,4 +241,4 @@ std::unique_ptr<Preconditioner> MakeTwoLevelPreconditioner(const BlockStructure&
   return std::make_unique<TwoLevel>(structure, num_threads);
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -7,7 +7,7 @@
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// z = M^-1 r, with M near S and easier to invert.
 class Preconditioner {
@@ -64,4 +64,4 @@ class BlockDiagonalInverse {
 std::unique_ptr<Preconditioner> MakeTwoLevelPreconditioner(const BlockStructure& structure,
                                                            int num_threads);
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -20,7 +20,7 @@
 #include "core/parallel/blas.h"
 #include "core/parallel/interruption.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 constexpr int kProductColumns = 96;
@@ -113,7 +113,7 @@ void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int
   constexpr char kPlain = 'N', kTransposed = 'T';
   constexpr double kMinusOne = -1, kZero = 0, kOne = 1;
   ThrowIfInterrupted();
-  FindRuns(by, first_row);
+  FindRowRanges(by, first_row);
   const int top = supernodes_.row_in_panel[first_row];
   const int width = Width(by), stride = supernodes_.height[by], rows = stride - top;
   const int columns = supernodes_.row_in_panel[last_row - 1] + BlockSize(last_row - 1) - top;
@@ -143,7 +143,7 @@ void SupernodalCholesky::UpdateColumns(int panel, int by, int64_t first_row, int
 }
 
 /// Of the rows of panel `by` from `first_row` on.
-void SupernodalCholesky::FindRuns(int by, int64_t first_row) {
+void SupernodalCholesky::FindRowRanges(int by, int64_t first_row) {
   row_ranges_.clear();
   const int top = supernodes_.row_in_panel[first_row];
   for (int64_t e = first_row; e < supernodes_.rows_begin[by + 1]; ++e) {
@@ -243,4 +243,4 @@ void SupernodalCholesky::SolveMany(const double* values, double* x, int num_rhs)
   }
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

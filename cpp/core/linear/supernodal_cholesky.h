@@ -5,7 +5,7 @@
 
 #include "core/linear/block_structure.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// The Cholesky factor of S as dense panels: consecutive block columns of L, with the block rows
 /// that any of them has below. A panel is column-major; the diagonal blocks of its columns come
@@ -57,7 +57,7 @@ class SupernodalCholesky {
   void QueueUpdate(int panel, int64_t first_row);
   void Update(int panel, int by, double* values);
   void UpdateColumns(int panel, int by, int64_t first_row, int64_t last_row, double* values);
-  void FindRuns(int by, int64_t first_row);
+  void FindRowRanges(int by, int64_t first_row);
   void SolveOne(const double* values, double* x);
   void SolveMany(const double* values, double* x, int num_rhs);
 
@@ -72,4 +72,4 @@ class SupernodalCholesky {
   std::vector<double> product_;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -6,7 +6,7 @@
 #include "core/linear/supernodal_cholesky.h"
 #include "core/symbolic/symbolic.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 namespace {
 
@@ -179,4 +179,4 @@ BlockStructure PlaceInFactor(const BlockStructure& structure, const Supernodes& 
   return result;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

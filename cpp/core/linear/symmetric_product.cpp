@@ -20,7 +20,7 @@
 #include "core/linear/block_structure.h"
 #include "core/parallel/thread_pool.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 constexpr int kMaxSlices = 16;
@@ -180,4 +180,4 @@ void SymmetricProduct::MultiplyPanel(const double* values, int block, const doub
   }
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -12,7 +12,7 @@
 #include <cmath>
 #include <utility>
 
-namespace bundle::fused {
+namespace bundle {
 
 namespace {
 
@@ -206,4 +206,4 @@ Combination SubspaceDogleg(const DoglegProducts& products, double radius) {
   return {best.x / p_length - t * q, q, radius};
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -21,7 +21,7 @@
 
 #include <string>
 
-namespace bundle::fused {
+namespace bundle {
 
 struct Linearization {
   bool is_finite = true;
@@ -94,4 +94,4 @@ class LeastSquares {
   virtual double SlopeAtCandidate() { return 0; }
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -17,7 +17,7 @@
 
 #include "core/error.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 namespace {
 
@@ -58,4 +58,4 @@ std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type) {
   throw InputError("trust_region_strategy_type: expected a strategy");
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -30,7 +30,7 @@
 #include <cmath>
 #include <vector>
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 // Ceres' defaults.
@@ -148,4 +148,4 @@ void SearchAlongStep(double cost, LeastSquares* problem, Candidate* candidate) {
   *candidate = shorter;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -8,7 +8,7 @@
 #include "core/interface/options.h"
 #include "core/minimize/least_squares.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 struct Step {
   NewtonResult::Status status = NewtonResult::Status::kSuccess;
@@ -100,4 +100,4 @@ class Dogleg final : public Strategy {
   double length_ = 0;  ///< ||D d|| of the last step d
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -25,7 +25,7 @@
 #include "core/minimize/trust_region.h"
 #include "core/parallel/interruption.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 // Ceres' defaults, but for the third: ceres/translate_options.cpp says why.
@@ -254,4 +254,4 @@ MinimizerSummary Minimize(const SolveOptions& options, const ProgressCallback& p
   return TrustRegion(options, progress, problem).Run();
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

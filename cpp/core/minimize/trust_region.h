@@ -9,7 +9,7 @@
 #include "core/interface/summary.h"
 #include "core/minimize/least_squares.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 struct MinimizerSummary {
   std::string termination_type;  ///< CONVERGENCE, NO_CONVERGENCE, FAILURE or USER_SUCCESS
@@ -103,4 +103,4 @@ class TimedProblem final : public LeastSquares {
 /// the model cost change of the whole step. The candidate of `problem` follows.
 void SearchAlongStep(double cost, LeastSquares* problem, Candidate* candidate);
 
-}  // namespace bundle::fused
+}  // namespace bundle

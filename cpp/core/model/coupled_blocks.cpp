@@ -189,7 +189,7 @@ constexpr int kPointSize = 3;
 std::vector<int> BlockSizes(const ParameterLayout& layout) {
   std::vector<int> sizes;
   sizes.reserve(layout.blocks().size());
-  for (const CameraSideBlock& block : layout.blocks()) sizes.push_back(block.size);
+  for (const CameraBlock& block : layout.blocks()) sizes.push_back(block.size);
   return sizes;
 }
 

@@ -203,7 +203,7 @@ std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterL
   const Eigen::Vector3d centre = MeanCentre(cameras, problem.num_images);
   for (int i = 0; i < problem.num_images; ++i) {
     if (layout.image_block(i) < 0) continue;
-    const CameraSideBlock& block = layout.blocks()[layout.image_block(i)];
+    const CameraBlock& block = layout.blocks()[layout.image_block(i)];
     const PoseRows rows = OfPose(cameras.pose(i), centre);
     for (int k = 0; k < block.size; ++k) {
       if (block.columns[k] >= kPoseSize) break;

@@ -151,7 +151,7 @@ ParameterLayout::ParameterLayout(const ProblemView& problem, FreeParameters free
 }
 
 int ParameterLayout::AddBlock(uint8_t pose_bits, uint32_t camera_bits) {
-  CameraSideBlock block;
+  CameraBlock block;
   block.offset = state_size_;
   const uint32_t bits = pose_bits | camera_bits << kPoseSize;
   for (int8_t j = 0; j < kPoseSize + kMaxCameraParams; ++j) {
@@ -164,7 +164,7 @@ int ParameterLayout::AddBlock(uint8_t pose_bits, uint32_t camera_bits) {
 }
 
 void ParameterLayout::Reorder(const std::vector<int>& order) {
-  std::vector<CameraSideBlock> blocks;
+  std::vector<CameraBlock> blocks;
   std::vector<int> position(order.size());
   int offset = 0;
   for (const int block : order) {
@@ -191,7 +191,7 @@ std::vector<double> ParameterLayout::Gather(const ProblemView& problem, const Po
   std::vector<double> state(state_size_);
   const auto fill = [&](int index, int image, int camera) {
     if (index < 0) return;
-    const CameraSideBlock& block = blocks_[index];
+    const CameraBlock& block = blocks_[index];
     const double* const params =
         camera_params + static_cast<int64_t>(camera) * problem.camera_params_stride;
     for (int k = 0; k < block.size; ++k) {
@@ -229,7 +229,7 @@ void ParameterLayout::Scatter(const ProblemView& problem, const double* state, d
                               double* camera_params) const {
   const auto write = [&](int index, double* pose, double* params) {
     if (index < 0) return;
-    const CameraSideBlock& block = blocks_[index];
+    const CameraBlock& block = blocks_[index];
     for (int k = 0; k < block.size; ++k) {
       const int column = block.columns[k];
       (column < kPoseSize ? pose[column] : params[column - kPoseSize]) = state[block.offset + k];

@@ -40,11 +40,11 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
 /// columns, and blocks of one size wherever the problem allows it, which is what fixed-size Schur
 /// kernels such as Ceres' (2,3,6) and (2,3,9) ask for.
 ///
-/// Column j of a camera-side Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
+/// Column j of a camera Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
 
 inline constexpr int kPoseSize = 6;
 
-struct CameraSideBlock {
+struct CameraBlock {
   int offset = 0;  ///< of its first number in the state
   int size = 0;
   int8_t columns[kPoseSize + kMaxCameraParams] = {};  ///< what they are, ascending
@@ -81,7 +81,7 @@ class ParameterLayout {
   void Reorder(const std::vector<int>& order);
 
   const FreeParameters& free() const { return free_; }
-  const std::vector<CameraSideBlock>& blocks() const { return blocks_; }
+  const std::vector<CameraBlock>& blocks() const { return blocks_; }
   int state_size() const { return state_size_; }
   int num_free_points() const { return num_free_points_; }
   bool point_is_free(int point) const { return free_.point[point] != 0; }
@@ -115,7 +115,7 @@ class ParameterLayout {
                              const double* camera_params) const;
 
   FreeParameters free_;
-  std::vector<CameraSideBlock> blocks_;
+  std::vector<CameraBlock> blocks_;
   std::vector<int> image_block_;
   std::vector<int> camera_block_;
   std::vector<int> params_block_;
@@ -128,7 +128,7 @@ class ParameterLayout {
 struct ProblemShape {
   int64_t num_residuals = 0;
   int64_t num_free_points = 0;
-  int64_t num_camera_columns = 0;  ///< scalar unknowns on the camera side
+  int64_t num_camera_columns = 0;  ///< scalar unknowns of the camera parameters
   int num_camera_blocks = 0;
 };
 
@@ -139,8 +139,9 @@ ProblemShape ShapeOf(const ParameterLayout& layout, int64_t num_residuals);
 /// the diagonal), points eliminated. -1 where there are too many blocks to count it.
 double CountSchurDensity(const ProblemView& problem, const ParameterLayout& layout);
 
-/// The camera side of a problem at one state, expanded once an evaluation so that an observation
-/// only reads: rotation, translation and left Jacobian of each image, parameters of each camera.
+/// The camera parameters of a problem at one state, expanded once per evaluation so that an
+/// observation only reads: rotation, translation and left Jacobian of each image, parameters of
+/// each camera.
 class CameraStates {
  public:
   /// Keeps references to both; starts at the problem's own values.

@@ -20,7 +20,7 @@ const ProblemVariable& VariableOf(const Factor& factor, const ProblemView& probl
   return problem.factors->variables[factor.blocks()[place]];
 }
 
-/// The block of the layout that has unknowns of a camera-side variable; -1: it is held.
+/// The block of the layout that has unknowns of a camera variable; -1: it is held.
 int BlockOf(const ProblemVariable& variable, const ParameterLayout& layout) {
   return variable.kind == Kind::kImage ? layout.image_block(variable.index)
                                        : layout.params_block(variable.index);
@@ -28,7 +28,7 @@ int BlockOf(const ProblemVariable& variable, const ParameterLayout& layout) {
 
 /// The free columns of a variable within its block: what each is in the block, and of the variable.
 template <typename Visit>
-void ForFreeColumns(Kind kind, const CameraSideBlock& block, const Visit& visit) {
+void ForFreeColumns(Kind kind, const CameraBlock& block, const Visit& visit) {
   for (int k = 0; k < block.size; ++k) {
     const int column = block.columns[k];
     const bool is_pose = column < kPoseSize;

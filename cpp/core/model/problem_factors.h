@@ -21,7 +21,7 @@
 ///   by w: (R (a + b x c))^T J_l(w),        by t: (R b)^T.
 ///
 /// Cameras and points are Euclidean: their coordinates are the unknowns themselves. Of all these a
-/// layout keeps the columns that are free (CameraSideBlock::columns).
+/// layout keeps the columns that are free (CameraBlock::columns).
 
 #include <cstdint>
 #include <memory>
@@ -56,9 +56,9 @@ struct FactorUnknowns {
 std::vector<FactorUnknowns> FindFactorUnknowns(const ProblemView& problem,
                                                const ParameterLayout& layout);
 
-/// True if the factor touches the camera side only, or exactly one point and nothing else that is
-/// free: then eliminating the points leaves it as it is, or is no more than another start of the
-/// point's block.
+/// True if the factor touches the camera parameters only, or exactly one point and nothing else
+/// that is free: then eliminating the points leaves it as it is, or is no more than another start
+/// of the point's block.
 inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
   return unknowns.points.empty() || (unknowns.points.size() == 1 && unknowns.blocks.empty());
 }

@@ -33,8 +33,6 @@
 /// exact ones: 80 are counted, and a direct solver that takes 15 % longer is preferred still. The
 /// coarse system took 10 ns a value.
 
-#include "core/prepare/choose_solver.h"
-
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -92,13 +90,13 @@ std::string Describe(const LinearSolverCost& cost, double available_bytes) {
   return FormatSeconds(cost.seconds);
 }
 
-fused::BlockStructure StructureOf(const BlockPatternView& pattern) {
+BlockStructure StructureOf(const BlockPatternView& pattern) {
   std::vector<std::vector<int>> columns(pattern.num_blocks);
   for (int j = 0; j < pattern.num_blocks; ++j) {
     columns[j].assign(pattern.row + pattern.column_begin[j],
                       pattern.row + pattern.column_begin[j + 1]);
   }
-  return fused::SparseStructure({pattern.size, pattern.size + pattern.num_blocks}, columns);
+  return SparseStructure({pattern.size, pattern.size + pattern.num_blocks}, columns);
 }
 
 }  // namespace
@@ -131,8 +129,8 @@ SolverChoice ChooseCeresSolver(const ProblemView& problem, const ParameterLayout
           Subject(shape) + " is only " + full + ": sparse factorisation skips the rest."};
 }
 
-LinearSolverCosts PredictLinearSolverCosts(const fused::BlockStructure& structure,
-                                           const fused::FillOrdering& ordering, int num_threads) {
+LinearSolverCosts PredictLinearSolverCosts(const BlockStructure& structure,
+                                           const FillOrdering& ordering, int num_threads) {
   const double threads = EffectiveNumThreads(num_threads);
   const double bandwidth = kBytesPerSecond * std::min(threads, kCoresThatFillMemory);
   const double n = structure.num_columns();
@@ -159,9 +157,8 @@ LinearSolverCosts PredictLinearSolverCosts(const fused::BlockStructure& structur
   return costs;
 }
 
-SolverChoice ChooseLinearSolver(const fused::BlockStructure& structure,
-                                const fused::FillOrdering& ordering, int num_threads,
-                                double available_bytes) {
+SolverChoice ChooseLinearSolver(const BlockStructure& structure, const FillOrdering& ordering,
+                                int num_threads, double available_bytes) {
   const LinearSolverCosts costs = PredictLinearSolverCosts(structure, ordering, num_threads);
   SolverChoice choice{LinearSolverType::kIterativeSchur, ""};
   double seconds = kExactStepsAreWorth * costs.iterative.seconds;
@@ -185,14 +182,13 @@ double CountPanelValues(const BlockPatternView& pattern, const std::vector<int>&
   for (const int position : CountFactor(pattern, order).postorder) {
     postordered.push_back(order[position]);
   }
-  const fused::Supernodes supernodes =
-      fused::FindSupernodes(fused::Reorder(StructureOf(pattern), postordered));
+  const Supernodes supernodes = FindSupernodes(Reorder(StructureOf(pattern), postordered));
   return static_cast<double>(supernodes.values_begin.back());
 }
 
 SolverChoice ChooseByPattern(const BlockPatternView& pattern, int num_threads) {
-  const fused::BlockStructure structure = StructureOf(pattern);
-  return ChooseLinearSolver(structure, fused::FindFillOrdering(structure), num_threads,
+  const BlockStructure structure = StructureOf(pattern);
+  return ChooseLinearSolver(structure, FindFillOrdering(structure), num_threads,
                             AvailableMemoryBytes());
 }
 

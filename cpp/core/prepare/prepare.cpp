@@ -132,12 +132,12 @@ void RefuseTooLarge(const ProblemView& problem) {
     refuse("observation_xy", kMost / 2, problem.num_observations);  // two residuals each
   }
   // Three parameters each, and up to so many per image and camera.
-  const int64_t camera_side =
+  const int64_t camera_state =
       int64_t{kPoseSize} * problem.num_images +
       int64_t{kMaxCameraParams} * (int64_t{problem.num_images} + problem.num_cameras);
-  if (camera_side > kMost)
+  if (camera_state > kMost)
     refuse("cam_from_world", kMost / (kPoseSize + 2 * kMaxCameraParams), problem.num_images);
-  const int64_t most_points = (kMost - camera_side) / 3;
+  const int64_t most_points = (kMost - camera_state) / 3;
   if (problem.num_points > most_points) refuse("points", most_points, problem.num_points);
 }
 

@@ -35,7 +35,7 @@ PoseState PoseAt(const double* cam_from_world, const double* w) {
 
 template <typename Model>
 void LinearizeOne(const ProblemView& problem, const PoseState& pose, int64_t i,
-                  Cheirality cheirality, const Linearization& out) {
+                  Cheirality cheirality, const ReprojectionDerivatives& out) {
   constexpr int kParams = kNumParams<Model>;
   const int camera = problem.image_camera[problem.observation_image[i]];
   const int stride = problem.camera_params_stride;
@@ -98,7 +98,7 @@ void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, doub
 }
 
 void Linearize(const ProblemView& problem, const double* rotation_offsets, Cheirality cheirality,
-               const Linearization& out) {
+               const ReprojectionDerivatives& out) {
   CheckCameraModelsKnown(problem);
   std::vector<PoseState> poses;
   for (int64_t i = 0; i < problem.num_images; ++i) {

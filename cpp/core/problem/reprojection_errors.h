@@ -23,7 +23,7 @@ void CheckCameraModelsKnown(const ProblemView& problem);
 
 /// Residuals and derivatives of every observation, each array of its own, row-major, n
 /// observations.
-struct Linearization {
+struct ReprojectionDerivatives {
   double* residual = nullptr;  ///< n x 2, pixels
   double* d_pose = nullptr;    ///< n x 2 x 6, by the chart (w, t) of reprojection.h
   double* d_params = nullptr;  ///< n x 2 x camera_params_stride, zero beyond the model's parameters
@@ -35,6 +35,6 @@ struct Linearization {
 ///
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.
 void Linearize(const ProblemView& problem, const double* rotation_offsets, Cheirality cheirality,
-               const Linearization& out);
+               const ReprojectionDerivatives& out);
 
 }  // namespace bundle

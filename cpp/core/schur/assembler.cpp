@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way at once, about
@@ -23,30 +23,30 @@ Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
   for (int i = 0; i < problem.num_images; ++i) {
     const ModelGroup& group = groups[image_group[i]];
     const int camera_block = layout.camera_block(problem.image_camera[i]);
-    AddSegment(layout.image_block(i), layout, group, /*is_shared=*/false, &images_[i]);
-    AddSegment(camera_block, layout, group, /*is_shared=*/true, &images_[i]);
+    AddBlock(layout.image_block(i), layout, group, /*is_shared=*/false, &images_[i]);
+    AddBlock(camera_block, layout, group, /*is_shared=*/true, &images_[i]);
     has_shared_cameras_ |= camera_block >= 0;
   }
 }
 
-void Assembler::AddSegment(int block, const ParameterLayout& layout, const ModelGroup& group,
-                           bool is_shared, ImageSegments* image) const {
+void Assembler::AddBlock(int block, const ParameterLayout& layout, const ModelGroup& group,
+                         bool is_shared, ImageBlocks* image) const {
   if (block < 0) return;
-  const CameraSideBlock& columns = layout.blocks()[block];
-  Segment& segment = image->of[image->count++];
-  segment.block = block;
-  segment.size = columns.size;
-  segment.is_shared = is_shared;
+  const CameraBlock& columns = layout.blocks()[block];
+  ImageBlock& added = image->of[image->count++];
+  added.block = block;
+  added.size = columns.size;
+  added.is_shared = is_shared;
   for (int k = 0; k < columns.size; ++k) {
     const int8_t* const end = group.columns + group.num_columns;
-    segment.local[k] =
+    added.local[k] =
         static_cast<int8_t>(std::find(group.columns, end, columns.columns[k]) - group.columns);
-    segment.is_contiguous &= segment.local[k] == segment.local[0] + k;
+    added.is_contiguous &= added.local[k] == added.local[0] + k;
   }
 }
 
 /// Usually all that images of the model refine is refined, and side by side.
-void Assembler::AddColumn(const Segment& rows, const double* from, double* column) {
+void Assembler::AddColumn(const ImageBlock& rows, const double* from, double* column) {
   if (rows.is_contiguous) {
     from += rows.local[0];
     for (int j = 0; j < rows.size; ++j) column[j] += from[j];
@@ -145,7 +145,7 @@ void Assembler::ClearColumns(const std::vector<uint8_t>& which, CameraSums* sums
 /// columns of a block are far apart.
 void Assembler::PrefetchPair(int first, int second, const double* values) const {
   if (images_[first].count == 0 || images_[second].count == 0) return;
-  const Segment &a = images_[first].of[0], &b = images_[second].of[0];
+  const ImageBlock &a = images_[first].of[0], &b = images_[second].of[0];
   if (a.block >= b.block) return;
   const int64_t entry = Entry(a.block, b.block);
   for (int i = 0; i < a.size; ++i) {
@@ -159,11 +159,11 @@ void Assembler::AddVectors(const EliminationInput& input, int image, const doubl
                            Part part, CameraSums* sums) const {
   const int width = WidthOf(input, image);
   for (int s = 0; s < images_[image].count; ++s) {
-    const Segment& segment = images_[image].of[s];
-    if (segment.is_shared != (part == Part::kShared)) continue;
-    const int offset = structure_.offset[segment.block];
-    for (int k = 0; k < segment.size; ++k) {
-      const double* const at = vectors + segment.local[k];
+    const ImageBlock& a = images_[image].of[s];
+    if (a.is_shared != (part == Part::kShared)) continue;
+    const int offset = structure_.offset[a.block];
+    for (int k = 0; k < a.size; ++k) {
+      const double* const at = vectors + a.local[k];
       sums->gradient[offset + k] += at[0];
       sums->system.rhs[offset + k] -= at[width];
       sums->squared_norms[offset + k] += at[2 * width];
@@ -174,11 +174,11 @@ void Assembler::AddVectors(const EliminationInput& input, int image, const doubl
 /// Only the upper triangle of `block` means anything.
 void Assembler::AddDiagonal(const EliminationInput& input, int image, const double* block,
                             Part part, double* values) const {
-  const ImageSegments& segments = images_[image];
+  const ImageBlocks& blocks = images_[image];
   const int width = WidthOf(input, image);
-  for (int s = 0; s < segments.count; ++s) {
-    for (int t = 0; t < segments.count; ++t) {
-      const Segment &a = segments.of[s], &b = segments.of[t];
+  for (int s = 0; s < blocks.count; ++s) {
+    for (int t = 0; t < blocks.count; ++t) {
+      const ImageBlock &a = blocks.of[s], &b = blocks.of[t];
       if (a.block > b.block) continue;
       if ((a.is_shared && b.is_shared) != (part == Part::kShared)) continue;
       const int64_t entry = Entry(a.block, b.block);
@@ -197,12 +197,12 @@ void Assembler::AddCameraDiagonal(const EliminationInput& input, int image, cons
                                   Part part, double* values) const {
   const int width = WidthOf(input, image);
   for (int s = 0; s < images_[image].count; ++s) {
-    const Segment& segment = images_[image].of[s];
-    if (segment.is_shared != (part == Part::kShared)) continue;
-    double* const target = values + diagonal_begin_[segment.block];
-    for (int i = 0; i < segment.size; ++i) {
-      for (int j = i; j < segment.size; ++j) {
-        target[i * segment.size + j] += block[segment.local[i] * width + segment.local[j]];
+    const ImageBlock& a = images_[image].of[s];
+    if (a.is_shared != (part == Part::kShared)) continue;
+    double* const target = values + diagonal_begin_[a.block];
+    for (int i = 0; i < a.size; ++i) {
+      for (int j = i; j < a.size; ++j) {
+        target[i * a.size + j] += block[a.local[i] * width + a.local[j]];
       }
     }
   }
@@ -214,7 +214,7 @@ void Assembler::AddPair(const EliminationInput& input, int first, int second, co
   const bool shared_first = part != PairPart::kFirst;
   for (int s = 0; s < images_[first].count; ++s) {
     for (int t = 0; t < images_[second].count; ++t) {
-      const Segment &a = images_[first].of[s], &b = images_[second].of[t];
+      const ImageBlock &a = images_[first].of[s], &b = images_[second].of[t];
       if (a.is_shared != shared_first) continue;
       if (shared_first && b.is_shared != (part == PairPart::kCameras)) continue;
       const int64_t entry = Entry(std::min(a.block, b.block), std::max(a.block, b.block));
@@ -239,4 +239,4 @@ void Assembler::AddPair(const EliminationInput& input, int first, int second, co
   }
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -25,9 +25,9 @@
 #include "core/problem/problem_view.h"
 #include "core/schur/kernels/kernels.h"
 
-namespace bundle::fused {
+namespace bundle {
 
-/// The camera side of the normal equations.
+/// The camera parameters' part of the normal equations.
 struct CameraSums {
   BlockSystem system;
   std::vector<double> gradient;       ///< J_c^T r
@@ -68,15 +68,15 @@ class Assembler {
 
  private:
   /// Columns of an image that are in one block of the layout.
-  struct Segment {
+  struct ImageBlock {
     int block = -1;
     int size = 0;
     bool is_shared = false;                           ///< a camera's that several images have
     bool is_contiguous = true;                        ///< local[k] = local[0] + k
     int8_t local[kPoseSize + kMaxCameraParams] = {};  ///< entry k of the block by local column
   };
-  struct ImageSegments {
-    Segment of[2];
+  struct ImageBlocks {
+    ImageBlock of[2];
     int count = 0;
   };
 
@@ -86,8 +86,8 @@ class Assembler {
   /// with the first's camera, or those of the two cameras.
   enum class PairPart { kFirst, kSecond, kCameras };
 
-  void AddSegment(int block, const ParameterLayout& layout, const ModelGroup& group, bool is_shared,
-                  ImageSegments* image) const;
+  void AddBlock(int block, const ParameterLayout& layout, const ModelGroup& group, bool is_shared,
+                ImageBlocks* image) const;
   void AddVectors(const EliminationInput& input, int image, const double* vectors, Part part,
                   CameraSums* sums) const;
   void AddDiagonal(const EliminationInput& input, int image, const double* block, Part part,
@@ -96,12 +96,12 @@ class Assembler {
                          double* values) const;
   void AddPair(const EliminationInput& input, int first, int second, const double* block,
                PairPart part, double* values) const;
-  static void AddColumn(const Segment& rows, const double* from, double* column);
+  static void AddColumn(const ImageBlock& rows, const double* from, double* column);
   void PrefetchPair(int first, int second, const double* values) const;
   int64_t Entry(int column, int row) const { return structure_.Entry(column, row); }
 
   const BlockStructure& structure_;
-  std::vector<ImageSegments> images_;
+  std::vector<ImageBlocks> images_;
   std::vector<int64_t> diagonal_begin_;
   bool has_shared_cameras_ = false;
 };
@@ -190,4 +190,4 @@ class OrderedSums {
   std::atomic<bool> abandoned_{false};
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

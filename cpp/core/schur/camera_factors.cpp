@@ -4,7 +4,7 @@
 #include <limits>
 #include <utility>
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 constexpr double kNoValue = std::numeric_limits<double>::quiet_NaN();
@@ -45,7 +45,7 @@ void CameraFactors::AddCameras(ChartedFactor factor, const ParameterLayout& layo
   of.first_entry = static_cast<int64_t>(jacobians_.size());
   const std::vector<int>& blocks = of.factor.unknowns().blocks;
   for (size_t a = 0; a < blocks.size(); ++a) {
-    const CameraSideBlock& block = layout.blocks()[blocks[a]];
+    const CameraBlock& block = layout.blocks()[blocks[a]];
     for (int k = 0; k < block.size; ++k) of.unknown.push_back(block.offset + k);
     for (size_t b = a; b < blocks.size(); ++b) {
       of.entry.push_back(structure_.Entry(blocks[a], blocks[b]));
@@ -180,4 +180,4 @@ void CameraFactors::AddProducts(const std::vector<double>& p, const std::vector<
   }
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

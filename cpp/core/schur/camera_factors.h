@@ -2,8 +2,8 @@
 
 /// Factors beside the reprojections, in the reduced camera system: Ceres' NoEBlockRowsUpdate.
 ///
-/// A factor with residual r and Jacobian J by the camera side alone (model/problem_factors.h; both
-/// corrected for its loss) meets no point: eliminating the points leaves it as it is. It adds
+/// A factor with residual r and Jacobian J by the camera parameters alone (model/problem_factors.h;
+/// both corrected for its loss) meets no point: eliminating the points leaves it as it is. It adds
 ///
 ///   S += J^T J,    b -= J^T r,    gradient += J^T r,    ||J e_j||^2 to the squared norms,
 ///
@@ -28,7 +28,7 @@
 #include "core/schur/assembler.h"
 #include "core/schur/elimination_plan.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 class CameraFactors {
  public:
@@ -46,17 +46,17 @@ class CameraFactors {
   bool has_other_rows() const { return has_other_rows_; }
 
   /// Linearises at a state, whose points are three numbers for each of the plan. Sets what the
-  /// passes read of points and keeps what the methods below need of the camera side. Returns the
-  /// cost, which is not finite where a factor has no value.
+  /// passes read of points and keeps what the methods below need of the camera parameters. Returns
+  /// the cost, which is not finite where a factor has no value.
   double Linearize(const CameraStates& cameras, const double* points);
-  /// Adds the camera side's part of the normal equations.
+  /// Adds the camera parameters' part of the normal equations.
   void AddTo(CameraSums* sums) const;
 
   double Cost(const CameraStates& cameras, const double* points) const;
 
-  /// -(J d)^T (r + J d / 2) of the camera side's factors.
+  /// -(J d)^T (r + J d / 2) of the camera parameters' factors.
   double ModelCostChange(const std::vector<double>& step) const;
-  /// Adds the products of J p and J q of the camera side's factors.
+  /// Adds the products of J p and J q of the camera parameters' factors.
   void AddProducts(const std::vector<double>& p, const std::vector<double>& q,
                    DoglegProducts* products) const;
 
@@ -89,11 +89,11 @@ class CameraFactors {
   int num_residuals_ = 0;
   double fixed_cost_ = 0;
   bool has_other_rows_ = false;
-  std::vector<double> residuals_;  ///< of camera-side factors, one after the other
+  std::vector<double> residuals_;  ///< of camera factors, one after the other
   std::vector<double> jacobians_;
   std::vector<int32_t> point_prior_;  ///< of each point of the plan: place in prior_sums_, or -1
   /// Twelve numbers a point with factors: rows of J^T J, each followed by its entry of J^T r.
   std::vector<double> prior_sums_;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

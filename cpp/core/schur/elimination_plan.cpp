@@ -8,7 +8,7 @@
 #include "core/parallel/thread_pool.h"
 #include "core/schur/state_records.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 namespace {
 
@@ -306,4 +306,4 @@ PlanSize MeasurePlan(const ProblemView& problem, const ParameterLayout& layout) 
   return size;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

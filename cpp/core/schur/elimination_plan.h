@@ -8,7 +8,7 @@
 #include "core/model/parameter_layout.h"
 #include "core/problem/problem_view.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// Numbers the different pairs of 16-bit numbers in the order of their first appearance: a hash
 /// table in one array, which grows with the pairs and is kept from one chunk to the next.
@@ -207,4 +207,4 @@ class HeldResiduals {
   std::vector<HeldResidual> all_;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

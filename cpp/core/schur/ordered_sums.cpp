@@ -6,7 +6,7 @@
 #include "core/linear/block_structure.h"
 #include "core/schur/assembler.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& structure,
                          const Assembler& assembler, int num_images, int num_threads,
@@ -169,4 +169,4 @@ void OrderedSums::AddOldest(Waiting* waiting) {
   waiting->Pop();
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

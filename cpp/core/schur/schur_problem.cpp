@@ -16,7 +16,7 @@
 #include "core/schur/schur_setup.h"
 #include "core/schur/state_records.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 double Dot(const std::vector<double>& a, const std::vector<double>& b) {
@@ -233,7 +233,7 @@ EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
 }
 
 void SchurProblem::MeasureStart(const SolveOptions& options) {
-  state_norm_ = std::sqrt(Dot(x_->camera_side, x_->camera_side) + FreePointsSquared());
+  state_norm_ = std::sqrt(Dot(x_->camera_state, x_->camera_state) + FreePointsSquared());
   fixed_cost_ = setup_.FixedCost(options) + factors_.fixed_cost();
 }
 
@@ -286,21 +286,21 @@ void SchurProblem::HoldActive() {
   if (!HasBounds()) return;
   std::vector<uint8_t> is_active(gradient().size());
   for (size_t j = 0; j < is_active.size(); ++j) {
-    is_active[j] = bounds_.IsActive(j, x_->camera_side[j], gradient()[j]);
+    is_active[j] = bounds_.IsActive(j, x_->camera_state[j], gradient()[j]);
   }
   assembler_.ClearColumns(is_active, &sums_.sums());
 }
 
 void SchurProblem::MoveCameras(const std::vector<double>& step) {
   for (size_t j = 0; j < step.size(); ++j) {
-    candidate_->camera_side[j] = bounds_.Project(j, x_->camera_side[j] + step[j]);
+    candidate_->camera_state[j] = bounds_.Project(j, x_->camera_state[j] + step[j]);
   }
   candidate_->Update();
 }
 
 double SchurProblem::ProjectedStep(size_t j, double step) const {
   if (!HasBounds()) return step;
-  return bounds_.Project(j, x_->camera_side[j] + step) - x_->camera_side[j];
+  return bounds_.Project(j, x_->camera_state[j] + step) - x_->camera_state[j];
 }
 
 template <typename PointStep>
@@ -340,7 +340,7 @@ double SchurProblem::SlopeAt(const State& state) {
 
 Candidate SchurProblem::Finish(const std::vector<double>& step, const CandidateSum& sum) {
   candidate_norm_ =
-      std::sqrt(Dot(candidate_->camera_side, candidate_->camera_side) + sum.state_squared);
+      std::sqrt(Dot(candidate_->camera_state, candidate_->camera_state) + sum.state_squared);
   candidate_->held.Merge();
   Candidate result;
   result.changes_what_counts = !candidate_->held.HasSameObservations(x_->held);
@@ -363,4 +363,4 @@ double SchurProblem::FreePointsSquared() const {
   return sum;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -16,7 +16,7 @@
 #include "core/schur/schur_setup.h"
 #include "core/schur/state_records.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// Bundle adjustment with the points eliminated: a LeastSquares made of passes over the points.
 class SchurProblem final : public LeastSquares {
@@ -61,7 +61,7 @@ class SchurProblem final : public LeastSquares {
   /// Frees S, which can be most of its memory, after the last linearisation.
   void FreeSystem() { sums_.FreeSystem(); }
 
-  /// Camera side and points (as in ProblemView) at the state.
+  /// Camera parameters and points (as in ProblemView) at the state.
   const CameraStates& cameras() const { return x_->cameras(); }
   std::vector<double> Points() const;
 
@@ -76,13 +76,13 @@ class SchurProblem final : public LeastSquares {
   template <typename Visit>
   void ForChunks(const Visit& visit);
   double* Memory(int thread) { return memory_[thread].data(); }
-  /// S += damping D^2, and the same for the block diagonal of the camera side.
+  /// S += damping D^2, and the same for the block diagonal of the camera parameters.
   void DampCameras(double damping, bool first);
   const std::vector<double>& gradient() { return sums_.sums().gradient; }
   /// Takes the columns of numbers on active bounds out of the normal equations.
   void HoldActive();
   void MoveCameras(const std::vector<double>& step);
-  /// What is left of a step of one number of the camera side within its bounds.
+  /// What is left of a step of one number of the camera parameters within its bounds.
   double ProjectedStep(size_t j, double step) const;
   /// Moves the candidate's points, number i by point_step(i), and evaluates its cost.
   template <typename PointStep>
@@ -109,13 +109,13 @@ class SchurProblem final : public LeastSquares {
   State states_[2];
   State* x_ = &states_[0];
   State* candidate_ = &states_[1];
-  Step step_;
-  Step other_step_;
+  CameraStep step_;
+  CameraStep other_step_;
   std::vector<double> squared_scale_;  ///< of each point's columns
   OrderedSums sums_;
-  std::vector<double> scale_;      ///< Jacobi scaling of the camera side's columns
-  std::vector<double> d_squared_;  ///< D^2 of the camera side
-  std::vector<double> newton_;     ///< camera side of the Newton direction
+  std::vector<double> scale_;      ///< Jacobi scaling of the camera parameters' columns
+  std::vector<double> d_squared_;  ///< D^2 of the camera parameters
+  std::vector<double> newton_;     ///< camera parameters of the Newton direction
   std::vector<double> gradient_direction_;
   std::vector<double> points_p_, points_q_;
   std::vector<double> line_, points_line_;  ///< the last step, not projected
@@ -128,4 +128,4 @@ class SchurProblem final : public LeastSquares {
   bool scaled_ = false;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

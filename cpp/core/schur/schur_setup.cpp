@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <utility>
 
-namespace bundle::fused {
+namespace bundle {
 
 SchurSetup::SchurSetup(const ProblemView& of_problem, const ParameterLayout& of_layout,
                        const SolveOptions& options, BlockStructure of_structure, bool is_reused)
@@ -69,4 +69,4 @@ double SchurSetup::FixedCost(const SolveOptions& options) {
   return cost;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

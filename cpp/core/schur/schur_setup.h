@@ -11,7 +11,7 @@
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// What the passes over the points need of a problem beside its states: which columns each image
 /// has, the order of the elimination, where sums go in S, the kernels. It follows from the
@@ -52,4 +52,4 @@ struct SchurSetup {
   std::unique_ptr<FixedObservations> fixed_;  ///< where they will be needed again
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

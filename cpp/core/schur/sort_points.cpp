@@ -11,7 +11,7 @@
 #include "core/parallel/thread_pool.h"
 #include "core/schur/elimination_plan.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 class PointSorter {
@@ -226,4 +226,4 @@ EliminationPlan SortPoints(const ProblemView& problem, const ParameterLayout& la
   return PointSorter(problem, layout, images, active, num_threads, keep_order).Sort();
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

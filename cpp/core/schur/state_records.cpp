@@ -5,7 +5,7 @@
 #include "core/cameras/registry.h"
 #include "core/schur/elimination_plan.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 HeldSink HeldResiduals::Collect(size_t chunk) {
   of_chunk_[chunk].clear();
@@ -42,7 +42,7 @@ namespace {
 uint32_t ColumnBits(const ParameterLayout& layout, int block) {
   uint32_t bits = 0;
   if (block < 0) return bits;
-  const CameraSideBlock& columns = layout.blocks()[block];
+  const CameraBlock& columns = layout.blocks()[block];
   for (int k = 0; k < columns.size; ++k) bits |= 1u << columns.columns[k];
   return bits;
 }
@@ -129,7 +129,7 @@ State::State(const ProblemView& problem, const ParameterLayout& layout, const El
 }
 
 void State::Reset(const ParameterLayout& layout, const EliminationPlan& plan) {
-  camera_side = layout.InitialState(problem_);
+  camera_state = layout.InitialState(problem_);
   for (size_t k = 0; k < plan.point.size(); ++k) {
     std::copy_n(problem_.points + 3 * int64_t{plan.point[k]}, 3, &points[3 * k]);
   }
@@ -158,7 +158,7 @@ StateRecords State::CandidateRecords(const StateRecords& before, int chunk) {
 }
 
 void State::Update() {
-  cameras_.Update(camera_side.data());
+  cameras_.Update(camera_state.data());
   for (int i = 0; i < problem_.num_images; ++i) {
     double* const record = images_.data() + static_cast<int64_t>(i) * stride_;
     const PoseState& pose = cameras_.pose(i);
@@ -172,7 +172,7 @@ void State::Update() {
   }
 }
 
-Step::Step(const ProblemView& problem, const ParameterLayout& layout)
+CameraStep::CameraStep(const ProblemView& problem, const ParameterLayout& layout)
     : problem_(problem),
       layout_(layout),
       poses_(static_cast<int64_t>(problem.num_images) * kPoseSize),
@@ -181,8 +181,8 @@ Step::Step(const ProblemView& problem, const ParameterLayout& layout)
   images_.resize(static_cast<int64_t>(problem.num_images) * stride_);
 }
 
-void Step::Set(const std::vector<double>& camera_side, const CameraStates& at) {
-  layout_.Scatter(problem_, camera_side.data(), poses_.data(), camera_params_.data());
+void CameraStep::Set(const std::vector<double>& camera_state, const CameraStates& at) {
+  layout_.Scatter(problem_, camera_state.data(), poses_.data(), camera_params_.data());
   for (int i = 0; i < problem_.num_images; ++i) {
     double* const record = images_.data() + static_cast<int64_t>(i) * stride_;
     const double* const pose = poses_.data() + static_cast<int64_t>(i) * kPoseSize;
@@ -196,4 +196,4 @@ void Step::Set(const std::vector<double>& camera_side, const CameraStates& at) {
   }
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

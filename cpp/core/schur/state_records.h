@@ -8,7 +8,7 @@
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// The images of a problem by camera model, and what each model's Jacobian records hold.
 struct ModelGroups {
@@ -32,21 +32,22 @@ ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layou
 
 /// The states and steps of a solve in the form that the passes read (kernels.h).
 
-/// One state: the camera side as a vector of the layout, expanded, and the points of the plan.
+/// One state: the camera parameters as a vector of the layout, expanded, and the points of the
+/// plan.
 class State {
  public:
   State(const ProblemView& problem, const ParameterLayout& layout, const EliminationPlan& plan);
 
   /// Goes to the problem's own values, after these changed.
   void Reset(const ParameterLayout& layout, const EliminationPlan& plan);
-  /// Expands `camera_side`, after it changed.
+  /// Expands `camera_state`, after it changed.
   void Update();
   StateRecords records() const;
   /// Of a candidate for the state after `before`, for a pass over one chunk that fills `held`.
   StateRecords CandidateRecords(const StateRecords& before, int chunk);
   const CameraStates& cameras() const { return cameras_; }
 
-  std::vector<double> camera_side;
+  std::vector<double> camera_state;
   std::vector<double> points;  ///< three a point of the plan
   HeldResiduals held;
 
@@ -57,12 +58,12 @@ class State {
   int stride_;
 };
 
-/// Images' records of a step of the camera side, at a state.
-class Step {
+/// Images' records of a step of the camera parameters, at a state.
+class CameraStep {
  public:
-  Step(const ProblemView& problem, const ParameterLayout& layout);
+  CameraStep(const ProblemView& problem, const ParameterLayout& layout);
 
-  void Set(const std::vector<double>& camera_side, const CameraStates& at);
+  void Set(const std::vector<double>& camera_state, const CameraStates& at);
   StepRecords records() const { return {images_.data(), stride_}; }
 
  private:
@@ -74,4 +75,4 @@ class Step {
   int stride_;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

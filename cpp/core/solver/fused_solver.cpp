@@ -15,12 +15,11 @@
 #include "core/model/parameter_layout.h"
 #include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
-#include "core/prepare/choose_solver.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/schur_problem.h"
 
-namespace bundle::fused {
+namespace bundle {
 FusedSolver::FusedSolver(const ProblemView& problem, const SolveOptions& options,
                          PreparedSolve prepared, bool is_reused)
     : problem_(problem),
@@ -87,8 +86,7 @@ void FusedSolver::ChooseSolver() {
 /// At most, of a chunk's buffer: a block for each pair of images.
 double FusedSolver::BufferBytes() const {
   double columns = 0;
-  for (const CameraSideBlock& block : layout_.blocks())
-    columns = std::max<double>(columns, block.size);
+  for (const CameraBlock& block : layout_.blocks()) columns = std::max<double>(columns, block.size);
   const double images = problem_.num_images;
   return std::min<double>(kMaxBufferBytes,
                           sizeof(double) * columns * columns * images * (images + 1) / 2);
@@ -115,7 +113,7 @@ void FusedSolver::ChooseBySize(const ProblemShape& shape) {
 
 std::vector<int> FusedSolver::BlockSizes() const {
   std::vector<int> sizes;
-  for (const CameraSideBlock& block : layout_.blocks()) sizes.push_back(block.size);
+  for (const CameraBlock& block : layout_.blocks()) sizes.push_back(block.size);
   return sizes;
 }
 
@@ -154,7 +152,7 @@ void FusedSolver::BuildProblem() {
 
 void FusedSolver::SummarizeFactor() {
   const FactorStatistics statistics = solver_->factor_statistics();
-  factor_ = fused::SummarizeFactor(structure_, statistics, symbolic_time_);
+  factor_ = bundle::SummarizeFactor(structure_, statistics, symbolic_time_);
   Warn(WarningKind::kFactorLargerThanPredicted, FindSwollenFactor(statistics), &warnings_);
 }
 
@@ -194,4 +192,4 @@ int64_t FusedSolver::CountInformation() {
   return num_information_nonzeros_;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

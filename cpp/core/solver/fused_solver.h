@@ -15,7 +15,7 @@
 #include "core/problem/problem_view.h"
 #include "core/schur/schur_problem.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// Wall times in seconds.
 struct SolveTimes {
@@ -94,4 +94,4 @@ FactorSummary SummarizeFactor(const BlockStructure& structure, const FactorStati
 /// One sentence if the factor takes far more than its ordering predicted; else "".
 std::string FindSwollenFactor(const FactorStatistics& statistics);
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -77,10 +77,10 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
   }
   const std::vector<int64_t>& lengths = prepared.track_lengths;
   const int64_t longest_track = *std::max_element(lengths.begin(), lengths.end());
-  if (longest_track > fused::kMaxTrackLength) {
-    return Unsupported{
-        "backend", "at most " + std::to_string(fused::kMaxTrackLength) + " observations a point",
-        "one with " + std::to_string(longest_track)};
+  if (longest_track > kMaxTrackLength) {
+    return Unsupported{"backend",
+                       "at most " + std::to_string(kMaxTrackLength) + " observations a point",
+                       "one with " + std::to_string(longest_track)};
   }
   if (!prepared.factor_for_ceres.empty()) {
     return Unsupported{"factors", "factors of images and cameras, or of one point,",
@@ -234,8 +234,7 @@ class Solver::Impl {
     choice_ = ChooseBackend(options_, *prepared_);
     warnings_ = prepared_->warnings;
     if (choice_.backend != Backend::kFused) return;
-    fused_ =
-        std::make_unique<fused::FusedSolver>(problem_, options_, std::move(*prepared_), is_reused_);
+    fused_ = std::make_unique<FusedSolver>(problem_, options_, std::move(*prepared_), is_reused_);
     prepared_.reset();
   }
 
@@ -261,10 +260,10 @@ class Solver::Impl {
   const bool is_reused_;
   std::optional<PreparedSolve> prepared_;  ///< of the next solve by Ceres
   BackendChoice choice_;
-  std::vector<Warning> warnings_;              ///< of PrepareSolve
-  std::unique_ptr<fused::FusedSolver> fused_;  ///< nullptr: not prepared, or Ceres'
-  int64_t process_ = ProcessId();              ///< where its threads are
-  std::atomic<int64_t> user_{kNobody};         ///< the process that solves
+  std::vector<Warning> warnings_;       ///< of PrepareSolve
+  std::unique_ptr<FusedSolver> fused_;  ///< nullptr: not prepared, or Ceres'
+  int64_t process_ = ProcessId();       ///< where its threads are
+  std::atomic<int64_t> user_{kNobody};  ///< the process that solves
 };
 
 Solver::Solver(const ProblemView& problem, const SolveOptions& options)

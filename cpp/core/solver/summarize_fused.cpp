@@ -9,14 +9,14 @@
 #include "core/schur/camera_factors.h"
 #include "core/solver/fused_solver.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
-/// Sizes of a residual that meets a point, a point and the camera-side blocks, "2,3,9"; "d" where
+/// Sizes of a residual that meets a point, a point and the camera blocks, "2,3,9"; "d" where
 /// they differ.
 std::string SchurStructure(const ParameterLayout& layout, const CameraFactors& factors) {
-  const std::vector<CameraSideBlock>& blocks = layout.blocks();
-  const bool equal = std::all_of(blocks.begin(), blocks.end(), [&](const CameraSideBlock& block) {
+  const std::vector<CameraBlock>& blocks = layout.blocks();
+  const bool equal = std::all_of(blocks.begin(), blocks.end(), [&](const CameraBlock& block) {
     return block.size == blocks.front().size;
   });
   return std::string(factors.has_other_rows() ? "d" : "2") + ",3," +
@@ -135,4 +135,4 @@ std::string FindSwollenFactor(const FactorStatistics& statistics) {
   return text + statistics.ordering + ".";
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

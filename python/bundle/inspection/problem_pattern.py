@@ -94,7 +94,7 @@ class FactorCount:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSize:
-    """``bundle::fused::PlanSize``: the passes of the fused backend over the points.
+    """``bundle::PlanSize``: the passes of the fused backend over the points.
 
     All zero where a track is too long for it.
     """

@@ -10,7 +10,6 @@
 #include "core/cameras/registry.h"
 #include "core/ceres/reference_checks.h"
 #include "core/error.h"
-#include "core/factors/linear_prior.h"
 #include "core/factors/measurement_factors.h"
 
 namespace bundle {

@@ -9,7 +9,7 @@
 #include "core/symbolic/symbolic.h"
 #include "linear/random_system.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 using Status = LinearSolution::Status;
@@ -130,4 +130,4 @@ TEST_P(DirectSolvers, StoreTheFactorThatWasPredicted) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -7,7 +7,7 @@
 #include "core/symbolic/symbolic.h"
 #include "symbolic/graphs.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 BlockStructure StructureOf(const BlockPattern& pattern) {
@@ -54,4 +54,4 @@ TEST(FillOrdering, ChoosesTheOrderWithLeastFill) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -14,7 +14,7 @@
 #include "core/parallel/interruption.h"
 #include "linear/random_system.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 using Status = LinearSolution::Status;
@@ -306,4 +306,4 @@ TEST(SymmetricProduct, IsTheSameForAnyNumberOfThreads) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

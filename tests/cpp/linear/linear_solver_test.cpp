@@ -14,7 +14,7 @@
 #include "core/linear/block_structure.h"
 #include "linear/random_system.h"
 
-namespace bundle::fused::linear_solver_test {
+namespace bundle::linear_solver_test {
 namespace {
 
 using Eigen::MatrixXd;
@@ -190,4 +190,4 @@ TEST_P(LinearSolvers, SolveAsNewOnesAfterForgettingValues) {
 }
 
 }  // namespace
-}  // namespace bundle::fused::linear_solver_test
+}  // namespace bundle::linear_solver_test

@@ -9,7 +9,7 @@
 
 #include "core/linear/block_structure.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// A random reduced camera system S = U - W V^-1 W^T, with what made it. `coupling`: the chance
 /// that two neighbouring blocks share a point.
@@ -112,4 +112,4 @@ inline Eigen::VectorXd ExactSolution(const RandomSystem& system) {
   return Vector(s.ldlt().solve(b)).cast<double>();
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

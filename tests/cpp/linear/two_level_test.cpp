@@ -11,7 +11,7 @@
 #include "core/linear/preconditioners.h"
 #include "linear/random_system.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 using Eigen::MatrixXd;
@@ -182,4 +182,4 @@ TEST(Clusters, OfNothingAreNone) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

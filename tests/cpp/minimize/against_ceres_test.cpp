@@ -7,13 +7,13 @@
 #include <string>
 #include <tuple>
 
-#include "core/ceres/summarize.h"
+#include "core/ceres/translate.h"
 #include "core/minimize/trust_region.h"
 #include "minimize/ceres_oracle.h"
 #include "minimize/classic_functions.h"
 #include "minimize/dense_problem.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 /// Differences allowed are rounding errors, after they have grown for some iterations.
@@ -114,4 +114,4 @@ INSTANTIATE_TEST_SUITE_P(Bounded, AgainstCeres,
                          NameOf);
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -8,11 +8,11 @@
 #include <algorithm>
 #include <vector>
 
-#include "core/ceres/translate_options.h"
+#include "core/ceres/translate.h"
 #include "core/interface/options.h"
 #include "minimize/classic_functions.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 class CeresFunction final : public ceres::CostFunction {
  public:
@@ -72,4 +72,4 @@ inline CeresResult SolveWithCeres(const ClassicFunction& function, const SolveOp
   return result;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

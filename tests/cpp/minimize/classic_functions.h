@@ -11,7 +11,7 @@
 #include <utility>
 #include <vector>
 
-namespace bundle::fused {
+namespace bundle {
 
 struct ClassicFunction {
   using Vector = Eigen::VectorXd;
@@ -164,4 +164,4 @@ inline std::vector<ClassicFunction> BoundedFunctions() {
   };
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -13,7 +13,7 @@
 #include "core/minimize/least_squares.h"
 #include "minimize/classic_functions.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 class DenseProblem final : public LeastSquares {
  public:
@@ -113,4 +113,4 @@ class DenseProblem final : public LeastSquares {
   double damping_ = 0;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

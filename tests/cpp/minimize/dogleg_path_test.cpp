@@ -9,7 +9,7 @@
 
 #include "core/minimize/strategy.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 using Matrix = Eigen::MatrixXd;
@@ -170,4 +170,4 @@ TEST(DoglegPath, SubspaceIsContinuousAsTheDirectionsBecomeParallel) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -11,7 +11,7 @@
 
 #include "core/minimize/trust_region.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 /// A path phi(a), its slope, and where it was evaluated.
@@ -123,4 +123,4 @@ TEST(ProjectedLineSearch, GivesUpWhereTheStepVanishes) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

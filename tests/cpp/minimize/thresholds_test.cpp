@@ -10,7 +10,7 @@
 
 #include "core/minimize/trust_region.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 /// A cost of 1000 and candidates as the script has them: each promises 1 and keeps `quality` of it,
@@ -145,4 +145,4 @@ TEST(Thresholds, OneReasonComesBeforeAnother) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

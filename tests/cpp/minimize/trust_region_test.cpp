@@ -15,7 +15,7 @@
 #include "minimize/classic_functions.h"
 #include "minimize/dense_problem.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 constexpr TrustRegionStrategy kStrategies[] = {TrustRegionStrategy::kLevenbergMarquardt,
@@ -367,4 +367,4 @@ TEST(TrustRegion, HasNothingToKeepBeforeTheFirstLinearization) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

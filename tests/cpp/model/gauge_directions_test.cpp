@@ -12,7 +12,7 @@
 #include "core/model/parameter_layout.h"
 #include "support/scene.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 using Eigen::Vector3d;
@@ -49,7 +49,7 @@ TEST(GaugeDirections, ChangeNoImage) {
   const ProblemView view = scene.View();
   const ParameterLayout layout(view, SelectFreeParameters(view, SolveOptions{}));
   std::vector<double> state = layout.InitialState(view);
-  for (const CameraSideBlock& block : layout.blocks()) {
+  for (const CameraBlock& block : layout.blocks()) {
     for (int k = 0; k < 3; ++k) state[block.offset + k] = 0.4 * (k + 1) - 0.5;
   }
   CameraStates cameras(view, layout);
@@ -89,7 +89,7 @@ TEST(GaugeDirections, LeaveIntrinsicsAlone) {
   const std::vector<double> gauge_directions =
       GaugeDirections(view, layout, CameraStates(view, layout));
   int num_moved = 0;
-  for (const CameraSideBlock& block : layout.blocks()) {
+  for (const CameraBlock& block : layout.blocks()) {
     for (int k = 0; k < block.size; ++k) {
       const double* const row = &gauge_directions[static_cast<size_t>(block.offset + k) * kCount];
       const bool moves = std::any_of(row, row + kCount, [](double v) { return v != 0; });
@@ -101,4 +101,4 @@ TEST(GaugeDirections, LeaveIntrinsicsAlone) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -75,7 +75,7 @@ void CheckLayout(const Scene& scene, const FreeParameters& free, const Parameter
   ASSERT_EQ(layout.state_size(), static_cast<int>(scalars.size()));
 
   int offset = 0;
-  for (const CameraSideBlock& block : layout.blocks()) {
+  for (const CameraBlock& block : layout.blocks()) {
     EXPECT_EQ(block.offset, offset);
     EXPECT_GT(block.size, 0);
     for (int k = 1; k < block.size; ++k) EXPECT_LT(block.columns[k - 1], block.columns[k]);
@@ -119,7 +119,7 @@ void CheckLayout(const Scene& scene, const FreeParameters& free, const Parameter
     std::set<int> columns;
     for (const int index : {layout.image_block(image), layout.camera_block(camera)}) {
       if (index < 0) continue;
-      const CameraSideBlock& block = layout.blocks()[index];
+      const CameraBlock& block = layout.blocks()[index];
       columns.insert(block.columns, block.columns + block.size);
     }
     std::set<int> expected;
@@ -164,7 +164,7 @@ TEST(ParameterLayout, MergesWhatOneImageUsesAndSharesTheRest) {
   EXPECT_FALSE(own.has_shared_intrinsics());
   ASSERT_EQ(own.blocks().size(), 3u);
   for (int c = 0; c < 3; ++c) EXPECT_EQ(own.camera_block(c), -1);
-  for (const CameraSideBlock& block : own.blocks()) EXPECT_EQ(block.size, 8);  // pose, f, k
+  for (const CameraBlock& block : own.blocks()) EXPECT_EQ(block.size, 8);  // pose, f, k
 
   const Scene one_camera = SceneWith("SIMPLE_RADIAL", 3, 3);
   const ParameterLayout shared(one_camera.View(),

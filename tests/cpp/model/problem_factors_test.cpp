@@ -43,7 +43,7 @@ void CheckJacobian(const ChartedFactor& factor, const ProblemView& problem,
     for (int k = 0; k < 3; ++k) unknowns.push_back(&points[3 * static_cast<size_t>(p) + k]);
   }
   for (const int b : factor.unknowns().blocks) {
-    const CameraSideBlock& block = layout.blocks()[b];
+    const CameraBlock& block = layout.blocks()[b];
     for (int k = 0; k < block.size; ++k) unknowns.push_back(&state[block.offset + k]);
   }
   ASSERT_EQ(static_cast<int>(unknowns.size()), factor.num_columns());
@@ -73,7 +73,7 @@ std::vector<double> FarState(const ProblemView& problem, const ParameterLayout& 
   std::vector<double> state = layout.InitialState(problem);
   std::mt19937 random(3);
   std::normal_distribution<double> normal;
-  for (const CameraSideBlock& block : layout.blocks()) {
+  for (const CameraBlock& block : layout.blocks()) {
     for (int k = 0; k < block.size && block.columns[k] < kPoseSize; ++k) {
       state[block.offset + k] += 0.4 * normal(random);
     }

@@ -10,7 +10,7 @@
 
 #include "support/no_threads.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 TEST(ThreadPool, ThrowsWhatAThreadThrewAndRunsAgain) {
@@ -45,4 +45,4 @@ TEST(ThreadPool, MakesDoWithTheThreadsThereAre) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -1,4 +1,3 @@
-#include "core/prepare/choose_solver.h"
 
 #include <gtest/gtest.h>
 #include <sys/resource.h>

@@ -4,9 +4,9 @@
 #include <string>
 #include <vector>
 
-#include "core/prepare/choose_solver.h"
+#include "core/prepare/prepare.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 constexpr double kPlenty = 1e15;
@@ -77,4 +77,4 @@ TEST(LinearSolverCost, ChoosesWhatFitsIntoMemory) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -5,7 +5,7 @@
 #include "schur/schur_comparison.h"
 #include "support/some_factors.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 using testing::FactorMaker;
@@ -89,4 +89,4 @@ TEST(CameraFactors, OfWhatNoObservationSees) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

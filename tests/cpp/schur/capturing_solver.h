@@ -8,7 +8,7 @@
 #include "core/linear/linear_solver.h"
 #include "support/normal_equations.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// Keeps the system that it is to solve, and solves it in extended precision.
 class CapturingSolver final : public LinearSolver {
@@ -67,4 +67,4 @@ class CapturingSolver final : public LinearSolver {
   std::vector<double> scale_;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

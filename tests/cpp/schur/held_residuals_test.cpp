@@ -6,7 +6,7 @@
 
 #include "core/schur/elimination_plan.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 /// A pass over a chunk that finds these observations; each holds (n, -n / 2).
@@ -136,4 +136,4 @@ TEST(HeldResiduals, KeepRepeatedObservationsApart) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

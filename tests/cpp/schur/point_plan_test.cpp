@@ -12,7 +12,7 @@
 #include "core/schur/elimination_plan.h"
 #include "support/scene.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 constexpr int kBlockBytes = 512;
@@ -225,4 +225,4 @@ INSTANTIATE_TEST_SUITE_P(Lengths, LongTrackTest,
                                            LongTrack{8, 1336, 0}, LongTrack{24, 1400, 0}));
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

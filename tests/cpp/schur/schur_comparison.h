@@ -17,7 +17,7 @@
 #include "support/normal_equations.h"
 #include "support/scene.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 using testing::Damping;
 using testing::EliminatedEquations;
@@ -30,7 +30,7 @@ using testing::Scene;
 inline BlockStructure Structure(const ProblemView& problem, const ParameterLayout& layout,
                                 bool dense) {
   std::vector<int> sizes;
-  for (const CameraSideBlock& block : layout.blocks()) sizes.push_back(block.size);
+  for (const CameraBlock& block : layout.blocks()) sizes.push_back(block.size);
   if (dense) return DenseStructure(sizes);
   const BlockStructure sparse = SparseStructure(sizes, FindCoupledBlocks(problem, layout));
   return PlaceInFactor(sparse, FindSupernodes(sparse));
@@ -134,7 +134,7 @@ class Comparison {
       ExpectNear(solver_.scale()[j], scale, 1e-13L * scale, "Jacobi scaling");
     }
     EXPECT_LE(worst_matrix, 1e-12L) << "S";
-    EXPECT_LE(worst_diagonal, 1e-12L) << "block diagonal of the camera side";
+    EXPECT_LE(worst_diagonal, 1e-12L) << "block diagonal of the camera parameters";
     EXPECT_LE(worst_rhs, 1e-12L) << "b";
   }
 
@@ -197,7 +197,7 @@ class Comparison {
   void AddSquares(int index, int image, int camera, const std::vector<double>& quaternions,
                   Real* sum) const {
     if (index < 0) return;
-    const CameraSideBlock& block = layout().blocks()[index];
+    const CameraBlock& block = layout().blocks()[index];
     for (int k = 0; k < block.size; ++k) {
       const int column = block.columns[k];
       Real value;
@@ -233,4 +233,4 @@ class Comparison {
   const Damping damping_;
 };
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -11,7 +11,7 @@
 #include "support/no_threads.h"
 #include "support/scene.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 using testing::MakeScene;
@@ -202,7 +202,7 @@ TEST(SchurProblem, CanBeInterruptedAndGoesOn) {
     options.num_threads = 4;
     const PreparedSolve prepared = PrepareSolve(problem, options);
     std::vector<int> sizes;
-    for (const CameraSideBlock& block : prepared.layout.blocks()) sizes.push_back(block.size);
+    for (const CameraBlock& block : prepared.layout.blocks()) sizes.push_back(block.size);
     const BlockStructure structure = DenseStructure(sizes);
     CapturingSolver solver(structure);
     SchurProblem schur(problem, prepared.layout, options, structure, &solver);
@@ -228,4 +228,4 @@ TEST(SchurProblem, NeedsNoSecondThread) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

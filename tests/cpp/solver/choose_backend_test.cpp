@@ -30,7 +30,7 @@ Backend Choose(SolveOptions options, const PreparedSolve& prepared) {
 TEST(ChooseBackend, TheLongestTrackIsTakenAndNoLonger) {
   const SolveOptions options;
   PreparedSolve prepared = Prepare(options);
-  prepared.track_lengths[5] = fused::kMaxTrackLength;
+  prepared.track_lengths[5] = kMaxTrackLength;
   EXPECT_EQ(Choose(options, prepared), Backend::kFused);
   ++prepared.track_lengths[5];
   EXPECT_EQ(Choose(options, prepared), Backend::kCeres);

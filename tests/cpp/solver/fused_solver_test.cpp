@@ -17,7 +17,7 @@
 #include "support/scene.h"
 #include "support/ugly_scenes.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 using testing::CheckedSolve;
@@ -290,4 +290,4 @@ TEST(SolveWithFused, NeedsNoSecondThreadAndCeresNeither) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -5,7 +5,7 @@
 
 #include "core/solver/fused_solver.h"
 
-namespace bundle::fused {
+namespace bundle {
 namespace {
 
 /// Blocks of 2, 3 and 1; the first meets both others.
@@ -44,4 +44,4 @@ TEST(FindSwollenFactor, SpeaksOfHalfAsMuchAgain) {
 }
 
 }  // namespace
-}  // namespace bundle::fused
+}  // namespace bundle

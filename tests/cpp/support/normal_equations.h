@@ -57,8 +57,8 @@ inline Real LossSlope(LossType loss, Real a, Real s) {
   return 1;
 }
 
-/// J and r at one state. Columns: the camera side as in the layout, then the free points in the
-/// order of the problem.
+/// J and r at one state. Columns: the camera parameters as in the layout, then the free points in
+/// the order of the problem.
 class LinearizedProblem {
  public:
   LinearizedProblem(const ProblemView& problem, const ParameterLayout& layout,
@@ -121,7 +121,7 @@ class LinearizedProblem {
       for (int k = 0; k < 3; ++k) columns.push_back(point_column_[point] + k);
     }
     for (const int index : charted.unknowns().blocks) {
-      const CameraSideBlock& block = layout.blocks()[index];
+      const CameraBlock& block = layout.blocks()[index];
       for (int k = 0; k < block.size; ++k) columns.push_back(block.offset + k);
     }
     charted.Evaluate(cameras, at.data(), residual.data(), jacobian.data());
@@ -169,7 +169,7 @@ class LinearizedProblem {
       };
       for (const int index : {layout.image_block(image), layout.camera_block(camera)}) {
         if (index < 0) continue;
-        const CameraSideBlock& block = layout.blocks()[index];
+        const CameraBlock& block = layout.blocks()[index];
         for (int k = 0; k < block.size; ++k) {
           const int column = block.columns[k];
           add(block.offset + k, column < kPoseSize

@@ -13,7 +13,7 @@
 #include "core/schur/kernels/point_block.h"
 #include "core/schur/kernels/strip.h"
 
-namespace bundle::fused::BUNDLE_ISA {
+namespace bundle::BUNDLE_ISA {
 
 /// Records of a strip: [a_0 r_0 | a_1 r_1 | u_0 u_1 v_0 v_1] an observation, u = A d for one
 /// direction d of the cameras, v for another where there is one.
@@ -196,4 +196,4 @@ inline double Slope(const EliminationInput& input, const StateRecords& x, const 
   return slope;
 }
 
-}  // namespace bundle::fused::BUNDLE_ISA
+}  // namespace bundle::BUNDLE_ISA

@@ -7,7 +7,7 @@
 #include "core/schur/kernels/point_block.h"
 #include "core/schur/kernels/strip.h"
 
-namespace bundle::fused::BUNDLE_ISA {
+namespace bundle::BUNDLE_ISA {
 
 /// Writes the records of a batch and returns its cost.
 inline double LinearizeBatch(const EliminationInput& input, const StateRecords& x,
@@ -100,4 +100,4 @@ inline void Eliminate(const EliminationInput& input, const StateRecords& x, cons
   eliminate(input, x, chunk, damping, first, squared_scale, memory, sum);
 }
 
-}  // namespace bundle::fused::BUNDLE_ISA
+}  // namespace bundle::BUNDLE_ISA

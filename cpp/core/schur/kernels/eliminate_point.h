@@ -3,7 +3,7 @@
 /// The elimination of a point; kernels.cpp says how to include this.
 ///
 /// Of a point with damped block V' = V + damping D^2 = L L^T and observations i, whose corrected
-/// residuals and Jacobians are r_i, A_i (camera side, 2 x d) and B_i (point, 2x3), the Schur
+/// residuals and Jacobians are r_i, A_i (camera parameters, 2 x d) and B_i (point, 2x3), the Schur
 /// complement of V' in the normal equations adds, with Y_i = B_i L^-T and h = L^-1 g,
 ///
 ///   S_ij += A_i^T (delta_ij I - B_i V'^-1 B_j^T) A_j = A_i^T (delta_ij I - Y_i Y_j^T) A_j,
@@ -21,10 +21,10 @@
 
 #include "core/schur/kernels/point_block.h"
 
-namespace bundle::fused::BUNDLE_ISA {
+namespace bundle::BUNDLE_ISA {
 
 inline constexpr int kMaxColumns = (kPoseSize + kMaxCameraParams + 3) / 4 * 4;
-/// Doubles of a record ahead of the two rows of the camera side: (a, r) of each row.
+/// Doubles of a record ahead of the two rows of the camera parameters: (a, r) of each row.
 inline constexpr int kRecordHead = 8;
 
 /// Records of a strip: [a_0 r_0 | a_1 r_1 | row 0 | row 1] an observation, the rows as wide as
@@ -267,4 +267,4 @@ class MixedElimination {
   ChunkSum* const sum_;
 };
 
-}  // namespace bundle::fused::BUNDLE_ISA
+}  // namespace bundle::BUNDLE_ISA

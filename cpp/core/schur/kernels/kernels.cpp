@@ -15,7 +15,7 @@
 #include "core/schur/kernels/back_substitute.h"
 #include "core/schur/kernels/eliminate_chunk.h"
 
-namespace bundle::fused::BUNDLE_ISA {
+namespace bundle::BUNDLE_ISA {
 
 inline int64_t MemoryDoubles(const EliminationInput& input) {
   const int record = kRecordHead + 2 * input.num_columns;
@@ -26,4 +26,4 @@ inline int64_t MemoryDoubles(const EliminationInput& input) {
 extern constexpr Kernels kKernels = {
     BUNDLE_ISA_NAME, &MemoryDoubles, &Eliminate, &EvaluateNewtonStep, &Products, &Cost, &Slope};
 
-}  // namespace bundle::fused::BUNDLE_ISA
+}  // namespace bundle::BUNDLE_ISA

@@ -7,13 +7,13 @@
 #include "core/interface/options.h"
 #include "core/schur/elimination_plan.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 /// The images of one camera model: what its Jacobians look like.
 struct ModelGroup {
   int model = 0;       ///< index into CameraModels
   int num_params = 0;  ///< of the model
-  /// Columns on the camera side that any image of the group refines, as in ParameterLayout.
+  /// Camera parameters that any image of the group refines, as in ParameterLayout.
   int num_columns = 0;
   int8_t columns[kPoseSize + kMaxCameraParams] = {};
   int num_quads = 1;  ///< of a row of its Jacobian records: num_columns in whole quads
@@ -82,8 +82,8 @@ struct ChunkSum {
   double gradient_max = 0;      ///< of the points
 };
 
-/// A step on the camera side, as the passes read it: a record an image: J_l dw (3), dt (3), 2
-/// unused, dparams from 8 on.
+/// A step of the camera parameters, as the passes read it, a record per image: J_l dw (3), dt (3),
+/// 2 unused, dparams from 8 on.
 struct StepRecords {
   static constexpr int kTranslation = 3, kParams = 8;
   const double* images = nullptr;
@@ -137,4 +137,4 @@ struct Kernels {
 /// Those for the best instruction set that this machine has.
 const Kernels& SelectKernels();
 
-}  // namespace bundle::fused
+}  // namespace bundle

@@ -10,7 +10,7 @@
 
 #include <cstdint>
 
-namespace bundle::fused::BUNDLE_ISA {
+namespace bundle::BUNDLE_ISA {
 
 inline constexpr int kLanes = BUNDLE_LANES;  // a multiple of 4
 
@@ -125,4 +125,4 @@ inline void ScatterRecords(const Pack* const* packs, double* const* records, int
   }
 }
 
-}  // namespace bundle::fused::BUNDLE_ISA
+}  // namespace bundle::BUNDLE_ISA

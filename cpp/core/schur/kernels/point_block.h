@@ -12,7 +12,7 @@
 #include "core/schur/kernels/pack.h"
 #include "core/schur/kernels/strip.h"
 
-namespace bundle::fused::BUNDLE_ISA {
+namespace bundle::BUNDLE_ISA {
 
 /// One point's numbers: what it sums up, then what is made of it.
 struct PointBlock {
@@ -192,4 +192,4 @@ inline double Dot3(const double* a, const double* b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-}  // namespace bundle::fused::BUNDLE_ISA
+}  // namespace bundle::BUNDLE_ISA

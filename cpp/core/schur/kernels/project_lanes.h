@@ -16,7 +16,7 @@
 extern "C" double log(double) noexcept;
 extern "C" double atan2(double, double) noexcept;
 
-namespace bundle::fused::BUNDLE_ISA {
+namespace bundle::BUNDLE_ISA {
 
 struct LossLanes {
   Pack rho;
@@ -177,4 +177,4 @@ struct ProjectTable<std::tuple<Models...>> {
 /// Of each model in CameraModels.
 inline constexpr const ProjectLanes* kProjectLanes = ProjectTable<CameraModels>::kOf;
 
-}  // namespace bundle::fused::BUNDLE_ISA
+}  // namespace bundle::BUNDLE_ISA

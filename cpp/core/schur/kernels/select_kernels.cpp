@@ -8,7 +8,7 @@
 #include "core/error.h"
 #include "core/schur/kernels/kernels.h"
 
-namespace bundle::fused {
+namespace bundle {
 
 namespace baseline {
 extern const Kernels kKernels;
@@ -59,4 +59,4 @@ const Kernels& SelectKernels() {
   return kernels;
 }
 
-}  // namespace bundle::fused
+}  // namespace bundle

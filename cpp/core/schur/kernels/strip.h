@@ -12,7 +12,7 @@
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/kernels/project_lanes.h"
 
-namespace bundle::fused::BUNDLE_ISA {
+namespace bundle::BUNDLE_ISA {
 
 inline constexpr int kStripPoints = 32;
 inline constexpr int kStripObservations = 64;  // reached by its last point
@@ -239,4 +239,4 @@ inline double Sum(const Pack& pack, int count) {
   return sum;
 }
 
-}  // namespace bundle::fused::BUNDLE_ISA
+}  // namespace bundle::BUNDLE_ISA
