@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <numeric>
+#include <stdexcept>
 
 namespace bundle {
 
@@ -93,6 +94,31 @@ BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& 
   }
   for (std::vector<int>& rows : columns) std::sort(rows.begin(), rows.end());
   return SparseStructure(sizes, columns);
+}
+
+BlockStructure CompactStructure(const BlockStructure& structure) {
+  std::vector<int> identity(structure.num_blocks());
+  std::iota(identity.begin(), identity.end(), 0);
+  return Reorder(structure, identity);
+}
+
+void AddBlocks(const BlockStructure& from, const double* values, const BlockStructure& to,
+               double* sums) {
+  if (from.offset != to.offset)
+    throw std::logic_error("AddBlocks: expected blocks of the same sizes");
+  for (int j = 0; j < from.num_blocks(); ++j) {
+    for (int64_t e = from.column_begin[j]; e < from.column_begin[j + 1]; ++e) {
+      const int i = from.row_block[e];
+      const int64_t target = to.Entry(j, i);
+      if (target == to.column_begin[j + 1] || to.row_block[target] != i)
+        throw std::logic_error("AddBlocks: expected every block in both");
+      for (int c = 0; c < from.block_size(j); ++c) {
+        const double* const source = values + from.ValueIndex(j, e, 0, c);
+        double* const sum = sums + to.ValueIndex(j, target, 0, c);
+        for (int r = 0; r < from.block_size(i); ++r) sum[r] += source[r];
+      }
+    }
+  }
 }
 
 #if defined(__linux__)

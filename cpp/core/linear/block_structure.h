@@ -66,6 +66,17 @@ BlockStructure SparseStructure(const std::vector<int>& block_sizes,
 /// A sparse structure with the blocks in another order: order[k] becomes the k-th.
 BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& order);
 
+/// The same blocks in the same order with nothing between them: a panel per block column, as tall
+/// as its blocks. What S takes without the fill of a factor, to be kept, summed or sent.
+BlockStructure CompactStructure(const BlockStructure& structure);
+
+/// Adds the values of all blocks of `from` to the same blocks of `to`, where other blocks may stand
+/// among them; the blocks' sizes and order are the same in both.
+///
+/// Throws std::logic_error where `to` lacks a block.
+void AddBlocks(const BlockStructure& from, const double* values, const BlockStructure& to,
+               double* sums);
+
 struct BlockSystem {
   std::vector<double> values;  ///< S, as the structure says; zero where it has no block
   std::vector<double> rhs;     ///< b

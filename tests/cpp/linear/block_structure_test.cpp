@@ -1,0 +1,93 @@
+#include "core/linear/block_structure.h"
+
+#include <gtest/gtest.h>
+
+#include <cstdint>
+#include <stdexcept>
+#include <vector>
+
+#include "core/linear/supernodal_cholesky.h"
+#include "linear/random_system.h"
+
+namespace bundle {
+namespace {
+
+int64_t CompactSize(const RandomSystem& system) {
+  int64_t size = 0;
+  for (size_t j = 0; j < system.columns.size(); ++j) {
+    for (const int i : system.columns[j]) size += int64_t{system.sizes[i]} * system.sizes[j];
+  }
+  return size;
+}
+
+/// S by its lower triangle.
+Eigen::MatrixXd Lower(const BlockStructure& structure, const std::vector<double>& values) {
+  const int n = structure.num_columns();
+  Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(n, n);
+  for (int j = 0; j < structure.num_blocks(); ++j) {
+    for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
+      const int i = structure.row_block[e];
+      for (int c = 0; c < structure.block_size(j); ++c) {
+        for (int r = i == j ? c : 0; r < structure.block_size(i); ++r) {
+          matrix(structure.offset[i] + r, structure.offset[j] + c) =
+              values[structure.ValueIndex(j, e, r, c)];
+        }
+      }
+    }
+  }
+  return matrix;
+}
+
+Eigen::MatrixXd Lower(const Eigen::MatrixXd& matrix) {
+  return matrix.triangularView<Eigen::Lower>();
+}
+
+TEST(BlockStructure, CompactOneHasTheBlocksOfSWithoutFill) {
+  const RandomSystem system = MakeRandomSystem(RandomSizes(40, 3), 0.1, 3);
+  const BlockStructure structure = SparseStructure(system.sizes, system.columns);
+  const BlockStructure in_factor = PlaceInFactor(structure, FindSupernodes(structure));
+  const BlockStructure compact = CompactStructure(in_factor);
+  ASSERT_GT(in_factor.num_values, CompactSize(system));  // this one fills in
+  EXPECT_EQ(compact.num_values, CompactSize(system));
+  EXPECT_EQ(compact.row_block, in_factor.row_block);
+  EXPECT_EQ(compact.column_begin, in_factor.column_begin);
+}
+
+TEST(BlockStructure, SystemsAddUpThroughTheCompactOne) {
+  for (unsigned seed = 0; seed < 10; ++seed) {
+    SCOPED_TRACE(seed);
+    const RandomSystem system = MakeRandomSystem(RandomSizes(1 + 4 * seed, seed), 0.2, seed);
+    const BlockStructure structure = SparseStructure(system.sizes, system.columns);
+    const BlockStructure in_factor = PlaceInFactor(structure, FindSupernodes(structure));
+    const BlockStructure compact = CompactStructure(in_factor);
+    const std::vector<double> values = Store(system, in_factor).values;
+    std::vector<double> sum(compact.num_values, 0.0);
+    AddBlocks(in_factor, values.data(), compact, sum.data());
+    AddBlocks(in_factor, values.data(), compact, sum.data());
+    std::vector<double> back(in_factor.num_values, 0.0);
+    AddBlocks(compact, sum.data(), in_factor, back.data());
+    EXPECT_EQ(Lower(in_factor, back), Lower(2 * system.s));
+  }
+}
+
+TEST(BlockStructure, DenseOneTakesTheBlocksOfASparseOne) {
+  const RandomSystem system = MakeRandomSystem(RandomSizes(12, 5), 0.3, 5);
+  const BlockStructure sparse = SparseStructure(system.sizes, system.columns);
+  const BlockStructure dense = DenseStructure(system.sizes);
+  std::vector<double> values(dense.num_values, 0.0);
+  AddBlocks(sparse, Store(system, sparse).values.data(), dense, values.data());
+  EXPECT_EQ(Lower(dense, values), Lower(system.s));
+}
+
+TEST(BlockStructure, BlocksThatTheOtherLacksAreNotDropped) {
+  const BlockStructure diagonal = SparseStructure({2, 3}, {{0}, {1}});
+  const BlockStructure full = SparseStructure({2, 3}, {{0, 1}, {1}});
+  const std::vector<double> values(full.num_values, 1.0);
+  std::vector<double> sums(diagonal.num_values, 0.0);
+  EXPECT_THROW(AddBlocks(full, values.data(), diagonal, sums.data()), std::logic_error);
+  const BlockStructure other_sizes = SparseStructure({3, 2}, {{0, 1}, {1}});
+  EXPECT_THROW(AddBlocks(full, values.data(), other_sizes, sums.data()), std::logic_error);
+}
+
+}  // namespace
+}  // namespace bundle
