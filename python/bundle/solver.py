@@ -83,9 +83,8 @@ def solve(
         InputError: an option that does not exist, a camera model that is not supported, a fixed id
             that does not exist, options that exclude each other or the backend asked for, dense
             matrices beyond the memory of this machine, bounds of no camera, of another number of
-            parameters, or that exclude the start, a factor with an unknown key, numbers that do not
-            fit its variables, or no finite value at the start, or factors beside bounds, which no
-            backend takes yet.
+            parameters, or that exclude the start, or a factor with an unknown key, numbers that do
+            not fit its variables, or no finite value at the start.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
@@ -96,8 +95,6 @@ def solve(
         options = options.replace(gauge="none")
     options = resolve_defaults(problem, options)
     limits = None if bounds is None else CameraBounds.make(problem, bounds)
-    if known is not None and limits is not None:
-        raise InputError("bounds: expected none beside factors, found some")
     given = None if known is None else known.core()
     output = _core.solve(problem, options.asdict(), progress, limits, given)
     return _result(problem, options, output, limits)

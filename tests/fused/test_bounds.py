@@ -100,6 +100,18 @@ def test_same_steps_with_other_options(options):
     assert result.active_bounds
 
 
+def test_same_steps_with_factors():
+    problem = scenes.make_problem(shared=True, perturbation=3e-2, seed=7)
+    params = problem.camera_params[0]
+    factors = [
+        bundle.PriorFactor(("camera", 1), params + np.array([5, 0, 0, 0.01]), 1.0),
+        bundle.PriorFactor(("point", 3), problem.points[2], 100.0),
+    ]
+    bounds = around(problem, f=(1.0, 2.0))
+    result = assert_same_steps(problem, bounds, factors=factors, gauge="two_cameras")
+    assert result.active_bounds
+
+
 @pytest.mark.parametrize(
     ("strategy", "seed"), [("levenberg_marquardt", 2), ("levenberg_marquardt", 3), ("dogleg", 2)]
 )

@@ -165,7 +165,8 @@ class CeresSolve {
     }
     num_residuals_ += charted.num_residuals();
     factor_losses_.push_back(MakeLoss(factor.loss(), factor.loss_scale()));
-    costs_.push_back(MakeFactorCost(std::move(charted), states_, &abandonment_));
+    costs_.push_back(active_bounds_.Wrap(MakeFactorCost(std::move(charted), states_, &abandonment_),
+                                         factor_losses_.back().get(), blocks));
     ceres_problem_->AddResidualBlock(costs_.back().get(), factor_losses_.back().get(), blocks);
   }
 

@@ -180,4 +180,38 @@ void CameraFactors::AddProducts(const std::vector<double>& p, const std::vector<
   }
 }
 
+double CameraFactors::Slope(const CameraStates& cameras, const double* points,
+                            const std::vector<double>& step, const double* points_step) const {
+  double slope = 0;
+  std::vector<double> residual, jacobian;
+  const auto linearize = [&](const ChartedFactor& factor, const double* const* point) {
+    const auto rows = static_cast<size_t>(factor.num_residuals());
+    residual.resize(rows);
+    jacobian.resize(rows * static_cast<size_t>(factor.num_columns()));
+    if (!factor.Evaluate(cameras, point, residual.data(), jacobian.data())) slope = kNoValue;
+    ApplyLoss(factor.factor(), factor.num_columns(), residual.data(), jacobian.data());
+  };
+  for (const OfCameras& of : of_cameras_) {
+    linearize(of.factor, nullptr);
+    const double* row = jacobian.data();
+    for (const double r : residual) {
+      slope += r * Along(row, of.unknown, step);
+      row += of.unknown.size();
+    }
+  }
+  const std::vector<int> xyz = {0, 1, 2};
+  for (const OfPoint& of : of_points_) {
+    const double* const point = points + 3 * int64_t{of.point};
+    linearize(of.factor, &point);
+    const double* const d = points_step + 3 * int64_t{of.point};
+    const std::vector<double> point_step(d, d + 3);
+    const double* row = jacobian.data();
+    for (const double r : residual) {
+      slope += r * Along(row, xyz, point_step);
+      row += 3;
+    }
+  }
+  return slope;
+}
+
 }  // namespace bundle

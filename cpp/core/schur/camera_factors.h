@@ -54,6 +54,10 @@ class CameraFactors {
 
   double Cost(const CameraStates& cameras, const double* points) const;
 
+  /// d^T J^T r at a state, of a step of the camera parameters and one of the points.
+  double Slope(const CameraStates& cameras, const double* points, const std::vector<double>& step,
+               const double* points_step) const;
+
   /// -(J d)^T (r + J d / 2) of the camera parameters' factors.
   double ModelCostChange(const std::vector<double>& step) const;
   /// Adds the products of J p and J q of the camera parameters' factors.

@@ -335,7 +335,9 @@ double SchurProblem::SlopeAt(const State& state) {
     parts[c] = kernels_.slope(input_, state.records(), plan_.chunks[c], step_.records(),
                               points_line_.data(), Memory(thread));
   });
-  return std::accumulate(parts.begin(), parts.end(), 0.0);
+  return std::accumulate(
+      parts.begin(), parts.end(),
+      factors_.Slope(state.cameras(), state.points.data(), line_, points_line_.data()));
 }
 
 Candidate SchurProblem::Finish(const std::vector<double>& step, const CandidateSum& sum) {
