@@ -11,8 +11,9 @@ from tests.solve.test_observations_behind import crossing
 @pytest.mark.parametrize("backend", ["fused", "ceres"])
 def test_without_checks_the_solution_is_the_same(backend):
     problem = scenes.make_problem()
-    checked = bundle.solve(problem, backend=backend)
-    unchecked = bundle.solve(problem, backend=backend, check_solution=False)
+    options = {"backend": backend, "deterministic": True}
+    checked = bundle.solve(problem, **options)
+    unchecked = bundle.solve(problem, check_solution=False, **options)
     np.testing.assert_array_equal(unchecked.problem.points, checked.problem.points)
     assert checked.summary.num_information_nonzeros > 0
     assert unchecked.summary.num_information_nonzeros is None
