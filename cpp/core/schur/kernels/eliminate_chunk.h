@@ -9,7 +9,7 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Writes the records of a lanes and returns its cost.
+/// Writes the records of observations in lanes and returns their cost.
 inline double LinearizeLanes(const EliminationInput& input, const StateRecords& x,
                              const Strip& strip, const Lanes& lanes, const StripRecords& records) {
   const LaneState state(input, x, lanes, true);
