@@ -141,6 +141,16 @@ PYTHON_MAY_IMPORT = {
         "solve_record",
         "words",
     },
+    "rounds": {
+        "arguments",
+        "display",
+        "errors",
+        "io",
+        "option_fields",
+        "problem",
+        "reprojection",
+        "words",
+    },
     "check_defaults": set(),
     "checking": {
         "_core",
