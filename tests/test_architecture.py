@@ -85,7 +85,7 @@ PYTHON_MAY_IMPORT = {
     "worst_images": {"problem", "reprojection"},
     "solve_record": {"display", "options", "summary", "termination"},
     "problem_keys": {"cameras", "errors", "problem"},
-    "camera_bounds": {"arguments", "cameras", "errors", "problem", "problem_keys"},
+    "camera_bounds": {"arguments", "arrays", "cameras", "errors", "problem", "problem_keys"},
     "result": {
         "camera_bounds",
         "display",
