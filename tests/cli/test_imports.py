@@ -9,7 +9,10 @@ import pytest
 import bundle
 from tests.scenes import make_problem
 
-HEAVY = {"pycolmap", "matplotlib", "scipy", "bundle.synthetic", "bundle.html", "bundle.pictures"}
+HEAVY = {
+    *{"pycolmap", "matplotlib", "scipy", "pyproj", "exifread"},
+    *{"bundle.synthetic", "bundle.html", "bundle.pictures", "bundle.georeference"},
+}
 RUN = """
 import sys
 from bundle.cli.main import main
