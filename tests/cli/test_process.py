@@ -37,7 +37,7 @@ def test_a_process_searches_for_no_garbage_where_there_is_none():
         "from bundle.__main__ import run\n"
         "collections = []\n"
         "gc.callbacks.append(lambda phase, _: collections.append(phase))\n"
-        "counts = lambda: print(len(collections), gc.get_count()[0], gc.get_freeze_count())\n"
+        "counts = lambda: print(len(collections), gc.get_freeze_count())\n"
         "atexit.register(counts)\n"
         "sys.exit(run())\n"
     )
@@ -46,9 +46,9 @@ def test_a_process_searches_for_no_garbage_where_there_is_none():
         env=environment(), capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 2
-    collections, new, frozen = map(int, done.stdout.split())
+    collections, frozen = map(int, done.stdout.split())
     assert collections == 0
-    assert frozen > 10_000 > new
+    assert frozen > 1000  # what the interpreter still has at its end
 
 
 def test_help_shows_every_option_with_its_default(spawn):
