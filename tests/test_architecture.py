@@ -85,7 +85,7 @@ PYTHON_MAY_IMPORT = {
     "worst_images": {"problem", "reprojection"},
     "solve_record": {"display", "options", "summary", "termination"},
     "problem_keys": {"cameras", "errors", "problem"},
-    "camera_bounds": {"arguments", "cameras", "errors", "problem", "problem_keys"},
+    "camera_bounds": {"arguments", "arrays", "cameras", "errors", "problem", "problem_keys"},
     "result": {
         "camera_bounds",
         "display",
@@ -181,6 +181,7 @@ PYTHON_MAY_IMPORT = {
         "solve_record",
         "words",
     },
+    "georeference": {"errors", "option_fields"},
     "compare_defaults": {"memory_sizes"},
     "comparison": {
         "_core",
@@ -272,6 +273,8 @@ OUTSIDERS = {
     "rich": {"checking", "cli", "report", "summary", "tables"},
     "pycolmap": {"deferred_source", "io", "problem"},
     "matplotlib": {"pictures"},
+    "pyproj": {"georeference"},
+    "exifread": {"georeference"},
 }
 
 CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})
