@@ -23,15 +23,15 @@
 ///
 ///   d/dw = (q x a)^T J_l,    d/dt = a^T,    d/dX = a^T R,    d/dtheta as the model gives it.
 ///
-/// J_l(v) is singular where |v| is a multiple of 2 pi: turning by d across v, to first order, goes
-/// nowhere there. So a pose that a solve accepts at |v| > pi gets a new anchor,
+/// J_l(v) is singular at |v| = 2 pi: steps across v do not turn the image there, to first order. So
+/// a pose that a solve accepts at |v| > pi gets a new anchor,
 ///
 ///   w_a <- w,    R_a <- R,
 ///
 /// which changes neither w nor the pose, but makes v = 0 and J_l = I. Steps thus start where
-/// |v| <= pi. There the singular values of J_l, 1 and twice sin(|v|/2) / (|v|/2), are 2/pi at
-/// least. Where they lead, only the pose counts, so that a step may be of any length, and a solve
-/// may turn an image as often as it likes. While no image turns by more than pi nothing changes.
+/// |v| <= pi. There the singular values of J_l, 1 and twice sin(|v|/2) / (|v|/2), are at least
+/// 2/pi. A candidate needs its pose only, so that a step may have any length, and steps may add up
+/// to any number of turns. Until an image has turned by more than pi its anchor is its start.
 
 #include <cmath>
 #include <limits>

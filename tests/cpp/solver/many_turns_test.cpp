@@ -94,7 +94,7 @@ TEST(ManyTurns, BothBackendsTakeTheSameStepsToTheEnd) {
       EXPECT_NEAR(walk.Height(*output), kTarget[2], 1e-5);
       EXPECT_LT(walk.FactorCost(*output), 1e-9);
     }
-    EXPECT_GT(found.iterations.size(), 10u);
+    EXPECT_GT(found.iterations.size(), 5u);
     ASSERT_EQ(found.iterations.size(), expected.iterations.size());
     for (size_t i = 0; i < found.iterations.size(); ++i) {
       const IterationRecord &a = found.iterations[i], &b = expected.iterations[i];
@@ -125,7 +125,7 @@ TEST(ManyTurns, AFailedSolveEndsAtAStateThatItHad) {
     const SolveOptions options = Options(backend, TrustRegionStrategy::kLevenbergMarquardt);
     const SolveOutput output = walk.Solve(options, NoDerivativesBeyond);
     EXPECT_EQ(output.summary.termination_type, "FAILURE");
-    EXPECT_GT(output.summary.num_successful_steps, 10);
+    EXPECT_GT(output.summary.num_successful_steps, 2);
     if (backend == Backend::kCeres) {
       EXPECT_EQ(output.cam_from_world, walk.scene.cam_from_world);
     } else {
