@@ -13,7 +13,7 @@ from benchmarks.problems import ROOT, BenchmarkProblem
 
 OURS, THEIRS = "bundle refine", "pycolmap script"
 # What the installed command runs, without asking where it is installed.
-_REFINE = "import sys; from bundle.cli.main import main; sys.exit(main())"
+_REFINE = "import sys; from bundle.__main__ import run; sys.exit(run())"
 
 
 @dataclass(frozen=True)

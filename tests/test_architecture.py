@@ -171,6 +171,7 @@ PYTHON_MAY_IMPORT = {
         "solve_record",
         "words",
     },
+    "georeference": {"errors", "option_fields"},
     "compare_defaults": {"memory_sizes"},
     "comparison": {
         "_core",
@@ -262,6 +263,8 @@ OUTSIDERS = {
     "rich": {"checking", "cli", "report", "summary", "tables"},
     "pycolmap": {"deferred_source", "io", "problem"},
     "matplotlib": {"pictures"},
+    "pyproj": {"georeference"},
+    "exifread": {"georeference"},
 }
 
 CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ __all__ = [
     "as_integers",
     "check_function",
     "check_type",
+    "is_masked",
     "real_numbers",
 ]
 
@@ -35,7 +37,7 @@ def real_numbers(name: str, value: Any) -> NDArray[Any]:
     Raises:
         InputError: complex, masked, ragged or no numbers; the message begins with the name.
     """
-    if isinstance(value, np.ma.MaskedArray):
+    if is_masked(value):
         raise InputError(f"{name}: expected an array without a mask, found a masked one")
     try:
         given = np.asarray(value)
@@ -45,6 +47,12 @@ def real_numbers(name: str, value: Any) -> NDArray[Any]:
         found = brief(value) if given.ndim == 0 else f"an array of {given.dtype.name}"
         raise InputError(f"{name}: expected numbers, found {found}")
     return given
+
+
+def is_masked(value: Any) -> bool:
+    """Tell whether a value is a masked array; does not import ``numpy.ma``, which takes a while."""
+    masked = sys.modules.get("numpy.ma")  # without it there is no masked array
+    return masked is not None and isinstance(value, masked.MaskedArray)
 
 
 def check_function(name: str, value: Any) -> None:
@@ -69,7 +77,7 @@ def as_integers(argument: str, values: Any) -> NDArray[np.int64]:
         raise InputError(
             f"{argument}: expected an array of integers, found {brief(values)}"
         ) from None
-    if isinstance(values, np.ma.MaskedArray):
+    if is_masked(values):
         raise InputError(f"{argument}: expected an array without a mask, found a masked one")
     if array.size == 0:
         return np.zeros(array.shape, np.int64)

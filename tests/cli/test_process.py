@@ -5,6 +5,7 @@ import os
 import pty
 import signal
 import subprocess
+import sys
 import time
 
 import pytest
@@ -28,6 +29,26 @@ def test_help_and_version(spawn):
         code, out, err = spawn(name, "--help")
         assert (code, err) == (0, "")
         assert "default: " in out
+
+
+def test_a_process_searches_for_no_garbage_where_there_is_none():
+    program = (
+        "import atexit, gc, sys\n"
+        "from bundle.__main__ import run\n"
+        "collections = []\n"
+        "gc.callbacks.append(lambda phase, _: collections.append(phase))\n"
+        "counts = lambda: print(len(collections), gc.get_freeze_count())\n"
+        "atexit.register(counts)\n"
+        "sys.exit(run())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, "info", "/nowhere"],
+        env=environment(), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    collections, frozen = map(int, done.stdout.split())
+    assert collections == 0
+    assert frozen > 1000  # what the interpreter still has at its end
 
 
 def test_help_shows_every_option_with_its_default(spawn):

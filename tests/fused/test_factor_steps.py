@@ -1,5 +1,6 @@
 """Factors beside the observations: both backends take the same steps, which are the right ones."""
 
+import collections
 import functools
 
 import numpy as np
@@ -44,6 +45,14 @@ HELD = {
         "fixed_point_ids": (3, 5, 8),
     },
 }
+# How far below and above the start, by the first letter of a parameter's name: f or k.
+BOUNDS = {
+    "none": None,
+    "focal lengths": {"f": (0.3, 0.5)},
+    "distortion": {"k": (2e-4, 1e-4), "p": (1e-4, 1e-4)},
+    "out of reach": {"f": (300, 3000), "k": (10, 10)},
+    "start on a bound": {"f": (0, 1), "k": (1e-3, 0)},
+}
 FACTORS = {
     "kind": KINDS,
     "scene": SCENES,
@@ -51,6 +60,7 @@ FACTORS = {
     "solver": tuple(SOLVERS),
     "trust region": ("levenberg_marquardt", "dogleg", "subspace_dogleg"),
     "held": tuple(HELD),
+    "bounds": tuple(BOUNDS),
 }
 
 
@@ -179,6 +189,21 @@ class Maker:
             yield from getattr(self, kind)()
 
 
+def bounds_of(problem, row):
+    """Of every camera but the second, if there are more; None for none."""
+    if BOUNDS[row["bounds"]] is None:
+        return None
+    bounds = {}
+    for camera in {0, *range(2, problem.num_cameras)}:
+        names = bundle.camera_models()[problem.camera_models[camera]]
+        params = problem.camera_params[camera, : len(names)]
+        below, above = np.transpose(
+            [BOUNDS[row["bounds"]].get(name[0], (np.inf, np.inf)) for name in names]
+        )
+        bounds["camera", int(problem.camera_ids[camera])] = params - below, params + above
+    return bounds
+
+
 def factors_of(problem, row):
     return list(getattr(Maker(problem, row["loss"]), row["kind"])())
 
@@ -191,6 +216,7 @@ def solves(number):
     factors = factors_of(problem, row)
     solver, preconditioner = SOLVERS[row["solver"]]
     options = {
+        "bounds": bounds_of(problem, row),
         "linear_solver_type": solver,
         "preconditioner_type": preconditioner,
         "trust_region_strategy_type": row["trust region"],
@@ -235,6 +261,10 @@ def num_comparable(number):
     return n if same.all() else int(np.argmin(same))
 
 
+def is_comparable_to_the_end(number):
+    return num_comparable(number) == len(solves(number)[0].iterations["cost"])
+
+
 @pytest.mark.parametrize("number", range(len(ROWS)), ids=lambda n: "-".join(ROWS[n].values()))
 def test_same_steps_as_ceres(number):
     expected, _, found = solves(number)
@@ -251,19 +281,47 @@ def test_same_steps_as_ceres(number):
         assert getattr(found.summary, name) == getattr(expected.summary, name), name
     assert found.summary.fixed_cost == pytest.approx(expected.summary.fixed_cost, rel=1e-12)
     np.testing.assert_allclose(found.factor_costs_before, expected.factor_costs_before, rtol=1e-12)
+    if is_comparable_to_the_end(number):
+        assert found.active_bounds == expected.active_bounds
+
+
+def reached_bounds(number):
+    """Bounds on which both backends end and no parameter starts, as far as they are comparable."""
+    row, (expected, other, found) = ROWS[number], solves(number)
+    if not is_comparable_to_the_end(number):
+        return set()
+    problem = expected.initial_problem
+    ends = set(found.active_bounds) & set(expected.active_bounds) & set(other.active_bounds)
+    assert bool(ends) <= (row["bounds"] not in ("none", "out of reach"))
+    bounds, ids = bounds_of(problem, row), problem.camera_ids.tolist()
+    reached = set()
+    for key, name, side in ends:
+        camera = ids.index(key[1])
+        j = bundle.camera_models()[problem.camera_models[camera]].index(name)
+        if problem.camera_params[camera, j] != bounds[key][side == "upper"][j]:
+            reached.add((key, name, side))
+    return reached
 
 
 def test_the_design_compares_what_it_says():
     numbers = range(len(ROWS))
     assert len(ROWS) < 90
     ends = [len(solves(n)[0].iterations["cost"]) for n in numbers]
-    assert np.mean([num_comparable(n) == end for n, end in zip(numbers, ends, strict=True)]) > 0.7
+    assert np.mean([is_comparable_to_the_end(n) for n in numbers]) > 0.8
     assert min(ends) > 3
     # Factors matter: they are a good part of the cost.
     shares = [
         solves(n)[0].factor_costs_before.sum() / solves(n)[0].summary.initial_cost for n in numbers
     ]
     assert np.median(shares) > 0.005
+    # So do bounds: steps end on some of them, with every solver, trust region and kind of factor.
+    active = [ROWS[n] for n in numbers if reached_bounds(n)]
+    assert len(active) > 0.4 * len(ROWS)
+    for name in ("kind", "scene", "loss", "solver", "trust region"):
+        counts = collections.Counter(row[name] for row in active)
+        assert min(counts[value] for value in FACTORS[name]) > 1, name
+    bounds = collections.Counter(row["bounds"] for row in active)
+    assert min(bounds[name] for name in ("focal lengths", "distortion", "start on a bound")) > 5
 
 
 def residuals(problem, factors, x):

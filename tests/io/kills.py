@@ -1,5 +1,6 @@
 """A process that kills itself before the n-th operation on the file system."""
 
+import itertools
 import os
 import signal
 import sys
@@ -18,14 +19,12 @@ def killed_before(operation: int, work: Callable[[], None]) -> bool:
     sys.stdout.flush()
     child = os.fork()
     if child == 0:
-        count = 0
+        count = itertools.count()  # for all threads
 
         def counted(call):
             def kill_or_call(*arguments, **settings):
-                nonlocal count
-                if count == operation:
+                if next(count) == operation:
                     os.kill(os.getpid(), signal.SIGKILL)
-                count += 1
                 return call(*arguments, **settings)
 
             return kill_or_call

@@ -55,6 +55,23 @@ def test_a_focal_length_ends_on_its_bound_and_all_else_at_its_optimum(backend, s
     assert "f of camera 1" in repr(result)
 
 
+def test_the_rounding_of_a_qr_factorisation_takes_nothing_off_its_bound():
+    """Its numbers are off by 1e-9 where derivatives are zero: enough to be no longer on a bound."""
+    problem = scenes.make_problem(num_images=6, perturbation=2e-2)
+    bounds = {}
+    for camera in range(6):
+        f, _, _, k = problem.camera_params[camera]
+        bounds |= with_bounds(problem, camera, f=(f - 0.3, f + 0.5), k=(k - 2e-4, k + 1e-4))
+    settings = {"backend": "ceres", "gauge": "two_cameras", "function_tolerance": 1e-14}
+    expected, found = (
+        bundle.solve(problem, bounds=bounds, linear_solver_type=solver, **settings)
+        for solver in ("dense_normal_cholesky", "dense_qr")
+    )
+    assert len(expected.active_bounds) > 6
+    assert found.active_bounds == expected.active_bounds
+    assert found.summary.final_cost == pytest.approx(expected.summary.final_cost, rel=1e-10)
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_equal_bounds_hold_one_parameter(backend):
     problem = scenes.make_problem(perturbation=2e-2)

@@ -11,10 +11,15 @@
 /// Ceres asks for derivatives at each new state, and before that we find the active numbers by the
 /// gradient; then costs have no derivatives by them, so that no step moves them and the model
 /// expects nothing of it.
+///
+/// DENSE_QR finds a number without derivatives up to rounding only, which the small damping of its
+/// row magnifies: it would leave its bound by 1e-9 and no longer be active. There active numbers
+/// are kept by a manifold too.
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <unordered_map>
 #include <utility>
@@ -29,8 +34,8 @@ namespace bundle {
 class ActiveBounds {
  public:
   /// Sets the bounds of a parameter block of the problem, at whose numbers Ceres evaluates. Before
-  /// any cost is wrapped.
-  void Add(ceres::Problem* problem, double* data, StateBounds bounds) {
+  /// any cost is wrapped. `inexact`: steps may move what has no derivatives.
+  void Add(ceres::Problem* problem, double* data, StateBounds bounds, bool inexact) {
     bool has_bound = false;
     for (size_t k = 0; k < bounds.lower.size(); ++k) {
       const int index = static_cast<int>(k);
@@ -44,6 +49,10 @@ class ActiveBounds {
     const size_t size = bounds.lower.size();
     place_[data] = static_cast<int>(blocks_.size());
     blocks_.push_back({data, std::move(bounds), std::vector<uint8_t>(size), {}});
+    if (!inexact) return;
+    manifolds_.push_back(
+        std::make_unique<Keep>(*this, blocks_.size() - 1, problem->GetManifold(data)));
+    problem->SetManifold(data, manifolds_.back().get());
   }
 
   /// The cost without derivatives by active numbers; itself where none of its parameter blocks has
@@ -150,7 +159,62 @@ class ActiveBounds {
     const ActiveBounds& active_;
   };
 
+  /// A manifold, or nullptr for none, whose active numbers stay.
+  class Keep final : public ceres::Manifold {
+   public:
+    Keep(const ActiveBounds& active, size_t block, const ceres::Manifold* manifold)
+        : active_(active),
+          block_(block),
+          size_(static_cast<int>(active.blocks_[block].is_active.size())),
+          manifold_(manifold) {}
+
+    int AmbientSize() const override { return size_; }
+    int TangentSize() const override {
+      return manifold_ != nullptr ? manifold_->TangentSize() : size_;
+    }
+
+    bool Plus(const double* x, const double* delta, double* x_plus_delta) const override {
+      if (manifold_ != nullptr) {
+        if (!manifold_->Plus(x, delta, x_plus_delta)) return false;
+      } else {
+        std::transform(x, x + size_, delta, x_plus_delta, std::plus<>());
+      }
+      const std::vector<uint8_t>& is_active = active_.blocks_[block_].is_active;
+      for (int k = 0; k < size_; ++k) {
+        if (is_active[k] != 0) x_plus_delta[k] = x[k];
+      }
+      return true;
+    }
+
+    bool PlusJacobian(const double* x, double* jacobian) const override {
+      return manifold_ != nullptr ? manifold_->PlusJacobian(x, jacobian) : SetIdentity(jacobian);
+    }
+
+    bool Minus(const double* y, const double* x, double* y_minus_x) const override {
+      if (manifold_ != nullptr) return manifold_->Minus(y, x, y_minus_x);
+      std::transform(y, y + size_, x, y_minus_x, std::minus<>());
+      return true;
+    }
+
+    bool MinusJacobian(const double* x, double* jacobian) const override {
+      return manifold_ != nullptr ? manifold_->MinusJacobian(x, jacobian) : SetIdentity(jacobian);
+    }
+
+   private:
+    bool SetIdentity(double* matrix) const {
+      std::fill_n(matrix, size_ * size_, 0.0);
+      for (int k = 0; k < size_; ++k) matrix[k * size_ + k] = 1;
+      return true;
+    }
+
+    const ActiveBounds& active_;
+    const size_t block_;
+    const int size_;
+    const ceres::Manifold* const manifold_;
+  };
+
   std::vector<Block> blocks_;
+  std::vector<std::unique_ptr<Keep>> manifolds_;
   std::unordered_map<const double*, int> place_;  ///< in blocks_, of a parameter block's numbers
   std::vector<const Cost*> costs_;
 };

@@ -233,7 +233,7 @@ CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
       problem_->SetParameterBlockConstant(data);
       continue;
     }
-    active_bounds_.Add(problem_.get(), data, {block.lower, block.upper});
+    active_bounds_.Add(problem_.get(), data, {block.lower, block.upper}, /*inexact=*/false);
   }
   for (const auto& factor : graph.factors) {
     losses_.push_back(MakeLoss(factor->loss(), factor->loss_scale()));

@@ -149,6 +149,7 @@ class CeresSolve {
     ceres::Problem::Options problem_options;
     problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
     problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+    problem_options.manifold_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
     problem_options.disable_all_safety_checks = true;  // the layout makes every block once
     problem_options.evaluation_callback = &update_states_;
     ceres_problem_ = std::make_unique<ceres::Problem>(problem_options);
@@ -202,13 +203,14 @@ class CeresSolve {
   void AddBounds() {
     const StateBounds bounds = layout_.Bounds(problem_);
     if (bounds.empty()) return;
+    const bool inexact = options_.linear_solver_type == LinearSolverType::kDenseQr;
     for (const CameraBlock& block : layout_.blocks()) {
       const auto part = [&](const std::vector<double>& of) {
         const auto first = of.begin() + block.offset;
         return std::vector<double>(first, first + block.size);
       };
       active_bounds_.Add(ceres_problem_.get(), state_.data() + block.offset,
-                         {part(bounds.lower), part(bounds.upper)});
+                         {part(bounds.lower), part(bounds.upper)}, inexact);
     }
   }
 

@@ -17,6 +17,7 @@
 #include <cstring>
 #include <string>
 
+#include "core/cameras/registry.h"
 #include "core/io/colmap_index.h"
 
 namespace bundle {
@@ -121,9 +122,9 @@ void ScanCameras(ColmapIndex* index) {
     const auto model_id = reader.Read<int32_t>("a camera model id");
     const CameraModel* model = FindColmapCameraModel(model_id);
     if (model == nullptr) {
-      index->cameras_file.Fail(
-          at + 4,
-          subject + ": expected a camera model id from 0 to 17, found " + std::to_string(model_id));
+      index->cameras_file.Fail(at + 4, subject + ": expected a camera model id from 0 to " +
+                                           std::to_string(kNumCameraModels - 1) + ", found " +
+                                           std::to_string(model_id));
     }
     const auto width = reader.Read<uint64_t>("an image width");
     const auto height = reader.Read<uint64_t>("an image height");

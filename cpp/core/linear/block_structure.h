@@ -116,7 +116,7 @@ class SymmetricProduct {
 
  private:
   /// Consecutive block columns and the rows that they reach.
-  struct Slice {
+  struct ColumnRange {
     int begin_block = 0;
     int end_block = 0;
     int begin_row = 0;
@@ -126,13 +126,13 @@ class SymmetricProduct {
     std::vector<double> panel_y;
   };
 
-  void MakeSlices();
-  void MultiplySlice(const double* values, const double* x, Slice* slice) const;
-  void MultiplyPanel(const double* values, int block, const double* x, Slice* slice) const;
+  void MakeRanges();
+  void MultiplyRange(const double* values, const double* x, ColumnRange* range) const;
+  void MultiplyPanel(const double* values, int block, const double* x, ColumnRange* range) const;
 
   const BlockStructure& structure_;
   ThreadPool pool_;
-  std::vector<Slice> slices_;
+  std::vector<ColumnRange> ranges_;
 };
 
 }  // namespace bundle

@@ -157,28 +157,28 @@ void CoarseSpace::CollectTerms() {
 }
 
 bool CoarseSpace::Factorize(const BlockSystem& system) {
-  constexpr int64_t kSlices = 64;
+  constexpr int64_t kRanges = 64;
   ParallelFor(
       coarse_.num_blocks(), num_threads_,
       [&](int64_t begin, int64_t end) {
         for (int64_t c = begin; c < end; ++c) MakeDirections(system, static_cast<int>(c));
       },
-      /*min_slice=*/50);
+      /*min_range=*/50);
   std::fill(values_.begin(), values_.end(), 0.0);
   const auto num_terms = static_cast<int64_t>(input_.size());
-  const auto first_entry = [&](int64_t slice) {
+  const auto first_entry = [&](int64_t range) {
     return std::lower_bound(term_begin_.begin(), term_begin_.end() - 1,
-                            num_terms * slice / kSlices) -
+                            num_terms * range / kRanges) -
            term_begin_.begin();
   };
   ParallelFor(
-      kSlices, num_terms < 1000 ? 1 : num_threads_,
+      kRanges, num_terms < 1000 ? 1 : num_threads_,
       [&](int64_t begin, int64_t end) {
         for (int64_t e = first_entry(begin); e < first_entry(end); ++e) {
           ProjectEntry(system.values, coarse_column_[e], e);
         }
       },
-      /*min_slice=*/1);
+      /*min_range=*/1);
   return cholesky_->Factorize(values_.data()) == 0;
 }
 

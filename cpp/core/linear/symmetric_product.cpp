@@ -8,8 +8,8 @@
 /// memory. Rows go some at a time, so as to leave x and y in L1 while three columns of values
 /// stream by.
 ///
-/// Block columns are cut into slices of equally many values. A slice adds into a vector of its own,
-/// as long as the rows that it reaches; these vectors are then added in order. The slices are the
+/// Block columns are cut into ranges of equally many values. A range adds into a vector of its own,
+/// as long as the rows that it reaches; these vectors are then added in order. The ranges are the
 /// same for any number of threads, and so is every bit of y.
 
 #include <algorithm>
@@ -23,8 +23,8 @@
 namespace bundle {
 namespace {
 
-constexpr int kMaxSlices = 16;
-constexpr int64_t kMinSliceValues = 20000;
+constexpr int kMaxRanges = 16;
+constexpr int64_t kMinRangeValues = 20000;
 constexpr int kRowsAtATime = 1024;
 constexpr int kLanes = 4;
 using Lanes = double __attribute__((vector_size(kLanes * sizeof(double))));
@@ -72,14 +72,14 @@ void MultiplyDiagonalBlock(const double* values, int64_t stride, int size, const
   }
 }
 
-int64_t CountSlices(const BlockStructure& structure) {
-  return std::clamp<int64_t>(structure.num_values / kMinSliceValues, 1, kMaxSlices);
+int64_t CountRanges(const BlockStructure& structure) {
+  return std::clamp<int64_t>(structure.num_values / kMinRangeValues, 1, kMaxRanges);
 }
 
-/// No more than there are slices.
+/// No more than there are ranges.
 int CountThreads(const BlockStructure& structure, int num_threads) {
   return static_cast<int>(
-      std::min<int64_t>(EffectiveNumThreads(num_threads), CountSlices(structure)));
+      std::min<int64_t>(EffectiveNumThreads(num_threads), CountRanges(structure)));
 }
 
 int PanelRows(const BlockStructure& structure, int j) {
@@ -91,63 +91,64 @@ int PanelRows(const BlockStructure& structure, int j) {
 
 SymmetricProduct::SymmetricProduct(const BlockStructure& structure, int num_threads)
     : structure_(structure), pool_(CountThreads(structure, num_threads)) {
-  MakeSlices();
+  MakeRanges();
 }
 
-void SymmetricProduct::MakeSlices() {
+void SymmetricProduct::MakeRanges() {
   const int num_blocks = structure_.num_blocks();
   const int64_t num_values = structure_.num_values;
-  const int64_t num_slices = CountSlices(structure_);
+  const int64_t num_ranges = CountRanges(structure_);
   int64_t values_before = 0;
   for (int j = 0; j < num_blocks; ++j) {
-    const auto slices = static_cast<int64_t>(slices_.size());
-    if (slices == 0 || values_before >= num_values * slices / num_slices) {
-      slices_.emplace_back();
-      slices_.back().begin_block = j;
-      slices_.back().begin_row = structure_.offset[j];
+    const auto ranges = static_cast<int64_t>(ranges_.size());
+    if (ranges == 0 || values_before >= num_values * ranges / num_ranges) {
+      ranges_.emplace_back();
+      ranges_.back().begin_block = j;
+      ranges_.back().begin_row = structure_.offset[j];
     }
-    Slice& slice = slices_.back();
+    ColumnRange& range = ranges_.back();
     const int rows = PanelRows(structure_, j);
     const int last_block = structure_.row_block[structure_.column_begin[j + 1] - 1];
-    slice.end_block = j + 1;
-    slice.end_row = std::max(slice.end_row, structure_.offset[last_block + 1]);
-    slice.panel_x.resize(std::max<size_t>(slice.panel_x.size(), rows));
+    range.end_block = j + 1;
+    range.end_row = std::max(range.end_row, structure_.offset[last_block + 1]);
+    range.panel_x.resize(std::max<size_t>(range.panel_x.size(), rows));
     values_before += static_cast<int64_t>(rows) * structure_.block_size(j);
   }
-  for (Slice& slice : slices_) {
-    slice.sum.resize(slice.end_row - slice.begin_row);
-    slice.panel_y.resize(slice.panel_x.size());
+  for (ColumnRange& range : ranges_) {
+    range.sum.resize(range.end_row - range.begin_row);
+    range.panel_y.resize(range.panel_x.size());
   }
 }
 
 void SymmetricProduct::Multiply(const std::vector<double>& values, const double* x, double* y) {
-  const auto num_slices = static_cast<int>(slices_.size());
+  const auto num_ranges = static_cast<int>(ranges_.size());
   pool_.Run([&](int thread) {
-    const int end = num_slices * (thread + 1) / pool_.num_threads();
-    for (int s = num_slices * thread / pool_.num_threads(); s < end; ++s) {
-      MultiplySlice(values.data(), x, &slices_[s]);
+    const int end = num_ranges * (thread + 1) / pool_.num_threads();
+    for (int s = num_ranges * thread / pool_.num_threads(); s < end; ++s) {
+      MultiplyRange(values.data(), x, &ranges_[s]);
     }
   });
   std::fill(y, y + structure_.num_columns(), 0.0);
-  for (const Slice& slice : slices_) {
-    double* rows = y + slice.begin_row;
-    for (size_t i = 0; i < slice.sum.size(); ++i) rows[i] += slice.sum[i];
+  for (const ColumnRange& range : ranges_) {
+    double* rows = y + range.begin_row;
+    for (size_t i = 0; i < range.sum.size(); ++i) rows[i] += range.sum[i];
   }
 }
 
-void SymmetricProduct::MultiplySlice(const double* values, const double* x, Slice* slice) const {
-  std::fill(slice->sum.begin(), slice->sum.end(), 0.0);
-  for (int j = slice->begin_block; j < slice->end_block; ++j) MultiplyPanel(values, j, x, slice);
+void SymmetricProduct::MultiplyRange(const double* values, const double* x,
+                                     ColumnRange* range) const {
+  std::fill(range->sum.begin(), range->sum.end(), 0.0);
+  for (int j = range->begin_block; j < range->end_block; ++j) MultiplyPanel(values, j, x, range);
 }
 
 void SymmetricProduct::MultiplyPanel(const double* values, int block, const double* x,
-                                     Slice* slice) const {
+                                     ColumnRange* range) const {
   const BlockStructure& s = structure_;
   const int size = s.block_size(block);
   const int64_t stride = s.panel_stride[block];
   const double* panel = values + s.panel_begin[block];
   const double* x_j = x + s.offset[block];
-  double* y_j = &slice->sum[s.offset[block] - slice->begin_row];
+  double* y_j = &range->sum[s.offset[block] - range->begin_row];
   MultiplyDiagonalBlock(panel, stride, size, x_j, y_j);
 
   // Gathered from the diagonal block's end on.
@@ -155,14 +156,14 @@ void SymmetricProduct::MultiplyPanel(const double* values, int block, const doub
   const int64_t last = s.column_begin[block + 1];
   for (int64_t e = first; e < last; ++e) {
     const int row = s.offset[s.row_block[e]];
-    std::copy_n(x + row, s.block_size(s.row_block[e]), &slice->panel_x[s.row_in_panel[e]]);
+    std::copy_n(x + row, s.block_size(s.row_block[e]), &range->panel_x[s.row_in_panel[e]]);
   }
   const int rows = PanelRows(s, block);
-  std::fill_n(slice->panel_y.begin(), rows, 0.0);
+  std::fill_n(range->panel_y.begin(), rows, 0.0);
   for (int begin = size; begin < rows; begin += kRowsAtATime) {
     const int count = std::min(kRowsAtATime, rows - begin);
-    const double* rows_x = slice->panel_x.data() + begin;
-    double* rows_y = slice->panel_y.data() + begin;
+    const double* rows_x = range->panel_x.data() + begin;
+    double* rows_y = range->panel_y.data() + begin;
     int c = 0;
     for (; c + 3 <= size; c += 3) {
       MultiplyColumns<3>(panel + c * stride + begin, stride, count, x_j + c, rows_x, rows_y,
@@ -174,8 +175,8 @@ void SymmetricProduct::MultiplyPanel(const double* values, int block, const doub
     }
   }
   for (int64_t e = first; e < last; ++e) {
-    double* y_rows = &slice->sum[s.offset[s.row_block[e]] - slice->begin_row];
-    const double* panel_rows = &slice->panel_y[s.row_in_panel[e]];
+    double* y_rows = &range->sum[s.offset[s.row_block[e]] - range->begin_row];
+    const double* panel_rows = &range->panel_y[s.row_in_panel[e]];
     for (int r = 0; r < s.block_size(s.row_block[e]); ++r) y_rows[r] += panel_rows[r];
   }
 }

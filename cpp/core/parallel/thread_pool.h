@@ -1,6 +1,6 @@
 #pragma once
 
-/// Threads: loops over slices, a pool that lives as long as a solver, and exceptions across both.
+/// Threads: loops over ranges, a pool that lives as long as a solver, and exceptions across both.
 
 #include <algorithm>
 #include <atomic>
@@ -47,18 +47,18 @@ void RunOnThreads(int64_t count, const std::function<void(int64_t)>& run);
 /// How many threads, up to `wanted`, the system starts at the moment; the caller's counts.
 int CountStartableThreads(int wanted);
 
-/// Calls function(begin, end) on consecutive slices of [0, count), one per thread. Ranges below
-/// `min_slice` are not worth a thread and run here. Exceptions as in RunOnThreads.
+/// Calls function(begin, end) on consecutive ranges of [0, count), one per thread. Ranges below
+/// `min_range` are not worth a thread and run here. Exceptions as in RunOnThreads.
 template <typename Function>
 void ParallelFor(int64_t count, int num_threads, const Function& function,
-                 int64_t min_slice = 10000) {
-  const int64_t slices =
-      std::clamp<int64_t>(count / min_slice, 1, EffectiveNumThreads(num_threads));
-  if (slices == 1) return function(int64_t{0}, count);
+                 int64_t min_range = 10000) {
+  const int64_t ranges =
+      std::clamp<int64_t>(count / min_range, 1, EffectiveNumThreads(num_threads));
+  if (ranges == 1) return function(int64_t{0}, count);
   // Quotient and remainder apart: count * s may be beyond 64 bits.
-  const int64_t each = count / slices, rest = count % slices;
-  const auto begin = [&](int64_t s) { return each * s + rest * s / slices; };
-  RunOnThreads(slices, [&](int64_t s) { function(begin(s), begin(s + 1)); });
+  const int64_t each = count / ranges, rest = count % ranges;
+  const auto begin = [&](int64_t s) { return each * s + rest * s / ranges; };
+  RunOnThreads(ranges, [&](int64_t s) { function(begin(s), begin(s + 1)); });
 }
 
 /// Threads that live as long as a solve. A pass of a small problem takes less time than starting a

@@ -190,7 +190,7 @@ class Planner {
             if (plan_.chunks[c].last_row == 0) SortChunk(&plan_.chunks[c]);
           }
         },
-        /*min_slice=*/8);
+        /*min_range=*/8);
   }
 
   /// Sorts images and pairs, so that a chunk is added to S forwards.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import signal
 import sys
@@ -51,6 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             release_broken_streams()
     if argv is None:  # nothing is left but the interpreter's end, which may take a moment
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        gc.freeze()  # the interpreter need not search for garbage what the system takes back
     return code
 
 

@@ -29,7 +29,7 @@ from pathlib import Path
 
 from bundle.errors import InputError, shown
 from bundle.io import exchange, in_place
-from bundle.io.flush import flush, flush_folder
+from bundle.io.flush import flush, flush_folder, flush_with_files
 from bundle.io.interrupts import interrupts_deferred
 from bundle.io.model_files import MODEL_FILES, missing_model_files
 from bundle.io.mounts import mount_points
@@ -186,8 +186,7 @@ def replace_folder(path: Path) -> Iterator[Path]:
         yield new
         for file in new.iterdir():
             _take_over_file(target / file.name, file)
-            flush(file)
-        flush_folder(new)
+        flush_with_files(new)
         with interrupts_deferred():
             if exists or not exchange.move_new_folder(new, target):
                 _replace_existing(target, temporary, beside)

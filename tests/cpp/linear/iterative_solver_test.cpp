@@ -254,7 +254,7 @@ TEST(IterativeSolver, SolvesASystemWithoutBlocks) {
   }
 }
 
-/// Many slices, pieces and block sizes; half the block pairs. No solver could solve it.
+/// Many ranges of columns and block sizes; half the block pairs. No solver could solve it.
 RandomSystem MakeLargeSystem() {
   RandomSystem system;
   system.sizes = RandomSizes(120, 9);

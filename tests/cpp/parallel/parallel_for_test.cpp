@@ -18,42 +18,42 @@
 namespace bundle {
 namespace {
 
-/// The slices that ParallelFor makes, ascending.
-std::set<std::pair<int64_t, int64_t>> Slices(int64_t count, int num_threads, int64_t min_slice) {
+/// The ranges that ParallelFor makes, ascending.
+std::set<std::pair<int64_t, int64_t>> Ranges(int64_t count, int num_threads, int64_t min_range) {
   std::mutex mutex;
-  std::set<std::pair<int64_t, int64_t>> slices;
+  std::set<std::pair<int64_t, int64_t>> ranges;
   ParallelFor(
       count, num_threads,
       [&](int64_t begin, int64_t end) {
         const std::lock_guard<std::mutex> lock(mutex);
-        slices.emplace(begin, end);
+        ranges.emplace(begin, end);
       },
-      min_slice);
-  return slices;
+      min_range);
+  return ranges;
 }
 
-TEST(ParallelFor, CutsIntoConsecutiveSlices) {
+TEST(ParallelFor, CutsIntoConsecutiveRanges) {
   using Set = std::set<std::pair<int64_t, int64_t>>;
-  EXPECT_EQ(Slices(10, 3, 1), (Set{{0, 3}, {3, 6}, {6, 10}}));
-  EXPECT_EQ(Slices(10, 3, 6), (Set{{0, 10}}));
-  EXPECT_EQ(Slices(0, 3, 1), (Set{{0, 0}}));
+  EXPECT_EQ(Ranges(10, 3, 1), (Set{{0, 3}, {3, 6}, {6, 10}}));
+  EXPECT_EQ(Ranges(10, 3, 6), (Set{{0, 10}}));
+  EXPECT_EQ(Ranges(0, 3, 1), (Set{{0, 0}}));
   constexpr int64_t kMost = std::numeric_limits<int64_t>::max();
-  const auto slices = Slices(kMost, 7, 1);
-  EXPECT_EQ(slices.size(), 7u);
-  EXPECT_EQ(slices.begin()->first, 0);
-  EXPECT_EQ(slices.rbegin()->second, kMost);
+  const auto ranges = Ranges(kMost, 7, 1);
+  EXPECT_EQ(ranges.size(), 7u);
+  EXPECT_EQ(ranges.begin()->first, 0);
+  EXPECT_EQ(ranges.rbegin()->second, kMost);
   int64_t last = 0;
-  for (const auto& [begin, end] : slices) {
+  for (const auto& [begin, end] : ranges) {
     EXPECT_EQ(begin, last);
     last = end;
   }
 }
 
-TEST(ParallelFor, ThrowsWhatASliceThrewWhenAllHaveEnded) {
+TEST(ParallelFor, ThrowsWhatARangeThrewWhenAllHaveEnded) {
   for (int64_t bad = 0; bad < 4; ++bad) {
     std::atomic<int> ended{0};
-    const auto run = [&](int64_t slice) {
-      if (slice == bad) throw std::runtime_error("slice " + std::to_string(slice));
+    const auto run = [&](int64_t range) {
+      if (range == bad) throw std::runtime_error("range " + std::to_string(range));
       std::this_thread::sleep_for(std::chrono::milliseconds(5));
       ++ended;
     };
@@ -61,7 +61,7 @@ TEST(ParallelFor, ThrowsWhatASliceThrewWhenAllHaveEnded) {
       RunOnThreads(4, run);
       FAIL() << "nothing was thrown";
     } catch (const std::runtime_error& error) {
-      EXPECT_EQ(error.what(), "slice " + std::to_string(bad));
+      EXPECT_EQ(error.what(), "range " + std::to_string(bad));
     }
     EXPECT_EQ(ended, 3);
   }
@@ -71,7 +71,7 @@ TEST(ParallelFor, ThrowsWhatASliceThrewWhenAllHaveEnded) {
 TEST(ParallelFor, RunsHereWhatHasNoThread) {
   const testing::NoThreads none;
   std::vector<int64_t> ran;  // by this thread alone, so it needs no lock
-  RunOnThreads(4, [&](int64_t slice) { ran.push_back(slice); });
+  RunOnThreads(4, [&](int64_t range) { ran.push_back(range); });
   EXPECT_EQ(ran, (std::vector<int64_t>{0, 1, 2, 3}));
   EXPECT_EQ(CountStartableThreads(4), 1);
 }

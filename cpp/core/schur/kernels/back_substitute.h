@@ -20,19 +20,19 @@ namespace bundle::BUNDLE_ISA {
 inline constexpr int kStepRecord = 12;
 
 inline void LinearizeAlong(const EliminationInput& input, const StateRecords& x, const Strip& strip,
-                           const Batch& batch, const StepRecords& step, const StepRecords* other,
+                           const Lanes& lanes, const StepRecords& step, const StepRecords* other,
                            double* records) {
-  const LaneState state(input, x, batch, true);
-  const LaneResiduals residuals(input, x, state, batch, true);
+  const LaneState state(input, x, lanes, true);
+  const LaneResiduals residuals(input, x, state, lanes, true);
   double* out[kLanes];
   double discarded[kStepRecord];
   for (int lane = 0; lane < kLanes; ++lane) {
-    const int64_t slot = batch.observation[lane] - strip.begin;
-    out[lane] = lane < batch.count ? records + slot * kStepRecord : discarded;
+    const int64_t slot = lanes.observation[lane] - strip.begin;
+    out[lane] = lane < lanes.count ? records + slot * kStepRecord : discarded;
   }
   Pack along[4] = {0.0, 0.0, 0.0, 0.0};
-  residuals.Along(input, step, batch, state, along);
-  if (other != nullptr) residuals.Along(input, *other, batch, state, along + 2);
+  residuals.Along(input, step, lanes, state, along);
+  if (other != nullptr) residuals.Along(input, *other, lanes, state, along + 2);
   for (int row = 0; row < 2; ++row) {
     Pack d_point[3];
     residuals.ChainPoint(state, row, d_point);
@@ -56,9 +56,9 @@ inline void BackSubstitute(const PointBlock& block, const double* records, int64
 inline double CandidateCost(const EliminationInput& input, const StateRecords& x,
                             const Strip& strip) {
   double cost = 0;
-  VisitBatches(input, strip, [&](const Batch& batch) {
-    const LaneState state(input, x, batch, false);
-    cost += Sum(LaneResiduals(input, x, state, batch, false).rho, batch.count);
+  VisitLanes(input, strip, [&](const Lanes& lanes) {
+    const LaneState state(input, x, lanes, false);
+    cost += Sum(LaneResiduals(input, x, state, lanes, false).rho, lanes.count);
   });
   return 0.5 * cost;
 }
@@ -80,8 +80,8 @@ inline void EvaluateNewtonStep(const EliminationInput& input, const StateRecords
   PointBlock blocks[kStripPoints];
   for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
     const Strip strip(input, point, chunk.last_point);
-    VisitBatches(input, strip, [&](const Batch& batch) {
-      LinearizeAlong(input, x, strip, batch, step, nullptr, memory);
+    VisitLanes(input, strip, [&](const Lanes& lanes) {
+      LinearizeAlong(input, x, strip, lanes, step, nullptr, memory);
     });
     FormPointBlocks(input, strip, memory, kStepRecord, damping, false, squared_scale, blocks);
     for (int p = strip.first; p < strip.last; ++p) {
@@ -131,8 +131,8 @@ inline void Products(const EliminationInput& input, const StateRecords& x, const
   PointBlock blocks[kStripPoints];
   for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
     const Strip strip(input, point, chunk.last_point);
-    VisitBatches(input, strip, [&](const Batch& batch) {
-      LinearizeAlong(input, x, strip, batch, camera_p, &camera_q, memory);
+    VisitLanes(input, strip, [&](const Lanes& lanes) {
+      LinearizeAlong(input, x, strip, lanes, camera_p, &camera_q, memory);
     });
     FormPointBlocks(input, strip, memory, kStepRecord, damping, false, squared_scale, blocks);
     for (int i = strip.first; i < strip.last; ++i) {
@@ -179,8 +179,8 @@ inline double Slope(const EliminationInput& input, const StateRecords& x, const 
   double slope = 0;
   for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
     const Strip strip(input, point, chunk.last_point);
-    VisitBatches(input, strip, [&](const Batch& batch) {
-      LinearizeAlong(input, x, strip, batch, step, nullptr, memory);
+    VisitLanes(input, strip, [&](const Lanes& lanes) {
+      LinearizeAlong(input, x, strip, lanes, step, nullptr, memory);
     });
     const double* record = memory;
     for (int p = strip.first; p < strip.last; ++p) {

@@ -9,18 +9,18 @@
 
 namespace bundle::BUNDLE_ISA {
 
-/// Writes the records of a batch and returns its cost.
-inline double LinearizeBatch(const EliminationInput& input, const StateRecords& x,
-                             const Strip& strip, const Batch& batch, const StripRecords& records) {
-  const LaneState state(input, x, batch, true);
-  const LaneResiduals residuals(input, x, state, batch, true);
+/// Writes the records of observations in lanes and returns their cost.
+inline double LinearizeLanes(const EliminationInput& input, const StateRecords& x,
+                             const Strip& strip, const Lanes& lanes, const StripRecords& records) {
+  const LaneState state(input, x, lanes, true);
+  const LaneResiduals residuals(input, x, state, lanes, true);
   double* out[kLanes];
   double discarded[2 * kMaxColumns + kRecordHead];
   for (int lane = 0; lane < kLanes; ++lane) {
-    out[lane] = lane < batch.count ? records.Of(batch.observation[lane] - strip.begin) : discarded;
+    out[lane] = lane < lanes.count ? records.Of(lanes.observation[lane] - strip.begin) : discarded;
   }
   const Pack zero = 0.0;
-  const ModelGroup& group = *batch.group;
+  const ModelGroup& group = *lanes.group;
   for (int row = 0; row < 2; ++row) {
     Pack d_pose[kPoseSize], d_point[3];
     residuals.ChainPose(state, row, d_pose);
@@ -40,7 +40,7 @@ inline double LinearizeBatch(const EliminationInput& input, const StateRecords& 
     const Pack* const head[4] = {d_point, d_point + 1, d_point + 2, residuals.r + row};
     ScatterRecords(head, out, 4 * row);
   }
-  return 0.5 * Sum(residuals.rho, batch.count);
+  return 0.5 * Sum(residuals.rho, lanes.count);
 }
 
 template <typename Elimination>
@@ -56,8 +56,8 @@ void EliminateChunk(const EliminationInput& input, const StateRecords& x, const 
   for (int point = chunk.first_point; point < chunk.last_point;) {
     const Strip strip(input, point, chunk.last_point);
     double cost = 0;
-    VisitBatches(input, strip, [&](const Batch& batch) {
-      cost += LinearizeBatch(input, x, strip, batch, records);
+    VisitLanes(input, strip, [&](const Lanes& lanes) {
+      cost += LinearizeLanes(input, x, strip, lanes, records);
     });
     FormPointBlocks(input, strip, records.Of(0), records.stride(), damping, first, squared_scale,
                     blocks);

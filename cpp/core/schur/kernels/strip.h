@@ -16,7 +16,7 @@ namespace bundle::BUNDLE_ISA {
 
 inline constexpr int kStripPoints = 32;
 inline constexpr int kStripObservations = 64;  // reached by its last point
-/// Where widths are mixed. Each group's last batch of a strip is not full, and the narrow records
+/// Where widths are mixed. Each group's last lanes of a strip are not full, and the narrow records
 /// are most and leave room.
 inline constexpr int kMixedStripObservations = 128;
 
@@ -37,8 +37,8 @@ struct Strip {
   int num_points() const { return last - first; }
 };
 
-/// Some observations of one group; lanes from `count` on repeat the last.
-struct Batch {
+/// Some observations of one group, one per lane; lanes from `count` on repeat the last.
+struct Lanes {
   const ModelGroup* group;
   int64_t observation[kLanes];
   int point[kLanes];
@@ -58,35 +58,35 @@ struct Batch {
   }
 };
 
-/// Calls visit(batch) until every observation of the strip was in one.
+/// Calls visit(lanes) until every observation of the strip was in a lane.
 template <typename Visit>
-inline void VisitBatches(const EliminationInput& input, const Strip& strip, const Visit& visit) {
+inline void VisitLanes(const EliminationInput& input, const Strip& strip, const Visit& visit) {
   const int64_t* const first = input.plan->first.data();
   const int32_t* const image = input.plan->image.data();
   int64_t left = strip.end - strip.begin;
   for (int g = 0; left > 0; ++g) {
-    Batch batch;
-    batch.group = input.groups + g;
-    batch.count = 0;
+    Lanes lanes;
+    lanes.group = input.groups + g;
+    lanes.count = 0;
     for (int p = strip.first; p < strip.last; ++p) {
       for (int64_t i = first[p]; i < first[p + 1]; ++i) {
-        batch.Add(i, p);
+        lanes.Add(i, p);
         // Groups alternate as they like: taking back is faster than a branch.
-        if (input.num_groups > 1) batch.count -= input.image_group[image[i]] != g ? 1 : 0;
-        if (batch.count < kLanes) continue;
-        visit(batch);
+        if (input.num_groups > 1) lanes.count -= input.image_group[image[i]] != g ? 1 : 0;
+        if (lanes.count < kLanes) continue;
+        visit(lanes);
         left -= kLanes;
-        batch.count = 0;
+        lanes.count = 0;
       }
     }
-    if (batch.count == 0) continue;
-    batch.Fill();
-    visit(batch);
-    left -= batch.count;
+    if (lanes.count == 0) continue;
+    lanes.Fill();
+    visit(lanes);
+    left -= lanes.count;
   }
 }
 
-/// What the lanes of a batch read of a state.
+/// What lanes read of a state.
 struct LaneState {
   Pack pose[24];  ///< rotation, translation, left Jacobian and padding, as in StateRecords
   Pack params[kMaxCameraParams];
@@ -95,18 +95,18 @@ struct LaneState {
   Pack camera_point[3];  ///< R X + t
 
   /// Without the left Jacobian unless `for_derivatives`.
-  LaneState(const EliminationInput& input, const StateRecords& x, const Batch& batch,
+  LaneState(const EliminationInput& input, const StateRecords& x, const Lanes& lanes,
             bool for_derivatives) {
     const int32_t* const image = input.plan->image.data();
     const double* records[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
-      records[lane] = x.images + static_cast<int64_t>(image[batch.observation[lane]]) * x.stride;
-      const double* at = x.points + 3 * static_cast<int64_t>(batch.point[lane]);
+      records[lane] = x.images + static_cast<int64_t>(image[lanes.observation[lane]]) * x.stride;
+      const double* at = x.points + 3 * static_cast<int64_t>(lanes.point[lane]);
       for (int i = 0; i < 3; ++i) point[i].v[lane] = at[i];
     }
     GatherRecords(records, for_derivatives ? 24 : 12, pose);
     for (int lane = 0; lane < kLanes; ++lane) records[lane] += StateRecords::kParams;
-    GatherRecords(records, (batch.group->num_params + 3) / 4 * 4, params);
+    GatherRecords(records, (lanes.group->num_params + 3) / 4 * 4, params);
     for (int i = 0; i < 3; ++i) {
       rotated[i] = pose[3 * i] * point[0] + pose[3 * i + 1] * point[1] + pose[3 * i + 2] * point[2];
       camera_point[i] = rotated[i] + pose[StateRecords::kTranslation + i];
@@ -130,7 +130,7 @@ inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* h
   return true;
 }
 
-/// Residuals of a batch and how they change, corrected for the loss.
+/// Residuals of observations in lanes and how they change, corrected for the loss.
 struct LaneResiduals {
   Pack r[2];
   Pack rho;
@@ -139,34 +139,34 @@ struct LaneResiduals {
 
   /// Inlined, as Hold's use of it would keep compilers from it, which took 3 % of a step.
   __attribute__((always_inline)) LaneResiduals(const EliminationInput& input, const StateRecords& x,
-                                               const LaneState& state, const Batch& batch,
+                                               const LaneState& state, const Lanes& lanes,
                                                bool derive) {
     const double* const xy = input.plan->xy.data();
     Pack measurement[2];
     for (int lane = 0; lane < kLanes; ++lane) {
-      for (int i = 0; i < 2; ++i) measurement[i].v[lane] = xy[2 * batch.observation[lane] + i];
+      for (int i = 0; i < 2; ++i) measurement[i].v[lane] = xy[2 * lanes.observation[lane] + i];
     }
-    const int model = batch.group->model;
+    const int model = lanes.group->model;
     Mask counts;
     kProjectLanes[model](AllCameraModels()[model], state.params, state.camera_point, measurement,
                          input.cheirality, r, derive ? d_camera_point : nullptr,
-                         derive ? d_params : nullptr, &counts, batch.count);
-    if (!All(counts) || x.num_held > 0) Hold(input, x, batch, counts, derive);
+                         derive ? d_params : nullptr, &counts, lanes.count);
+    if (!All(counts) || x.num_held > 0) Hold(input, x, lanes, counts, derive);
     const LossLanes loss = EvaluateLoss(input.loss, input.loss_scale, r[0] * r[0] + r[1] * r[1]);
     rho = loss.rho;
     if (!derive || input.loss == LossType::kTrivial) return;
     for (Pack& value : r) value *= loss.weight;
     for (Pack& value : d_camera_point) value *= loss.weight;
-    for (int i = 0; i < 2 * batch.group->num_params; ++i) d_params[i] *= loss.weight;
+    for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= loss.weight;
   }
 
   /// Gives lanes that hold a residual (factors/reprojection.h) that residual and no derivatives.
   /// Out of line, as it is hardly ever called.
   __attribute__((noinline, cold)) void Hold(const EliminationInput& input, const StateRecords& x,
-                                            const Batch& batch, const Mask& counts, bool derive) {
+                                            const Lanes& lanes, const Mask& counts, bool derive) {
     const bool is_candidate = x.before != nullptr;
-    for (int lane = 0; lane < batch.count; ++lane) {
-      const int64_t observation = batch.observation[lane];
+    for (int lane = 0; lane < lanes.count; ++lane) {
+      const int64_t observation = lanes.observation[lane];
       HeldResidual held = {observation, {0, 0}};
       const bool was_held = FindHeld(x, observation, &held);
       if (counts.bits[lane] != 0) {
@@ -175,13 +175,13 @@ struct LaneResiduals {
         const double* const h = held.residual;
         if (is_candidate && own <= h[0] * h[0] + h[1] * h[1]) continue;
       } else if (is_candidate && !was_held) {
-        const LaneState state(input, *x.before, batch, false);
-        const LaneResiduals before(input, *x.before, state, batch, false);
+        const LaneState state(input, *x.before, lanes, false);
+        const LaneResiduals before(input, *x.before, state, lanes, false);
         for (int i = 0; i < 2; ++i) held.residual[i] = kHeldFactor * before.r[i].v[lane];
       }
       for (int i = 0; i < 2; ++i) r[i].v[lane] = held.residual[i];
       for (int i = 0; i < 6 && derive; ++i) d_camera_point[i].v[lane] = 0;
-      for (int i = 0; i < 2 * batch.group->num_params && derive; ++i) d_params[i].v[lane] = 0;
+      for (int i = 0; i < 2 * lanes.group->num_params && derive; ++i) d_params[i].v[lane] = 0;
       if (x.sink.add != nullptr) x.sink.add(x.sink.list, held);
     }
   }
@@ -209,14 +209,14 @@ struct LaneResiduals {
 
   /// J_c d for the steps d of the lanes' images: with v = (J_l dw) x q + dt, a^T v + (dr/dtheta)
   /// dtheta.
-  void Along(const EliminationInput& input, const StepRecords& step, const Batch& batch,
+  void Along(const EliminationInput& input, const StepRecords& step, const Lanes& lanes,
              const LaneState& state, Pack* out) const {
     const int32_t* const image = input.plan->image.data();
-    const int num_params = batch.group->num_params;
+    const int num_params = lanes.group->num_params;
     const double* records[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
       records[lane] =
-          step.images + static_cast<int64_t>(image[batch.observation[lane]]) * step.stride;
+          step.images + static_cast<int64_t>(image[lanes.observation[lane]]) * step.stride;
     }
     Pack d[StepRecords::kParams + kMaxCameraParams];
     GatherRecords(records, StepRecords::kParams + (num_params + 3) / 4 * 4, d);

@@ -1,0 +1,129 @@
+"""Local Cartesian coordinates: east, north, up about an origin on the WGS84 ellipsoid.
+
+With the geocentric coordinates X of a place (PROJ's ``cart``) and X0 of the origin at latitude phi
+and longitude lambda, PROJ's ``topocentric`` step gives
+
+    [e]   [     -sin(lambda)            cos(lambda)           0     ]
+    [n] = [-sin(phi) cos(lambda)  -sin(phi) sin(lambda)   cos(phi)  ] (X - X0)
+    [u]   [ cos(phi) cos(lambda)   cos(phi) sin(lambda)   sin(phi)  ]
+
+(EPSG method 9837). It is a rigid motion: distances are those of space, in metres, anywhere. Up is
+the normal of the ellipsoid at the origin alone; d metres away a point on the ellipsoid is d^2 / 2R
+below zero, 8 cm at one kilometre.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.option_fields import number
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
+
+__all__ = ["LocalFrame"]
+
+Array = NDArray[np.float64]
+
+LARGEST_HEIGHT = 1e9
+"""Metres; beyond the moon, coordinates lose the micrometres."""
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """East, north, up in metres about an origin on WGS84.
+
+    Attributes:
+        latitude: of the origin, degrees north, -90 to 90.
+        longitude: of the origin, degrees east, -360 to 360.
+        height: of the origin above the ellipsoid, metres.
+
+    Raises:
+        InputError: these are no numbers, or out of range.
+    """
+
+    latitude: float
+    longitude: float
+    height: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, largest in (("latitude", 90), ("longitude", 360), ("height", LARGEST_HEIGHT)):
+            given = getattr(self, name)
+            value = number(f"origin: {name}", given, minimum=-largest, maximum=largest)
+            object.__setattr__(self, name, value)
+
+    @staticmethod
+    def about(geodetic: Array) -> LocalFrame:
+        """Return the frame about the middle of some places.
+
+        The median of their normals on the ellipsoid stays with the majority where some places are
+        wrong by continents, and needs no care at the date line or a pole. The height is the median
+        of those that are known; without any the origin is on the ellipsoid.
+
+        Args:
+            geodetic: (n, 3) latitude, longitude [degrees], height [m] or nan; n at least 1.
+        """
+        geodetic = np.asarray(geodetic, dtype=np.float64).reshape(-1, 3)
+        if not len(geodetic):
+            raise InputError("origin: expected at least one position, found none")
+        latitude, longitude, height = geodetic.T
+        known = ~np.isnan(height)
+        middle = float(np.median(height[known])) if known.any() else 0.0
+        phi, lam = np.radians(latitude), np.radians(longitude)
+        normals = [np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)]
+        x, y, z = (float(np.median(axis)) for axis in normals)
+        return LocalFrame(
+            float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
+            float(np.degrees(np.arctan2(y, x))),
+            middle,
+        )
+
+    @property
+    def pipeline(self) -> str:
+        """PROJ's operation from longitude, latitude [degrees], height [m] to east, north, up."""
+        return (
+            "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
+            "+step +proj=cart +ellps=WGS84 +step +proj=topocentric +ellps=WGS84 "
+            f"+lat_0={self.latitude!r} +lon_0={self.longitude!r} +h_0={self.height!r}"
+        )
+
+    def to_enu(self, geodetic: Array) -> Array:
+        """Return (n, 3) east, north, up [m] of places.
+
+        Args:
+            geodetic: (n, 3) latitude, longitude [degrees], height [m]. Where the height is nan,
+                east and north are those at the height of the origin, and up is nan.
+        """
+        latitude, longitude, height = np.asarray(geodetic, dtype=np.float64).reshape(-1, 3).T
+        unknown = np.isnan(height)
+        known = np.where(unknown, self.height, height)
+        enu = np.column_stack(self._transformer.transform(longitude, latitude, known))
+        enu[unknown, 2] = np.nan
+        return enu
+
+    def to_geodetic(self, enu: Array) -> Array:
+        """Return (n, 3) latitude, longitude [degrees], height [m] of (n, 3) east, north, up [m]."""
+        east, north, up = np.asarray(enu, dtype=np.float64).reshape(-1, 3).T
+        longitude, latitude, height = self._transformer.transform(
+            east, north, up, direction="INVERSE"
+        )
+        return np.column_stack([latitude, longitude, height])
+
+    def asdict(self) -> dict[str, float]:
+        """Return latitude, longitude and height by name."""
+        return asdict(self)
+
+    @cached_property
+    def _transformer(self) -> Transformer:
+        import pyproj
+
+        return pyproj.Transformer.from_pipeline(self.pipeline)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.asdict()
