@@ -85,7 +85,7 @@ PYTHON_MAY_IMPORT = {
     "worst_images": {"problem", "reprojection"},
     "solve_record": {"display", "options", "summary", "termination"},
     "problem_keys": {"cameras", "errors", "problem"},
-    "camera_bounds": {"arguments", "cameras", "errors", "problem", "problem_keys"},
+    "camera_bounds": {"arguments", "arrays", "cameras", "errors", "problem", "problem_keys"},
     "result": {
         "camera_bounds",
         "display",
@@ -141,6 +141,16 @@ PYTHON_MAY_IMPORT = {
         "solve_record",
         "words",
     },
+    "rounds": {
+        "arguments",
+        "display",
+        "errors",
+        "io",
+        "option_fields",
+        "problem",
+        "reprojection",
+        "words",
+    },
     "check_defaults": set(),
     "checking": {
         "_core",
@@ -171,7 +181,7 @@ PYTHON_MAY_IMPORT = {
         "solve_record",
         "words",
     },
-    "georeference": {"errors", "option_fields"},
+    "georeference": {"display", "errors", "option_fields", "words"},
     "compare_defaults": {"memory_sizes"},
     "comparison": {
         "_core",
@@ -264,7 +274,7 @@ OUTSIDERS = {
     "pycolmap": {"deferred_source", "io", "problem"},
     "matplotlib": {"pictures"},
     "pyproj": {"georeference"},
-    "exifread": {"georeference"},
+    "PIL": {"georeference"},
 }
 
 CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})

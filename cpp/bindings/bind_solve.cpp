@@ -6,6 +6,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "bindings/graph_from_python.h"
 #include "bindings/immutable_array.h"
@@ -29,31 +30,47 @@ std::string WatchConvergence(const py::dict& iterations) {
 }
 
 /// Of (variables, factors, what each variable is in the problem), the first two as in bind_graph.
-struct GivenFactors {
-  bundle::FactorGraph graph;  ///< until it is checked
-  bundle::ProblemFactors factors;
-
+class GivenFactors {
+ public:
   explicit GivenFactors(const py::object& given) {
     if (given.is_none()) return;
     const auto parts = py::cast<py::tuple>(given);
-    graph = GraphFromPython(py::cast<py::list>(parts[0]), py::cast<py::list>(parts[1]));
+    graph_ = GraphFromPython(py::cast<py::list>(parts[0]), py::cast<py::list>(parts[1]));
     for (const py::handle& place : py::cast<py::sequence>(parts[2])) {
       const auto [kind, index] = py::cast<std::pair<std::string, int>>(place);
       using Kind = bundle::ProblemVariable::Kind;
-      factors.variables.push_back({kind == "image"    ? Kind::kImage
-                                   : kind == "camera" ? Kind::kCamera
-                                                      : Kind::kPoint,
-                                   index});
+      factors_.variables.push_back({kind == "image"    ? Kind::kImage
+                                    : kind == "camera" ? Kind::kCamera
+                                                       : Kind::kPoint,
+                                    index});
     }
   }
 
-  /// nullptr: there are none.
+  /// Once; nullptr: there are none.
   const bundle::ProblemFactors* Check() {
-    if (graph.factors.empty()) return nullptr;
-    bundle::ValidateGraph(graph);
-    factors.factors = std::move(graph.factors);
-    return &factors;
+    if (graph_.factors.empty()) return nullptr;
+    bundle::ValidateGraph(graph_);
+    factors_.factors = std::move(graph_.factors);
+    return &factors_;
   }
+
+  bool empty() const { return factors_.factors.empty(); }
+
+  /// Checks them at other values of the problem, too.
+  void CheckAt(const bundle::ProblemView& problem) const {
+    std::vector<bundle::Block> blocks = graph_.blocks;
+    for (size_t v = 0; v < blocks.size(); ++v) {
+      bundle::Block& block = blocks[v];
+      const double* const value = bundle::ValueOf(factors_.variables[v], problem);
+      block.value = bundle::CheckedValue(block.name, block.retraction,
+                                         std::vector<double>(value, value + block.value.size()));
+    }
+    for (const auto& factor : factors_.factors) bundle::CheckEvaluation(*factor, blocks);
+  }
+
+ private:
+  bundle::FactorGraph graph_;  ///< without its factors once they are checked
+  bundle::ProblemFactors factors_;
 };
 
 py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
@@ -88,16 +105,28 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   return ToPython(view, std::move(output));
 }
 
-/// A solver and the problem it was made for, whose arrays nothing in Python can change and which it
-/// keeps alive.
+/// A solver, the problem it was made for and its bounds, whose arrays nothing in Python can change,
+/// and its factors, which it all keeps alive.
 class PythonSolver {
  public:
-  PythonSolver(py::object problem, const py::dict& options)
-      : problem_(std::move(problem)), options_(OptionsFromPython(options)) {
-    const bundle::ProblemView view = ViewProblem(problem_);
+  PythonSolver(py::object problem, const py::dict& options, py::object camera_bounds,
+               const py::object& given_factors)
+      : problem_(std::move(problem)),
+        camera_bounds_(std::move(camera_bounds)),
+        factors_(given_factors),
+        options_(OptionsFromPython(options)) {
+    bundle::ProblemView view = ViewProblem(problem_);
+    PutCameraBounds(camera_bounds_, &view);
     PythonProgress watch{py::none()};
-    solver_ = RunWatched(&watch, [&] { return std::make_unique<bundle::Solver>(view, options_); });
+    solver_ = RunWatched(&watch, [&] {
+      view.factors = factors_.Check();
+      return std::make_unique<bundle::Solver>(view, options_);
+    });
     watch.Rethrow();
+  }
+
+  void CheckStructure(const py::object& problem) const {
+    solver_->CheckStructure(ViewProblem(problem));
   }
 
   /// `options` may be None: those of the constructor.
@@ -106,14 +135,21 @@ class PythonSolver {
     const bundle::SolveOptions changed =
         options.is_none() ? options_ : OptionsFromPython(py::cast<py::dict>(options));
     PythonProgress report(progress);
-    bundle::SolveOutput output =
-        RunWatched(&report, [&] { return solver_->Solve(view, changed, std::ref(report)); });
+    bundle::SolveOutput output = RunWatched(&report, [&] {
+      if (!factors_.empty()) {
+        solver_->CheckStructure(view);
+        factors_.CheckAt(view);
+      }
+      return solver_->Solve(view, changed, std::ref(report));
+    });
     report.Rethrow();
     return ToPython(view, std::move(output));
   }
 
  private:
   const py::object problem_;
+  const py::object camera_bounds_;
+  GivenFactors factors_;
   const bundle::SolveOptions options_;
   std::unique_ptr<bundle::Solver> solver_;
 };
@@ -129,7 +165,10 @@ void BindSolve(py::module_& m) {
   m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"),
         py::arg("camera_bounds") = py::none(), py::arg("factors") = py::none());
   py::class_<PythonSolver>(m, "Solver")
-      .def(py::init<py::object, const py::dict&>(), py::arg("problem"), py::arg("options"))
+      .def(py::init<py::object, const py::dict&, py::object, const py::object&>(),
+           py::arg("problem"), py::arg("options"), py::arg("camera_bounds") = py::none(),
+           py::arg("factors") = py::none())
+      .def("check_structure", &PythonSolver::CheckStructure, py::arg("problem"))
       .def("solve", &PythonSolver::Solve, py::arg("problem"), py::arg("options"),
            py::arg("progress"));
 }

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from bundle.problem import Problem
     from bundle.reprojection import ReprojectionError, reprojection_errors
     from bundle.result import Result
+    from bundle.rounds import Filtered, filter_observations
     from bundle.solver import Solver, solve
     from bundle.statistics import Description, describe
     from bundle.summary import Summary
@@ -46,6 +47,7 @@ __all__ = [
     "Comparison",
     "Description",
     "FactorGraph",
+    "Filtered",
     "FunctionFactor",
     "GradientReport",
     "GraphInspection",
@@ -72,6 +74,7 @@ __all__ = [
     "check_jacobians",
     "compare",
     "describe",
+    "filter_observations",
     "get_include",
     "html",
     "inspect",
@@ -117,6 +120,7 @@ _DEFERRED = {
     "problem": ("Problem",),
     "reprojection": ("ReprojectionError", "reprojection_errors"),
     "result": ("Result",),
+    "rounds": ("Filtered", "filter_observations"),
     "solver": ("Solver", "solve"),
     "statistics": ("Description", "describe"),
     "summary": ("Summary",),

@@ -116,7 +116,14 @@ def solve(
 ) -> dict[str, Any]: ...
 
 class Solver:
-    def __init__(self, problem: Problem, options: dict[str, Any]) -> None: ...
+    def __init__(
+        self,
+        problem: Problem,
+        options: dict[str, Any],
+        camera_bounds: CameraBounds | None = None,
+        factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
+    ) -> None: ...
+    def check_structure(self, problem: Problem) -> None: ...
     def solve(
         self,
         problem: Problem,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.arguments import as_array
+from bundle.arrays import freeze
 from bundle.cameras import camera_models
 from bundle.errors import InputError, brief
 from bundle.problem import Problem
@@ -60,8 +61,37 @@ class CameraBounds:
                 _SIDES, (result.lower, result.upper), _pair(name, pair), strict=True
             ):
                 array[index, : len(names)] = _bound(f"{name}: {side}", names, values)
-            result._check(name, names, problem, index)
-        return result
+            result._check_sides(name, names, index)
+        result.check_start(problem)
+        return CameraBounds(freeze(result.lower), freeze(result.upper))
+
+    def check_start(self, problem: Problem) -> None:
+        """Check a problem of the structure that the bounds were made for.
+
+        Raises:
+            InputError: a parameter is not between its bounds.
+        """
+        params = problem.camera_params
+        outside = np.argwhere((params < self.lower) | (params > self.upper))
+        if not len(outside):
+            return
+        camera, j = outside[0].tolist()
+        name = f"bounds: camera {problem.camera_ids[camera]}"
+        lower, upper = self.lower[camera, j], self.upper[camera, j]
+        raise InputError(
+            f"{name}: {parameter_names(name, problem, camera)[j]}: expected a start within "
+            f"[{lower:g}, {upper:g}], found {params[camera, j]:.10g}"
+        )
+
+    def given(self, problem: Problem) -> dict[tuple[str, int], tuple[Any, Any]]:
+        """Return what :meth:`make` takes, of the cameras that have a bound."""
+        bounded = np.isfinite(self.lower) | np.isfinite(self.upper)
+        bounds = {}
+        for camera in np.flatnonzero(bounded.any(axis=1)).tolist():
+            size = len(parameter_names("bounds", problem, camera))
+            key = ("camera", int(problem.camera_ids[camera]))
+            bounds[key] = self.lower[camera, :size], self.upper[camera, :size]
+        return bounds
 
     def active(self, problem: Problem) -> tuple[ActiveBound, ...]:
         """Return the bounds on which parameters of the problem are."""
@@ -75,20 +105,15 @@ class CameraBounds:
             found.append((key, camera_models()[problem.camera_models[camera]][j], side))
         return tuple(found)
 
-    def _check(self, name: str, names: tuple[str, ...], problem: Problem, index: int) -> None:
-        rows = (self.lower[index], self.upper[index], problem.camera_params[index])
-        for parameter, lower, upper, value in zip(
-            names, *(row[: len(names)].tolist() for row in rows), strict=True
+    def _check_sides(self, name: str, names: tuple[str, ...], index: int) -> None:
+        rows = (self.lower[index], self.upper[index])
+        for parameter, lower, upper in zip(
+            names, *(row[: len(names)] for row in rows), strict=True
         ):
             if lower > upper:
                 raise InputError(
                     f"{name}: {parameter}: expected a lower bound of at most the upper one "
                     f"({upper:g}), found {lower:g}"
-                )
-            if not lower <= value <= upper:
-                raise InputError(
-                    f"{name}: {parameter}: expected a start within [{lower:g}, {upper:g}], "
-                    f"found {value:.10g}"
                 )
 
 

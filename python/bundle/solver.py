@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
 from bundle.arguments import check_function
 from bundle.camera_bounds import CameraBounds
 from bundle.display import Display, Displayed
-from bundle.errors import InputError
+from bundle.errors import InputError, brief, first_line
 from bundle.io import Source, as_problem
 from bundle.options import CHANGEABLE, SolveOptions
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.result import Result
 from bundle.solve_record import Progress, record_fields
-from bundle.words import contents
+from bundle.words import contents, plural
 
 if TYPE_CHECKING:
     from bundle.graph import Factor
@@ -90,11 +91,7 @@ def solve(
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
-    known = _problem_factors(problem, factors)
-    if known is not None and known.locate and options.gauge == "auto":
-        options = options.replace(gauge="none")
-    options = resolve_defaults(problem, options)
-    limits = None if bounds is None else CameraBounds.make(problem, bounds)
+    options, known, limits = _settle(problem, options, factors, bounds)
     given = None if known is None else known.core()
     output = _core.solve(problem, options.asdict(), progress, limits, given)
     return _result(problem, options, output, limits)
@@ -104,22 +101,27 @@ class Solver(Displayed):
     """Bundle adjustment of one structure, solved again and again without setting up again.
 
     The structure is which image sees which point, the cameras' models, what is refined and how it
-    is solved. All that follows from it is laid out once: threads, unknowns, the order of the
-    elimination, the analysed linear solver, buffers. A solve then starts at the values of a
-    problem: poses, camera parameters, points, observed pixels. It takes the steps of
-    :func:`bundle.solve`, bit for bit, and spends nearly all of its time in them.
+    is solved, with its factors and bounds. All that follows from it is laid out once: threads,
+    unknowns, the order of the elimination, the analysed linear solver, buffers. A solve then starts
+    at the values of a problem: poses, camera parameters, points, observed pixels. It takes the
+    steps of :func:`bundle.solve`, bit for bit, and spends nearly all of its time in them.
 
     Ceres has no such solver: where ``options.backend`` or ``auto`` means Ceres, each solve starts
     from scratch. Values that make the gauge hold other numbers lay out everything anew; the
     two-level preconditioner forms its clusters by values in each solve.
 
-    A solver pickles as its problem and options, and is laid out anew when it is read.
+    A solver pickles as its problem, options, factors and bounds, and is laid out anew when it is
+    read; functions of factors have to pickle, too.
 
     Args:
         problem: the structure, and the values that :meth:`solve` starts from if not given others;
             also a path or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given. What depends on
-            where the problem comes from (``gauge``, ``cheirality``) is settled here.
+            where the problem comes from, or on factors (``gauge``, ``cheirality``), is settled
+            here.
+        factors: beside the observations, as in :func:`bundle.solve`. What they measured stays as it
+            is, in the world of the problem, whatever values a solve starts from.
+        bounds: of camera parameters, as in :func:`bundle.solve`. Every solve starts within them.
         **changes: options by name, in place of those in ``options``.
 
     Raises:
@@ -127,13 +129,21 @@ class Solver(Displayed):
     """
 
     def __init__(
-        self, problem: Source, options: SolveOptions | None = None, **changes: Any
+        self,
+        problem: Source,
+        options: SolveOptions | None = None,
+        *,
+        factors: Iterable[Factor] = (),
+        bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+        **changes: Any,
     ) -> None:
         problem = as_problem(problem)
         options = SolveOptions.of(options, changes, "Solver")
         self._problem = problem
-        self._options = resolve_defaults(problem, options)
-        self._core = _core.Solver(problem, self._options.asdict())
+        self._options, known, self._limits = _settle(problem, options, factors, bounds)
+        self._factors = () if known is None else known.factors
+        given = None if known is None else known.core()
+        self._core = _core.Solver(problem, self._options.asdict(), self._limits, given)
 
     @property
     def problem(self) -> Problem:
@@ -144,6 +154,16 @@ class Solver(Displayed):
     def options(self) -> SolveOptions:
         """Every option as used where :meth:`solve` does not change it."""
         return self._options
+
+    @property
+    def factors(self) -> tuple[Factor, ...]:
+        """Those beside the observations."""
+        return self._factors
+
+    @property
+    def bounds(self) -> dict[tuple[str, int], tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Of the cameras with a bound: {("camera", camera_id): (lower, upper)}."""
+        return {} if self._limits is None else self._limits.given(self._problem)
 
     def solve(
         self, problem: Source | None = None, *, progress: Progress | None = None, **changes: Any
@@ -163,7 +183,8 @@ class Solver(Displayed):
                 ``check_solution``.
 
         Raises:
-            InputError: the problem has another structure, an option is none of these, or the
+            InputError: the problem has another structure, a camera parameter that is not within
+                its bounds or values at which a factor has none, an option is none of these, or the
                 solver is in use.
             KeyboardInterrupt, MemoryError, OSError: as :func:`bundle.solve`.
         """
@@ -178,16 +199,53 @@ class Solver(Displayed):
                         f"{name}: expected one of {', '.join(CHANGEABLE)}, which may differ from "
                         "solve to solve; other options need another Solver"
                     )
+        if self._limits is not None and problem is not self._problem:
+            self._core.check_structure(problem)
+            self._limits.check_start(problem)
         output = self._core.solve(problem, options.asdict() if changes else None, progress)
-        return _result(problem, options, output)
+        return _result(problem, options, output, self._limits)
+
+    def __copy__(self) -> Solver:
+        return _make_solver(self._problem, self._options, self._factors, self.bounds)
+
+    def __deepcopy__(self, _memo: Any) -> Solver:
+        return self.__copy__()  # nothing of it ever changes
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Solver, (self._problem, self._options)
+        for position, factor in enumerate(self._factors):
+            _check_pickles(f"factor {position}, {factor.name}", factor)
+        return _make_solver, (self._problem, self._options, self._factors, self.bounds)
 
     def _display(self) -> Display:
         changed = repr(self._options).partition("(")[2].rstrip(")")
-        facts = (("problem", contents(self._problem)), ("options", changed or "defaults"))
-        return Display(title="Solver", facts=facts)
+        facts = [("problem", contents(self._problem)), ("options", changed or "defaults")]
+        if self._factors:
+            facts.append(("factors", f"{len(self._factors)}"))
+        if self.bounds:
+            facts.append(("bounds", f"of {plural(len(self.bounds), 'camera')}"))
+        return Display(title="Solver", facts=tuple(facts))
+
+
+def _make_solver(
+    problem: Problem, options: SolveOptions, factors: Iterable[Factor], bounds: Any
+) -> Solver:
+    return Solver(problem, options, factors=factors, bounds=bounds)
+
+
+def _check_pickles(name: str, factor: Factor) -> None:
+    """Raise an InputError if the factor is a function in Python that does not pickle."""
+    function = getattr(factor, "function", None)
+    if function is None:
+        return
+    import pickle
+
+    try:
+        pickle.dumps(function)
+    except Exception as error:
+        raise InputError(
+            f"{name}: expected a function that pickles, as those of a module do, "
+            f"found {brief(function)} ({first_line(error)})"
+        ) from None
 
 
 def _result(
@@ -206,6 +264,20 @@ def _result(
         active_bounds=() if limits is None else limits.active(refined),
         **record_fields(output),
     )
+
+
+def _settle(
+    problem: Problem,
+    options: SolveOptions,
+    factors: Iterable[Factor],
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None,
+) -> tuple[SolveOptions, ProblemFactors | None, CameraBounds | None]:
+    """Check factors and bounds, and fill in the options."""
+    known = _problem_factors(problem, factors)
+    if known is not None and known.locate and options.gauge == "auto":
+        options = options.replace(gauge="none")
+    limits = None if bounds is None else CameraBounds.make(problem, bounds)
+    return resolve_defaults(problem, options), known, limits
 
 
 def _problem_factors(problem: Problem, factors: Iterable[Factor]) -> ProblemFactors | None:

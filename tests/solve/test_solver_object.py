@@ -44,6 +44,9 @@ def assert_same(found, expected):
         np.testing.assert_array_equal(
             getattr(found.problem, name), getattr(expected.problem, name), err_msg=name
         )
+    for name in ("factor_costs_before", "factor_costs_after"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    assert found.active_bounds == expected.active_bounds
     for name, array in expected.iterations.items():
         if name not in TIMES:
             np.testing.assert_array_equal(found.iterations[name], array, err_msg=name)

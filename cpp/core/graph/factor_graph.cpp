@@ -70,8 +70,6 @@ void CheckVariables(const Factor& factor, const std::vector<Block>& blocks) {
   }
 }
 
-namespace {
-
 void CheckEvaluation(const Factor& factor, const std::vector<Block>& blocks) {
   const size_t num_blocks = factor.blocks().size();
   std::vector<double> residual(factor.num_residuals());
@@ -83,7 +81,7 @@ void CheckEvaluation(const Factor& factor, const std::vector<Block>& blocks) {
   }
   const auto values = ValuesOf(factor, blocks);
   if (!factor.Evaluate(values.data(), residual.data(), jacobians.data())) {
-    throw InputError(factor.name() + ": the residual has no value at the start");
+    throw InputError(factor.name() + ": expected a finite residual at the start, found none");
   }
   for (size_t r = 0; r < residual.size(); ++r) {
     if (std::isfinite(residual[r])) continue;
@@ -102,8 +100,6 @@ void CheckEvaluation(const Factor& factor, const std::vector<Block>& blocks) {
                      std::to_string(place % columns));
   }
 }
-
-}  // namespace
 
 std::vector<const double*> ValuesOf(const Factor& factor, const std::vector<Block>& blocks) {
   std::vector<const double*> values;

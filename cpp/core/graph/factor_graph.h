@@ -26,6 +26,10 @@ void CheckBlock(const Block& block);
 /// different, or are of another manifold than it takes them for.
 void CheckVariables(const Factor& factor, const std::vector<Block>& blocks);
 
+/// Evaluates the factor at the variables' values. Throws InputError, naming factor and variable,
+/// for a residual or Jacobian without a finite value.
+void CheckEvaluation(const Factor& factor, const std::vector<Block>& blocks);
+
 /// Checks what Python's FactorGraph and any other maker of graphs must get right, and evaluates
 /// every factor once at the variables' values. Throws InputError, naming factor and variable:
 ///

@@ -59,6 +59,18 @@ FactorUnknowns UnknownsOf(const Factor& factor, const ProblemView& problem,
 
 }  // namespace
 
+const double* ValueOf(const ProblemVariable& variable, const ProblemView& problem) {
+  const int64_t index = variable.index;
+  switch (variable.kind) {
+    case Kind::kImage:
+      return problem.cam_from_world + kImageSize * index;
+    case Kind::kCamera:
+      return problem.ParamsOf(variable.index);
+    default:
+      return problem.points + 3 * index;
+  }
+}
+
 std::vector<FactorUnknowns> FindFactorUnknowns(const ProblemView& problem,
                                                const ParameterLayout& layout) {
   std::vector<FactorUnknowns> result;
@@ -98,16 +110,12 @@ std::vector<double> FactorCosts(const ProblemView& problem) {
     std::vector<double> poses(kImageSize * factor->blocks().size());
     for (size_t v = 0; v < factor->blocks().size(); ++v) {
       const ProblemVariable& variable = VariableOf(*factor, problem, v);
-      const int64_t index = variable.index;
-      if (variable.kind == Kind::kImage) {
-        double* const pose = poses.data() + kImageSize * v;
-        std::copy_n(problem.cam_from_world + kImageSize * index, kImageSize, pose);
-        NormalizeQuaternion(pose);
-        values.push_back(pose);
-      } else {
-        values.push_back(variable.kind == Kind::kCamera ? problem.ParamsOf(variable.index)
-                                                        : problem.points + 3 * index);
-      }
+      values.push_back(ValueOf(variable, problem));
+      if (variable.kind != Kind::kImage) continue;
+      double* const pose = poses.data() + kImageSize * v;
+      std::copy_n(values.back(), kImageSize, pose);
+      NormalizeQuaternion(pose);
+      values.back() = pose;
     }
     std::vector<double> residual(factor->num_residuals());
     const bool has_value = factor->Evaluate(values.data(), residual.data(), nullptr);

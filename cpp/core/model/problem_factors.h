@@ -41,6 +41,9 @@ struct ProblemVariable {
   int index = 0;  ///< in the problem's arrays
 };
 
+/// The numbers of a variable; the quaternion of an image's has any norm.
+const double* ValueOf(const ProblemVariable& variable, const ProblemView& problem);
+
 struct ProblemFactors {
   std::vector<ProblemVariable> variables;  ///< Factor::blocks() are places in it
   std::vector<std::unique_ptr<Factor>> factors;

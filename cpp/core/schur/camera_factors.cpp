@@ -16,12 +16,11 @@ CameraFactors::CameraFactors(const ProblemView& problem, const ParameterLayout& 
                              const BlockStructure& structure, const EliminationPlan& plan)
     : structure_(structure), diagonal_begin_(DiagonalBlockOffsets(structure)) {
   if (problem.factors == nullptr) return;
-  const CameraStates start(problem, layout);
   std::vector<int> place;  // in the plan, of each point of the problem
   for (const auto& factor : problem.factors->factors) {
     ChartedFactor charted(*factor, problem, layout);
     if (charted.is_fixed()) {
-      fixed_cost_ += charted.Cost(start, nullptr);
+      fixed_.push_back(std::move(charted));
       continue;
     }
     num_residuals_ += charted.num_residuals();
@@ -64,6 +63,12 @@ void CameraFactors::AddPoint(ChartedFactor factor, int point) {
     prior_sums_.resize(prior_sums_.size() + kPriorSums);
   }
   of_points_.push_back({std::move(factor), point});
+}
+
+double CameraFactors::FixedCost(const CameraStates& cameras) const {
+  double cost = 0;
+  for (const ChartedFactor& factor : fixed_) cost += factor.Cost(cameras, nullptr);
+  return cost;
 }
 
 double CameraFactors::Linearize(const CameraStates& cameras, const double* points) {

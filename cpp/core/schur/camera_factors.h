@@ -40,8 +40,8 @@ class CameraFactors {
   /// Of factors with something to refine.
   int num_factors() const { return static_cast<int>(of_cameras_.size() + of_points_.size()); }
   int num_residuals() const { return num_residuals_; }
-  /// Of those without; not finite where one has no value.
-  double fixed_cost() const { return fixed_cost_; }
+  /// Of those without, at a state; not finite where one has no value.
+  double FixedCost(const CameraStates& cameras) const;
   /// True if a factor of a point has not the two rows of an observation.
   bool has_other_rows() const { return has_other_rows_; }
 
@@ -90,8 +90,8 @@ class CameraFactors {
   const std::vector<int64_t> diagonal_begin_;
   std::vector<OfCameras> of_cameras_;
   std::vector<OfPoint> of_points_;
+  std::vector<ChartedFactor> fixed_;  ///< with nothing to refine
   int num_residuals_ = 0;
-  double fixed_cost_ = 0;
   bool has_other_rows_ = false;
   std::vector<double> residuals_;  ///< of camera factors, one after the other
   std::vector<double> jacobians_;

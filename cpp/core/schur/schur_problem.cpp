@@ -235,7 +235,7 @@ EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
 
 void SchurProblem::MeasureStart(const SolveOptions& options) {
   state_norm_ = std::sqrt(Dot(x_->camera_state, x_->camera_state) + FreePointsSquared());
-  fixed_cost_ = setup_.FixedCost(options) + factors_.fixed_cost();
+  fixed_cost_ = setup_.FixedCost(options) + factors_.FixedCost(x_->cameras());
 }
 
 template <typename Visit, typename Done>

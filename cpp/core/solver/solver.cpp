@@ -129,11 +129,12 @@ int64_t ProcessId() { return 1; }
 constexpr int64_t kNobody = 0;
 
 /// At the start and at the solution, in the world of the factors.
-void SetFactorCosts(const ProblemView& given, SolveOutput* output) {
-  if (given.factors == nullptr) return;
-  output->summary.num_factors = static_cast<int>(given.factors->factors.size());
-  output->factor_costs_before = FactorCosts(given);
+void SetFactorCosts(const ProblemView& given, const ProblemFactors* factors, SolveOutput* output) {
+  if (factors == nullptr) return;
   ProblemView refined = given;
+  refined.factors = factors;
+  output->summary.num_factors = static_cast<int>(factors->factors.size());
+  output->factor_costs_before = FactorCosts(refined);
   refined.cam_from_world = output->cam_from_world.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
@@ -162,11 +163,13 @@ class Solver::Impl {
     if (fused_ == nullptr) prepared_.reset();  // Ceres' solves prepare themselves
   }
 
+  void CheckStructure(const ProblemView& given) const { CheckSameStructure(problem_, given); }
+
   SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
                     const ProgressCallback& progress) {
     const UseGuard guard(&user_);
     const Stopwatch time;
-    if (is_reused_) CheckSameStructure(problem_, given);
+    if (is_reused_) CheckStructure(given);
     AbandonAfterFork();
     const SceneFrame given_frame(given);
     const CenteredProblem centered(given, given_frame);
@@ -182,7 +185,7 @@ class Solver::Impl {
     SolveOutput output = Run(options, std::move(warnings), progress);
     JudgeFarPoints(problem_, far, options, &output);
     centered.MoveBack(&output);
-    SetFactorCosts(given, &output);
+    SetFactorCosts(given, problem_.factors, &output);
     output.summary.backend_given = UpperName(options.backend, kBackends);
     output.summary.backend_used = UpperName(choice_.backend, kBackends);
     output.summary.backend_choice = choice_.reason;
@@ -255,7 +258,8 @@ class Solver::Impl {
     return SolveWithCeresAsAsked(problem_, options, std::move(prepared), progress);
   }
 
-  ProblemView problem_;  ///< the structure of the first, the values of the last, about its centre
+  /// The structure, bounds and factors of the first, the values of the last, about its centre.
+  ProblemView problem_;
   const SolveOptions options_;
   const bool is_reused_;
   std::optional<PreparedSolve> prepared_;  ///< of the next solve by Ceres
@@ -275,6 +279,8 @@ Solver::Solver(const ProblemView& problem, const SolveOptions& options, Once /*o
     : impl_(std::make_unique<Impl>(problem, options, /*is_reused=*/false)) {}
 
 Solver::~Solver() = default;
+
+void Solver::CheckStructure(const ProblemView& problem) const { impl_->CheckStructure(problem); }
 
 SolveOutput Solver::Solve(const ProblemView& problem, const SolveOptions& options,
                           const ProgressCallback& progress) {

@@ -34,8 +34,9 @@ BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& pr
 /// threads do not survive a fork.
 class Solver {
  public:
-  /// Lays out everything. The problem is valid (problem_view.h); its arrays have to live and stay
-  /// as they are as long as the solver, but for poses, camera parameters, points and measurements.
+  /// Lays out everything. The problem is valid (problem_view.h); its arrays, bounds and factors
+  /// have to live and stay as they are as long as the solver, but for poses, camera parameters,
+  /// points and measurements.
   ///
   /// Throws InputError as bundle::Solve below.
   Solver(const ProblemView& problem, const SolveOptions& options);
@@ -43,7 +44,11 @@ class Solver {
   Solver(const Solver&) = delete;
   Solver& operator=(const Solver&) = delete;
 
-  /// Solves from the values of a valid problem. Options may differ from the constructor's in what
+  /// Throws InputError if the problem has another structure.
+  void CheckStructure(const ProblemView& problem) const;
+
+  /// Solves from the values of a valid problem, within the bounds and with the factors of the
+  /// constructor's; its own are not looked at. Options may differ from the constructor's in what
   /// CopyChangeable copies; anything else in them has no effect. After an exception the solver can
   /// be used again.
   ///

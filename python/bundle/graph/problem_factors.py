@@ -48,6 +48,11 @@ class ProblemFactors:
             self._graph.add_factor(factor)
 
     @property
+    def factors(self) -> tuple[Factor, ...]:
+        """They themselves."""
+        return self._graph.factors
+
+    @property
     def locate(self) -> bool:
         """Whether some of them say where images or points are."""
         return any(kind != "camera" for kind, _ in self._places)
