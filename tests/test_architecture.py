@@ -189,7 +189,7 @@ PYTHON_MAY_IMPORT = {
         "solve_record",
         "words",
     },
-    "georeference": {"errors", "option_fields"},
+    "georeference": {"display", "errors", "option_fields", "words"},
     "compare_defaults": {"memory_sizes"},
     "comparison": {
         "_core",
@@ -282,7 +282,7 @@ OUTSIDERS = {
     "pycolmap": {"deferred_source", "io", "problem"},
     "matplotlib": {"pictures"},
     "pyproj": {"georeference"},
-    "exifread": {"georeference"},
+    "PIL": {"georeference"},
 }
 
 CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})

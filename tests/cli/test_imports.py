@@ -10,7 +10,7 @@ import bundle
 from tests.scenes import make_problem
 
 HEAVY = {
-    *{"pycolmap", "matplotlib", "scipy", "pyproj", "exifread"},
+    *{"pycolmap", "matplotlib", "scipy", "pyproj", "PIL"},
     *{"bundle.synthetic", "bundle.html", "bundle.pictures", "bundle.georeference"},
 }
 RUN = """

@@ -214,6 +214,7 @@ double SchurProblem::SlopeAtCandidate() { return SlopeAt(*candidate_); }
 void SchurProblem::Accept() {
   std::swap(x_, candidate_);
   std::swap(state_norm_, candidate_norm_);
+  x_->MoveAnchors();
 }
 
 std::vector<double> SchurProblem::Points() const {
@@ -295,6 +296,7 @@ void SchurProblem::MoveCameras(const std::vector<double>& step) {
   for (size_t j = 0; j < step.size(); ++j) {
     candidate_->camera_state[j] = bounds_.Project(j, x_->camera_state[j] + step[j]);
   }
+  candidate_->ShareAnchors(*x_);
   candidate_->Update();
 }
 

@@ -172,6 +172,10 @@ void State::Update() {
   }
 }
 
+void State::MoveAnchors() {
+  if (cameras_.MoveAnchors()) Update();
+}
+
 CameraStep::CameraStep(const ProblemView& problem, const ParameterLayout& layout)
     : problem_(problem),
       layout_(layout),

@@ -42,6 +42,11 @@ class State {
   void Reset(const ParameterLayout& layout, const EliminationPlan& plan);
   /// Expands `camera_state`, after it changed.
   void Update();
+  /// The same state about anchors where its images are, if some have gone too far from theirs
+  /// (factors/reprojection.h).
+  void MoveAnchors();
+  /// Before the Update of a candidate: its step starts from `state`.
+  void ShareAnchors(const State& state) { cameras_.SetAnchors(state.cameras_.anchors()); }
   StateRecords records() const;
   /// Of a candidate for the state after `before`, for a pass over one chunk that fills `held`.
   StateRecords CandidateRecords(const StateRecords& before, int chunk);

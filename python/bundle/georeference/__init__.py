@@ -1,6 +1,9 @@
 """Where a reconstruction is on the earth: coordinates, measured positions, priors from them."""
 
+from bundle.georeference.exif_gps import read_exif_gps
+from bundle.georeference.geo_file import read_geo_file
+from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.reference_system import ReferenceSystem
 
-__all__ = ["LocalFrame", "ReferenceSystem"]
+__all__ = ["GpsPositions", "LocalFrame", "ReferenceSystem", "read_exif_gps", "read_geo_file"]

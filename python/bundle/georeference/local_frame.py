@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bundle.errors import InputError
 from bundle.option_fields import number
@@ -59,7 +59,7 @@ class LocalFrame:
             object.__setattr__(self, name, value)
 
     @staticmethod
-    def about(geodetic: Array) -> LocalFrame:
+    def about(geodetic: ArrayLike) -> LocalFrame:
         """Return the frame about the middle of some places.
 
         The median of their normals on the ellipsoid stays with the majority where some places are
@@ -93,7 +93,7 @@ class LocalFrame:
             f"+lat_0={self.latitude!r} +lon_0={self.longitude!r} +h_0={self.height!r}"
         )
 
-    def to_enu(self, geodetic: Array) -> Array:
+    def to_enu(self, geodetic: ArrayLike) -> Array:
         """Return (n, 3) east, north, up [m] of places.
 
         Args:
@@ -107,7 +107,7 @@ class LocalFrame:
         enu[unknown, 2] = np.nan
         return enu
 
-    def to_geodetic(self, enu: Array) -> Array:
+    def to_geodetic(self, enu: ArrayLike) -> Array:
         """Return (n, 3) latitude, longitude [degrees], height [m] of (n, 3) east, north, up [m]."""
         east, north, up = np.asarray(enu, dtype=np.float64).reshape(-1, 3).T
         longitude, latitude, height = self._transformer.transform(

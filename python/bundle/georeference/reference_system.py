@@ -16,12 +16,13 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bundle.errors import InputError, brief, first_line
 
@@ -61,16 +62,19 @@ class ReferenceSystem:
         """What is lost on the way to WGS84: a sentence, or nothing."""
         return () if self._transformer[1] else (_UNKNOWN_SHIFT.format(self.name),)
 
-    def to_geodetic(self, coordinates: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_geodetic(
+        self, coordinates: ArrayLike, places: Sequence[str] | None = None
+    ) -> NDArray[np.float64]:
         """Return (n, 3) latitude, longitude [degrees] and height [m] on WGS84.
 
         Args:
             coordinates: (n, 3) east, north, height, or longitude, latitude, height, in the units of
                 the system, whatever order of axes its authority prescribes. Heights may be nan
                 (unknown) and then are so in the result.
+            places: what messages call each row; "position 0" and so on by default.
 
         Raises:
-            InputError: coordinates out of the system's area; the message names the row.
+            InputError: coordinates out of the system's area.
         """
         x, y, z = np.asarray(coordinates, dtype=np.float64).reshape(-1, 3).T
         transformer, _ = self._transformer
@@ -85,8 +89,9 @@ class ReferenceSystem:
         good &= (np.abs(latitude) <= 90) & (np.abs(longitude) <= 360) & ~np.isinf(height)
         if not good.all():
             row = int(np.argmin(good))
+            place = f"position {row}" if places is None else places[row]
             raise InputError(
-                f"position {row}: expected coordinates within the area of {self.name}, "
+                f"{place}: expected coordinates within the area of {self.name}, "
                 f"found {x[row]:.10g} {y[row]:.10g}"
             )
         return np.column_stack([latitude, (longitude + 180) % 360 - 180, height])

@@ -1,0 +1,105 @@
+"""OpenDroneMap's image geolocation file, ``geo.txt``.
+
+The first line is the coordinate reference system, every other one an image::
+
+    EPSG:4326
+    # image         x            y          z       yaw pitch roll  h-acc v-acc
+    DJI_0028.JPG    -91.9942096  46.8425213 198.609
+    DJI_0032.JPG    -91.9938293  46.8424584 198.609 0   0     0     0.02  0.03
+
+Numbers go by their place, as in OpenDroneMap: accuracies come after the three angles, and what is
+incomplete at the end of a line is no number of this format. x is east or longitude, y north or
+latitude. Names hold no blanks. Angles are checked and not used: they have no effect on a position,
+and the images themselves know the attitude better.
+
+Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+
+from bundle.errors import InputError, brief, shown
+from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.odm_lines import parse_number, read_lines
+from bundle.words import plural
+
+__all__ = ["read_geo_file"]
+
+_ANGLES = ("yaw", "pitch", "roll")
+_ACCURACIES = ("horizontal accuracy", "vertical accuracy")
+
+
+def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
+    """Read the positions of images from OpenDroneMap's geo.txt.
+
+    Raises:
+        InputError: an unknown reference system, a line that lacks numbers or has words in their
+            place, an image that has two lines, a position out of the system's area; one line with
+            file, line, expected and found.
+        OSError: the file cannot be read.
+    """
+    system, lines = read_lines(path)
+    name = shown(path)
+    seen: dict[str, int] = {}
+    rows: list[list[float]] = []
+    odd = 0
+    for number, words in lines:
+        place = f"{name}: line {number}"
+        rows.append(_row(place, words))
+        image = words[0]
+        if image in seen:
+            raise InputError(
+                f"{place}: expected one line for each image, found {brief(image)} again "
+                f"(line {seen[image]} has it too)"
+            )
+        seen[image] = number
+        odd += len(words) in (5, 6, 8)
+    if not rows:
+        raise InputError(f"{name}: expected images after the first line, found none")
+    table = np.array(rows)
+    notes = list(system.notes)
+    if odd:
+        notes.append(
+            f"{plural(odd, 'line')} of {name} have numbers after the height that are neither three "
+            "angles nor three angles and two accuracies; they are ignored."
+        )
+    return GpsPositions(
+        names=tuple(seen),
+        geodetic=system.to_geodetic(
+            table[:, :3], [f"{name}: line {number}" for number in seen.values()]
+        ),
+        accuracy=table[:, 3:],
+        reference_system=system.name.strip("'\" "),
+        source=name,
+        notes=tuple(notes),
+    )
+
+
+def _row(place: str, words: list[str]) -> list[float]:
+    """Return x, y, z and the two accuracies, nan where there are none."""
+    if len(words) < 3:
+        raise InputError(
+            f"{place}: expected image x y [z] [yaw pitch roll] [h-acc v-acc], "
+            f"found {brief(' '.join(words))}"
+        )
+    x, y = (parse_number(place, name, word) for name, word in zip("xy", words[1:3], strict=True))
+    z = parse_number(place, "z", words[3], unknown=True) if len(words) > 3 else np.nan
+    accuracies = [np.nan, np.nan]
+    if len(words) >= 7:
+        for name, word in zip(_ANGLES, words[4:7], strict=True):
+            parse_number(place, name, word, unknown=True)
+    if len(words) >= 9:
+        accuracies = [
+            parse_number(place, name, word, unknown=True)
+            for name, word in zip(_ACCURACIES, words[7:9], strict=True)
+        ]
+        for name, accuracy in zip(_ACCURACIES, accuracies, strict=True):
+            if accuracy <= 0:
+                raise InputError(
+                    f"{place}: {name}: expected metres above 0, or nan where it is unknown, "
+                    f"found {accuracy:g}"
+                )
+    return [x, y, z, *accuracies]

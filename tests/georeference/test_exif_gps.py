@@ -1,0 +1,127 @@
+"""GPS positions in EXIF tags, written by Pillow, read by ours."""
+
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from bundle import InputError
+from bundle.georeference import read_exif_gps
+
+HERE = {1: "N", 2: (48.0, 30.0, 36.0), 3: "W", 4: (9.0, 15.0, 18.0), 5: b"\0", 6: 420.25}
+"""The tags of GPS by number: latitude, longitude and altitude with their references."""
+
+
+def photo(path, tags):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = Image.new("RGB", (8, 6))
+    exif = Image.Exif()
+    exif[271] = "Maker"
+    if tags is not None:
+        exif[0x8825] = dict(tags)
+    image.save(path, exif=exif.tobytes())
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "JPG", "png", "webp", "tif"])
+def test_formats(tmp_path, suffix):
+    photo(tmp_path / f"a.{suffix}", HERE)
+    found = read_exif_gps(tmp_path, [f"a.{suffix}"])
+    assert found.names == (f"a.{suffix}",)
+    np.testing.assert_allclose(found.geodetic, [[48.51, -9.255, 420.25]], rtol=0, atol=1e-9)
+    assert np.isnan(found.accuracy).all()
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({1: "S"}, (-48.51, -9.255, 420.25, math.nan)),
+        ({3: "E"}, (48.51, 9.255, 420.25, math.nan)),
+        ({5: b"\1"}, (48.51, -9.255, -420.25, math.nan)),
+        ({5: None}, (48.51, -9.255, 420.25, math.nan)),
+        ({6: None}, (48.51, -9.255, math.nan, math.nan)),
+        ({6: IFDRational(1, 0)}, (48.51, -9.255, math.nan, math.nan)),
+        ({31: 4.5}, (48.51, -9.255, 420.25, 4.5)),
+        ({31: 0.0}, (48.51, -9.255, 420.25, math.nan)),
+        ({2: (48.51, 0.0, 0.0)}, (48.51, -9.255, 420.25, math.nan)),
+        ({2: (0.0, 0.0, 0.0)}, (0.0, -9.255, 420.25, math.nan)),
+        ({2: (0.0, 0.0, 0.0), 4: (0.0, 0.0, 0.0)}, None),
+        ({1: None}, None),
+        ({1: "X"}, None),
+        ({2: None}, None),
+        ({2: (48.0, 30.0)}, None),
+        ({2: (IFDRational(48, 0), 0.0, 0.0)}, None),
+        ({2: (91.0, 0.0, 0.0)}, None),
+        ({4: (181.0, 0.0, 0.0)}, None),
+    ],
+)
+def test_tags(tmp_path, changes, expected):
+    tags = {tag: value for tag, value in (HERE | changes).items() if value is not None}
+    photo(tmp_path / "a.jpg", tags)
+    photo(tmp_path / "other.jpg", HERE)
+    found = read_exif_gps(tmp_path, ["a.jpg", "other.jpg"])
+    if expected is None:
+        assert found.names == ("other.jpg",)
+        (note,) = found.notes
+        assert "1 image without a GPS position" in note
+        assert "a.jpg" in note
+        return
+    (*geodetic, accuracy) = expected
+    np.testing.assert_allclose(found.geodetic[0], geodetic, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.accuracy[0], [accuracy, math.nan])
+
+
+def test_folders_broken_files_and_missing_ones(tmp_path, caplog, capfd):
+    photo(tmp_path / "left" / "a.jpg", HERE)
+    photo(tmp_path / "b.jpg", HERE | {6: 500.0})
+    photo(tmp_path / "plain.jpg", None)
+    (tmp_path / "empty.jpg").touch()
+    (tmp_path / "noise.jpg").write_bytes(np.random.default_rng(0).bytes(5000))
+    whole = (tmp_path / "b.jpg").read_bytes()
+    (tmp_path / "cut.jpg").write_bytes(whole[:60])
+    names = ["left/a.jpg", "right/b.jpg", "plain.jpg", "empty.jpg", "noise.jpg", "cut.jpg", "none"]
+    found = read_exif_gps(tmp_path, names)
+    assert found.names == ("left/a.jpg", "right/b.jpg")  # the second without its folder
+    assert found.geodetic[1, 2] == 500
+    missing, silent = found.notes
+    assert "1 image not in" in missing
+    assert "none" in missing
+    assert "4 images without" in silent
+    assert "plain.jpg, empty.jpg, noise.jpg and 1 more" in silent
+    assert not caplog.records
+    assert capfd.readouterr() == ("", "")
+
+
+def test_cut_anywhere(tmp_path):
+    """Truncated and damaged tags give a position or none, never an exception."""
+    photo(tmp_path / "whole.jpg", HERE)
+    content = (tmp_path / "whole.jpg").read_bytes()
+    rng = np.random.default_rng(5)
+    names = []
+    for index in range(150):
+        damaged = bytearray(content[: rng.integers(1, len(content))] if index % 2 else content)
+        for place in rng.integers(0, min(len(damaged), 250), 3):
+            damaged[place] = rng.integers(256)
+        names.append(f"{index}.jpg")
+        (tmp_path / names[-1]).write_bytes(damaged)
+    found = read_exif_gps(tmp_path, names)
+    assert np.isfinite(found.geodetic[:, :2]).all()
+    assert 0 < len(found) < 150
+
+
+def test_images_beyond_pillows_limit(tmp_path, monkeypatch):
+    photo(tmp_path / "a.jpg", HERE)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)
+    assert len(read_exif_gps(tmp_path, ["a.jpg"])) == 1
+    assert Image.MAX_IMAGE_PIXELS == 10
+
+
+def test_no_folder_and_no_images(tmp_path):
+    with pytest.raises(InputError, match="expected the folder of the images, found none"):
+        read_exif_gps(tmp_path / "nowhere", ["a.jpg"])
+    with pytest.raises(InputError, match=r"expected the images .* such as 'a.jpg', found none"):
+        read_exif_gps(tmp_path, ["a.jpg", "b.jpg"])
+    with pytest.raises(InputError, match="which have no names"):
+        read_exif_gps(tmp_path, ["", ""])
