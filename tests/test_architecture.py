@@ -96,6 +96,7 @@ PYTHON_MAY_IMPORT = {
         "words",
         "worst_images",
     },
+    "image_selection": {"errors", "problem"},
     "round_record": set(),
     "camera_changes": {"cameras", "result"},
     "io": {
@@ -148,6 +149,7 @@ PYTHON_MAY_IMPORT = {
         "display",
         "errors",
         "graph",
+        "image_selection",
         "io",
         "option_fields",
         "options",

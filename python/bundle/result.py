@@ -12,7 +12,7 @@ from bundle.camera_bounds import ActiveBound
 from bundle.display import Display
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error
-from bundle.round_record import Round
+from bundle.round_record import PartRecord, Round
 from bundle.solve_record import SolveRecord
 from bundle.words import change, contents, pixels, plural, seconds
 from bundle.worst_images import ImageError, worst_images
@@ -39,6 +39,8 @@ class Result(SolveRecord):
             parameter, "lower" or "upper".
         rounds: of :func:`bundle.solve_rounds`; options, summary, iterations and times are those of
             the last round's adjustment, and ``problem`` is what its filter has left.
+        part: which part of the problem took part, where only some images were refined; the costs
+            are of this part, the reprojection errors of the whole problem.
     """
 
     problem: Problem
@@ -47,6 +49,7 @@ class Result(SolveRecord):
     factor_costs_after: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     active_bounds: tuple[ActiveBound, ...] = ()
     rounds: tuple[Round, ...] = ()
+    part: PartRecord | None = None
 
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:
