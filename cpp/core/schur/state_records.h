@@ -51,6 +51,9 @@ class State {
   /// Of a candidate for the state after `before`, for a pass over one chunk that fills `held`.
   StateRecords CandidateRecords(const StateRecords& before, int chunk);
   const CameraStates& cameras() const { return cameras_; }
+  /// All points of the problem, in its order.
+  std::vector<double> AllPoints(const EliminationPlan& plan) const;
+  double FreePointsSquared(const EliminationPlan& plan) const;
 
   std::vector<double> camera_state;
   std::vector<double> points;  ///< three a point of the plan
