@@ -159,6 +159,7 @@ PYTHON_MAY_IMPORT = {
         "round_record",
         "solve_record",
         "solver",
+        "summary",
         "words",
     },
     "check_defaults": set(),
