@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.cli.option_flags import (
+    add_options,
+    naming_flags,
+    options_given,
+    with_named_images,
+)
 from bundle.cli.parser import add_input, add_output
 from bundle.options import SolveOptions
+from bundle.rounds.round_options import RoundOptions
 
 if TYPE_CHECKING:
     from bundle.problem import Problem
@@ -26,6 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
     add_options(parser, SolveOptions, "options of the solve")
+    add_options(parser, RoundOptions, "rounds of adjusting and filtering")
+    parser.add_argument(
+        "--only-images",
+        metavar="IMAGES",
+        help="refine only these images, the points that they see and their cameras, and leave all "
+        "else as it is, bit for bit; other images that see these points take part, held (ids and "
+        "names, such as 1,5-9,left/*.jpg; default: all images)",
+    )
     parser.add_argument(
         "--check-gradients",
         action="store_true",
@@ -45,9 +60,10 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.report import json
     from bundle.report.refine import outcome, refinement
     from bundle.report.timing import WallTime
-    from bundle.solver import solve
+    from bundle.rounds import solve_rounds
 
-    options = options_given(arguments, SolveOptions)
+    options = options_given(arguments, SolveOptions, names_follow=True)
+    rounds = _rounds_given(arguments)
     source, target = arguments.input, arguments.output
     check_json(arguments.json, source, target)
     with Progress(quiet=arguments.quiet) as progress:
@@ -57,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         load_time = perf_counter() - begun
         if problem.num_observations == 0:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")
+        options = with_named_images(options, arguments, problem)
         output = {
             "path": target,
             "format": output_format(problem, target, arguments.format, source),
@@ -70,8 +87,14 @@ def run(arguments: argparse.Namespace) -> int:
             if wrong:
                 return EXIT_NO_SOLUTION
         progress.stage("building the problem")
-        with naming_flags(SolveOptions):
-            solved = solve(problem, options, progress=progress.iteration)
+        with naming_flags(SolveOptions, RoundOptions, only_images="--only-images"):
+            solved = solve_rounds(
+                problem,
+                options,
+                **rounds.asdict(),
+                only_images=arguments.only_images,
+                progress=progress.iteration,
+            )
         begun = perf_counter()
         lost: tuple[str, ...] = ()
         saved = solved.summary.is_solution_usable or solved.summary.interrupted
@@ -88,14 +111,33 @@ def run(arguments: argparse.Namespace) -> int:
         total=perf_counter() - started,
     )
     written = output if saved else None
+    more = rounds.asdict() if rounds.num_rounds else {}
+    if arguments.only_images is not None:
+        more["only_images"] = arguments.only_images
     if arguments.json != "-":
         show(*refinement(source, problem, solved, wall, written, lost))
-    write_json(arguments.json, json.refinement(source, problem, solved, wall, written))
+    write_json(arguments.json, json.refinement(source, problem, solved, wall, written, more))
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if arguments.json == "-":  # the report that people read was not printed
         complain(outcome(solved))
     return EXIT_NO_SOLUTION
+
+
+def _rounds_given(arguments: argparse.Namespace) -> RoundOptions:
+    """Return the rounds that were asked for.
+
+    Raises:
+        InputError: a value is out of range, or there are limits but no rounds.
+    """
+    from bundle.errors import InputError
+
+    rounds = options_given(arguments, RoundOptions)
+    for field in dataclasses.fields(RoundOptions):
+        given = getattr(arguments, field.name) is not None and field.name != "num_rounds"
+        if given and rounds.num_rounds == 0:
+            raise InputError(f"{field.metadata['flag']}: expected with --rounds only")
+    return rounds
 
 
 def _wrong_jacobians(

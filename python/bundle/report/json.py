@@ -80,12 +80,25 @@ def result(solved: Result) -> dict[str, Any]:
 
 
 def refinement(
-    path: str, problem: Problem, solved: Result, wall: WallTime, output: dict[str, str] | None
+    path: str,
+    problem: Problem,
+    solved: Result,
+    wall: WallTime,
+    output: dict[str, str] | None,
+    more_options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Return the report of `bundle refine`; `output` is None where nothing was written."""
+    """Return the report of `bundle refine`; `output` is None where nothing was written.
+
+    `more_options` are those beside the options of the solve.
+    """
+    about = result(solved)
+    about["options"] |= plain(more_options or {})
+    rounds = {"rounds": [dataclasses.asdict(done) for done in solved.rounds]}
     return {
         **heading("refine", path, problem),
-        **result(solved),
+        **about,
+        **(plain(rounds) if solved.rounds else {}),
+        **({"part": plain(dataclasses.asdict(solved.part))} if solved.part else {}),
         "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
         "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),
         "wall_time": plain(dataclasses.asdict(wall)),

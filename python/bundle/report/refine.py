@@ -47,6 +47,7 @@ def refinement(
         ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
         ("refined", _refined(solved.options)),
+        *_part(solved),
         ("backend", _backend(summary)),
         *((("", summary.backend_choice),) if summary.backend_choice else ()),
         ("solver", _solver(summary)),
@@ -62,6 +63,7 @@ def refinement(
     return [
         facts(rows),
         "",
+        *_rounds(solved),
         _before_and_after(solved),
         "",
         *_cameras(camera_changes(solved)),
@@ -74,6 +76,48 @@ def refinement(
         facts([("output", written)]),
         *notes(f"lost: {what}" for what in lost),
     ]
+
+
+def _part(solved: Result) -> list[tuple[str, str]]:
+    """Return which part was adjusted; nothing where it was the whole problem."""
+    part = solved.part
+    if part is None:
+        return []
+    adjusted = (
+        f"only {plural(part.num_images, 'image')}, {plural(part.num_points, 'point')}; "
+        f"{plural(part.num_observations, 'observation')} of these points, with "
+        f"{plural(part.num_images_held, 'image')} held"
+    )
+    held = set(solved.options.fixed_camera_ids)
+    shared = [str(key) for key in part.shared_camera_ids if key not in held]
+    if not shared or not {"focal", "principal_point", "extra"} & set(solved.options.refine):
+        return [("", adjusted)]
+    more = f" and {len(shared) - 3} more" if len(shared) > 3 else ""
+    cameras = f"{'camera' if len(shared) == 1 else 'cameras'} {', '.join(shared[:3])}{more}"
+    return [
+        ("", adjusted),
+        ("", f"{cameras} also took images that are held, whose errors change (--fix-cameras)"),
+    ]
+
+
+def _rounds(solved: Result) -> list[RenderableType]:
+    """Return what each round did, and an empty line; nothing where there are no rounds."""
+    if not solved.rounds:
+        return []
+    rows = [
+        (
+            f"{done.round}",
+            f"{done.initial_cost:.9e}",
+            f"{done.cost:.9e}",
+            f"{done.num_observations}",
+            f"{done.num_observations_removed}",
+            f"{done.num_points}",
+            f"{done.num_points_removed}",
+        )
+        for done in solved.rounds
+    ]
+    titles = ("round", "cost before", "cost after")
+    return [columns((*titles, "observations", "removed", "points", "removed"), rows), ""]
 
 
 def worst_table(images: Sequence[ImageError], title: str) -> list[RenderableType]:
@@ -175,7 +219,11 @@ def _before_and_after(solved: Result) -> Columns:
         "max": "max error [px]",
     }
     rows = [
-        ("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}"),
+        *(
+            [("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}")]
+            if not solved.rounds  # costs of different rounds cannot be compared
+            else []
+        ),
         *(
             (title, pixels(getattr(before, name)), pixels(getattr(after, name)))
             for name, title in titles.items()
