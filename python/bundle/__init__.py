@@ -6,12 +6,13 @@ TYPE_CHECKING = False  # as of typing, whose import takes longer than all that i
 if TYPE_CHECKING:
     from typing import Any
 
-    from bundle import html, losses, pictures, warning_kinds
+    from bundle import georeference, html, losses, pictures, warning_kinds
     from bundle._core import __version__
     from bundle.cameras import camera_models, project
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.errors import InputError
+    from bundle.georeference import PositionPrior
     from bundle.graph import (
         BetweenFactor,
         FactorGraph,
@@ -57,6 +58,7 @@ __all__ = [
     "LinearPrior",
     "MethodInspection",
     "PositionFactor",
+    "PositionPrior",
     "PriorFactor",
     "Problem",
     "RelativePoseFactor",
@@ -75,6 +77,7 @@ __all__ = [
     "compare",
     "describe",
     "filter_observations",
+    "georeference",
     "get_include",
     "html",
     "inspect",
@@ -96,6 +99,7 @@ _DEFERRED = {
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
     "errors": ("InputError",),
+    "georeference": ("PositionPrior",),
     "graph": (
         "BetweenFactor",
         "FactorGraph",

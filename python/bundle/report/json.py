@@ -19,6 +19,7 @@ from bundle.report.timing import WallTime
 from bundle.result import Result
 
 if TYPE_CHECKING:
+    from bundle.georeference import Georeference
     from bundle.statistics import Description
 
 __all__ = [
@@ -80,14 +81,21 @@ def result(solved: Result) -> dict[str, Any]:
 
 
 def refinement(
-    path: str, problem: Problem, solved: Result, wall: WallTime, output: dict[str, str] | None
+    path: str,
+    problem: Problem,
+    solved: Result,
+    wall: WallTime,
+    output: dict[str, str] | None,
+    georeference: Georeference | None = None,
 ) -> dict[str, Any]:
     """Return the report of `bundle refine`; `output` is None where nothing was written."""
+    place = {} if georeference is None else {"georeference": plain(georeference.asdict())}
     return {
         **heading("refine", path, problem),
         **result(solved),
         "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
         "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),
+        **place,
         "wall_time": plain(dataclasses.asdict(wall)),
         "output": output,
     }
