@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from bundle.problem import Problem
     from bundle.reprojection import ReprojectionError, reprojection_errors
     from bundle.result import Result
-    from bundle.rounds import Filtered, filter_observations
+    from bundle.rounds import Filtered, filter_observations, solve_rounds
     from bundle.solver import Solver, solve
     from bundle.statistics import Description, describe
     from bundle.summary import Summary
@@ -89,6 +89,7 @@ __all__ = [
     "reprojection_errors",
     "save",
     "solve",
+    "solve_rounds",
     "synthesize",
     "warning_kinds",
 ]
@@ -124,7 +125,7 @@ _DEFERRED = {
     "problem": ("Problem",),
     "reprojection": ("ReprojectionError", "reprojection_errors"),
     "result": ("Result",),
-    "rounds": ("Filtered", "filter_observations"),
+    "rounds": ("Filtered", "filter_observations", "solve_rounds"),
     "solver": ("Solver", "solve"),
     "statistics": ("Description", "describe"),
     "summary": ("Summary",),

@@ -13,6 +13,7 @@ from bundle.camera_bounds import ActiveBound
 from bundle.display import Display
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error
+from bundle.round_record import Round
 from bundle.solve_record import SolveRecord
 from bundle.words import change, contents, pixels, plural, seconds
 from bundle.worst_images import ImageError, worst_images
@@ -42,6 +43,8 @@ class Result(SolveRecord):
             parameter, "lower" or "upper".
         similarity: by which the input was moved to where priors of positions say that it is, before
             the solve; None where it was not. ``initial_problem`` is the input as it was.
+        rounds: of :func:`bundle.solve_rounds`; options, summary, iterations and times are those of
+            the last round's adjustment, and ``problem`` is what its filter has left.
     """
 
     problem: Problem
@@ -50,6 +53,7 @@ class Result(SolveRecord):
     factor_costs_after: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     active_bounds: tuple[ActiveBound, ...] = ()
     similarity: Similarity | None = None
+    rounds: tuple[Round, ...] = ()
 
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:
@@ -90,6 +94,19 @@ class Result(SolveRecord):
         more = f" and {len(bounds) - 3} more" if len(bounds) > 3 else ""
         return (("at bounds", ", ".join(bounds[:3]) + more),)
 
+    def _round_facts(self) -> tuple[tuple[str, str], ...]:
+        if not self.rounds:
+            return ()
+        observations = sum(done.num_observations_removed for done in self.rounds)
+        points = sum(done.num_points_removed for done in self.rounds)
+        return (
+            (
+                "rounds",
+                f"{len(self.rounds)}; {plural(observations, 'observation')} and "
+                f"{plural(points, 'point')} removed",
+            ),
+        )
+
     def _measure(self, problem: Problem) -> ReprojectionError:
         options = self.options
         return reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
@@ -99,11 +116,15 @@ class Result(SolveRecord):
         before, after = self.reprojection_error_before, self.reprojection_error_after
         solver = f"{summary.backend_used} {summary.linear_solver_type_used}"
         facts = [
-            ("cost", change(summary.initial_cost, summary.final_cost)),
+            (
+                "last round's cost" if len(self.rounds) > 1 else "cost",
+                change(summary.initial_cost, summary.final_cost),
+            ),
             ("RMSE", f"{pixels(before.rmse)} -> {pixels(after.rmse)} px"),
             ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
             ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),
             ("problem", contents(self.problem)),
+            *self._round_facts(),
             *self._factor_facts(),
             *self._place_facts(),
             *self._bound_facts(),

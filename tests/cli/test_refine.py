@@ -196,8 +196,7 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
     assert not [name for name, value in wanted.asdict().items() if value == defaults[name]]
     seen = []
 
-    def solve(problem, options, *, progress):
-        del progress
+    def solve(problem, options, **_):
         seen.append(options)
         return fakes.result(problem)
 
@@ -225,8 +224,8 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
     ],
 )
 def test_exit_codes_and_what_is_saved(run, model, tmp_path, monkeypatch, changes, code, saved):
-    def solve(problem, options, progress) -> Result:
-        del options, progress
+    def solve(problem, options, **_) -> Result:
+        del options
         return fakes.result(problem, summary=fakes.summary(**changes))
 
     monkeypatch.setattr("bundle.solver.solve", solve)

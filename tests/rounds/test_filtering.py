@@ -5,7 +5,7 @@ import pycolmap
 import pytest
 
 import bundle
-from bundle.rounds import triangulation
+from bundle.rounds import ray_angles
 from tests import scenes
 from tests.scenes import make_problem
 
@@ -87,7 +87,7 @@ def test_agrees_with_colmap_on_scattered_scenes(manager, seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_angles_are_those_of_all_pairs(monkeypatch, seed, spread):
     """Limits just above and below the angle of each point, down to millionths of a degree."""
-    monkeypatch.setattr(triangulation, "PAIRS_AT_ONCE", 7)
+    monkeypatch.setattr(ray_angles, "PAIRS_AT_ONCE", 7)
     problem = scattered(seed, num_images=9, num_points=25)
     centers = problem.projection_centers
     pose = problem.cam_from_world.copy()  # all centres close together: tiny angles
@@ -101,17 +101,15 @@ def test_angles_are_those_of_all_pairs(monkeypatch, seed, spread):
     expected = all_pairs(problem, observations)
     for angle in expected[expected > 0]:
         for limit in (angle * (1 - 1e-7), min(angle * (1 + 1e-7), 90.0)):
-            found = triangulation.enclose_angle(problem, observations, limit)
+            found = ray_angles.enclose_angle(problem, observations, limit)
             np.testing.assert_array_equal(found, expected >= limit)
 
 
 def test_every_step_of_the_decision_is_taken(monkeypatch):
     """A cone of rays around a point: decided by the first, the farthest, the middle, all pairs."""
     calls = []
-    real = triangulation._all_pairs
-    monkeypatch.setattr(
-        triangulation, "_all_pairs", lambda *a: calls.append(a[0].lengths) or real(*a)
-    )
+    real = ray_angles._all_pairs
+    monkeypatch.setattr(ray_angles, "_all_pairs", lambda *a: calls.append(a[0].lengths) or real(*a))
     rng = np.random.default_rng(3)
     num_points, num_images = 200, 40
     base = make_problem(num_images=num_images, num_points=num_points, model="PINHOLE")
@@ -122,7 +120,7 @@ def test_every_step_of_the_decision_is_taken(monkeypatch):
     observations = np.arange(problem.num_observations)
     expected = all_pairs(problem, observations)
     for limit in (2.0, 5.0, 12.0):
-        found = triangulation.enclose_angle(problem, observations, limit)
+        found = ray_angles.enclose_angle(problem, observations, limit)
         np.testing.assert_array_equal(found, expected >= limit)
         assert 0 < found.sum() < num_points
     assert sum(map(len, calls)) < 100, "few points need all pairs"
@@ -134,10 +132,10 @@ def test_rays_from_opposite_sides_enclose_no_angle():
     centers = np.array([[-1.0, 0, 0], [1, 1e-4, 0]])
     pose = np.c_[np.tile([0, 0, 0, 1.0], (2, 1)), -centers]
     problem = problem.replace(cam_from_world=pose, points=[[0, 0, 0]])
-    assert not triangulation.enclose_angle(problem, np.arange(2), 0.1)
-    assert triangulation.enclose_angle(problem, np.arange(2), 0.005)
+    assert not ray_angles.enclose_angle(problem, np.arange(2), 0.1)
+    assert ray_angles.enclose_angle(problem, np.arange(2), 0.005)
     coincident = problem.replace(points=centers[:1])
-    assert not triangulation.enclose_angle(coincident, np.arange(2), 1e-12)
+    assert not ray_angles.enclose_angle(coincident, np.arange(2), 1e-12)
 
 
 def test_observations_may_stand_in_any_order():

@@ -42,7 +42,10 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
     const bool is_at_state = evaluate_jacobians && !(new_evaluation_point && has_start_);
     has_start_ = has_start_ || evaluate_jacobians;
     watch_->is_at_candidate.store(true);  // no evaluation of ours is one at a state
-    if (is_at_state) bounds_->Find();
+    if (is_at_state) {
+      states_->MoveAnchors();
+      bounds_->Find();
+    }
     watch_->is_at_candidate.store(!is_at_state);
   }
 
@@ -72,6 +75,29 @@ class RecordChanges final : public ceres::IterationCallback {
   std::set<int> iterations_;
 };
 
+/// Remembers the anchors of the state that Ceres ends with: the best one, which others may follow
+/// that rounding keeps from being better; or the start, if the solve fails.
+class RememberAnchors final : public ceres::IterationCallback {
+ public:
+  explicit RememberAnchors(const CameraStates& states)
+      : states_(states), start_(states.anchors()), best_(start_) {}
+
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
+    const bool is_best = iteration.step_is_successful && !iteration.step_is_nonmonotonic;
+    if (is_best) best_ = states_.anchors();
+    return ceres::SOLVER_CONTINUE;
+  }
+
+  const std::shared_ptr<const PoseAnchors>& AtEnd(const ceres::Solver::Summary& summary) const {
+    return summary.IsSolutionUsable() ? best_ : start_;
+  }
+
+ private:
+  const CameraStates& states_;
+  const std::shared_ptr<const PoseAnchors> start_;
+  std::shared_ptr<const PoseAnchors> best_;
+};
+
 /// One solve, in the order of its methods.
 class CeresSolve {
  public:
@@ -98,6 +124,8 @@ class CeresSolve {
         UseOneThread() ? 1 : CountStartableThreads(ceres_options.num_threads);
     ThrowIfInterrupted();
     ReportProgress report(progress, fixed_cost_, abandonment_.happened);
+    RememberAnchors remember_anchors(states_);
+    ceres_options.callbacks.push_back(&remember_anchors);
     ceres_options.callbacks.push_back(&record_changes_);
     ceres_options.callbacks.push_back(&report);
 
@@ -105,6 +133,7 @@ class CeresSolve {
     const Stopwatch solve_time;
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, ceres_problem_.get(), &summary);
+    states_.SetAnchors(remember_anchors.AtEnd(summary));
     abandonment_.exception.Rethrow();
     if (abandonment_.happened) ForgetAbandonedStep(&summary);
     SolveOutput output;

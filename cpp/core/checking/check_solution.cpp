@@ -155,7 +155,8 @@ std::vector<ObservationAtPoint> SolutionUnderCheck::Sample() const {
     at.model = problem_.camera_models[camera];
     at.free = FreeColumns(observation);
     if (at.free == 0) continue;
-    double* x = std::copy_n(states_.chart(image), kPoseSize, at.x);
+    states_.Chart(image, at.x);
+    double* x = at.x + kPoseSize;
     x = std::copy_n(states_.params(camera), at.model->num_params, x);
     std::copy_n(&points_[3 * int64_t{problem_.observation_point[observation]}], 3, x);
     sample.push_back(at);
@@ -168,7 +169,7 @@ bool SolutionUnderCheck::operator()(int64_t observation, const double* x, double
   const int image = problem_.observation_image[observation];
   const double* measurement = problem_.observation_xy + 2 * observation;
   PoseState pose;
-  ExpandPose(states_.start_rotation(image), x, &pose);
+  ExpandPose(states_.anchor_rotation(image), x, &pose);
   bool counts = false;
   VisitCameraModel(*problem_.camera_models[problem_.image_camera[image]], [&](auto model) {
     using Model = decltype(model);

@@ -21,8 +21,8 @@ namespace bundle {
 /// Takes some 3 ns an observation of the problem.
 std::vector<int64_t> SampleObservations(const ProblemView& problem, int64_t size);
 
-/// An observation and the numbers that its residual depends on: x = (w, t, parameters of the
-/// model, point).
+/// An observation and the numbers that its residual depends on: x = (v, t, parameters of the
+/// model, point), v as in factors/reprojection.h.
 struct ObservationAtPoint {
   static constexpr int kMaxSize = kPoseSize + kMaxCameraParams + 3;
 

@@ -3,25 +3,37 @@
 /// The reprojection residual and its derivatives.
 ///
 /// Image i starts the solve with rotation R0 and translation t0. Its pose is parameterised by
-/// x = (w, t) in R^6, which starts at (0, t0), so that a world point X appears in the camera at
+/// x = (w, t) in R^6, which starts at (0, t0), about an *anchor* (w_a, R_a), which starts at
+/// (0, R0), so that a world point X appears in the camera at
 ///
-///   P = Exp(w) R0 X + t,          r = pi(theta, P) - m          [pixels],
+///   P = Exp(v) R_a X + t,  v = w - w_a,          r = pi(theta, P) - m          [pixels],
 ///
 /// where pi is the camera model with parameters theta and m the measurement (the difference is the
 /// model's, which may wrap around a seam). This chart is a vector
 /// space: Ceres adds steps to it without a manifold, hence without a dynamic-size product with a
-/// plus-Jacobian per residual block, and the Jacobian is written once, where it is needed. At w = 0
-/// it is the tangent space of the left perturbation Exp(d) R0; further out the left Jacobian J_l of
-/// SO(3) corrects for it, once an image and evaluation (`PoseState`). It is regular for |w| < 2 pi.
+/// plus-Jacobian per residual block, and the Jacobian is written once, where it is needed. At v = 0
+/// it is the tangent space of the left perturbation Exp(d) R_a; further out the left Jacobian J_l
+/// of SO(3) corrects for it, once an image and evaluation (`PoseState`).
 ///
-/// With q = Exp(w) R0 X, the derivative of P follows from Exp(w + d) ~ Exp(J_l d) Exp(w):
+/// With q = Exp(v) R_a X, the derivative of P follows from Exp(v + d) ~ Exp(J_l d) Exp(v):
 ///
-///   dP/dw = -[q]x J_l(w),    dP/dt = I,    dP/dX = Exp(w) R0 =: R.
+///   dP/dw = -[q]x J_l(v),    dP/dt = I,    dP/dX = Exp(v) R_a =: R.
 ///
 /// With a row a^T of dpi/dP (2x3), -a^T [q]x = (q x a)^T, so that row of the residual's Jacobian is
 ///
 ///   d/dw = (q x a)^T J_l,    d/dt = a^T,    d/dX = a^T R,    d/dtheta as the model gives it.
+///
+/// J_l(v) is singular at |v| = 2 pi: steps across v do not turn the image there, to first order. So
+/// a pose that a solve accepts at |v| > pi gets a new anchor,
+///
+///   w_a <- w,    R_a <- R,
+///
+/// which changes neither w nor the pose, but makes v = 0 and J_l = I. Steps thus start where
+/// |v| <= pi. There the singular values of J_l, 1 and twice sin(|v|/2) / (|v|/2), are at least
+/// 2/pi. A candidate needs its pose only, so that a step may have any length, and steps may add up
+/// to any number of turns. Until an image has turned by more than pi its anchor is its start.
 
+#include <cmath>
 #include <limits>
 
 #include "core/cameras/camera_model.h"
@@ -31,16 +43,26 @@ namespace bundle {
 
 /// What all observations of an image share in one evaluation.
 struct PoseState {
-  double rotation[9];       ///< cam_from_world, Exp(w) R0
+  double rotation[9];       ///< cam_from_world, Exp(v) R_a
   double translation[3];    ///< t
-  double left_jacobian[9];  ///< J_l(w)
+  double left_jacobian[9];  ///< J_l(v)
 };
 
-/// The pose that the chart (w, t), six numbers, gives over the start rotation R0.
-inline void ExpandPose(const double* start_rotation, const double* chart, PoseState* pose) {
+/// What the chart of a pose is about.
+struct PoseAnchor {
+  double w[3];           ///< w_a
+  double quaternion[4];  ///< of R_a, of any norm
+  double rotation[9];    ///< R_a
+};
+
+/// The largest |v| at which derivatives are taken.
+inline constexpr double kMaxChartAngle = M_PI;
+
+/// The pose at (v, t), six numbers, about an anchor with rotation R_a.
+inline void ExpandPose(const double* anchor_rotation, const double* chart, PoseState* pose) {
   double increment[9];
   ExpRotation(chart, increment, pose->left_jacobian);
-  MatrixProduct3(increment, start_rotation, pose->rotation);
+  MatrixProduct3(increment, anchor_rotation, pose->rotation);
   for (int i = 0; i < 3; ++i) pose->translation[i] = chart[3 + i];
 }
 

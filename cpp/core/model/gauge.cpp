@@ -21,7 +21,7 @@
 ///   b:  R' = R Exp(-b),    t' = t + (R - R') c          = t + R (b x c)   to first order
 ///   s:  R' = R,            t' = t + s (t + R c)
 ///
-/// and R Exp(-b) = Exp(-R b) R is the change J_l(w) dw = -R b of the chart
+/// and R Exp(-b) = Exp(-R b) R is the change J_l(v) dw = -R b of the chart
 /// (factors/reprojection.h). Intrinsics stay as they are. Columns that are not refined are left
 /// out, so that a direction may not be an exact null vector of the system; near ones are enough for
 /// its use (linear/coarse_space.h).

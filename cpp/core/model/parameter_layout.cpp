@@ -12,7 +12,6 @@
 #include "core/cameras/camera_model.h"
 #include "core/error.h"
 #include "core/geometry/rotation.h"
-#include "core/model/coupled_blocks.h"
 #include "core/model/problem_factors.h"
 
 namespace bundle {
@@ -245,23 +244,6 @@ void ParameterLayout::Scatter(const ProblemView& problem, const double* state, d
   for (int c = 0; c < problem.num_cameras; ++c) write(camera_block_[c], nullptr, params_of(c));
 }
 
-namespace {
-
-/// Beyond this many blocks a count takes longer than what it decides is worth.
-constexpr int kMaxBlocksToCount = 20000;
-
-}  // namespace
-
-double CountSchurDensity(const ProblemView& problem, const ParameterLayout& layout) {
-  const auto n = static_cast<int64_t>(layout.blocks().size());
-  if (n == 0 || n > kMaxBlocksToCount) return -1;
-  int64_t lower = 0;
-  for (const std::vector<int>& column : FindCoupledBlocks(problem, layout)) {
-    lower += static_cast<int64_t>(column.size());
-  }
-  return static_cast<double>(2 * lower - n) / (static_cast<double>(n) * static_cast<double>(n));
-}
-
 ProblemShape ShapeOf(const ParameterLayout& layout, int64_t num_residuals) {
   ProblemShape shape;
   shape.num_residuals = num_residuals;
@@ -276,7 +258,6 @@ CameraStates::CameraStates(const ProblemView& problem, const ParameterLayout& la
       layout_(layout),
       stride_(problem.camera_params_stride),
       charts_(static_cast<size_t>(problem.num_images) * kPoseSize),
-      start_rotations_(static_cast<size_t>(problem.num_images) * 9),
       poses_(problem.num_images) {
   Reset();
 }
@@ -286,28 +267,62 @@ void CameraStates::Reset() {
       problem_.camera_params,
       problem_.camera_params + static_cast<std::ptrdiff_t>(problem_.num_cameras) * stride_);
   std::fill(charts_.begin(), charts_.end(), 0.0);
+  auto anchors = std::make_shared<PoseAnchors>(problem_.num_images);
   for (int64_t i = 0; i < problem_.num_images; ++i) {
     const double* pose = problem_.cam_from_world + 7 * i;
-    QuaternionToRotation(pose, &start_rotations_[9 * i]);
+    PoseAnchor& anchor = (*anchors)[i];
+    std::fill_n(anchor.w, 3, 0.0);
+    std::copy_n(pose, 4, anchor.quaternion);
+    QuaternionToRotation(pose, anchor.rotation);
     std::copy(pose + 4, pose + 7, &charts_[kPoseSize * i + 3]);
   }
+  anchors_ = std::move(anchors);
   Update(layout_.InitialState(problem_).data());
 }
 
 void CameraStates::Update(const double* state) {
   layout_.Scatter(problem_, state, charts_.data(), camera_params_.data());
-  for (size_t i = 0; i < poses_.size(); ++i) {
-    ExpandPose(&start_rotations_[9 * i], &charts_[kPoseSize * i], &poses_[i]);
+  for (int i = 0; i < problem_.num_images; ++i) Expand(i);
+}
+
+void CameraStates::Expand(int image) {
+  double chart[kPoseSize];
+  Chart(image, chart);
+  ExpandPose(anchor_rotation(image), chart, &poses_[image]);
+}
+
+bool CameraStates::MoveAnchors() {
+  std::shared_ptr<PoseAnchors> moved;
+  for (int i = 0; i < problem_.num_images; ++i) {
+    double v[kPoseSize], pose[7];
+    Chart(i, v);
+    if (!(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] > kMaxChartAngle * kMaxChartAngle)) continue;
+    if (moved == nullptr) moved = std::make_shared<PoseAnchors>(*anchors_);
+    CamFromWorld(i, pose);
+    PoseAnchor& anchor = (*moved)[i];
+    std::copy_n(&charts_[kPoseSize * int64_t{i}], 3, anchor.w);
+    std::copy_n(pose, 4, anchor.quaternion);
+    QuaternionToRotation(pose, anchor.rotation);
   }
+  if (moved == nullptr) return false;
+  anchors_ = std::move(moved);
+  for (int i = 0; i < problem_.num_images; ++i) Expand(i);
+  return true;
+}
+
+void CameraStates::Chart(int image, double* chart) const {
+  std::copy_n(&charts_[kPoseSize * int64_t{image}], kPoseSize, chart);
+  for (int j = 0; j < 3; ++j) chart[j] -= (*anchors_)[image].w[j];
 }
 
 void CameraStates::CamFromWorld(int image, double pose[7]) const {
-  const double* const w = chart(image);
-  std::copy_n(problem_.cam_from_world + 7 * static_cast<int64_t>(image), 4, pose);
-  std::copy_n(w + 3, 3, pose + 4);
-  if (w[0] == 0 && w[1] == 0 && w[2] == 0) return;
+  double chart[kPoseSize];
+  Chart(image, chart);
+  std::copy_n((*anchors_)[image].quaternion, 4, pose);
+  std::copy_n(chart + 3, 3, pose + 4);
+  if (chart[0] == 0 && chart[1] == 0 && chart[2] == 0) return;
   double increment[4], rotated[4];
-  ExpQuaternion(w, increment);
+  ExpQuaternion(chart, increment);
   QuaternionProduct(increment, pose, rotated);
   NormalizeQuaternion(rotated);
   std::copy_n(rotated, 4, pose);

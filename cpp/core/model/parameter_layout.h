@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
+#include <utility>
 #include <vector>
 
 #include "core/cameras/camera_model.h"
@@ -135,13 +137,15 @@ struct ProblemShape {
 /// `num_residuals` is the number of residuals that reach the solver.
 ProblemShape ShapeOf(const ParameterLayout& layout, int64_t num_residuals);
 
-/// Share of the block pairs of the reduced camera system S that are not zero (both triangles and
-/// the diagonal), points eliminated. -1 where there are too many blocks to count it.
-double CountSchurDensity(const ProblemView& problem, const ParameterLayout& layout);
+/// One anchor per image (factors/reprojection.h).
+using PoseAnchors = std::vector<PoseAnchor>;
 
 /// The camera parameters of a problem at one state, expanded once per evaluation so that an
 /// observation only reads: rotation, translation and left Jacobian of each image, parameters of
 /// each camera.
+///
+/// A state has a meaning about certain anchors only: a candidate needs those of the state that the
+/// step starts from.
 class CameraStates {
  public:
   /// Keeps references to both; starts at the problem's own values.
@@ -152,30 +156,36 @@ class CameraStates {
 
   void Update(const double* state);
 
-  /// R0 and (w, t) of an image (factors/reprojection.h).
-  const double* start_rotation(int image) const {
-    return start_rotations_.data() + 9 * static_cast<int64_t>(image);
-  }
-  const double* chart(int image) const {
-    return charts_.data() + kPoseSize * static_cast<int64_t>(image);
-  }
+  /// Gives each image that is too far from its anchor a new one, where it is. Same state, same
+  /// poses. True if there is any; others keep every bit.
+  bool MoveAnchors();
+  /// From the next Update on. They are never changed, but replaced.
+  void SetAnchors(std::shared_ptr<const PoseAnchors> anchors) { anchors_ = std::move(anchors); }
+  const std::shared_ptr<const PoseAnchors>& anchors() const { return anchors_; }
+
+  /// R_a of an image.
+  const double* anchor_rotation(int image) const { return (*anchors_)[image].rotation; }
+  /// (v, t) of an image, six numbers.
+  void Chart(int image, double* chart) const;
   const PoseState& pose(int image) const { return poses_[image]; }
   const double* params(int camera) const {
     return camera_params_.data() + static_cast<int64_t>(camera) * stride_;
   }
 
-  /// The refined poses as quaternion and translation (num_images x 7): Exp(w) q0. A pose that did
+  /// The refined poses as quaternion and translation (num_images x 7): Exp(v) q_a. A pose that did
   /// not move keeps every bit of what it was.
   std::vector<double> CamFromWorld() const;
   void CamFromWorld(int image, double pose[7]) const;
   const std::vector<double>& camera_params() const { return camera_params_; }
 
  private:
+  void Expand(int image);
+
   const ProblemView& problem_;
   const ParameterLayout& layout_;
   const int stride_;
-  std::vector<double> charts_;           ///< (w, t) of each image
-  std::vector<double> start_rotations_;  ///< R0 of each image
+  std::shared_ptr<const PoseAnchors> anchors_;
+  std::vector<double> charts_;  ///< (w, t) of each image
   std::vector<PoseState> poses_;
   std::vector<double> camera_params_;
 };

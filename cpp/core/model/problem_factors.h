@@ -5,9 +5,9 @@
 /// A factor (factors/factor.h) is differentiated by the tangent coordinates of its variables. An
 /// image is the variable cam_from_world on SE(3), T = (R, t), which moves to T Exp(phi, rho): to
 /// first order R to R Exp(phi) and t to t + R rho. A solver's unknowns are the chart (w, t) of
-/// factors/reprojection.h, R = Exp(w) R0. A step (dw, dt) of these makes
+/// factors/reprojection.h, R = Exp(v) R_a. A step (dw, dt) of these makes
 ///
-///   R Exp(phi) = Exp(J_l(w) dw) R        =>   phi = R^T J_l(w) dw,
+///   R Exp(phi) = Exp(J_l(v) dw) R        =>   phi = R^T J_l(v) dw,
 ///   t + R rho  = t + dt                  =>   rho = R^T dt.
 ///
 /// A scene that is solved about another origin c (model/scene_frame.h) has t' = t + R c for its
@@ -18,7 +18,7 @@
 ///
 /// So a row (a, b) of a Jacobian by (phi, rho) becomes, with b . (c x phi) = (b x c) . phi,
 ///
-///   by w: (R (a + b x c))^T J_l(w),        by t: (R b)^T.
+///   by w: (R (a + b x c))^T J_l(v),        by t: (R b)^T.
 ///
 /// Cameras and points are Euclidean: their coordinates are the unknowns themselves. Of all these a
 /// layout keeps the columns that are free (CameraBlock::columns).

@@ -40,6 +40,7 @@
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
 #include "core/linear/supernodal_cholesky.h"
+#include "core/model/coupled_blocks.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
@@ -97,6 +98,21 @@ BlockStructure StructureOf(const BlockPatternView& pattern) {
                       pattern.row + pattern.column_begin[j + 1]);
   }
   return SparseStructure({pattern.size, pattern.size + pattern.num_blocks}, columns);
+}
+
+/// Beyond this many blocks a count takes longer than what it decides is worth.
+constexpr int kMaxBlocksToCount = 20000;
+
+/// Share of the block pairs of S that are not zero (both triangles and the diagonal). -1 where
+/// there are too many blocks to count it.
+double CountSchurDensity(const ProblemView& problem, const ParameterLayout& layout) {
+  const auto n = static_cast<int64_t>(layout.blocks().size());
+  if (n == 0 || n > kMaxBlocksToCount) return -1;
+  int64_t lower = 0;
+  for (const std::vector<int>& column : FindCoupledBlocks(problem, layout)) {
+    lower += static_cast<int64_t>(column.size());
+  }
+  return static_cast<double>(2 * lower - n) / (static_cast<double>(n) * static_cast<double>(n));
 }
 
 }  // namespace

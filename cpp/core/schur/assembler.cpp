@@ -114,6 +114,21 @@ void Assembler::AddSharedCameras(const EliminationInput& input, const Chunk& chu
   }
 }
 
+void Assembler::AddDamping(double damping, const std::vector<double>& d_squared,
+                           CameraSums* sums) const {
+  for (int b = 0; b < structure_.num_blocks(); ++b) {
+    const int size = structure_.block_size(b);
+    for (int k = 0; k < size; ++k) {
+      const double added = damping * d_squared[structure_.offset[b] + k];
+      sums->system.values[structure_.ValueIndex(b, structure_.column_begin[b], k, k)] += added;
+      if (sums->system.camera_diagonal.empty()) continue;
+      double* const diagonal = sums->system.camera_diagonal.data() + diagonal_begin_[b];
+      diagonal[k * size + k] += added;
+      for (int i = 0; i < k; ++i) diagonal[k * size + i] = diagonal[i * size + k];
+    }
+  }
+}
+
 void Assembler::ClearColumns(const std::vector<uint8_t>& which, CameraSums* sums) const {
   if (std::count(which.begin(), which.end(), 1) == 0) return;
   for (size_t j = 0; j < which.size(); ++j) {

@@ -57,6 +57,9 @@ class Assembler {
   void AddSharedCameras(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                         CameraSums* sums) const;
 
+  /// S += damping D^2, and the same for the block diagonal, whose upper triangles it completes.
+  void AddDamping(double damping, const std::vector<double>& d_squared, CameraSums* sums) const;
+
   /// Takes the marked columns of the Jacobian out of the sums: their rows and columns become zero.
   void ClearColumns(const std::vector<uint8_t>& which, CameraSums* sums) const;
 

@@ -214,16 +214,7 @@ double SchurProblem::SlopeAtCandidate() { return SlopeAt(*candidate_); }
 void SchurProblem::Accept() {
   std::swap(x_, candidate_);
   std::swap(state_norm_, candidate_norm_);
-}
-
-std::vector<double> SchurProblem::Points() const {
-  std::vector<double> points(problem_.points,
-                             problem_.points + 3 * static_cast<int64_t>(problem_.num_points));
-  for (int p = 0; p < plan_.num_free_points; ++p) {
-    std::copy_n(x_->points.data() + 3 * static_cast<int64_t>(p), 3,
-                points.data() + 3 * static_cast<int64_t>(plan_.point[p]));
-  }
-  return points;
+  x_->MoveAnchors();
 }
 
 EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
@@ -233,7 +224,7 @@ EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
 }
 
 void SchurProblem::MeasureStart(const SolveOptions& options) {
-  state_norm_ = std::sqrt(Dot(x_->camera_state, x_->camera_state) + FreePointsSquared());
+  state_norm_ = std::sqrt(Dot(x_->camera_state, x_->camera_state) + x_->FreePointsSquared(plan_));
   fixed_cost_ = setup_.FixedCost(options) + factors_.FixedCost(x_->cameras());
 }
 
@@ -263,23 +254,14 @@ void SchurProblem::ForChunks(const Visit& visit) {
 
 void SchurProblem::DampCameras(double damping, bool first) {
   CameraSums& sums = sums_.sums();
-  for (int b = 0; b < structure_.num_blocks(); ++b) {
-    const int size = structure_.block_size(b);
-    for (int k = 0; k < size; ++k) {
-      const int j = structure_.offset[b] + k;
-      const double squared_norm = sums.squared_norms[j];
-      if (first) scale_[j] = 1 / (1 + std::sqrt(squared_norm));
-      const double squared_scale = scale_[j] * scale_[j];
-      d_squared_[j] =
-          std::clamp(squared_scale * squared_norm, kMinDiagonal, kMaxDiagonal) / squared_scale;
-      const double added = damping * d_squared_[j];
-      sums.system.values[structure_.ValueIndex(b, structure_.column_begin[b], k, k)] += added;
-      if (sums.system.camera_diagonal.empty()) continue;
-      double* const diagonal = sums.system.camera_diagonal.data() + assembler_.diagonal_begin()[b];
-      diagonal[k * size + k] += added;
-      for (int i = 0; i < k; ++i) diagonal[k * size + i] = diagonal[i * size + k];
-    }
+  for (size_t j = 0; j < scale_.size(); ++j) {
+    const double squared_norm = sums.squared_norms[j];
+    if (first) scale_[j] = 1 / (1 + std::sqrt(squared_norm));
+    const double squared_scale = scale_[j] * scale_[j];
+    d_squared_[j] =
+        std::clamp(squared_scale * squared_norm, kMinDiagonal, kMaxDiagonal) / squared_scale;
   }
+  assembler_.AddDamping(damping, d_squared_, &sums);
 }
 
 void SchurProblem::HoldActive() {
@@ -295,6 +277,7 @@ void SchurProblem::MoveCameras(const std::vector<double>& step) {
   for (size_t j = 0; j < step.size(); ++j) {
     candidate_->camera_state[j] = bounds_.Project(j, x_->camera_state[j] + step[j]);
   }
+  candidate_->ShareAnchors(*x_);
   candidate_->Update();
 }
 
@@ -355,14 +338,6 @@ Candidate SchurProblem::Finish(const std::vector<double>& step, const CandidateS
   result.step_norm = std::sqrt(step_squared + sum.step_squared);
   result.cost = sum.cost + factors_.Cost(candidate_->cameras(), candidate_->points.data());
   return result;
-}
-
-double SchurProblem::FreePointsSquared() const {
-  double sum = 0;
-  for (int64_t i = 0; i < 3 * static_cast<int64_t>(plan_.num_free_points); ++i) {
-    sum += x_->points[i] * x_->points[i];
-  }
-  return sum;
 }
 
 }  // namespace bundle

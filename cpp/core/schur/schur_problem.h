@@ -63,7 +63,7 @@ class SchurProblem final : public LeastSquares {
 
   /// Camera parameters and points (as in ProblemView) at the state.
   const CameraStates& cameras() const { return x_->cameras(); }
-  std::vector<double> Points() const;
+  std::vector<double> Points() const { return x_->AllPoints(plan_); }
 
  private:
   EliminationInput WithPriors(EliminationInput input) const;
@@ -76,7 +76,7 @@ class SchurProblem final : public LeastSquares {
   template <typename Visit>
   void ForChunks(const Visit& visit);
   double* Memory(int thread) { return memory_[thread].data(); }
-  /// S += damping D^2, and the same for the block diagonal of the camera parameters.
+  /// Scales and damps the columns of the camera parameters.
   void DampCameras(double damping, bool first);
   const std::vector<double>& gradient() { return sums_.sums().gradient; }
   /// Takes the columns of numbers on active bounds out of the normal equations.
@@ -92,7 +92,6 @@ class SchurProblem final : public LeastSquares {
   /// d^T J^T r along the last step, at a state.
   double SlopeAt(const State& state);
   Candidate Finish(const std::vector<double>& step, const CandidateSum& sum);
-  double FreePointsSquared() const;
 
   SchurSetup setup_;
   const ProblemView& problem_ = setup_.problem;

@@ -172,6 +172,25 @@ void State::Update() {
   }
 }
 
+void State::MoveAnchors() {
+  if (cameras_.MoveAnchors()) Update();
+}
+
+std::vector<double> State::AllPoints(const EliminationPlan& plan) const {
+  std::vector<double> all(problem_.points,
+                          problem_.points + 3 * static_cast<int64_t>(problem_.num_points));
+  for (int p = 0; p < plan.num_free_points; ++p) {
+    std::copy_n(&points[3 * int64_t{p}], 3, &all[3 * int64_t{plan.point[p]}]);
+  }
+  return all;
+}
+
+double State::FreePointsSquared(const EliminationPlan& plan) const {
+  double sum = 0;
+  for (int64_t i = 0; i < 3 * int64_t{plan.num_free_points}; ++i) sum += points[i] * points[i];
+  return sum;
+}
+
 CameraStep::CameraStep(const ProblemView& problem, const ParameterLayout& layout)
     : problem_(problem),
       layout_(layout),

@@ -45,7 +45,7 @@ def options_given(arguments: argparse.Namespace, kind: type[Options]) -> Options
 
 
 @contextmanager
-def naming_flags(kind: type[Any]) -> Iterator[None]:
+def naming_flags(*kinds: type[Any]) -> Iterator[None]:
     """Let an InputError about an option name its flag, as the user typed it.
 
     Options stand at the head of a message, and before "=" within it.
@@ -53,7 +53,11 @@ def naming_flags(kind: type[Any]) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        flags = {field.name: field.metadata["flag"] for field in dataclasses.fields(kind)}
+        flags = {
+            field.name: field.metadata["flag"]
+            for kind in kinds
+            for field in dataclasses.fields(kind)
+        }
         name, colon, rest = str(error).partition(":")
         if name not in flags:
             raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from bundle.cli.gps_flags import add_gps_flags, check_gps_flags
 from bundle.cli.option_flags import add_options, naming_flags, options_given
 from bundle.cli.parser import add_input, add_output
 from bundle.options import SolveOptions
+from bundle.rounds.round_options import RoundOptions
 
 if TYPE_CHECKING:
     from bundle.problem import Problem
@@ -27,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
     add_options(parser, SolveOptions, "options of the solve")
+    add_options(parser, RoundOptions, "rounds of adjusting and filtering")
     add_gps_flags(parser)
     parser.add_argument(
         "--check-gradients",
@@ -53,9 +56,10 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.report import json
     from bundle.report.refine import outcome, refinement
     from bundle.report.timing import WallTime
-    from bundle.solver import solve
+    from bundle.rounds import solve_rounds
 
     options = options_given(arguments, SolveOptions)
+    rounds = _rounds_given(arguments)
     check_gps_flags(arguments, options)
     source, target = arguments.input, arguments.output
     check_json(arguments.json, source, target)
@@ -84,10 +88,11 @@ def run(arguments: argparse.Namespace) -> int:
             if wrong:
                 return EXIT_NO_SOLUTION
         progress.stage("building the problem")
-        with naming_flags(SolveOptions), naming_gps_flags():
-            solved = solve(
+        with naming_flags(SolveOptions, RoundOptions), naming_gps_flags():
+            solved = solve_rounds(
                 problem,
                 options,
+                **rounds.asdict(),
                 priors=() if gps is None else gps.priors,
                 align=None if gps is None else True,
                 progress=progress.iteration,
@@ -111,15 +116,32 @@ def run(arguments: argparse.Namespace) -> int:
         total=perf_counter() - started,
     )
     written = output if saved else None
+    more = rounds.asdict() if rounds.num_rounds else {}
     if arguments.json != "-":
         show(*refinement(source, problem, solved, wall, written, lost, georeference))
-    report = json.refinement(source, problem, solved, wall, written, georeference)
+    report = json.refinement(source, problem, solved, wall, written, more, georeference)
     write_json(arguments.json, report)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if arguments.json == "-":  # the report that people read was not printed
         complain(outcome(solved))
     return EXIT_NO_SOLUTION
+
+
+def _rounds_given(arguments: argparse.Namespace) -> RoundOptions:
+    """Return the rounds that were asked for.
+
+    Raises:
+        InputError: a value is out of range, or there are limits but no rounds.
+    """
+    from bundle.errors import InputError
+
+    rounds = options_given(arguments, RoundOptions)
+    for field in dataclasses.fields(RoundOptions):
+        given = getattr(arguments, field.name) is not None and field.name != "num_rounds"
+        if given and rounds.num_rounds == 0:
+            raise InputError(f"{field.metadata['flag']}: expected with --rounds only")
+    return rounds
 
 
 def _wrong_jacobians(

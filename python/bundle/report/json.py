@@ -86,13 +86,21 @@ def refinement(
     solved: Result,
     wall: WallTime,
     output: dict[str, str] | None,
+    more_options: Mapping[str, Any] | None = None,
     georeference: Georeference | None = None,
 ) -> dict[str, Any]:
-    """Return the report of `bundle refine`; `output` is None where nothing was written."""
+    """Return the report of `bundle refine`; `output` is None where nothing was written.
+
+    `more_options` are those beside the options of the solve.
+    """
+    about = result(solved)
+    about["options"] |= plain(more_options or {})
+    rounds = {"rounds": [dataclasses.asdict(done) for done in solved.rounds]}
     place = {} if georeference is None else {"georeference": plain(georeference.asdict())}
     return {
         **heading("refine", path, problem),
-        **result(solved),
+        **about,
+        **(plain(rounds) if solved.rounds else {}),
         "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
         "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),
         **place,

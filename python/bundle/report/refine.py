@@ -67,6 +67,7 @@ def refinement(
     return [
         facts(rows),
         "",
+        *_rounds(solved),
         _before_and_after(solved),
         "",
         *_positions(georeference),
@@ -88,6 +89,26 @@ def _positions(georeference: Georeference | None) -> list[RenderableType]:
     from bundle.report.gps import gps_report
 
     return gps_report(georeference)
+
+
+def _rounds(solved: Result) -> list[RenderableType]:
+    """Return what each round did, and an empty line; nothing where there are no rounds."""
+    if not solved.rounds:
+        return []
+    rows = [
+        (
+            f"{done.round}",
+            f"{done.initial_cost:.9e}",
+            f"{done.cost:.9e}",
+            f"{done.num_observations}",
+            f"{done.num_observations_removed}",
+            f"{done.num_points}",
+            f"{done.num_points_removed}",
+        )
+        for done in solved.rounds
+    ]
+    titles = ("round", "cost before", "cost after")
+    return [columns((*titles, "observations", "removed", "points", "removed"), rows), ""]
 
 
 def worst_table(images: Sequence[ImageError], title: str) -> list[RenderableType]:
@@ -189,7 +210,11 @@ def _before_and_after(solved: Result) -> Columns:
         "max": "max error [px]",
     }
     rows = [
-        ("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}"),
+        *(
+            [("cost", f"{solved.summary.initial_cost:.9e}", f"{solved.summary.final_cost:.9e}")]
+            if not solved.rounds  # costs of different rounds cannot be compared
+            else []
+        ),
         *(
             (title, pixels(getattr(before, name)), pixels(getattr(after, name)))
             for name, title in titles.items()

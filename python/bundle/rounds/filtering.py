@@ -23,41 +23,15 @@ from bundle.arguments import as_integers
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.io import Source, as_problem
-from bundle.option_fields import number
 from bundle.problem import Problem
 from bundle.reprojection import reprojection_errors
-from bundle.rounds.triangulation import enclose_angle
+from bundle.rounds.ray_angles import enclose_angle
+from bundle.rounds.round_options import RoundOptions
 from bundle.words import contents
 
-__all__ = ["Filtered", "Limits", "filter_observations"]
+__all__ = ["Filtered", "filter_observations", "subset"]
 
 _Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """What observations and points have to keep to.
-
-    Attributes:
-        max_error: largest reprojection error of an observation, in pixels.
-        min_angle: smallest triangulation angle of a point, in degrees; 0: any, or none.
-        min_track_length: smallest number of observations of a point.
-    """
-
-    max_error: float = 4.0
-    min_angle: float = 1.5
-    min_track_length: int = 2
-
-    def __post_init__(self) -> None:
-        for name, value in (
-            ("max_error", number("max_error", self.max_error, above=0.0)),
-            ("min_angle", number("min_angle", self.min_angle, minimum=0.0, maximum=90.0)),
-            (
-                "min_track_length",
-                number("min_track_length", self.min_track_length, whole=True, minimum=0),
-            ),
-        ):
-            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -137,14 +111,16 @@ def filter_observations(
         >>> result = bundle.solve(filtered.problem)
     """
     problem = as_problem(problem)
-    limits = Limits(max_error=max_error, min_angle=min_angle, min_track_length=min_track_length)
+    limits = RoundOptions(
+        max_error=max_error, min_angle=min_angle, min_track_length=min_track_length
+    )
     always = _mask_of(problem, kept_point_ids)
     errors, behind = reprojection_errors(problem, num_threads=num_threads)
     good = (errors <= limits.max_error) & ~behind  # false for nan
     return _filtered(problem, good, limits, always)
 
 
-def _filtered(problem: Problem, good: _Mask, limits: Limits, always: _Mask) -> Filtered:
+def _filtered(problem: Problem, good: _Mask, limits: RoundOptions, always: _Mask) -> Filtered:
     left = np.flatnonzero(good)
     point = problem.observation_point
     track = np.bincount(point[left], minlength=problem.num_points)

@@ -3,12 +3,14 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 #include <random>
 #include <set>
 #include <utility>
 #include <vector>
 
+#include "core/geometry/rotation.h"
 #include "core/interface/options.h"
 #include "core/model/parameter_layout.h"
 #include "support/scene.h"
@@ -187,6 +189,109 @@ TEST(ParameterLayout, AnUnobservedImageDoesNotOwnItsCamera) {
     const ParameterLayout layout(problem, SelectFreeParameters(problem, RefineAll()));
     EXPECT_EQ(layout.image_block(3), -1);
     EXPECT_FALSE(layout.point_is_free(problem.num_points - 1));
+  }
+}
+
+/// A state whose images are turned by `angle` about different axes.
+std::vector<double> Turned(const ProblemView& problem, const ParameterLayout& layout,
+                           const std::vector<double>& angle) {
+  const double axes[][3] = {{1, 0, 0}, {0.6, 0, -0.8}, {0, -1, 0}, {0.48, 0.64, 0.6}, {0, 0, 1}};
+  std::vector<double> state = layout.InitialState(problem);
+  for (int i = 0; i < problem.num_images; ++i) {
+    double* const w = &state[layout.blocks()[layout.image_block(i)].offset];
+    for (int j = 0; j < 3; ++j) w[j] = angle[i] * axes[i][j];
+  }
+  return state;
+}
+
+class MovedAnchors : public ::testing::Test {
+ protected:
+  static constexpr double kSlightly = 1e-9;
+
+  double Distance(const double* a, const double* b, int n) {
+    double distance = 0;
+    for (int j = 0; j < n; ++j) distance = std::max(distance, std::abs(a[j] - b[j]));
+    return distance;
+  }
+
+  const Scene scene_ = SceneWith("SIMPLE_RADIAL", 5, 1);
+  const ProblemView problem_ = scene_.View();
+  const ParameterLayout layout_{problem_, SelectFreeParameters(problem_, RefineAll())};
+  const std::vector<double> angle_ = {M_PI - kSlightly, M_PI + kSlightly, 2 * M_PI, -3.14, 50};
+  const std::vector<bool> moves_ = {false, true, true, false, true};
+  const std::vector<double> state_ = Turned(problem_, layout_, angle_);
+};
+
+TEST_F(MovedAnchors, KeepTheStateAndThePoses) {
+  CameraStates before(problem_, layout_), after(problem_, layout_);
+  before.Update(state_.data());
+  after.Update(state_.data());
+  EXPECT_TRUE(after.MoveAnchors());
+  for (int i = 0; i < problem_.num_images; ++i) {
+    SCOPED_TRACE(i);
+    const PoseState &a = before.pose(i), &b = after.pose(i);
+    double pose[7], moved[7], chart[kPoseSize];
+    before.CamFromWorld(i, pose);
+    after.CamFromWorld(i, moved);
+    after.Chart(i, chart);
+    if (!moves_[i]) {
+      EXPECT_EQ(Distance(a.rotation, b.rotation, 9), 0);
+      EXPECT_EQ(Distance(a.left_jacobian, b.left_jacobian, 9), 0);
+      EXPECT_EQ(Distance(pose, moved, 7), 0);
+      EXPECT_GT(Distance(chart, std::vector<double>(3).data(), 3), 1);
+      continue;
+    }
+    EXPECT_LT(Distance(a.rotation, b.rotation, 9), 1e-14);
+    EXPECT_EQ(Distance(a.translation, b.translation, 3), 0);
+    EXPECT_EQ(Distance(pose, moved, 7), 0);
+    const double identity[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    EXPECT_EQ(Distance(b.left_jacobian, identity, 9), 0);
+    EXPECT_EQ(Distance(chart, std::vector<double>(3).data(), 3), 0);
+  }
+  // Once is enough; and the same state stays where it is.
+  EXPECT_FALSE(after.MoveAnchors());
+  const std::vector<double> poses = after.CamFromWorld();
+  after.Update(state_.data());
+  EXPECT_EQ(after.CamFromWorld(), poses);
+  after.Reset();
+  EXPECT_EQ(after.CamFromWorld(), scene_.cam_from_world);
+}
+
+/// From a new anchor a step d turns by Exp(d), and J_l says what the next one does, twice.
+TEST_F(MovedAnchors, AreWhereStepsStart) {
+  CameraStates states(problem_, layout_);
+  std::vector<double> state = state_;
+  const double d[3] = {0.2, -1.1, 0.7}, length = std::sqrt(0.04 + 1.21 + 0.49);
+  for (const int round : {1, 2}) {
+    SCOPED_TRACE(round);
+    states.Update(state.data());
+    states.MoveAnchors();
+    CameraStates candidate(problem_, layout_);
+    candidate.SetAnchors(states.anchors());
+    std::vector<double> after = state;
+    for (int i = 0; i < problem_.num_images; ++i) {
+      if (!moves_[i]) continue;
+      double* const w = &after[layout_.blocks()[layout_.image_block(i)].offset];
+      for (int j = 0; j < 3; ++j) w[j] += 2 * d[j];  // 2.6 radians: no new anchor
+    }
+    candidate.Update(after.data());
+    EXPECT_FALSE(candidate.MoveAnchors());
+    const double turn[3] = {2 * d[0], 2 * d[1], 2 * d[2]};
+    double increment[9], left_jacobian[9];
+    ExpRotation(turn, increment, left_jacobian);
+    for (int i = 0; i < problem_.num_images; ++i) {
+      if (!moves_[i]) continue;
+      double expected[9];
+      MatrixProduct3(increment, states.pose(i).rotation, expected);
+      EXPECT_LT(Distance(candidate.pose(i).rotation, expected, 9), 1e-13) << i;
+      EXPECT_LT(Distance(candidate.pose(i).left_jacobian, left_jacobian, 9), 1e-13) << i;
+    }
+    // On to the second: further along than one chart goes.
+    for (int i = 0; i < problem_.num_images; ++i) {
+      if (!moves_[i]) continue;
+      double* const w = &state[layout_.blocks()[layout_.image_block(i)].offset];
+      for (int j = 0; j < 3; ++j) w[j] += 4 * d[j] / length;
+    }
   }
 }
 
