@@ -149,6 +149,7 @@ PYTHON_MAY_IMPORT = {
         "arguments",
         "display",
         "errors",
+        "georeference",
         "graph",
         "io",
         "option_fields",
