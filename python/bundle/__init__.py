@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.errors import InputError
-    from bundle.georeference import PositionPrior
+    from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
         BetweenFactor,
         FactorGraph,
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
+    "Alignment",
     "BetweenFactor",
     "Comparison",
     "Description",
@@ -53,6 +54,7 @@ __all__ = [
     "GradientReport",
     "GraphInspection",
     "GraphResult",
+    "GroundControlPoint",
     "InputError",
     "Inspection",
     "LinearPrior",
@@ -71,6 +73,7 @@ __all__ = [
     "Summary",
     "SyntheticScene",
     "__version__",
+    "align",
     "camera_models",
     "check_gradients",
     "check_jacobians",
@@ -100,7 +103,7 @@ _DEFERRED = {
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
     "errors": ("InputError",),
-    "georeference": ("PositionPrior",),
+    "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (
         "BetweenFactor",
         "FactorGraph",

@@ -118,7 +118,9 @@ def test_a_wrong_position_is_named(run, model, loss):
     place = json.loads((model.parent / "out" / "georeference.json").read_text())
     worst = max(place["gps"], key=lambda entry: entry["sigmas"])
     assert worst["image"] == name
-    assert [name, f"{worst['residual_enu'][0]:+.3f}"] in [row.split()[:2] for row in out.split("\n")]
+    assert [name, f"{worst['residual_enu'][0]:+.3f}"] in [
+        row.split()[:2] for row in out.split("\n")
+    ]
     if loss == "tukey":
         assert worst["residual_enu"][0] == pytest.approx(-30, abs=0.7)
         others = [entry["sigmas"] for entry in place["gps"] if entry is not worst]
