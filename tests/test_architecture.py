@@ -97,6 +97,7 @@ PYTHON_MAY_IMPORT = {
         "words",
         "worst_images",
     },
+    "image_selection": {"errors", "problem"},
     "round_record": set(),
     "camera_changes": {"cameras", "result"},
     "io": {
@@ -151,6 +152,7 @@ PYTHON_MAY_IMPORT = {
         "errors",
         "georeference",
         "graph",
+        "image_selection",
         "io",
         "option_fields",
         "options",

@@ -185,7 +185,7 @@ class SolveOptions(Options):
         (), "--fix-cameras", "ids of cameras whose intrinsics are held fixed", metavar="IDS"
     )
     fixed_image_ids: tuple[int, ...] = option(
-        (), "--fix-images", "ids of images whose pose is held fixed", metavar="IDS"
+        (), "--fix-images", "images whose pose is held fixed", metavar="IMAGES"
     )
     fixed_point_ids: tuple[int, ...] = option(
         (), "--fix-points", "ids of points that are held fixed", metavar="IDS"

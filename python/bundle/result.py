@@ -13,7 +13,7 @@ from bundle.camera_bounds import ActiveBound
 from bundle.display import Display
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error
-from bundle.round_record import Round
+from bundle.round_record import PartRecord, Round
 from bundle.solve_record import SolveRecord
 from bundle.words import change, contents, pixels, plural, seconds
 from bundle.worst_images import ImageError, worst_images
@@ -45,6 +45,8 @@ class Result(SolveRecord):
             the solve; None where it was not. ``initial_problem`` is the input as it was.
         rounds: of :func:`bundle.solve_rounds`; options, summary, iterations and times are those of
             the last round's adjustment, and ``problem`` is what its filter has left.
+        part: which part of the problem took part, where only some images were refined; the costs
+            are of this part, the reprojection errors of the whole problem.
     """
 
     problem: Problem
@@ -54,6 +56,7 @@ class Result(SolveRecord):
     active_bounds: tuple[ActiveBound, ...] = ()
     similarity: Similarity | None = None
     rounds: tuple[Round, ...] = ()
+    part: PartRecord | None = None
 
     @cached_property
     def reprojection_error_before(self) -> ReprojectionError:

@@ -1,10 +1,10 @@
-"""What one round of adjusting and filtering did."""
+"""What one round of adjusting and filtering did, and to which part of a problem."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Round"]
+__all__ = ["PartRecord", "Round"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,3 +32,23 @@ class Round:
     num_observations: int
     num_observations_removed: int
     num_points_removed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartRecord:
+    """What took part in an adjustment of some images only.
+
+    Attributes:
+        num_images: refined.
+        num_images_held: others that see a point of these, held.
+        num_points: seen by a refined image; refined.
+        num_observations: of these points.
+        shared_camera_ids: cameras of refined images that also took others: if their intrinsics are
+            refined, projections into images that are held change.
+    """
+
+    num_images: int
+    num_images_held: int
+    num_points: int
+    num_observations: int
+    shared_camera_ids: tuple[int, ...]

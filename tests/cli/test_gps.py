@@ -192,6 +192,7 @@ def test_a_second_run_replaces_the_first(run, model):
         (["--gps", "GEO", "--prior-loss", "robust"], ["--prior-loss", "robust"]),
         (["--gps", "GEO", "--prior-loss", "huber", "--prior-loss-scale", "0"], ["-scale:"]),
         (["--gps", "GEO", "--refine", "points"], ["--gps", "poses"]),
+        (["--gps", "GEO", "--only-images", "1"], ["--gps", "--only-images"]),
         (["--gps", "GEO", "--gps-sigma", "0"], ["--gps-sigma", "0"]),
         (["--gps", "GEO", "--gps-sigma", "a/b"], ["--gps-sigma", "a/b"]),
         (["--gps", "GEO", "--gps-sigma", "1/2/3"], ["--gps-sigma", "1/2/3"]),
@@ -274,3 +275,13 @@ def test_a_fixed_gauge_beside_positions_is_told(run, model):
     assert code == 0
     report = json.loads((model.parent / "r.json").read_text())
     assert "gauge_beside_factors" in report["summary"]["warning_kinds"]
+
+
+def test_rounds_start_where_the_positions_are(run, model):
+    words = ("--gps", model.parent / "geo.txt", "--gps-sigma", "0.1", "--rounds", "2")
+    code, _, _ = refine(run, model, *words, "--max-error", "1.2")
+    assert code == 0
+    report = json.loads((model.parent / "r.json").read_text())
+    assert len(report["rounds"]) == 2
+    assert report["georeference"]["similarity"]["scale"] == pytest.approx(25, rel=0.05)
+    assert max(report["georeference"]["rms_enu"]) < 0.2

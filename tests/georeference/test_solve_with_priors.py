@@ -207,3 +207,30 @@ def test_a_wrong_position_moves_nothing(brighton, loss):
     assert np.linalg.norm(robust.problem.projection_centers - plain, axis=1).max() < 0.01
     trusting = refined(brighton, 2, wrong=True).problem.projection_centers
     assert np.linalg.norm(trusting - plain, axis=1).max() > 1
+
+
+def test_rounds_align_before_the_first(backend):
+    problem, goal = problem_and_goal(noise=0.5)
+    made = priors(noisy(goal, 0.1), 0.1)
+    result = bundle.solve_rounds(
+        problem, priors=iter(made), num_rounds=3, max_error=1.5, backend=backend
+    )
+    assert len(result.rounds) > 1
+    assert result.similarity.scale == pytest.approx(25, rel=0.05)
+    assert result.initial_problem is problem
+    again = bundle.solve(result.problem, priors=made, align=False, backend=backend, **TIGHT)
+    np.testing.assert_allclose(
+        again.problem.projection_centers, result.problem.projection_centers, atol=0.05
+    )
+
+
+def test_a_part_stays_in_its_place():
+    _, goal = problem_and_goal(noise=0.5)
+    made = priors(goal.projection_centers + [1, 0, 0], 1e-3)
+    settings = {"num_rounds": 0, "only_images": [2, 3]}
+    result = bundle.solve_rounds(goal, priors=made, **settings)
+    assert result.similarity is None
+    moved = np.linalg.norm(result.problem.projection_centers - goal.projection_centers, axis=1)
+    assert (moved > 0.5).tolist() == [False, True, True] + [False] * 5
+    with pytest.raises(InputError, match="align: expected without only_images"):
+        bundle.solve_rounds(goal, priors=made, align=True, **settings)

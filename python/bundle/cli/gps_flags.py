@@ -105,6 +105,8 @@ def check_gps_flags(arguments: argparse.Namespace, options: SolveOptions) -> Non
         raise InputError("--images: expected with --gps exif only, found with a file")
     if arguments.prior_loss_scale is not None and arguments.prior_loss in (None, "trivial"):
         raise InputError("--prior-loss-scale: expected with a --prior-loss other than trivial")
+    if arguments.only_images is not None:
+        raise InputError("--gps: expected without --only-images, which leaves the rest in place")
     if "poses" not in options.refine:
         raise InputError("--gps: expected poses among those of --refine, found them held")
 

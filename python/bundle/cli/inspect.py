@@ -8,7 +8,12 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.cli.option_flags import (
+    add_options,
+    naming_flags,
+    options_given,
+    with_named_images,
+)
 from bundle.cli.parser import a_path
 from bundle.options import GRAPH_ORDERINGS, SolveOptions
 
@@ -116,10 +121,11 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
     from bundle.io import load
     from bundle.report.inspect import as_json, inspected
 
-    options = options_given(arguments, SolveOptions)
+    options = options_given(arguments, SolveOptions, names_follow=True)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = load(arguments.input)
+        options = with_named_images(options, arguments, problem)
         progress.stage("inspecting")
         with naming_flags(SolveOptions):
             inspection = inspect(problem, options, recalibrate=arguments.recalibrate)

@@ -7,11 +7,24 @@ import dataclasses
 import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bundle.errors import InputError
+from bundle.image_selection import find_images
 
-__all__ = ["add_options", "choice_word", "naming_flags", "options_given", "parse_ids"]
+if TYPE_CHECKING:
+    from bundle.options import SolveOptions
+    from bundle.problem import Problem
+
+__all__ = [
+    "add_options",
+    "choice_word",
+    "naming_flags",
+    "options_given",
+    "parse_ids",
+    "parse_images",
+    "with_named_images",
+]
 
 Options = TypeVar("Options")
 
@@ -32,28 +45,58 @@ def add_options(
             _add_option(group, field)
 
 
-def options_given(arguments: argparse.Namespace, kind: type[Options]) -> Options:
+def options_given(
+    arguments: argparse.Namespace, kind: type[Options], *, names_follow: bool = False
+) -> Options:
     """Return the options that were given.
+
+    Args:
+        arguments: of the command line.
+        kind: class of the options.
+        names_follow: leave out images that are named, for :func:`with_named_images`.
 
     Raises:
         InputError: a value is out of range; the message names the flag.
     """
-    names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
-    values = {name: getattr(arguments, name, None) for name in names}
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+    values = {field.name: getattr(arguments, field.name, None) for field in fields}
+    for field in fields:
+        if field.metadata["metavar"] == "IMAGES" and isinstance(values[field.name], str):
+            if not names_follow:
+                raise InputError(
+                    f"{field.metadata['flag']}: expected ids such as 1,2,5-9, "
+                    f"found {values[field.name]!r}"
+                )
+            values[field.name] = None
     with naming_flags(kind):
         return kind(**{name: value for name, value in values.items() if value is not None})
 
 
+def with_named_images(
+    options: SolveOptions, arguments: argparse.Namespace, problem: Problem
+) -> SolveOptions:
+    """Return the options with the ids of the images that were given by name.
+
+    Raises:
+        InputError: there are no such images; the message names the flag.
+    """
+    given = arguments.fixed_image_ids
+    if not isinstance(given, str):
+        return options
+    return options.replace(fixed_image_ids=find_images("--fix-images", problem, given))
+
+
 @contextmanager
-def naming_flags(*kinds: type[Any]) -> Iterator[None]:
+def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
     """Let an InputError about an option name its flag, as the user typed it.
 
-    Options stand at the head of a message, and before "=" within it.
+    Options stand at the head of a message, and before "=" within it. ``others`` are the flags of
+    arguments that are no options.
     """
     try:
         yield
     except InputError as error:
-        flags = {
+        flags = others | {
             field.name: field.metadata["flag"]
             for kind in kinds
             for field in dataclasses.fields(kind)
@@ -87,6 +130,17 @@ def parse_ids(text: str) -> tuple[int, ...]:
     return tuple(sorted(ids))
 
 
+def parse_images(text: str) -> tuple[int, ...] | str:
+    """Return the ids of images, or the text where it has names: what these mean is known later.
+
+    Raises:
+        argparse.ArgumentTypeError: it is neither.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    numeric = all(part.replace("-", "").strip().isdigit() for part in parts)
+    return parse_ids(text) if numeric or not all(parts) else text
+
+
 def _is_id(text: str) -> bool:
     return text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 2**63
 
@@ -102,6 +156,9 @@ def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -
     elif meta["metavar"] == "IDS":
         settings["type"] = parse_ids
         values = "such as 1,2,5-9; "
+    elif meta["metavar"] == "IMAGES":
+        settings["type"] = parse_images
+        values = "ids and names, such as 1,2,5-9,left/*.jpg; "
     elif isinstance(field.default, bool):
         settings = {"action": argparse.BooleanOptionalAction}
         default = flag if field.default else f"--no-{flag.lstrip('-')}"

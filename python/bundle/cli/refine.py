@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.gps_flags import add_gps_flags, check_gps_flags
-from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.cli.option_flags import (
+    add_options,
+    naming_flags,
+    options_given,
+    with_named_images,
+)
 from bundle.cli.parser import add_input, add_output
 from bundle.options import SolveOptions
 from bundle.rounds.round_options import RoundOptions
@@ -31,6 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, SolveOptions, "options of the solve")
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
     add_gps_flags(parser)
+    parser.add_argument(
+        "--only-images",
+        metavar="IMAGES",
+        help="refine only these images, the points that they see and their cameras, and leave all "
+        "else as it is, bit for bit; other images that see these points take part, held (ids and "
+        "names, such as 1,5-9,left/*.jpg; default: all images)",
+    )
     parser.add_argument(
         "--check-gradients",
         action="store_true",
@@ -58,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.report.timing import WallTime
     from bundle.rounds import solve_rounds
 
-    options = options_given(arguments, SolveOptions)
+    options = options_given(arguments, SolveOptions, names_follow=True)
     rounds = _rounds_given(arguments)
     check_gps_flags(arguments, options)
     source, target = arguments.input, arguments.output
@@ -70,6 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         load_time = perf_counter() - begun
         if problem.num_observations == 0:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")
+        options = with_named_images(options, arguments, problem)
         output = {
             "path": target,
             "format": output_format(problem, target, arguments.format, source),
@@ -88,11 +101,13 @@ def run(arguments: argparse.Namespace) -> int:
             if wrong:
                 return EXIT_NO_SOLUTION
         progress.stage("building the problem")
-        with naming_flags(SolveOptions, RoundOptions), naming_gps_flags():
+        flags = naming_flags(SolveOptions, RoundOptions, only_images="--only-images")
+        with flags, naming_gps_flags():
             solved = solve_rounds(
                 problem,
                 options,
                 **rounds.asdict(),
+                only_images=arguments.only_images,
                 priors=() if gps is None else gps.priors,
                 align=None if gps is None else True,
                 progress=progress.iteration,
@@ -117,6 +132,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     written = output if saved else None
     more = rounds.asdict() if rounds.num_rounds else {}
+    if arguments.only_images is not None:
+        more["only_images"] = arguments.only_images
     if arguments.json != "-":
         show(*refinement(source, problem, solved, wall, written, lost, georeference))
     report = json.refinement(source, problem, solved, wall, written, more, georeference)

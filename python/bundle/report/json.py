@@ -101,6 +101,7 @@ def refinement(
         **heading("refine", path, problem),
         **about,
         **(plain(rounds) if solved.rounds else {}),
+        **({"part": plain(dataclasses.asdict(solved.part))} if solved.part else {}),
         "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
         "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),
         **place,

@@ -52,6 +52,7 @@ def refinement(
         ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
         ("refined", _refined(solved.options)),
+        *_part(solved),
         ("backend", _backend(summary)),
         *((("", summary.backend_choice),) if summary.backend_choice else ()),
         ("solver", _solver(summary)),
@@ -89,6 +90,28 @@ def _positions(georeference: Georeference | None) -> list[RenderableType]:
     from bundle.report.gps import gps_report
 
     return gps_report(georeference)
+
+
+def _part(solved: Result) -> list[tuple[str, str]]:
+    """Return which part was adjusted; nothing where it was the whole problem."""
+    part = solved.part
+    if part is None:
+        return []
+    adjusted = (
+        f"only {plural(part.num_images, 'image')}, {plural(part.num_points, 'point')}; "
+        f"{plural(part.num_observations, 'observation')} of these points, with "
+        f"{plural(part.num_images_held, 'image')} held"
+    )
+    held = set(solved.options.fixed_camera_ids)
+    shared = [str(key) for key in part.shared_camera_ids if key not in held]
+    if not shared or not {"focal", "principal_point", "extra"} & set(solved.options.refine):
+        return [("", adjusted)]
+    more = f" and {len(shared) - 3} more" if len(shared) > 3 else ""
+    cameras = f"{'camera' if len(shared) == 1 else 'cameras'} {', '.join(shared[:3])}{more}"
+    return [
+        ("", adjusted),
+        ("", f"{cameras} also took images that are held, whose errors change (--fix-cameras)"),
+    ]
 
 
 def _rounds(solved: Result) -> list[RenderableType]:

@@ -6,18 +6,22 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle import solver
 from bundle.errors import InputError
+from bundle.image_selection import ImageSelection, find_images
 from bundle.io import Source, as_problem
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.result import Result
 from bundle.round_record import Round
 from bundle.rounds.filtering import Filtered, filter_observations
+from bundle.rounds.local_part import LocalPart
 from bundle.rounds.round_options import RoundOptions
 from bundle.solve_record import Progress
+from bundle.words import plural
 
 if TYPE_CHECKING:
     from bundle.georeference import PositionPrior
@@ -40,6 +44,7 @@ def solve_rounds(
     max_error: float = 4.0,
     min_angle: float = 1.5,
     min_track_length: int = 2,
+    only_images: ImageSelection | None = None,
     factors: Iterable[Factor] = (),
     priors: Iterable[PositionPrior] = (),
     align: bool | None = None,
@@ -65,9 +70,14 @@ def solve_rounds(
         max_error: as in :func:`bundle.filter_observations`, in pixels.
         min_angle: likewise, in degrees.
         min_track_length: likewise, in observations.
+        only_images: refine only these images, the points that they see and their cameras; hold all
+            else and leave it as it is, bit for bit. Ids and names, such as ``"1,5-9,left/*.jpg"``
+            or ``[1, 5, "left/*.jpg"]``. Only these points, with all their observations, go to the
+            solver and the filter. A camera that also took other images is refined, too, unless it
+            is in ``fixed_camera_ids`` (``part`` of the result names it).
         factors: beside the observations, as in :func:`bundle.solve`.
         priors: measured positions of images, as in :func:`bundle.solve`.
-        align: as in :func:`bundle.solve`, before the first round.
+        align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
         bounds: of camera parameters, as in :func:`bundle.solve`.
         progress: as in :func:`bundle.solve`, in each round.
         **changes: options by name, in place of those in ``options``.
@@ -91,12 +101,22 @@ def solve_rounds(
     given = current = as_problem(problem)
     factors = tuple(factors) if isinstance(factors, list | tuple) else factors
     priors = tuple(priors) if isinstance(priors, Iterable) else priors
+    used = options
+    part = None
+    if only_images is not None:
+        if align:
+            raise InputError("align: expected without only_images, which leave the rest in place")
+        factors, priors = _as_factors(given, factors, priors), ()
+        part = LocalPart(given, find_images("only_images", given, only_images), factors)
+        current, used, bounds = part.problem, part.options(options), part.bounds(bounds)
+        check_observed(part)
+    observations, points = np.arange(current.num_observations), np.arange(current.num_points)
     rounds: list[Round] = []
     similarity = None
     while True:
         result = solver.solve(
             current,
-            options,
+            used,
             factors=factors,
             priors=priors,
             align=False if rounds else align,
@@ -104,23 +124,55 @@ def solve_rounds(
             progress=progress,
         )
         similarity = similarity or result.similarity
-        is_over = result.summary.interrupted or not result.summary.is_solution_usable
-        if is_over or limits.num_rounds == 0:
-            current = result.problem
+        current = result.problem
+        if result.summary.interrupted or not result.summary.is_solution_usable:
             break
-        filtered = filter_adjusted(result.problem, limits, options, factors)
+        if limits.num_rounds == 0:
+            break
+        filtered = filter_adjusted(current, limits, used, factors)
         rounds.append(round_of(len(rounds) + 1, result, filtered))
-        current = filtered.problem
         check_left(filtered, rounds[-1], limits)
+        current = filtered.problem
+        observations = observations[filtered.observation_mask]
+        points = points[filtered.point_mask]
         if is_last(rounds[-1], limits):
             break
     return dataclasses.replace(
         result,
-        problem=current,
+        problem=current if part is None else part.merge(current, observations, points),
         initial_problem=given,
+        options=result.options if part is None else restored(result.options, options),
         rounds=tuple(rounds),
         similarity=similarity,
+        part=None if part is None else part.record,
     )
+
+
+def restored(used: SolveOptions, given: SolveOptions) -> SolveOptions:
+    """Return the options as used, without what a part holds beyond what was asked for."""
+    return used.replace(
+        fixed_image_ids=given.fixed_image_ids,
+        fixed_camera_ids=given.fixed_camera_ids,
+        fixed_point_ids=given.fixed_point_ids,
+    )
+
+
+def check_observed(part: LocalPart) -> None:
+    """Raise an InputError if the images of a part see no points."""
+    if part.problem.num_observations == 0:
+        raise InputError(
+            f"only_images: expected images that see points, found none in "
+            f"{plural(part.record.num_images, 'image')}"
+        )
+
+
+def _as_factors(problem: Problem, factors: Iterable[Factor], priors: Any) -> Iterable[Factor]:
+    """Return the factors with those of the priors, in the world of the problem."""
+    if isinstance(priors, tuple) and not priors:
+        return factors
+    from bundle.georeference.prior_alignment import ProblemPriors
+
+    return (*factors, *ProblemPriors.make(problem, priors).factors())
 
 
 def filter_adjusted(

@@ -1,0 +1,91 @@
+"""Images named by ids, ranges of ids and patterns of names."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from bundle.errors import InputError, brief
+from bundle.problem import Problem
+
+__all__ = ["ImageSelection", "find_images"]
+
+MOST_IDS = 10_000_000
+"""Ids that a range may hold: a slip must not fill the memory."""
+
+ImageSelection = str | Iterable[int | str]
+"""A list such as "1,5-9,left/*.jpg", or its entries one by one."""
+
+
+def find_images(argument: str, problem: Problem, selection: Any) -> tuple[int, ...]:
+    """Return the ids of the images that a selection names, sorted, each once.
+
+    An entry is an id (12), a range of ids (5-9), or the name of an image, in which ``*`` stands for
+    any characters, ``?`` for one and ``[ab]`` for one of some; case matters. A string is split at
+    its commas; a name with a comma has to be an entry of a list, or to have a ``?`` there.
+
+    Raises:
+        InputError: an id does not exist, no name is like the pattern, or this is no selection; the
+            message begins with the argument.
+    """
+    if isinstance(selection, str):
+        entries: list[Any] = [entry.strip() for entry in selection.split(",")]
+    else:
+        try:
+            entries = list(selection)
+        except TypeError:
+            raise InputError(
+                f"{argument}: expected ids or names of images, found {brief(selection)}"
+            ) from None
+    if not entries or any(isinstance(entry, str) and not entry for entry in entries):
+        raise InputError(f"{argument}: expected ids or names of images, found {brief(selection)}")
+    known = set(problem.image_ids.tolist())
+    found: set[int] = set()
+    for entry in entries:
+        ids = _ids(argument, entry)
+        if ids is None:
+            found.update(_named(argument, problem, entry))
+            continue
+        for image_id in ids:
+            if image_id not in known:
+                raise InputError(f"{argument}: there is no image {image_id} in the problem")
+            found.add(image_id)
+    return tuple(sorted(found))
+
+
+def _ids(argument: str, entry: Any) -> Iterable[int] | None:
+    """Return the ids that an entry stands for, None if it is a name."""
+    if isinstance(entry, int | np.integer) and not isinstance(entry, bool):
+        return (int(entry),)
+    if not isinstance(entry, str):
+        raise InputError(f"{argument}: expected ids or names of images, found {brief(entry)}")
+    first, dash, last = (piece.strip() for piece in entry.partition("-"))
+    if not _is_id(first) or (dash and not _is_id(last)):
+        return None
+    low, high = int(first), int(last) if dash else int(first)
+    if high < low:
+        raise InputError(f"{argument}: the range {entry!r} ends before it starts")
+    if high - low >= MOST_IDS:
+        raise InputError(f"{argument}: expected at most {MOST_IDS} ids, found {entry!r}")
+    return range(low, high + 1)
+
+
+def _is_id(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 20
+
+
+def _named(argument: str, problem: Problem, pattern: str) -> list[int]:
+    """Return the ids of the images with a name, or with names like a pattern."""
+    names, ids = problem.image_names, problem.image_ids.tolist()
+    found = [key for key, name in zip(ids, names, strict=True) if name == pattern]
+    if not found:
+        matching = set(fnmatch.filter(set(names), pattern))
+        found = [key for key, name in zip(ids, names, strict=True) if name in matching]
+    if not found:
+        raise InputError(
+            f"{argument}: expected ids or names of images, found no image named {pattern!r}"
+        )
+    return found
