@@ -87,7 +87,7 @@ def leave_one_out(
             statistics += len(tests.chances)
         first = False
         worst = int(np.argmin(chances))
-        if chances[worst] * statistics >= LEVEL:
+        if statistics == 0 or chances[worst] * statistics >= LEVEL:
             return LeaveOneOut(residual, sigma, suspect)
         suspect[worst] = True
 

@@ -6,11 +6,12 @@ directions d and centres c, (sum I - d d^T) X = sum (I - d d^T) c. Its covarianc
 that for pixels of the stated sigma and cameras without error.
 
 A camera model projects; its inverse is found here, for any of them, by Gauss-Newton on the sphere
-of directions from several starts.
+of directions, along a path of pixels from the optical axis.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -32,7 +33,9 @@ MAX_STEPS = 100
 WORST_CONDITION = 1e12
 """Of the normal matrix of a point: beyond, its rays are parallel."""
 LONGEST_STEP = 0.3
-"""Radians that a direction turns at once."""
+"""Radians that a direction turns at once, and in a stage."""
+SMALLEST_STEP = 1e-11
+STAGES = 12
 LARGEST_MISS = 1e-3
 """Pixels by which a direction may miss the pixel that it was found for."""
 
@@ -158,41 +161,42 @@ def _camera(problem: Problem, image: int) -> tuple[str, Array]:
 def direction_of(model: str, params: Array, xy: Array) -> Array | None:
     """Return the unit vector in the camera frame that projects to a pixel, None without one.
 
-    Gauss-Newton starts at the optical axis. Where that fails it starts from directions all around,
-    and of those that reach the pixel the nearest to the axis counts: models such as OPENCV project
-    directions beyond the turning point of their distortion onto the image again.
+    The pixel is approached from that of the optical axis along a line, and the direction follows by
+    Gauss-Newton. So it stays on the side of the axis where the projection is one to one: models
+    such as OPENCV project directions beyond the turning point of their distortion onto the image
+    once more.
     """
-    found = _directions(model, params, xy, np.array([[0.0, 0.0, 1.0]]))
-    if not len(found):
-        grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 5)] * 3), -1).reshape(-1, 3)
-        around = grid[np.abs(grid).max(axis=1) == 1]
-        around = around / np.linalg.norm(around, axis=1, keepdims=True)
-        found = _directions(model, params, xy, around)
-    if not len(found):
-        return None
-    nearest: Array = found[np.argmax(found[:, 2])]
-    return nearest
+    direction = np.array([0.0, 0.0, 1.0])
+    start = project(model, params, direction[None])[0][0]
+    for stage in range(1, STAGES + 1):
+        goal = start + (xy - start) * stage / STAGES
+        reached = _followed(model, params, goal, direction)
+        if reached is None:
+            return None
+        direction = reached
+    return direction
 
 
-def _directions(model: str, params: Array, xy: Array, starts: Array) -> Array:
-    """Return the directions, from these starts, that project to a pixel."""
-    directions = starts
+def _followed(model: str, params: Array, xy: Array, start: Array) -> Array | None:
+    """Return the direction near another one that projects to a pixel."""
+    direction = start
     with np.errstate(all="ignore"):
         for _ in range(MAX_STEPS):
-            pixels = project(model, params, directions, jacobians=True)
-            miss = np.where(np.isfinite(pixels.xy), pixels.xy - xy, 0.0)
+            pixels = project(model, params, direction[None], jacobians=True)
+            miss, jacobian = pixels.xy[0] - xy, pixels.d_point[0]
+            if not (np.isfinite(miss).all() and np.isfinite(jacobian).all()):
+                return None
             # The step of least length lies in the tangent plane, as J d = 0.
-            inverse = np.linalg.pinv(np.nan_to_num(pixels.d_point))
-            step = -np.einsum("nij,nj->ni", inverse, miss)
-            length = np.linalg.norm(step, axis=1, keepdims=True)
-            directions = directions + step / np.maximum(length / LONGEST_STEP, 1)
-            directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-            if length.max() < 1e-14:
+            step = -np.linalg.pinv(jacobian) @ miss
+            direction = direction + step / max(np.linalg.norm(step) / LONGEST_STEP, 1)
+            direction /= np.linalg.norm(direction)
+            if direction @ start < math.cos(LONGEST_STEP):
+                return None
+            if np.linalg.norm(step) < SMALLEST_STEP:
                 break
-        reached, valid = project(model, params, directions)
-        miss = np.linalg.norm(reached - xy, axis=1)
-    found: Array = directions[valid & (miss < LARGEST_MISS)]
-    return found
+        found, valid = project(model, params, direction[None])
+    near = np.linalg.norm(found[0] - xy) < LARGEST_MISS
+    return direction if valid[0] and near else None
 
 
 def _intersection(rays: Array, centers: Array) -> Array | None:
