@@ -279,7 +279,7 @@ def test_a_fixed_gauge_beside_positions_is_told(run, model):
 
 def test_rounds_start_where_the_positions_are(run, model):
     words = ("--gps", model.parent / "geo.txt", "--gps-sigma", "0.1", "--rounds", "2")
-    code, _, _ = refine(run, model, *words, "--max-error", "1.2")
+    code, _, _ = refine(run, model, *words, "--max-error", "0.2")
     assert code == 0
     report = json.loads((model.parent / "r.json").read_text())
     assert len(report["rounds"]) == 2

@@ -226,7 +226,7 @@ def test_rounds_align_before_the_first(backend):
 
 def test_a_part_stays_in_its_place():
     _, goal = problem_and_goal(noise=0.5)
-    made = priors(goal.projection_centers + [1, 0, 0], 1e-3)
+    made = priors(np.add(goal.projection_centers, [1, 0, 0]), 1e-3)
     settings = {"num_rounds": 0, "only_images": [2, 3]}
     result = bundle.solve_rounds(goal, priors=made, **settings)
     assert result.similarity is None
