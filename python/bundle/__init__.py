@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.errors import InputError
-    from bundle.georeference import Alignment, GroundControlPoint, align
+    from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
         BetweenFactor,
         FactorGraph,
@@ -60,6 +60,7 @@ __all__ = [
     "LinearPrior",
     "MethodInspection",
     "PositionFactor",
+    "PositionPrior",
     "PriorFactor",
     "Problem",
     "RelativePoseFactor",
@@ -102,7 +103,7 @@ _DEFERRED = {
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
     "errors": ("InputError",),
-    "georeference": ("Alignment", "GroundControlPoint", "align"),
+    "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (
         "BetweenFactor",
         "FactorGraph",
