@@ -17,7 +17,8 @@ SANITIZED := PATH="$(CURDIR)/$(VENV)/bin:$$PATH" bash tools/build_sanitized.sh
 ADDRESS_BUILD := build/sanitize
 THREAD_BUILD := build/thread
 # Runs a GoogleTest program once per core, each with its share of the tests.
-SHARDED = seq 0 $$(($$(nproc) - 1)) | UBSAN_OPTIONS=print_stacktrace=1 GTEST_TOTAL_SHARDS=$$(nproc) \
+SHARDED = seq 0 $$(($$(nproc) - 1)) | UBSAN_OPTIONS=print_stacktrace=1 \
+  TSAN_OPTIONS=suppressions=$(CURDIR)/tools/tsan_suppressions.txt GTEST_TOTAL_SHARDS=$$(nproc) \
   xargs -P 0 -I {} env GTEST_SHARD_INDEX={}
 
 .DEFAULT_GOAL := help
@@ -53,8 +54,7 @@ sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBeh
 
 tsan: $(READY)  ## run the C++ tests under ThreadSanitizer
 	$(SANITIZED) clang++ thread $(THREAD_BUILD)
-	TSAN_OPTIONS=suppressions=tools/tsan_suppressions.txt $(SHARDED) $(THREAD_BUILD)/tests/cpp/bundle_tests \
-	  --gtest_brief=1
+	$(SHARDED) $(THREAD_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
 
 lint: lint-python lint-cpp  ## check format, style, types and compiler warnings
 

@@ -38,6 +38,7 @@ from bundle.solve_record import Progress
 from bundle.words import plural
 
 if TYPE_CHECKING:
+    from bundle.georeference import PositionPrior
     from bundle.graph import Factor
 
 __all__ = ["solve_rounds"]
@@ -59,6 +60,8 @@ def solve_rounds(
     min_track_length: int = 2,
     only_images: ImageSelection | None = None,
     factors: Iterable[Factor] = (),
+    priors: Iterable[PositionPrior] = (),
+    align: bool | None = None,
     bounds: _Bounds | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_interval: int = CHECKPOINT_INTERVAL,
@@ -90,6 +93,8 @@ def solve_rounds(
             solver and the filter. A camera that also took other images is refined, too, unless it
             is in ``fixed_camera_ids`` (``part`` of the result names it).
         factors: beside the observations, as in :func:`bundle.solve`.
+        priors: measured positions of images, as in :func:`bundle.solve`.
+        align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
         bounds: of camera parameters, as in :func:`bundle.solve`.
         checkpoint: file that is replaced, whole or not at all, after each round and each
             ``checkpoint_interval`` iterations, so that a run that was killed can go on. The solver
@@ -120,18 +125,23 @@ def solve_rounds(
         min_angle=min_angle,
         min_track_length=min_track_length,
     )
-    given = current = as_problem(problem)
-    factors = _listed(factors)
     interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
     checkpoint = None if checkpoint is None else as_path(checkpoint, "checkpoint")
     resume = None if resume is None else as_path(resume, "resume")
+    given = as_problem(problem)
+    if only_images is not None:
+        if align:
+            raise InputError("align: expected without only_images, which leave the rest in place")
+        align = False
+    start, factors, similarity = solver._placed(given, factors, priors, align)
+    factors = _listed(factors)
     used = options
     part = None
     if only_images is not None:
         part = LocalPart(given, find_images("only_images", given, only_images), factors)
-        current, used, bounds = part.problem, part.options(options), part.bounds(bounds)
+        start, used, bounds = part.problem, part.options(options), part.bounds(bounds)
         check_observed(part)
-    run = _Run(current, used, limits, factors, bounds, progress)
+    run = _Run(start, used, limits, factors, bounds, progress)
     if checkpoint is not None or resume is not None:
         fingerprint = {
             "input": digest(given),
@@ -153,6 +163,7 @@ def solve_rounds(
         initial_problem=given,
         options=result.options if part is None else restored(result.options, options),
         rounds=state.rounds,
+        similarity=similarity,
         part=None if part is None else part.record,
     )
 
