@@ -6,12 +6,13 @@ TYPE_CHECKING = False  # as of typing, whose import takes longer than all that i
 if TYPE_CHECKING:
     from typing import Any
 
-    from bundle import html, losses, pictures, warning_kinds
+    from bundle import georeference, html, losses, pictures, warning_kinds
     from bundle._core import __version__
     from bundle.cameras import camera_models, project
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.errors import InputError
+    from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
         BetweenFactor,
         FactorGraph,
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
 
 __all__ = [
+    "Alignment",
     "BetweenFactor",
     "Comparison",
     "Description",
@@ -52,11 +54,13 @@ __all__ = [
     "GradientReport",
     "GraphInspection",
     "GraphResult",
+    "GroundControlPoint",
     "InputError",
     "Inspection",
     "LinearPrior",
     "MethodInspection",
     "PositionFactor",
+    "PositionPrior",
     "PriorFactor",
     "Problem",
     "RelativePoseFactor",
@@ -69,12 +73,14 @@ __all__ = [
     "Summary",
     "SyntheticScene",
     "__version__",
+    "align",
     "camera_models",
     "check_gradients",
     "check_jacobians",
     "compare",
     "describe",
     "filter_observations",
+    "georeference",
     "get_include",
     "html",
     "inspect",
@@ -97,6 +103,7 @@ _DEFERRED = {
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
     "errors": ("InputError",),
+    "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (
         "BetweenFactor",
         "FactorGraph",

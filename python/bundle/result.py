@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from bundle.round_record import PartRecord, Round
 from bundle.solve_record import SolveRecord
 from bundle.words import change, contents, pixels, plural, seconds
 from bundle.worst_images import ImageError, worst_images
+
+if TYPE_CHECKING:
+    from bundle.georeference import Similarity
 
 __all__ = ["Result"]
 
@@ -37,6 +41,8 @@ class Result(SolveRecord):
         factor_costs_after: the same at the output.
         active_bounds: the bounds on which camera parameters end: key of the camera, name of the
             parameter, "lower" or "upper".
+        similarity: by which the input was moved to where priors of positions say that it is, before
+            the solve; None where it was not. ``initial_problem`` is the input as it was.
         rounds: of :func:`bundle.solve_rounds`; options, summary, iterations and times are those of
             the last round's adjustment, and ``problem`` is what its filter has left.
         part: which part of the problem took part, where only some images were refined; the costs
@@ -48,6 +54,7 @@ class Result(SolveRecord):
     factor_costs_before: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     factor_costs_after: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     active_bounds: tuple[ActiveBound, ...] = ()
+    similarity: Similarity | None = None
     rounds: tuple[Round, ...] = ()
     part: PartRecord | None = None
 
@@ -77,6 +84,11 @@ class Result(SolveRecord):
             return ()
         before, after = float(self.factor_costs_before.sum()), float(self.factor_costs_after.sum())
         return (("factors", f"{count}, cost {change(before, after)}"),)
+
+    def _place_facts(self) -> tuple[tuple[str, str], ...]:
+        if self.similarity is None:
+            return ()
+        return (("moved", f"to its priors, {self.similarity.scale:.6g} times as large"),)
 
     def _bound_facts(self) -> tuple[tuple[str, str], ...]:
         bounds = [f"{name} of camera {key[1]} ({side})" for key, name, side in self.active_bounds]
@@ -117,6 +129,7 @@ class Result(SolveRecord):
             ("problem", contents(self.problem)),
             *self._round_facts(),
             *self._factor_facts(),
+            *self._place_facts(),
             *self._bound_facts(),
             *(("warning", warning) for warning in summary.warnings),
         ]

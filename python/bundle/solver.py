@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
-from bundle.arguments import check_function
+from bundle.arguments import as_flag, check_function
 from bundle.camera_bounds import CameraBounds
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief, first_line
@@ -22,6 +22,7 @@ from bundle.solve_record import Progress, record_fields
 from bundle.words import contents, plural
 
 if TYPE_CHECKING:
+    from bundle.georeference import PositionPrior, Similarity
     from bundle.graph import Factor
     from bundle.graph.problem_factors import ProblemFactors
 
@@ -33,6 +34,8 @@ def solve(
     options: SolveOptions | None = None,
     *,
     factors: Iterable[Factor] = (),
+    priors: Iterable[PositionPrior] = (),
+    align: bool | None = None,
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     progress: Progress | None = None,
     **changes: Any,
@@ -65,10 +68,20 @@ def solve(
     always do, and warn (``gauge_beside_factors``). The world of the factors is that of the problem,
     also where a far scene is solved about its centre.
 
+    Priors of positions are factors, too. As a reconstruction stands in a frame of its own, the
+    problem is first moved by the similarity that they determine, robustly (``similarity`` of the
+    result), held images and points as well::
+
+        priors = [bundle.PositionPrior(name, enu, (2, 5)) for name, enu in gps.items()]
+        bundle.solve(problem, priors=priors)
+
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
         factors: beside the observations, such as :class:`bundle.PriorFactor`.
+        priors: measured positions of images. Their costs come after those of the factors.
+        align: whether the problem is first moved to where the priors are. None: if there are no
+            factors, and at least three positions that do not lie on one line.
         bounds: ``{("camera", camera_id): (lower, upper)}``, a number for each parameter in COLMAP's
             order, infinite where there is no bound. The parameter starts between its bounds and
             stays there; bounds that are equal hold it. ``active_bounds`` of the result has those
@@ -85,16 +98,18 @@ def solve(
             that does not exist, options that exclude each other or the backend asked for, dense
             matrices beyond the memory of this machine, bounds of no camera, of another number of
             parameters, or that exclude the start, or a factor with an unknown key, numbers that do
-            not fit its variables, or no finite value at the start.
+            not fit its variables, or no finite value at the start; a prior of no image, or priors
+            that do not determine where the problem is although ``align`` is True.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
-    options, known, limits = _settle(problem, options, factors, bounds)
+    start, factors, similarity = _placed(problem, factors, priors, align)
+    options, known, limits = _settle(start, options, factors, bounds)
     given = None if known is None else known.core()
-    output = _core.solve(problem, options.asdict(), progress, limits, given)
-    return _result(problem, options, output, limits)
+    output = _core.solve(start, options.asdict(), progress, limits, given)
+    return _result(problem, options, output, limits, similarity)
 
 
 class Solver(Displayed):
@@ -253,6 +268,7 @@ def _result(
     options: SolveOptions,
     output: dict[str, Any],
     limits: CameraBounds | None = None,
+    similarity: Similarity | None = None,
 ) -> Result:
     refined = problem._moved(output["cam_from_world"], output["camera_params"], output["points"])
     return Result(
@@ -262,8 +278,37 @@ def _result(
         factor_costs_before=output["factor_costs_before"],
         factor_costs_after=output["factor_costs_after"],
         active_bounds=() if limits is None else limits.active(refined),
+        similarity=similarity,
         **record_fields(output),
     )
+
+
+def _placed(
+    problem: Problem,
+    factors: Iterable[Factor],
+    priors: Iterable[PositionPrior],
+    align: bool | None,
+) -> tuple[Problem, Iterable[Factor], Similarity | None]:
+    """Return the start of a solve with priors, all factors, and the similarity to that start."""
+    if align is not None:
+        align = as_flag("align", align)
+    if isinstance(priors, tuple | list) and not priors:
+        if align:
+            raise InputError("align: expected priors to align the problem to, found none")
+        return problem, factors, None
+    from bundle.georeference.prior_alignment import ProblemPriors
+    from bundle.graph.variables import as_list
+
+    known = ProblemPriors.make(problem, priors)
+    factors = as_list("factors", "factors", factors)
+    similarity = None
+    if align or (align is None and not factors):
+        try:
+            problem, similarity = known.aligned(problem)
+        except InputError as error:
+            if align:
+                raise InputError(f"priors: {error}") from None
+    return problem, [*factors, *known.factors()], similarity
 
 
 def _settle(

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "add_options",
+    "choice_word",
     "naming_flags",
     "options_given",
     "parse_ids",
@@ -149,9 +150,9 @@ def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -
     flag, default, values = meta["flag"], _shown(field.default), ""
     settings: dict[str, Any] = {"metavar": meta["metavar"]}
     if meta["choices"] is not None:
-        choices = [_choice(choice) for choice in meta["choices"]]
-        settings = {"metavar": flag.lstrip("-").upper(), "choices": choices, "type": _choice}
-        values, default = f"one of {', '.join(choices)}; ", _choice(default)
+        choices = [choice_word(choice) for choice in meta["choices"]]
+        settings = {"metavar": flag.lstrip("-").upper(), "choices": choices, "type": choice_word}
+        values, default = f"one of {', '.join(choices)}; ", choice_word(default)
     elif meta["metavar"] == "IDS":
         settings["type"] = parse_ids
         values = "such as 1,2,5-9; "
@@ -169,7 +170,8 @@ def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -
     group.add_argument(flag, dest=field.name, default=None, help=text, **settings)
 
 
-def _choice(text: str) -> str:
+def choice_word(text: str) -> str:
+    """Return a choice as the command line writes it."""
     return text.lower().replace("_", "-")
 
 
@@ -177,6 +179,6 @@ def _shown(default: Any) -> str:
     """Return a default as the user would type it."""
     if isinstance(default, tuple):
         numbers = all(isinstance(entry, int) for entry in default)
-        joined = " ".join(map(str, default)) if numbers else _choice(",".join(default))
+        joined = " ".join(map(str, default)) if numbers else choice_word(",".join(default))
         return joined or "none"
     return f"{default:g}" if isinstance(default, float) else str(default)

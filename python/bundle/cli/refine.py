@@ -8,6 +8,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.gps_flags import add_gps_flags, check_gps_flags
 from bundle.cli.option_flags import (
     add_options,
     naming_flags,
@@ -34,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser, "-o", "--output", required=True)
     add_options(parser, SolveOptions, "options of the solve")
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
+    add_gps_flags(parser)
     parser.add_argument(
         "--only-images",
         metavar="IMAGES",
@@ -52,6 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Refine INPUT into OUTPUT."""
     started = perf_counter()
+    from bundle.cli.gps_flags import (
+        check_georeference,
+        naming_gps_flags,
+        priors_given,
+        write_georeference,
+    )
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
@@ -64,6 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     options = options_given(arguments, SolveOptions, names_follow=True)
     rounds = _rounds_given(arguments)
+    check_gps_flags(arguments, options)
     source, target = arguments.input, arguments.output
     check_json(arguments.json, source, target)
     with Progress(quiet=arguments.quiet) as progress:
@@ -81,26 +90,37 @@ def run(arguments: argparse.Namespace) -> int:
         check_target(
             problem, **output, refined=options.refine, fixed_camera_ids=options.fixed_camera_ids
         )
+        gps = None
+        if arguments.gps is not None:
+            check_georeference(**output, json=arguments.json)
+            progress.stage(f"reading positions: {shown(arguments.gps)}")
+            gps = priors_given(arguments, problem)
         if arguments.check_gradients:
             progress.stage("checking the Jacobians")
             wrong = _wrong_jacobians(arguments, problem, options)
             if wrong:
                 return EXIT_NO_SOLUTION
         progress.stage("building the problem")
-        with naming_flags(SolveOptions, RoundOptions, only_images="--only-images"):
+        flags = naming_flags(SolveOptions, RoundOptions, only_images="--only-images")
+        with flags, naming_gps_flags():
             solved = solve_rounds(
                 problem,
                 options,
                 **rounds.asdict(),
                 only_images=arguments.only_images,
+                priors=() if gps is None else gps.priors,
+                align=None if gps is None else True,
                 progress=progress.iteration,
             )
+        georeference = None if gps is None else gps.georeference(solved)
         begun = perf_counter()
         lost: tuple[str, ...] = ()
         saved = solved.summary.is_solution_usable or solved.summary.interrupted
         if saved:
             progress.stage(f"writing {shown(target)}")
             lost = save(solved.problem, **output)
+            if georeference is not None:
+                write_georeference(georeference, **output)
         save_time = perf_counter() - begun
         solved.measure()  # what the report needs is part of the total
     wall = WallTime(
@@ -115,8 +135,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.only_images is not None:
         more["only_images"] = arguments.only_images
     if arguments.json != "-":
-        show(*refinement(source, problem, solved, wall, written, lost))
-    write_json(arguments.json, json.refinement(source, problem, solved, wall, written, more))
+        show(*refinement(source, problem, solved, wall, written, lost, georeference))
+    report = json.refinement(source, problem, solved, wall, written, more, georeference)
+    write_json(arguments.json, report)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE
     if arguments.json == "-":  # the report that people read was not printed

@@ -1,9 +1,34 @@
-"""Where a reconstruction is on the earth: coordinates, measured positions, priors from them."""
+"""Where a reconstruction is on the earth: coordinates, measured positions, alignment to them."""
 
+from bundle.georeference.alignment import align
+from bundle.georeference.alignment_result import Alignment, ControlPointError, ImageError
+from bundle.georeference.control_point import GroundControlPoint, Measurement
 from bundle.georeference.exif_gps import read_exif_gps
+from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.geo_file import read_geo_file
 from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.gps_priors import Georeference, GpsPriors, gps_priors
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.position_prior import PositionPrior
 from bundle.georeference.reference_system import ReferenceSystem
+from bundle.georeference.similarity import Similarity
 
-__all__ = ["GpsPositions", "LocalFrame", "ReferenceSystem", "read_exif_gps", "read_geo_file"]
+__all__ = [
+    "Alignment",
+    "ControlPointError",
+    "Georeference",
+    "GpsPositions",
+    "GpsPriors",
+    "GroundControlPoint",
+    "ImageError",
+    "LocalFrame",
+    "Measurement",
+    "PositionPrior",
+    "ReferenceSystem",
+    "Similarity",
+    "align",
+    "gps_priors",
+    "read_exif_gps",
+    "read_gcp_list",
+    "read_geo_file",
+]

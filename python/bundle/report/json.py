@@ -19,6 +19,7 @@ from bundle.report.timing import WallTime
 from bundle.result import Result
 
 if TYPE_CHECKING:
+    from bundle.georeference import Georeference
     from bundle.statistics import Description
 
 __all__ = [
@@ -86,6 +87,7 @@ def refinement(
     wall: WallTime,
     output: dict[str, str] | None,
     more_options: Mapping[str, Any] | None = None,
+    georeference: Georeference | None = None,
 ) -> dict[str, Any]:
     """Return the report of `bundle refine`; `output` is None where nothing was written.
 
@@ -94,6 +96,7 @@ def refinement(
     about = result(solved)
     about["options"] |= plain(more_options or {})
     rounds = {"rounds": [dataclasses.asdict(done) for done in solved.rounds]}
+    place = {} if georeference is None else {"georeference": plain(georeference.asdict())}
     return {
         **heading("refine", path, problem),
         **about,
@@ -101,6 +104,7 @@ def refinement(
         **({"part": plain(dataclasses.asdict(solved.part))} if solved.part else {}),
         "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
         "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),
+        **place,
         "wall_time": plain(dataclasses.asdict(wall)),
         "output": output,
     }

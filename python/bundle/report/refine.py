@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
 
@@ -27,6 +28,9 @@ from bundle.tables import (
 from bundle.words import contents
 from bundle.worst_images import ImageError
 
+if TYPE_CHECKING:
+    from bundle.georeference import Georeference
+
 __all__ = ["contents", "outcome", "refinement", "worst_table"]
 
 MOST_CAMERAS = 5
@@ -40,6 +44,7 @@ def refinement(
     wall: WallTime,
     output: dict[str, str] | None,
     lost: tuple[str, ...],
+    georeference: Georeference | None = None,
 ) -> list[RenderableType]:
     """Return the report on one solve; `output` is None where nothing was written."""
     summary = solved.summary
@@ -66,6 +71,7 @@ def refinement(
         *_rounds(solved),
         _before_and_after(solved),
         "",
+        *_positions(georeference),
         *_cameras(camera_changes(solved)),
         *worst_table(solved.worst_images, "worst images, after"),
         facts([("outcome", outcome(solved))]),
@@ -76,6 +82,14 @@ def refinement(
         facts([("output", written)]),
         *notes(f"lost: {what}" for what in lost),
     ]
+
+
+def _positions(georeference: Georeference | None) -> list[RenderableType]:
+    if georeference is None:
+        return []
+    from bundle.report.gps import gps_report
+
+    return gps_report(georeference)
 
 
 def _part(solved: Result) -> list[tuple[str, str]]:

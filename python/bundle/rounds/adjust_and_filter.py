@@ -24,6 +24,7 @@ from bundle.solve_record import Progress
 from bundle.words import plural
 
 if TYPE_CHECKING:
+    from bundle.georeference import PositionPrior
     from bundle.graph import Factor
 
 __all__ = ["solve_rounds"]
@@ -45,6 +46,8 @@ def solve_rounds(
     min_track_length: int = 2,
     only_images: ImageSelection | None = None,
     factors: Iterable[Factor] = (),
+    priors: Iterable[PositionPrior] = (),
+    align: bool | None = None,
     bounds: _Bounds | None = None,
     progress: Progress | None = None,
     **changes: Any,
@@ -73,6 +76,8 @@ def solve_rounds(
             solver and the filter. A camera that also took other images is refined, too, unless it
             is in ``fixed_camera_ids`` (``part`` of the result names it).
         factors: beside the observations, as in :func:`bundle.solve`.
+        priors: measured positions of images, as in :func:`bundle.solve`.
+        align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
         bounds: of camera parameters, as in :func:`bundle.solve`.
         progress: as in :func:`bundle.solve`, in each round.
         **changes: options by name, in place of those in ``options``.
@@ -95,16 +100,30 @@ def solve_rounds(
     )
     given = current = as_problem(problem)
     factors = tuple(factors) if isinstance(factors, list | tuple) else factors
+    priors = tuple(priors) if isinstance(priors, Iterable) else priors
     used = options
     part = None
     if only_images is not None:
+        if align:
+            raise InputError("align: expected without only_images, which leave the rest in place")
+        factors, priors = _as_factors(given, factors, priors), ()
         part = LocalPart(given, find_images("only_images", given, only_images), factors)
         current, used, bounds = part.problem, part.options(options), part.bounds(bounds)
         check_observed(part)
     observations, points = np.arange(current.num_observations), np.arange(current.num_points)
     rounds: list[Round] = []
+    similarity = None
     while True:
-        result = solver.solve(current, used, factors=factors, bounds=bounds, progress=progress)
+        result = solver.solve(
+            current,
+            used,
+            factors=factors,
+            priors=priors,
+            align=False if rounds else align,
+            bounds=bounds,
+            progress=progress,
+        )
+        similarity = similarity or result.similarity
         current = result.problem
         if result.summary.interrupted or not result.summary.is_solution_usable:
             break
@@ -124,6 +143,7 @@ def solve_rounds(
         initial_problem=given,
         options=result.options if part is None else restored(result.options, options),
         rounds=tuple(rounds),
+        similarity=similarity,
         part=None if part is None else part.record,
     )
 
@@ -144,6 +164,15 @@ def check_observed(part: LocalPart) -> None:
             f"only_images: expected images that see points, found none in "
             f"{plural(part.record.num_images, 'image')}"
         )
+
+
+def _as_factors(problem: Problem, factors: Iterable[Factor], priors: Any) -> Iterable[Factor]:
+    """Return the factors with those of the priors, in the world of the problem."""
+    if isinstance(priors, tuple) and not priors:
+        return factors
+    from bundle.georeference.prior_alignment import ProblemPriors
+
+    return (*factors, *ProblemPriors.make(problem, priors).factors())
 
 
 def filter_adjusted(

@@ -1,0 +1,190 @@
+"""Flags of measured positions of images, and where what became of them is written."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bundle.cli.option_flags import choice_word
+from bundle.cli.parser import a_path
+from bundle.errors import InputError, brief
+from bundle.options import LOSSES, SolveOptions
+
+if TYPE_CHECKING:
+    from bundle.georeference import Georeference, GpsPriors
+    from bundle.problem import Problem
+
+__all__ = [
+    "add_gps_flags",
+    "check_georeference",
+    "check_gps_flags",
+    "georeference_path",
+    "priors_given",
+    "write_georeference",
+]
+
+FILE = "georeference.json"
+
+_FLAGS = {
+    "gps": "--gps",
+    "images": "--images",
+    "gps_sigma": "--gps-sigma",
+    "antenna": "--antenna",
+    "prior_loss": "--prior-loss",
+    "prior_loss_scale": "--prior-loss-scale",
+}
+
+
+def add_gps_flags(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of ``bundle.georeference.gps_priors``."""
+    group = parser.add_argument_group(
+        "positions of images",
+        "The model is first moved into metres east, north, up about the middle of the positions, "
+        f"and stays there. {FILE} in OUTPUT, or beside it if it is a file, says where that is.",
+    )
+    group.add_argument(
+        "--gps",
+        metavar="exif|FILE",
+        type=a_path,
+        help="measured positions as priors: exif: what the images themselves say; FILE: "
+        "OpenDroneMap's geo.txt (default: none)",
+    )
+    group.add_argument(
+        "--images",
+        metavar="DIR",
+        type=a_path,
+        help="folder of the images, for --gps exif (default: none)",
+    )
+    group.add_argument(
+        "--gps-sigma",
+        metavar="H[/V]",
+        help="standard deviation of positions without their own, horizontal and vertical, in "
+        "metres (default: 2/5)",
+    )
+    group.add_argument(
+        "--antenna",
+        metavar="X,Y,Z",
+        help="place of the antenna in the frame of the camera, right, down, forward, in metres "
+        "(default: 0,0,0)",
+    )
+    words = [choice_word(name) for name in LOSSES]
+    group.add_argument(
+        "--prior-loss",
+        metavar="NAME",
+        choices=words,
+        type=choice_word,
+        help="robust loss of the positions: tukey and arctan give up on gross errors, the others "
+        f"keep pulling (one of {', '.join(words)}; default: trivial)",
+    )
+    group.add_argument(
+        "--prior-loss-scale",
+        metavar="X",
+        type=float,
+        help="length of a residual in standard deviations at which it bends (default: 2.7955, "
+        "which 5 %% of good positions exceed)",
+    )
+
+
+def check_gps_flags(arguments: argparse.Namespace, options: SolveOptions) -> None:
+    """Refuse flags without effect.
+
+    Raises:
+        InputError: a flag that needs another one.
+    """
+    for name, flag in _FLAGS.items():
+        if arguments.gps is None and getattr(arguments, name) is not None:
+            raise InputError(f"{flag}: expected with --gps only, found without")
+    if arguments.gps is None:
+        return
+    if arguments.gps == "exif" and arguments.images is None:
+        raise InputError("--gps: expected --images DIR beside exif, found none")
+    if arguments.gps != "exif" and arguments.images is not None:
+        raise InputError("--images: expected with --gps exif only, found with a file")
+    if arguments.prior_loss_scale is not None and arguments.prior_loss in (None, "trivial"):
+        raise InputError("--prior-loss-scale: expected with a --prior-loss other than trivial")
+    if arguments.only_images is not None:
+        raise InputError("--gps: expected without --only-images, which leaves the rest in place")
+    if "poses" not in options.refine:
+        raise InputError("--gps: expected poses among those of --refine, found them held")
+
+
+def priors_given(arguments: argparse.Namespace, problem: Problem) -> GpsPriors | None:
+    """Return the priors of the images; None without --gps.
+
+    Raises:
+        InputError: a file or a flag is wrong; the message names the flag.
+        OSError: a file cannot be read.
+    """
+    if arguments.gps is None:
+        return None
+    from bundle.georeference import gps_priors
+
+    settings: dict[str, Any] = {
+        name: getattr(arguments, name)
+        for name in ("images", "gps_sigma", "prior_loss", "prior_loss_scale")
+        if getattr(arguments, name) is not None
+    }
+    if arguments.antenna is not None:
+        settings["antenna"] = _antenna(arguments.antenna)
+    with naming_gps_flags():
+        return gps_priors(problem, arguments.gps, **settings)
+
+
+@contextmanager
+def naming_gps_flags() -> Iterator[None]:
+    """Let an InputError about an argument of ``gps_priors`` name its flag."""
+    try:
+        yield
+    except InputError as error:
+        name, colon, rest = str(error).partition(":")
+        if name == "priors":  # those of a solve, which this command made of the positions
+            name = "gps"
+        if name not in _FLAGS:
+            raise
+        raise InputError(f"{_FLAGS[name]}{colon}{rest}") from None
+
+
+def georeference_path(path: str, format: str) -> Path:
+    """Return where the file stands: in an output folder, beside an output file."""
+    return (Path(path).parent if format == "bal" else Path(path)) / FILE
+
+
+def check_georeference(path: str, format: str, json: str | None) -> None:
+    """Refuse now what could not be written later.
+
+    Raises:
+        InputError: something that is no file stands there, or the report would.
+        OSError: there is no permission.
+    """
+    from bundle.cli.output import check_json
+    from bundle.io import atomic
+
+    beside = georeference_path(path, format)
+    if json not in (None, "-"):
+        check_json(json, str(beside))
+    if beside.parent.is_dir():
+        atomic.check_file(beside)
+
+
+def write_georeference(georeference: Georeference, path: str, format: str) -> None:
+    """Write the file, whole or not at all."""
+    from bundle.io import atomic
+    from bundle.report import json
+
+    text = json.dumps(json.plain(georeference.asdict()))
+    atomic.write_text(georeference_path(path, format), text)
+
+
+def _antenna(text: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3:
+        raise InputError(
+            f"--antenna: expected X,Y,Z in metres, such as 0,-0.1,0.05, found {brief(text)}"
+        )
+    return numbers

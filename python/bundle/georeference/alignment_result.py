@@ -1,0 +1,192 @@
+"""What an alignment found: the moved problem, and how far it is from what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bundle.display import Display, Displayed
+from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.similarity import Similarity
+from bundle.problem import Problem
+from bundle.words import number, pixels, plural
+
+__all__ = ["Alignment", "ControlPointError", "ImageError", "root_mean_square"]
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ControlPointError:
+    """A ground control point after an alignment.
+
+    Attributes:
+        name: of the target.
+        role: "control", "check", or "unused": not in two images of the model.
+        num_images: images of the model that see it.
+        residual: (3,) model minus survey, east, north, up [m]; nan where unknown.
+        leave_one_out: (3,) the same with the model aligned without this point; for a check point
+            the residual itself; nan where the others do not determine the alignment.
+        sigma: (3,) of the survey [m]; nan for an unknown height.
+        pixels: root mean square of the reprojection errors of the triangulated target.
+        images: name, and error in x and y [pixels], of each measurement.
+        suspect: whether a gross error is likely; see ``bundle.georeference.leave_one_out``.
+        reason: why it is unused; "" where it is not.
+    """
+
+    name: str
+    role: str
+    num_images: int
+    residual: Triple
+    leave_one_out: Triple
+    sigma: Triple
+    pixels: float
+    images: tuple[tuple[str, float, float], ...]
+    suspect: bool
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class ImageError:
+    """The position of an image after an alignment.
+
+    Attributes:
+        name: of the image.
+        residual: (3,) model minus measurement, east, north, up [m], or in the frame and the length
+            unit of the other model; nan for an unknown height.
+        used: whether it had an influence; a robust loss may take it away.
+    """
+
+    name: str
+    residual: Triple
+    used: bool
+
+
+@dataclass(frozen=True, repr=False)
+class Alignment(Displayed):
+    """A problem in its new place.
+
+    Attributes:
+        problem: poses and points moved; metres, or the length unit of the other model.
+        similarity: from the frame of the input to the new one.
+        reference_system: of the coordinates that decided; None without one.
+        origin: of the local frame east, north, up; None where the new frame is another one.
+        control_points: every target, in the order given.
+        positions: measured positions of images, in the order given.
+        shared_images: images of another model, where that decided.
+        notes: what else there is to know, a sentence each.
+        sigma0: size of the residuals in sigmas, over the degrees of freedom; nan for another model
+            and without degrees of freedom.
+    """
+
+    problem: Problem
+    similarity: Similarity
+    reference_system: str | None
+    origin: LocalFrame | None
+    control_points: tuple[ControlPointError, ...]
+    positions: tuple[ImageError, ...]
+    shared_images: tuple[ImageError, ...]
+    notes: tuple[str, ...]
+    sigma0: float = float("nan")
+
+    def rms(self, kind: str = "control") -> Triple:
+        """Return the root mean square of residuals east, north, up; nan where there is none.
+
+        Args:
+            kind: "control", "check", "gps" or "shared_images".
+        """
+        if kind in ("control", "check"):
+            return root_mean_square(p.residual for p in self.control_points if p.role == kind)
+        images = self.positions if kind == "gps" else self.shared_images
+        return root_mean_square(image.residual for image in images)
+
+    @property
+    def suspects(self) -> tuple[str, ...]:
+        """Names of the control and check points that probably have a gross error."""
+        return tuple(point.name for point in self.control_points if point.suspect)
+
+    def asdict(self) -> dict[str, Any]:
+        """Return what ``georeference.json`` holds.
+
+        ``similarity`` maps a point x of the input to scale * rotation @ x + translation, metres
+        east, north, up of ``origin``. ``rms_enu`` is that of the control points, of the positions
+        where there are none, or of the shared images.
+        """
+        kinds = ("control", "gps", "shared_images")
+        counted = [kind for kind in kinds if not np.isnan(self.rms(kind)[0])]
+        return {
+            "reference_system": self.reference_system,
+            "origin": self.origin.asdict() if self.origin else None,
+            "similarity": self.similarity.asdict(),
+            "gps": [_image(image) for image in self.positions],
+            "gcps": [
+                {
+                    "name": point.name,
+                    "role": point.role,
+                    "residual_enu": list(point.residual),
+                    "residual_leave_one_out_enu": list(point.leave_one_out),
+                    "residual_px": point.pixels,
+                    "sigma": list(point.sigma),
+                    "suspect": point.suspect,
+                    "images": [
+                        {"image": name, "residual_px": [x, y]} for name, x, y in point.images
+                    ],
+                }
+                for point in self.control_points
+            ],
+            "shared_images": [_image(image) for image in self.shared_images],
+            "rms_enu": list(self.rms(counted[0])) if counted else None,
+            "rms_enu_check": list(self.rms("check")),
+            "sigma0": self.sigma0,
+            "notes": list(self.notes),
+        }
+
+    def _display(self) -> Display:
+        controls = sum(point.role == "control" for point in self.control_points)
+        facts = [("scale", number(self.similarity.scale))]
+        if self.control_points:
+            facts += [
+                ("control points", f"{controls} of {len(self.control_points)}"),
+                ("suspects", ", ".join(self.suspects) or "none"),
+            ]
+        for label, images in (("positions", self.positions), ("shared", self.shared_images)):
+            if images:
+                facts.append((label, plural(len(images), "image")))
+        return Display(
+            title="Alignment",
+            facts=tuple(facts),
+            head=("residual", "role", "east [m]", "north [m]", "up [m]", "[px]"),
+            rows=tuple(
+                (
+                    point.name + (" (suspect)" if point.suspect else ""),
+                    point.role,
+                    *(metres(value) for value in point.residual),
+                    pixels(point.pixels),
+                )
+                for point in self.control_points
+            ),
+        )
+
+
+def metres(value: float) -> str:
+    """Return metres to the millimetre, with their sign; "-" where there are none."""
+    return "-" if np.isnan(value) else f"{value:+.3f}"
+
+
+def root_mean_square(residuals: Iterable[Triple]) -> Triple:
+    """Return the root mean square of each column over what is not nan; nan without any."""
+    rows = np.array(list(residuals), dtype=float).reshape(-1, 3)
+    known = ~np.isnan(rows)
+    total = np.where(known, rows**2, 0.0).sum(axis=0)
+    count = known.sum(axis=0)
+    east, north, up = (
+        float(np.sqrt(t / c)) if c else float("nan") for t, c in zip(total, count, strict=True)
+    )
+    return east, north, up
+
+
+def _image(image: ImageError) -> dict[str, Any]:
+    return {"image": image.name, "residual_enu": list(image.residual), "used": image.used}

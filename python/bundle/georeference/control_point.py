@@ -1,0 +1,166 @@
+"""Ground control points: surveyed targets, and where images see them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from bundle.errors import InputError, brief
+from bundle.option_fields import choice, number
+
+__all__ = [
+    "ROLES",
+    "GroundControlPoint",
+    "Measurement",
+    "Sigma",
+    "parse_pixel_sigma",
+    "parse_sigma",
+]
+
+ROLES = ("control", "check")
+SMALLEST, LARGEST = 1e-9, 1e9
+"""Standard deviations: beyond, squares are lost in rounding."""
+FARTHEST = 1e12
+"""Coordinates, metres."""
+
+
+class Sigma(NamedTuple):
+    """Standard deviations of a surveyed position in metres."""
+
+    horizontal: float
+    vertical: float
+
+
+class Measurement(NamedTuple):
+    """A target in an image.
+
+    Attributes:
+        image: name of the image.
+        x: pixels, from the left edge of the image: the centre of the first pixel is (0.5, 0.5).
+        y: pixels, from the upper edge.
+        sigma: standard deviation of x and of y, pixels; None: that of the alignment.
+    """
+
+    image: str
+    x: float
+    y: float
+    sigma: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundControlPoint:
+    """A surveyed target.
+
+    Attributes:
+        name: unique among the targets.
+        position: (3,) x, y, z in ``reference_system``: east or longitude, north or latitude,
+            height; nan for a height that is not known.
+        measurements: where images see it: (image, x, y) or (image, x, y, sigma) each, see
+            :class:`Measurement`. Images that are not in the model do not count.
+        sigma: of each coordinate in metres: one number, or horizontal and vertical; None: that of
+            the alignment.
+        role: "control", or "check": it is compared with the model and never moves it.
+        reference_system: "EPSG:32632", a PROJ string or "WGS84 UTM 32N"; None: a Cartesian frame in
+            metres, which becomes that of the model.
+
+    Raises:
+        InputError: a value is of the wrong type or out of range; the message names the target.
+    """
+
+    name: str
+    position: tuple[float, float, float]
+    measurements: tuple[Measurement, ...]
+    sigma: Sigma | None = None
+    role: str = "control"
+    reference_system: str | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
+            raise InputError(f"name: expected text for a control point, found {brief(self.name)}")
+        here = f"control point {self.name}"
+        object.__setattr__(self, "position", _position(here, self.position))
+        object.__setattr__(self, "measurements", _measurements(here, self.measurements))
+        object.__setattr__(self, "role", choice(f"{here}: role", self.role, ROLES))
+        if self.sigma is not None:
+            object.__setattr__(self, "sigma", parse_sigma(f"{here}: sigma", self.sigma))
+        if self.reference_system is not None and not isinstance(self.reference_system, str):
+            raise InputError(
+                f"{here}: reference_system: expected text or None, "
+                f"found {brief(self.reference_system)}"
+            )
+
+
+def parse_sigma(name: str, value: Any) -> Sigma:
+    """Return standard deviations from a number, a pair, "0.02" or "0.02/0.05".
+
+    Raises:
+        InputError: anything else, or a sigma that is not positive; the message begins with the
+            name.
+    """
+    parts: Any = value
+    if isinstance(value, str):
+        try:
+            parts = [float(part) for part in value.split("/")]
+        except ValueError:
+            parts = []
+    elif not isinstance(value, tuple | list):
+        parts = [value]
+    if not 1 <= len(parts) <= 2:
+        raise InputError(
+            f"{name}: expected metres, such as 0.02 or 0.02/0.05 (horizontal/vertical), "
+            f"found {brief(value)}"
+        )
+    horizontal, vertical = (
+        number(name, part, minimum=SMALLEST, maximum=LARGEST) for part in (parts[0], parts[-1])
+    )
+    return Sigma(horizontal, vertical)
+
+
+def parse_pixel_sigma(name: str, value: Any) -> float:
+    """Return the standard deviation of a measurement in pixels.
+
+    Raises:
+        InputError: it is out of range; the message begins with the name.
+    """
+    return number(name, value, minimum=SMALLEST, maximum=LARGEST)
+
+
+def _position(here: str, given: Any) -> tuple[float, float, float]:
+    numbers = _items(f"{here}: position", given)
+    if len(numbers) != 3:
+        raise InputError(f"{here}: position: expected 3 numbers, found {brief(given)}")
+    x, y = (_coordinate(here, value) for value in numbers[:2])
+    unknown = isinstance(numbers[2], float) and math.isnan(numbers[2])
+    return x, y, math.nan if unknown else _coordinate(here, numbers[2])
+
+
+def _coordinate(here: str, value: Any) -> float:
+    return number(f"{here}: position", value, minimum=-FARTHEST, maximum=FARTHEST)
+
+
+def _measurements(here: str, given: Any) -> tuple[Measurement, ...]:
+    measurements: dict[str, Measurement] = {}
+    for entry in _items(f"{here}: measurements", given):
+        parts = _items(f"{here}: measurements", entry)
+        if not 3 <= len(parts) <= 4 or not isinstance(parts[0], str) or not parts[0]:
+            raise InputError(
+                f"{here}: measurements: expected (image, x, y) or (image, x, y, sigma) each, "
+                f"found {brief(entry)}"
+            )
+        image, *numbers = parts
+        if image in measurements:
+            raise InputError(f"{here}: expected one measurement per image, found two in {image}")
+        x, y = (number(f"{here}: {image}: pixel", value) for value in numbers[:2])
+        sigma = numbers[2] if len(numbers) > 2 else None
+        if sigma is not None:
+            sigma = parse_pixel_sigma(f"{here}: {image}: sigma", sigma)
+        measurements[image] = Measurement(image, x, y, sigma)
+    return tuple(measurements.values())
+
+
+def _items(name: str, given: Any) -> list[Any]:
+    if isinstance(given, str | bytes) or not isinstance(given, Iterable):
+        raise InputError(f"{name}: expected a sequence, found {brief(given)}")
+    return list(given)

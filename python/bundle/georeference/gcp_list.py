@@ -1,0 +1,166 @@
+"""ODM's ``gcp_list.txt``: ground control points, one measurement per line.
+
+    EPSG:32632
+    # x y z px py image [label] [extras]
+    481367.1 5782936.4 100.25 1820.5 733.0 IMG_0037.jpg gcp02
+    481396.0 5782940.7 nan    2210.0 190.5 IMG_0037.jpg gcp03 sigma=0.02/0.05 pixel_sigma=0.3
+    481413.2 5783008.9 99.71  1511.0 904.0 IMG_0041.jpg gcp04 check
+
+The first line names the reference system: EPSG:CODE, a PROJ string, or WGS84 UTM ZONE with N or S.
+Fields are separated by blanks or tabs; a byte order mark, line ends of Windows, empty lines and
+lines that begin with "#" are allowed anywhere. Lines of equal coordinates are one target, as for
+ODM, labelled or not; "nan" is a height that is not known.
+
+ODM takes the centre of the first pixel for (0, 0): OpenSfM, which reads the list for it, normalizes
+x by (x + 0.5 - width / 2) / max(width, height) (``opensfm.features.normalized_image_coordinates``).
+Here, as in COLMAP, it is (0.5, 0.5): half a pixel is added to each coordinate.
+
+Beyond ODM, which ignores all that follows the image's name: ``sigma=H[/V]`` (metres) and ``check``
+on any line of a target hold for the target, ``pixel_sigma=PX`` for the measurement. The label is
+the first of the other words; what follows it is ignored.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from bundle.errors import InputError, brief, nearest, shown
+from bundle.georeference.control_point import (
+    GroundControlPoint,
+    Measurement,
+    Sigma,
+    parse_pixel_sigma,
+    parse_sigma,
+)
+from bundle.georeference.odm_lines import parse_number, read_lines
+from bundle.io import as_path
+from bundle.words import plural
+
+__all__ = ["PIXEL_SHIFT", "read_gcp_list"]
+
+PIXEL_SHIFT = 0.5
+"""From pixels whose origin is the centre of the first pixel to COLMAP's."""
+
+CHECK = "check"
+_KEYS = ("sigma", "pixel_sigma")
+_FIELDS = "x y z px py image [label]"
+
+
+@dataclass
+class _Target:
+    """What the lines of one target said so far."""
+
+    position: tuple[float, float, float]
+    line: int
+    name: str = ""
+    sigma: Sigma | None = None
+    role: str = "control"
+    measurements: dict[str, Measurement] = field(default_factory=dict)
+
+
+def read_gcp_list(path: str | os.PathLike[str]) -> tuple[GroundControlPoint, ...]:
+    """Read the ground control points of a file; unnamed ones are called "target 1" and so on.
+
+    Raises:
+        InputError: the content is not what the format says; one line with file and line.
+        OSError: the file cannot be read.
+    """
+    path = as_path(path)
+    system, rows = read_lines(path)
+    targets: dict[tuple[str, ...], _Target] = {}
+    for line, words in rows:
+        _read_line(f"{shown(path)}: line {line}", line, words, targets)
+    if not targets:
+        raise InputError(f"{shown(path)}: expected lines of {_FIELDS}, found none")
+    _name_targets(path, targets)
+    places = [f"{shown(path)}: line {target.line}" for target in targets.values()]
+    system.to_geodetic(np.array([target.position for target in targets.values()]), places)
+    return tuple(
+        GroundControlPoint(
+            name=target.name,
+            position=target.position,
+            measurements=tuple(target.measurements.values()),
+            sigma=target.sigma,
+            role=target.role,
+            reference_system=system.name,
+        )
+        for target in targets.values()
+    )
+
+
+def _read_line(
+    place: str, line: int, words: list[str], targets: dict[tuple[str, ...], _Target]
+) -> None:
+    if len(words) < 6:
+        raise InputError(f"{place}: expected {_FIELDS}, found {plural(len(words), 'word')}")
+    x, y, z, px, py = (
+        parse_number(place, name, word, unknown=name == "z")
+        for name, word in zip(("x", "y", "z", "px", "py"), words[:5], strict=True)
+    )
+    # Equal numbers, however written; nan is equal to nan.
+    target = targets.setdefault(tuple(map(repr, (x, y, z))), _Target((x, y, z), line))
+    label, settings, check = _extras(place, words[6:])
+    if check:
+        target.role = "check"
+    if label and target.name not in ("", label):
+        raise InputError(
+            f"{place}: expected label {target.name}, which the same coordinates have in line "
+            f"{target.line}, found {brief(label)}"
+        )
+    target.name = target.name or label
+    if "sigma" in settings:
+        sigma = parse_sigma(f"{place}: sigma", settings["sigma"])
+        if target.sigma not in (None, sigma):
+            raise InputError(
+                f"{place}: sigma: expected the one of an earlier line of the same target, "
+                f"found {settings['sigma']}"
+            )
+        target.sigma = sigma
+    pixel_sigma = None
+    if "pixel_sigma" in settings:
+        found = parse_number(place, "pixel_sigma", settings["pixel_sigma"])
+        pixel_sigma = parse_pixel_sigma(f"{place}: pixel_sigma", found)
+    image = words[5]
+    if image in target.measurements:
+        raise InputError(
+            f"{place}: expected one measurement of a target in each image, "
+            f"found another one in {brief(image)}"
+        )
+    target.measurements[image] = Measurement(image, px + PIXEL_SHIFT, py + PIXEL_SHIFT, pixel_sigma)
+
+
+def _extras(place: str, words: list[str]) -> tuple[str, dict[str, str], bool]:
+    """Return the label, the settings, and whether the target is marked as a check point."""
+    settings: dict[str, str] = {}
+    others: list[str] = []
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals:
+            others.append(word)
+        elif key in _KEYS:
+            settings[key] = value
+        else:
+            raise InputError(f"{place}: there is no setting {brief(key)}{_meant(key)}")
+    labels = [word for word in others if word != CHECK]
+    return labels[0] if labels else "", settings, len(labels) < len(others)
+
+
+def _meant(key: str) -> str:
+    return nearest(key, _KEYS) or f"; expected {' or '.join(_KEYS)}"
+
+
+def _name_targets(path: Path, targets: dict[tuple[str, ...], _Target]) -> None:
+    """Name those without a label, and refuse a label for two places."""
+    lines: dict[str, int] = {}
+    for index, target in enumerate(targets.values(), start=1):
+        target.name = target.name or f"target {index}"
+        if target.name in lines:
+            raise InputError(
+                f"{shown(path)}: line {target.line}: expected the coordinates of {target.name} in "
+                f"line {lines[target.name]}, found others"
+            )
+        lines[target.name] = target.line

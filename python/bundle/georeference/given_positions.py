@@ -1,0 +1,146 @@
+"""Control points and positions as users give them, brought into one local frame."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bundle.errors import InputError, brief, nearest
+from bundle.georeference.control_point import GroundControlPoint
+from bundle.georeference.exif_gps import read_exif_gps
+from bundle.georeference.gcp_list import read_gcp_list
+from bundle.georeference.geo_file import read_geo_file
+from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.reference_system import ReferenceSystem
+from bundle.io import is_path
+from bundle.problem import Problem
+
+__all__ = ["EXIF", "Frame", "given_control_points", "given_gps", "with_check_points"]
+
+EXIF = "exif"
+
+
+class Frame:
+    """The frame into which a model goes.
+
+    Attributes:
+        reference_system: of the coordinates, or None where they are Cartesian already.
+        origin: of east, north, up: in the middle of the control points, so that check points have
+            no influence, or of the positions where there are none.
+        control_points: (n, 3) positions of the targets; up is nan where unknown.
+        positions: (m, 3) positions of images.
+        notes: what is inexact.
+
+    Raises:
+        InputError: some coordinates have a reference system and others have none.
+    """
+
+    def __init__(
+        self, points: tuple[GroundControlPoint, ...], positions: GpsPositions | None
+    ) -> None:
+        self.notes: tuple[str, ...] = positions.notes if positions is not None else ()
+        self.origin: LocalFrame | None = None
+        self.reference_system: str | None = None
+        self.control_points = np.array([point.position for point in points]).reshape(-1, 3)
+        self.positions = np.zeros((0, 3))
+        systems = list(dict.fromkeys(point.reference_system for point in points))
+        if positions is not None:
+            systems += [positions.reference_system] if not points else []
+        if None in systems:
+            if len(systems) > 1 or positions is not None:
+                raise InputError(
+                    "gcps: expected a reference system of all control points, as others or GPS "
+                    "have one, found None"
+                )
+            return
+        geodetic = np.empty_like(self.control_points)
+        for name in systems if points else ():
+            system = ReferenceSystem(str(name))
+            of_it = [row for row, point in enumerate(points) if point.reference_system == name]
+            geodetic[of_it] = system.to_geodetic(self.control_points[of_it])
+            self.notes += tuple(note for note in system.notes if note not in self.notes)
+        decisive = geodetic[[point.role == "control" for point in points]] if points else geodetic
+        if not len(decisive):
+            decisive = positions.geodetic if positions is not None else geodetic
+        self.origin = LocalFrame.about(decisive)
+        self.reference_system = ", ".join(map(str, systems))
+        self.control_points = self.origin.to_enu(geodetic)
+        if positions is not None:
+            self.positions = self.origin.to_enu(positions.geodetic)
+
+
+def given_control_points(gcps: Any) -> tuple[GroundControlPoint, ...]:
+    """Return control points, those of a file, or none for None.
+
+    Raises:
+        InputError: these are no control points, or names repeat.
+        OSError: the file cannot be read.
+    """
+    if gcps is None:
+        return ()
+    if is_path(gcps):
+        return read_gcp_list(gcps)
+    try:
+        points = tuple(gcps)
+    except TypeError:
+        raise InputError(f"gcps: expected a path or control points, found {brief(gcps)}") from None
+    names = set()
+    for point in points:
+        if not isinstance(point, GroundControlPoint):
+            raise InputError(f"gcps: expected GroundControlPoints, found {brief(point)}")
+        if point.name in names:
+            raise InputError(f"gcps: expected a name of its own for each, found two {point.name}")
+        names.add(point.name)
+    if not points:
+        raise InputError("gcps: expected control points, found none")
+    return points
+
+
+def with_check_points(
+    points: tuple[GroundControlPoint, ...], names: Iterable[str]
+) -> tuple[GroundControlPoint, ...]:
+    """Return the points with some of them made check points.
+
+    Raises:
+        InputError: there is no point of a name.
+    """
+    if isinstance(names, str):
+        raise InputError(f"check_points: expected a sequence of names, found {brief(names)}")
+    wanted = list(names)
+    known = [point.name for point in points]
+    for name in wanted:
+        if name not in known:
+            meant = nearest(str(name), known) or f"; expected some of {', '.join(known)}"
+            raise InputError(f"check_points: there is no control point {brief(name)}{meant}")
+    return tuple(
+        replace(point, role="check") if point.name in wanted else point for point in points
+    )
+
+
+def given_gps(
+    gps: str | os.PathLike[str] | GpsPositions | None,
+    images: str | os.PathLike[str] | None,
+    problem: Problem,
+) -> GpsPositions | None:
+    """Return positions, those of a file or of the images' EXIF tags, or None for None.
+
+    Raises:
+        InputError: a file or an argument is wrong.
+        OSError: a path cannot be read.
+    """
+    if gps == EXIF:
+        if images is None:
+            raise InputError('images: expected the folder of the images for "exif", found None')
+        return read_exif_gps(images, problem.image_names)
+    if images is not None:
+        raise InputError(f'images: expected "exif" for gps beside it, found {brief(gps)}')
+    if gps is None or isinstance(gps, GpsPositions):
+        return gps
+    if is_path(gps):
+        return read_geo_file(gps)
+    raise InputError(f'gps: expected "exif", a path or GpsPositions, found {brief(gps)}')

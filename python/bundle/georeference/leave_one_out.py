@@ -1,0 +1,153 @@
+"""Leave-one-out residuals of surveyed points, and which of them are suspects.
+
+The similarity without point i predicts it: d_i is the prediction minus the survey, and its
+covariance C_i is that of the survey, of the point in the model and of the similarity together. d_i
+is independent of the fit, so for normal errors, with a factor sigma0 on all sigmas that the
+residuals of the others tell with nu degrees of freedom,
+
+    east and north:  F = d^T C^-1 d / (2 sigma0^2)   has the F distribution with 2 and nu,
+    up:              t = d / (sigma0 sqrt(C))        has Student's with nu degrees of freedom
+
+(deletion residuals: Belsley, Kuh and Welsch 1980; data snooping in geodesy: Baarda 1968). sigma0 is
+told separately for east and north and for up, since the ratio of two stated sigmas is seldom right.
+It is at least 1: errors within the stated sigmas make no suspect; where it would be below, nu is
+infinite.
+
+A point is a suspect if the probability of one of its statistics, times the number of statistics
+(Bonferroni), is below ``LEVEL``: a block without gross errors gets a suspect once in twenty
+times. The most improbable point is left out for good, and the others are tested again without it,
+until none is left: a gross error would hide a smaller one, and would make its neighbours look bad.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.georeference.similarity import Correspondences, SimilarityFit, fit_similarity
+
+__all__ = ["LEVEL", "LeaveOneOut", "leave_one_out", "probability_f2", "probability_t"]
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.05
+"""Chance that a block without gross errors gets a suspect."""
+
+FEWEST = 3
+"""Points that a similarity takes."""
+
+NODES = 60
+MOST_FREEDOM = 1000
+"""Beyond, Student's distribution is the normal one to four digits."""
+
+
+@dataclass(frozen=True)
+class LeaveOneOut:
+    """What the other points say about each.
+
+    Attributes:
+        residual: (n, 3) prediction from the others minus survey, east, north, up [m]; nan where the
+            others do not determine the model, and for unknown heights.
+        sigma: (n, 3) standard deviation of each, by the stated sigmas.
+        suspect: (n,) whether a gross error is likely.
+    """
+
+    residual: Array
+    sigma: Array
+    suspect: NDArray[np.bool_]
+
+
+def leave_one_out(
+    points: Correspondences, control: NDArray[np.bool_], tested: NDArray[np.bool_]
+) -> LeaveOneOut:
+    """Predict each tested point from the control points without it.
+
+    Args:
+        points: all of them.
+        control: (n,) which of them determine the similarity.
+        tested: (n,) which of them are predicted.
+    """
+    count = len(points)
+    residual, sigma = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+    suspect = np.zeros(count, dtype=bool)
+    first = True
+    while True:
+        chances, statistics = np.ones(count), 0
+        for index in np.flatnonzero(tested & ~suspect):
+            tests = _predicted(points, control & ~suspect, int(index))
+            if tests is None:
+                continue
+            if first:
+                residual[index], sigma[index] = tests.residual, tests.sigma
+            chances[index] = min(tests.chances)
+            statistics += len(tests.chances)
+        first = False
+        worst = int(np.argmin(chances))
+        if statistics == 0 or chances[worst] * statistics >= LEVEL:
+            return LeaveOneOut(residual, sigma, suspect)
+        suspect[worst] = True
+
+
+@dataclass(frozen=True)
+class _Tests:
+    residual: Array
+    sigma: Array
+    chances: list[float]
+
+
+def _predicted(points: Correspondences, control: NDArray[np.bool_], index: int) -> _Tests | None:
+    others = control.copy()
+    others[index] = False
+    if others.sum() < FEWEST:
+        return None
+    try:
+        fit = fit_similarity(points.rows(others))
+    except InputError:  # the others alone are on one line
+        return None
+    residuals, covariances = fit.predict(points.rows(np.array([index])))
+    residual, covariance = residuals[0], covariances[0]
+    sigma = np.where(np.isnan(residual), np.nan, np.sqrt(np.diag(covariance)))
+    squared = float(residual[:2] @ np.linalg.solve(covariance[:2, :2], residual[:2]))
+    sigma0, freedom = _sigma0(fit, slice(0, 2))
+    chances = [probability_f2(squared / (2 * sigma0**2), freedom)]
+    if not math.isnan(residual[2]):
+        sigma0, freedom = _sigma0(fit, slice(2, 3))
+        chances.append(probability_t(abs(residual[2]) / (sigma0 * sigma[2]), freedom))
+    return _Tests(residual, sigma, chances)
+
+
+def _sigma0(fit: SimilarityFit, rows: slice) -> tuple[float, float]:
+    """Return the factor on the sigmas of some rows, at least 1, and its degrees of freedom."""
+    freedom = float(fit.redundancy[:, rows].sum())
+    squared = float((fit.whitened[:, rows] ** 2).sum())
+    if squared <= freedom or freedom < 1e-6:
+        return 1.0, math.inf
+    return math.sqrt(squared / freedom), freedom
+
+
+def probability_f2(value: float, freedom: float) -> float:
+    """Return the chance that F with 2 and ``freedom`` degrees of freedom exceeds the value."""
+    if math.isinf(freedom):
+        return math.exp(-value)
+    return math.exp(-0.5 * freedom * math.log1p(2 * value / freedom))
+
+
+def probability_t(value: float, freedom: float) -> float:
+    """Return the chance that Student's t is farther from zero than the value.
+
+    With tan(angle) = t / sqrt(nu) the density is that of cos(angle)^(nu - 1): a smooth integral,
+    done by Gauss and Legendre. Below one degree of freedom, which says nothing, the chance is 1.
+    """
+    if freedom < 1:
+        return 1.0
+    if freedom > MOST_FREEDOM:
+        return math.erfc(value / math.sqrt(2))
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    angle = math.atan2(math.sqrt(freedom), value)  # from the pole, where the cosine is the sine
+    density = np.sin(angle * (nodes + 1) / 2) ** (freedom - 1)
+    total = math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2) - 0.5 * math.log(math.pi)
+    return float(2 * math.exp(total) * (weights @ density) * angle / 2)

@@ -1,0 +1,194 @@
+"""What is known of where an image was taken, as a prior of a solve.
+
+With c(pose) = -R^T t the centre of the camera, a the antenna in the frame of the camera and p the
+measured position, the prior costs
+
+    1/2 rho(r^T r),  r = L^-1 (c + R^T a - p),  Sigma = L L^T
+
+beside the reprojection errors, whose unit is one pixel: the cost of a solve is
+1/2 sum (e / 1 px)^2 + 1/2 sum rho(r^T r). An axis that is not known has a sigma so large that its
+share is zero in double precision, cost, gradient and Hessian.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle.arguments import as_array
+from bundle.arrays import freeze, refrozen
+from bundle.display import Display, Displayed
+from bundle.errors import InputError, brief
+from bundle.graph import PositionFactor
+from bundle.option_fields import choice, number
+from bundle.options import LOSSES
+
+__all__ = ["ROBUST_SCALE", "PositionPrior"]
+
+Array = NDArray[np.float64]
+
+ROBUST_SCALE = math.sqrt(7.814727903251179)
+"""Sigmas; 95 % of errors with three Gaussian coordinates are shorter (chi squared: 7.8147)."""
+UNKNOWN = 1e100
+"""A standard deviation whose inverse square, beside any other number here, is zero."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PositionPrior(Displayed):
+    """A measured position of an image, such as GPS gives it.
+
+    Attributes:
+        image: id of the image, or its name.
+        position: (3,) of the camera's centre, or of the antenna, in the length unit of ``sigma``.
+            The third coordinate may be nan: then only the horizontal position counts.
+        sigma: standard deviation: one number, (horizontal, vertical), or one per axis. Infinite:
+            the axis does not count. Exactly one of this and ``covariance`` is given.
+        covariance: (3, 3) symmetric positive definite, in squared length units.
+        lever_arm: (3,) place of the antenna in the frame of the camera (x right, y down, z
+            forward), in the same length unit.
+        loss: a robust loss out of :class:`bundle.SolveOptions`.
+        loss_scale: the length of the residual in sigmas at which the loss bends; by default 2.795,
+            which 5 % of good positions exceed.
+
+    Raises:
+        InputError: a value is of the wrong type, shape or range; the message names the image.
+    """
+
+    image: int | str
+    position: ArrayLike
+    sigma: ArrayLike | None = None
+    covariance: ArrayLike | None = field(default=None, kw_only=True)
+    lever_arm: ArrayLike = field(default=(0.0, 0.0, 0.0), kw_only=True)
+    loss: str = field(default="trivial", kw_only=True)
+    loss_scale: float = field(default=ROBUST_SCALE, kw_only=True)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.image, bool) or not isinstance(self.image, int | str | np.integer):
+            raise InputError(
+                f"PositionPrior: image: expected an id or a name, found {brief(self.image)}"
+            )
+        name = self.name
+        position = _vector(f"{name}: position", self.position)
+        if not np.isfinite(position[:2]).all() or np.isinf(position[2]):
+            raise InputError(
+                f"{name}: position: expected finite numbers (the third may be nan), "
+                f"found {brief(position.tolist())}"
+            )
+        lever_arm = _vector(f"{name}: lever_arm", self.lever_arm)
+        if not np.isfinite(lever_arm).all():
+            raise InputError(
+                f"{name}: lever_arm: expected finite numbers, found {brief(lever_arm.tolist())}"
+            )
+        self._set(position=position, lever_arm=lever_arm)
+        if (self.sigma is None) == (self.covariance is None):
+            raise InputError(f"{name}: expected one of sigma and covariance")
+        if self.sigma is not None:
+            self._set(sigma=_sigmas(f"{name}: sigma", self.sigma))
+        else:
+            self._set(covariance=_covariance(f"{name}: covariance", self.covariance))
+        self._set(
+            loss=choice(f"{name}: loss", self.loss, LOSSES),
+            loss_scale=number(f"{name}: loss_scale", self.loss_scale, above=0),
+        )
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"PositionPrior({brief(self.image)})"
+
+    @property
+    def full_covariance(self) -> Array:
+        """(3, 3); axes that do not count have a variance of 1e200 and no correlation."""
+        if self.covariance is not None:
+            full: Array = np.array(self.covariance, dtype=np.float64)
+        else:
+            sigmas = np.asarray(self.sigma, dtype=np.float64)
+            full = np.eye(3) * np.clip(sigmas, 1 / UNKNOWN, UNKNOWN) ** 2
+        if np.isnan(np.asarray(self.position)[2]):
+            full[2, :], full[:, 2] = 0, 0
+            full[2, 2] = UNKNOWN**2
+        return full
+
+    def factor(self, image_id: int) -> PositionFactor:
+        """Return the factor of a solve whose image has this id."""
+        return PositionFactor(
+            ("image", image_id),
+            np.nan_to_num(np.asarray(self.position, dtype=np.float64)),
+            _inverse(self.full_covariance),
+            lever_arm=self.lever_arm,
+            loss=self.loss,
+            loss_scale=self.loss_scale,
+        )
+
+    def whiten(self, residual: Array) -> Array:
+        """Return L^-1 of a (3,) residual; axes that do not count are zero."""
+        root = np.linalg.cholesky(_inverse(self.full_covariance))
+        return np.asarray(root.T @ np.nan_to_num(residual), dtype=np.float64)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(refrozen(state))
+
+    def _set(self, **values: Any) -> None:
+        for attribute, value in values.items():
+            frozen = freeze(value.copy()) if isinstance(value, np.ndarray) else value
+            object.__setattr__(self, attribute, frozen)
+
+    def _display(self) -> Display:
+        place = ", ".join(f"{value:.10g}" for value in np.asarray(self.position))
+        facts = [("image", brief(self.image)), ("position", place)]
+        if self.sigma is not None:
+            sigmas = ", ".join(f"{value:g}" for value in np.asarray(self.sigma))
+            facts.append(("sigma", sigmas))
+        if self.loss != "trivial":
+            facts.append(("loss", f"{self.loss}, scale {self.loss_scale:g} sigmas"))
+        return Display(title="PositionPrior", facts=tuple(facts))
+
+
+def _vector(name: str, value: Any) -> Array:
+    vector = as_array(name, value)
+    if vector.shape != (3,):
+        raise InputError(f"{name}: expected 3 numbers, found shape {vector.shape}")
+    return vector
+
+
+def _sigmas(name: str, value: Any) -> Array:
+    """Return one standard deviation per axis."""
+    given = np.atleast_1d(as_array(name, value))
+    if given.shape not in ((1,), (2,), (3,)):
+        raise InputError(
+            f"{name}: expected one number, (horizontal, vertical) or one per axis, "
+            f"found shape {given.shape}"
+        )
+    if not (given > 0).all():
+        raise InputError(f"{name}: expected numbers above 0, found {brief(given.tolist())}")
+    first, last = given[0], given[-1]
+    return given.copy() if len(given) == 3 else np.array([first, first, last])
+
+
+def _covariance(name: str, value: Any) -> Array:
+    matrix = as_array(name, value)
+    if matrix.shape != (3, 3):
+        raise InputError(f"{name}: expected shape (3, 3), found {matrix.shape}")
+    diagonal = np.diag(matrix)
+    if np.isfinite(matrix).all() and (diagonal > 0).all():
+        scale = np.sqrt(np.outer(diagonal, diagonal))
+        symmetric = bool((np.abs(matrix - matrix.T) <= 1e-12 * scale).all())
+        # Correlations: units of the axes do not matter.
+        if symmetric and np.linalg.eigvalsh((matrix / scale + (matrix / scale).T) / 2)[0] > 1e-14:
+            return (matrix + matrix.T) / 2
+    raise InputError(
+        f"{name}: expected a symmetric positive definite matrix, found {brief(matrix.tolist())}"
+    )
+
+
+def _inverse(covariance: Array) -> Array:
+    """Return the inverse of a covariance whose axes may have very different units."""
+    sigmas = np.sqrt(np.diag(covariance))
+    scale = np.outer(sigmas, sigmas)
+    inverse = np.linalg.inv(covariance / scale)
+    information: Array = (inverse + inverse.T) / 2 / scale
+    return information

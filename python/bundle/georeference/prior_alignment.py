@@ -1,0 +1,166 @@
+"""A problem moved to where priors of its images' positions say that it is.
+
+A reconstruction stands in a frame of its own. From there a solve with priors would have to turn,
+scale and carry the whole model by thousands of sigmas, which a trust region does in small steps if
+at all. So it starts from the similarity that the positions determine, found robustly; the minimum
+does not depend on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError, brief, nearest
+from bundle.georeference.consensus import agreeing
+from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
+from bundle.georeference.similar_problem import moved, rotation_matrices
+from bundle.georeference.similarity import Correspondences, Similarity, fit_similarity
+from bundle.graph import PositionFactor
+from bundle.graph.variables import as_list
+from bundle.problem import Problem
+
+__all__ = ["ProblemPriors"]
+
+Array = NDArray[np.float64]
+
+NOT_COUNTING = 1e50
+"""A standard deviation beyond which a coordinate is as good as unknown."""
+
+
+@dataclass(frozen=True)
+class ProblemPriors:
+    """Priors with the images of a problem that they are about.
+
+    Attributes:
+        priors: in the order given.
+        rows: (n,) index of each prior's image.
+        image_ids: n ids of these images.
+    """
+
+    priors: tuple[PositionPrior, ...]
+    rows: NDArray[np.int64]
+    image_ids: tuple[int, ...]
+
+    @staticmethod
+    def make(problem: Problem, priors: Iterable[PositionPrior]) -> ProblemPriors:
+        """Find the images.
+
+        Raises:
+            InputError: these are no priors, an image is not in the problem, its name is not
+                unique, or two priors have the same image.
+        """
+        given = _listed(priors)
+        names: dict[str, int] = {}
+        twice: set[str] = set()
+        for index, name in enumerate(problem.image_names):
+            if name in names:
+                twice.add(name)
+            names[name] = index
+        ids = {image_id: index for index, image_id in enumerate(problem.image_ids.tolist())}
+        rows: dict[int, int] = {}
+        for position, prior in enumerate(given):
+            place = f"priors: [{position}]: image"
+            image = prior.image
+            row = names.get(image) if isinstance(image, str) else ids.get(int(image))
+            if row is None or image in twice:
+                meant = nearest(image, list(names)) if isinstance(image, str) else ""
+                found = f"none{meant}" if row is None else "several of them"
+                raise InputError(
+                    f"{place}: expected one image {brief(image)} in the problem, found {found}"
+                )
+            if row in rows:
+                raise InputError(
+                    f"{place}: expected one prior for each image, found another one of "
+                    f"{brief(image)} (the first: [{rows[row]}])"
+                )
+            rows[row] = position
+        found_rows = np.fromiter(rows, dtype=np.int64, count=len(rows))
+        return ProblemPriors(given, found_rows, tuple(problem.image_ids[found_rows].tolist()))
+
+    def factors(self) -> list[PositionFactor]:
+        """Return a factor for each prior, in order."""
+        return [
+            prior.factor(image_id)
+            for prior, image_id in zip(self.priors, self.image_ids, strict=True)
+        ]
+
+    def residuals(self, problem: Problem) -> Array:
+        """Return (n, 3) position in the problem minus measured position; nan where unknown."""
+        if not self.priors:
+            return np.zeros((0, 3))
+        antennas = problem.projection_centers[self.rows] + self._levers(problem)
+        residuals: Array = antennas - self._positions()
+        return residuals
+
+    def sigmas(self, problem: Problem) -> Array:
+        """Return (n,) lengths of the residuals in standard deviations."""
+        pairs = zip(self.priors, self.residuals(problem), strict=True)
+        return np.array([np.linalg.norm(prior.whiten(row)) for prior, row in pairs])
+
+    def align(self, problem: Problem) -> Similarity:
+        """Return the similarity to where the priors say that the problem is.
+
+        Positions that contradict the majority do not count. With fewer than three known heights, or
+        heights that leave the tilt open, the cameras are taken to be at one height.
+
+        Raises:
+            InputError: fewer than three positions, or they lie on one line.
+        """
+        if len(self.priors) < 3:
+            raise InputError(
+                "expected positions of at least 3 images to place the model, found "
+                f"{len(self.priors)}"
+            )
+        source, target = problem.projection_centers[self.rows], self._positions()
+        covariance = np.array([prior.full_covariance for prior in self.priors])
+        unknown = np.isnan(target[:, 2]) | (covariance[:, 2, 2] >= NOT_COUNTING**2)
+        target[unknown, 2] = np.nan
+        known_heights = target[~unknown, 2]
+        level = target.copy()
+        level[unknown, 2] = np.median(known_heights) if len(known_heights) else 0.0
+        scales = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        chosen = agreeing(source, level, scales)
+        points = Correspondences(source, target, covariance, offset=self._levers(problem))
+        if unknown.any():
+            try:
+                return _fit(points.rows(chosen))
+            except InputError:
+                horizontal = covariance[:, 0, 0]
+                covariance[unknown] = horizontal[unknown, None, None] * np.eye(3)
+                points = Correspondences(source, level, covariance, offset=points.offset)
+        return _fit(points.rows(chosen))
+
+    def aligned(self, problem: Problem) -> tuple[Problem, Similarity]:
+        """Return the problem in its place, and the similarity; see :meth:`align`."""
+        similarity = self.align(problem)
+        return moved(problem, similarity), similarity
+
+    def _positions(self) -> Array:
+        return np.array([prior.position for prior in self.priors], dtype=np.float64)
+
+    def _levers(self, problem: Problem) -> Array:
+        """Return (n, 3) from camera to antenna along the axes of the world."""
+        rotations = rotation_matrices(problem.cam_from_world[self.rows, :4])
+        levers = np.array([prior.lever_arm for prior in self.priors], dtype=np.float64)
+        along: Array = np.einsum("nji,nj->ni", rotations, levers)
+        return along
+
+
+def _fit(points: Correspondences) -> Similarity:
+    fit = fit_similarity(points, loss="cauchy", loss_scale=ROBUST_SCALE, what="positions of images")
+    return fit.similarity
+
+
+def _listed(priors: Any) -> tuple[PositionPrior, ...]:
+    given = as_list("priors", "PositionPriors", priors)
+    for position, prior in enumerate(given):
+        if not isinstance(prior, PositionPrior):
+            raise InputError(
+                f"priors: expected PositionPriors, found {brief(prior)} at [{position}]"
+            )
+    return given

@@ -1,0 +1,270 @@
+"""Targets triangulated from their pixels, with the cameras of the model held.
+
+The point X minimizes sum |project(X) - xy|^2 / sigma^2 over its images, by Levenberg and Marquardt
+on the camera models' own Jacobians J. It starts where the rays come nearest to each other: with
+directions d and centres c, (sum I - d d^T) X = sum (I - d d^T) c. Its covariance (sum J^T J)^-1 is
+that for pixels of the stated sigma and cameras without error.
+
+A camera model projects; its inverse is found here, for any of them, by Gauss-Newton on the sphere
+of directions, along a path of pixels from the optical axis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.cameras import camera_models, project
+from bundle.errors import InputError
+from bundle.georeference.control_point import GroundControlPoint, Measurement
+from bundle.georeference.similar_problem import rotation_matrices
+from bundle.problem import Problem
+
+__all__ = ["ImageIndex", "Triangulated", "direction_of", "triangulate"]
+
+Array = NDArray[np.float64]
+
+FEWEST_IMAGES = 2
+MAX_STEPS = 100
+WORST_CONDITION = 1e12
+"""Of the normal matrix of a point: beyond, its rays are parallel."""
+LONGEST_STEP = 0.3
+"""Radians that a direction turns at once, and in a stage."""
+SMALLEST_STEP = 1e-11
+STAGES = 12
+LARGEST_MISS = 1e-3
+"""Pixels by which a direction may miss the pixel that it was found for."""
+
+
+@dataclass(frozen=True)
+class Triangulated:
+    """A target in the model, or why it is not there.
+
+    Attributes:
+        point: the target.
+        measurements: those in images of the model.
+        images: (m,) their indices in the problem.
+        position: (3,) in the model; nan where it could not be triangulated.
+        covariance: (3, 3) of it, in squared units of the model.
+        residual: (m, 2) projection minus measurement, pixels.
+        reason: why there is no position; "" where there is one.
+    """
+
+    point: GroundControlPoint
+    measurements: tuple[Measurement, ...]
+    images: NDArray[np.int64]
+    position: Array
+    covariance: Array
+    residual: Array
+    reason: str = ""
+
+
+class ImageIndex:
+    """Finds images by name: the whole name, or its last part where that is unique.
+
+    Raises:
+        InputError: the images have no names.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        if problem.num_images and not any(problem.image_names):
+            raise InputError("expected images with names, which BAL files do not have, found none")
+        self._whole = {name: index for index, name in enumerate(problem.image_names)}
+        self._last: dict[str, int] = {}
+        for name, index in self._whole.items():
+            last = _last_part(name)
+            self._last[last] = -1 if last in self._last else index
+
+    def find(self, name: str) -> int | None:
+        """Return the index of an image, None where the model has none of this name."""
+        if name in self._whole:
+            return self._whole[name]
+        index = self._last.get(_last_part(name), -1)
+        return None if index < 0 else index
+
+
+def _last_part(name: str) -> str:
+    return name.replace("\\", "/").rpartition("/")[2]
+
+
+def triangulate(
+    problem: Problem,
+    points: Iterable[GroundControlPoint],
+    images: ImageIndex,
+    *,
+    pixel_sigma: float,
+) -> tuple[Triangulated, ...]:
+    """Triangulate every target; where one cannot be, ``reason`` says why.
+
+    Args:
+        problem: the model.
+        points: the targets.
+        images: of the problem.
+        pixel_sigma: standard deviation of measurements that have none of their own, pixels.
+    """
+    return tuple(_triangulated(problem, point, images, pixel_sigma) for point in points)
+
+
+def _triangulated(
+    problem: Problem, point: GroundControlPoint, index: ImageIndex, pixel_sigma: float
+) -> Triangulated:
+    found = [(index.find(entry.image), entry) for entry in point.measurements]
+    seen = [(image, entry) for image, entry in found if image is not None]
+    measurements = tuple(entry for _, entry in seen)
+    images = np.array([image for image, _ in seen], dtype=np.int64)
+
+    def lost(reason: str) -> Triangulated:
+        nothing = np.full((len(seen), 2), np.nan)
+        nowhere = np.full(3, np.nan), np.full((3, 3), np.nan)
+        return Triangulated(point, measurements, images, *nowhere, nothing, reason)
+
+    if len(np.unique(images)) < FEWEST_IMAGES:
+        return lost(f"measured in {len(seen)} of the model's images, expected at least 2")
+    xy = np.array([(entry.x, entry.y) for entry in measurements])
+    sigma = np.array([entry.sigma or pixel_sigma for entry in measurements])
+    rotations, translations = _poses(problem, images)
+    rays = np.empty((len(images), 3))
+    for row, image in enumerate(images):
+        direction = direction_of(*_camera(problem, image), xy[row])
+        if direction is None:
+            return lost(f"its pixel in {measurements[row].image} is outside the camera model")
+        rays[row] = direction @ rotations[row]
+    start = _intersection(rays, -np.einsum("nji,nj->ni", rotations, translations))
+    if start is None:
+        return lost("its rays are parallel")
+    position, normal = _refined(problem, images, rotations, translations, xy, sigma, start)
+    if not _is_regular(normal):
+        return lost("its rays are parallel")
+    residual, _, valid = _reprojected(problem, images, rotations, translations, xy, position)
+    if not valid.all():
+        return lost(f"its rays meet behind {measurements[int(np.argmin(valid))].image}")
+    covariance = np.asarray(np.linalg.inv(normal), np.float64)
+    return Triangulated(point, measurements, images, position, covariance, residual)
+
+
+def _poses(problem: Problem, images: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return rotations (m, 3, 3) and translations (m, 3)."""
+    poses = problem.cam_from_world[images]
+    return rotation_matrices(poses[:, :4]), poses[:, 4:]
+
+
+def _camera(problem: Problem, image: int) -> tuple[str, Array]:
+    camera = problem.image_camera[image]
+    model = problem.camera_models[camera]
+    return model, problem.camera_params[camera, : len(camera_models()[model])]
+
+
+def direction_of(model: str, params: Array, xy: Array) -> Array | None:
+    """Return the unit vector in the camera frame that projects to a pixel, None without one.
+
+    The pixel is approached from that of the optical axis along a line, and the direction follows by
+    Gauss-Newton. So it stays on the side of the axis where the projection is one to one: models
+    such as OPENCV project directions beyond the turning point of their distortion onto the image
+    once more.
+    """
+    direction = np.array([0.0, 0.0, 1.0])
+    start = project(model, params, direction[None])[0][0]
+    for stage in range(1, STAGES + 1):
+        goal = start + (xy - start) * stage / STAGES
+        reached = _followed(model, params, goal, direction)
+        if reached is None:
+            return None
+        direction = reached
+    return direction
+
+
+def _followed(model: str, params: Array, xy: Array, start: Array) -> Array | None:
+    """Return the direction near another one that projects to a pixel."""
+    direction = start
+    with np.errstate(all="ignore"):
+        for _ in range(MAX_STEPS):
+            pixels = project(model, params, direction[None], jacobians=True)
+            miss, jacobian = pixels.xy[0] - xy, pixels.d_point[0]
+            if not (np.isfinite(miss).all() and np.isfinite(jacobian).all()):
+                return None
+            # The step of least length lies in the tangent plane, as J d = 0.
+            step = -np.linalg.pinv(jacobian) @ miss
+            direction = direction + step / max(np.linalg.norm(step) / LONGEST_STEP, 1)
+            direction /= np.linalg.norm(direction)
+            if direction @ start < math.cos(LONGEST_STEP):
+                return None
+            if np.linalg.norm(step) < SMALLEST_STEP:
+                break
+        found, valid = project(model, params, direction[None])
+    near = np.linalg.norm(found[0] - xy) < LARGEST_MISS
+    return direction if valid[0] and near else None
+
+
+def _intersection(rays: Array, centers: Array) -> Array | None:
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    normal = across.sum(axis=0)
+    if not _is_regular(normal):
+        return None
+    nearest: Array = np.linalg.solve(normal, np.einsum("nij,nj->i", across, centers))
+    return nearest
+
+
+def _is_regular(normal: Array) -> bool:
+    return bool(np.isfinite(normal).all() and np.linalg.cond(normal) < WORST_CONDITION)
+
+
+def _reprojected(
+    problem: Problem,
+    images: NDArray[np.int64],
+    rotations: Array,
+    translations: Array,
+    xy: Array,
+    position: Array,
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return residuals (m, 2), their derivatives (m, 2, 3) and whether the image sees the point."""
+    residual, jacobian = np.empty((len(images), 2)), np.empty((len(images), 2, 3))
+    valid = np.empty(len(images), dtype=bool)
+    for row, image in enumerate(images):
+        in_camera = rotations[row] @ position + translations[row]
+        pixels = project(*_camera(problem, image), in_camera[None], jacobians=True)
+        residual[row] = pixels.xy[0] - xy[row]
+        jacobian[row] = pixels.d_point[0] @ rotations[row]
+        valid[row] = pixels.valid[0]
+    return residual, jacobian, valid
+
+
+def _refined(
+    problem: Problem,
+    images: NDArray[np.int64],
+    rotations: Array,
+    translations: Array,
+    xy: Array,
+    sigma: Array,
+    position: Array,
+) -> tuple[Array, Array]:
+    """Return the point of the least weighted residuals, and its normal matrix."""
+
+    def at(point: Array) -> tuple[Array, Array, float]:
+        residual, jacobian, _ = _reprojected(problem, images, rotations, translations, xy, point)
+        whitened = (residual / sigma[:, None]).ravel()
+        slope = (jacobian / sigma[:, None, None]).reshape(-1, 3)
+        return whitened, slope, float(whitened @ whitened)
+
+    damping = 1e-6
+    residual, jacobian, cost = at(position)
+    for _ in range(MAX_STEPS):
+        normal = jacobian.T @ jacobian
+        damped = normal + damping * np.diag(np.diag(normal))
+        if not _is_regular(damped):
+            break
+        step = np.linalg.solve(damped, -jacobian.T @ residual)
+        candidate = at(position + step)
+        if candidate[2] <= cost:
+            position, damping = position + step, damping / 10
+            residual, jacobian, cost = candidate
+            if np.linalg.norm(step) <= 1e-14 * np.linalg.norm(position):
+                break
+        elif damping > 1e12:
+            break
+        else:
+            damping = max(damping, 1e-12) * 10
+    return position, jacobian.T @ jacobian
