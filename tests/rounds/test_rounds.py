@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 
 import bundle
-from bundle.rounds import adjust_and_filter
+from bundle.rounds import round_run
 from tests.scenes import make_problem
 
 TIGHT = {"function_tolerance": 1e-14, "gradient_tolerance": 1e-12, "parameter_tolerance": 1e-14}
@@ -83,7 +83,7 @@ def test_rounds_end_when_one_changes_next_to_nothing(monkeypatch):
     shares = [done.num_observations_removed / done.num_observations for done in rounds]
     assert 2 < len(rounds) < 20
     assert shares[-1] < 5e-4 <= min(shares[:-1])
-    monkeypatch.setattr(adjust_and_filter, "SMALLEST_CHANGE", 1.0)
+    monkeypatch.setattr(round_run, "SMALLEST_CHANGE", 1.0)
     assert (
         len(bundle.solve_rounds(problem, num_rounds=20, max_error=1.2, loss="cauchy").rounds) == 1
     )

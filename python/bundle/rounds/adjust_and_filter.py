@@ -6,12 +6,8 @@ import dataclasses
 import hashlib
 import os
 import pickle
-from collections.abc import Iterable, Mapping
-from pathlib import Path
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from bundle import solver
 from bundle.errors import InputError, first_line
@@ -19,21 +15,11 @@ from bundle.image_selection import ImageSelection, find_images
 from bundle.io import Source, as_path, as_problem
 from bundle.option_fields import number
 from bundle.options import SolveOptions
-from bundle.problem import Problem
 from bundle.result import Result
-from bundle.round_record import Round
-from bundle.rounds.checkpoint import (
-    State,
-    check_target,
-    digest,
-    fingerprint_of_options,
-    read,
-    write,
-)
-from bundle.rounds.filtering import Filtered, filter_observations
+from bundle.rounds.checkpoint import digest, fingerprint_of_options
 from bundle.rounds.local_part import LocalPart
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
-from bundle.rounds.segments import num_steps, solve_in_segments
+from bundle.rounds.round_run import Bounds, RoundRun
 from bundle.solve_record import Progress
 from bundle.words import plural
 
@@ -42,12 +28,6 @@ if TYPE_CHECKING:
     from bundle.graph import Factor
 
 __all__ = ["solve_rounds"]
-
-SMALLEST_CHANGE = 5e-4
-"""Share of its observations that a round has to remove for another one to follow, as in COLMAP
-(``ba_global_max_refinement_change``)."""
-
-_Bounds = Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]]
 
 
 def solve_rounds(
@@ -62,7 +42,7 @@ def solve_rounds(
     factors: Iterable[Factor] = (),
     priors: Iterable[PositionPrior] = (),
     align: bool | None = None,
-    bounds: _Bounds | None = None,
+    bounds: Bounds | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_interval: int = CHECKPOINT_INTERVAL,
     resume: str | os.PathLike[str] | None = None,
@@ -141,7 +121,7 @@ def solve_rounds(
         part = LocalPart(given, find_images("only_images", given, only_images), factors)
         start, used, bounds = part.problem, part.options(options), part.bounds(bounds)
         check_observed(part)
-    run = _Run(start, used, limits, factors, bounds, progress)
+    run = RoundRun(start, used, limits, factors, bounds, progress)
     if checkpoint is not None or resume is not None:
         fingerprint = {
             "input": digest(given),
@@ -166,101 +146,6 @@ def solve_rounds(
         similarity=similarity,
         part=None if part is None else part.record,
     )
-
-
-class _Run:
-    """Rounds on one problem, from its start or from a checkpoint."""
-
-    def __init__(
-        self,
-        start: Problem,
-        options: SolveOptions,
-        limits: RoundOptions,
-        factors: tuple[Factor, ...],
-        bounds: _Bounds | None,
-        progress: Progress | None,
-    ) -> None:
-        self._start, self._options, self._limits = start, options, limits
-        self._factors, self._bounds, self._progress = factors, bounds, progress
-        self._path: Path | None = None
-        self._fingerprint: dict[str, Any] = {}
-        self._interval = 0
-        self._state = State(
-            problem=start,
-            observations=np.arange(start.num_observations),
-            points=np.arange(start.num_points),
-        )
-
-    def keep(
-        self,
-        checkpoint: Path | None,
-        resume: Path | None,
-        fingerprint: dict[str, Any],
-        interval: int,
-    ) -> None:
-        """Write checkpoints from now on, and begin where one ended."""
-        path = checkpoint if checkpoint is not None else resume
-        assert path is not None
-        check_target(path)
-        self._path, self._fingerprint, self._interval = path, fingerprint, interval
-        if resume is not None and resume.exists():
-            used, _, _ = solver._settle(self._start, self._options, self._factors, self._bounds)
-            self._state = read(resume, self._start, used, fingerprint)
-
-    def to_the_end(self) -> tuple[State, Result]:
-        """Adjust and filter; return where that ended and the last adjustment."""
-        state = self._state
-        if state.has_ended and state.so_far is not None:
-            return state, state.so_far
-        while True:
-            result = self._adjust(state)
-            state = dataclasses.replace(state, problem=result.problem, so_far=None)
-            if result.summary.interrupted or not result.summary.is_solution_usable:
-                return state, result
-            has_ended = self._limits.num_rounds == 0
-            if not has_ended:
-                state = self._filter(state, result)
-                has_ended = is_last(state.rounds[-1], self._limits)
-            if has_ended:
-                state = dataclasses.replace(state, so_far=result, has_ended=True)
-            self._save(state)
-            if has_ended:
-                return state, result
-
-    def _adjust(self, state: State) -> Result:
-        if self._path is None:
-            return self._solve(state.problem, self._options, self._progress)
-        return solve_in_segments(
-            self._solve,
-            state.problem,
-            self._options,
-            self._interval,
-            so_far=state.so_far,
-            progress=self._progress,
-            save=lambda result: self._save(
-                dataclasses.replace(state, problem=result.problem, so_far=result)
-            ),
-        )
-
-    def _solve(self, problem: Problem, options: SolveOptions, progress: Progress | None) -> Result:
-        return solver.solve(
-            problem, options, factors=self._factors, bounds=self._bounds, progress=progress
-        )
-
-    def _filter(self, state: State, result: Result) -> State:
-        filtered = filter_adjusted(result.problem, self._limits, self._options, self._factors)
-        done = round_of(len(state.rounds) + 1, result, filtered)
-        check_left(filtered, done, self._limits)
-        return State(
-            problem=filtered.problem,
-            observations=state.observations[filtered.observation_mask],
-            points=state.points[filtered.point_mask],
-            rounds=(*state.rounds, done),
-        )
-
-    def _save(self, state: State) -> None:
-        if self._path is not None:
-            write(self._path, state, self._start, self._fingerprint)
 
 
 def digest_of_pickle(value: Any) -> str:
@@ -301,52 +186,4 @@ def check_observed(part: LocalPart) -> None:
         raise InputError(
             f"only_images: expected images that see points, found none in "
             f"{plural(part.record.num_images, 'image')}"
-        )
-
-
-def filter_adjusted(
-    problem: Problem, limits: RoundOptions, options: SolveOptions, factors: Iterable[Factor]
-) -> Filtered:
-    """Filter what a round has adjusted; points that are known otherwise stay."""
-    keys: list[Any] = [key for factor in factors for key in factor.keys]
-    known = {key[1] for key in keys if key[0] == "point"}
-    return filter_observations(
-        problem,
-        limits.max_error,
-        limits.min_angle,
-        limits.min_track_length,
-        kept_point_ids=sorted({*known, *options.fixed_point_ids}),
-        num_threads=options.num_threads,
-    )
-
-
-def round_of(number: int, result: Result, filtered: Filtered) -> Round:
-    """Return the record of a round."""
-    summary, adjusted = result.summary, result.problem
-    return Round(
-        round=number,
-        initial_cost=summary.initial_cost,
-        cost=summary.final_cost,
-        termination_type=summary.termination_type,
-        num_iterations=num_steps(result),
-        num_points=adjusted.num_points,
-        num_observations=adjusted.num_observations,
-        num_observations_removed=filtered.num_observations_removed,
-        num_points_removed=filtered.num_points_removed,
-    )
-
-
-def is_last(done: Round, limits: RoundOptions) -> bool:
-    """Return whether no round follows one."""
-    changed = done.num_observations_removed >= SMALLEST_CHANGE * done.num_observations
-    return done.round >= limits.num_rounds or not changed
-
-
-def check_left(filtered: Filtered, done: Round, limits: RoundOptions) -> None:
-    """Raise an InputError if a filter has left nothing."""
-    if filtered.problem.num_observations == 0:
-        raise InputError(
-            f"num_rounds: the filter of round {done.round} removed all {done.num_observations} "
-            f"observations (max_error={limits.max_error:g} min_angle={limits.min_angle:g} "
-            f"min_track_length={limits.min_track_length})"
         )
