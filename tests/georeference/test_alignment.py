@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, align
-from bundle.georeference import GpsPositions, LocalFrame, read_gcp_list
+from bundle.georeference import GpsPositions, LocalFrame, Similarity, read_gcp_list
 from bundle.georeference.similar_problem import moved, quaternion_of, rotation_matrices
 from bundle.georeference.similarity import Correspondences, fit_similarity
 from bundle.georeference.triangulated_targets import ImageIndex, direction_of, triangulate
@@ -284,6 +284,34 @@ def test_what_cannot_be_aligned_is_refused_in_one_line(changed, wanted):
     with pytest.raises(InputError, match=wanted) as caught:
         align(flight.problem, **changed(flight))
     assert "\n" not in str(caught.value)
+
+
+def test_models_without_depth_and_losses_without_points():
+    flight = block(5)
+    turning = flight.problem.cam_from_world.copy()
+    turning[:, 4:] = 0  # a panorama
+    still = np.tile(turning[0], (9, 1))
+    for poses in (turning, still):
+        with pytest.raises(InputError, match=r"found 0 .*rays are parallel"):
+            align(flight.problem.replace(cam_from_world=poses), gcps=flight.gcps)
+    mixed = [
+        dataclasses.replace(p, position=q.position)
+        for p, q in zip(flight.gcps, flight.gcps[::-1], strict=True)
+    ]
+    with pytest.raises(InputError, match="loss leaves"):
+        align(flight.problem, gcps=mixed, prior_loss="tukey")
+
+
+@pytest.mark.parametrize("size", [1e-150, 1e-6, 1e6, 1e150])
+def test_models_of_any_size_are_placed_or_refused(size):
+    flight = block(5)
+    scaled = moved(flight.problem, Similarity(size, np.eye(3), np.zeros(3)))
+    if size < 1e-9:
+        with pytest.raises(InputError):
+            align(scaled, gcps=flight.gcps)
+    else:
+        aligned = align(scaled, gcps=flight.gcps)
+        assert aligned.similarity.scale == pytest.approx(TRUTH.scale / size, rel=1e-9)
 
 
 def test_targets_on_a_line_and_targets_that_cannot_be_triangulated():

@@ -16,8 +16,10 @@ import pytest
 from bundle import _core
 from bundle.checking import check_jacobians
 from bundle.cli import synth
+from bundle.georeference import align
 from bundle.inspection import inspect, inspect_graph
 from bundle.options import SolveOptions
+from bundle.report import align as align_report
 from bundle.report import check, compare, convert, info, refine
 from bundle.report import inspect as inspect_report
 from bundle.report import inspect_graph as inspect_graph_report
@@ -26,6 +28,7 @@ from bundle.statistics import describe
 from bundle.synthetic import SceneOptions, synthesize
 from bundle.tables import render
 from bundle.termination import sentence
+from tests.georeference.blocks import block
 from tests.pictures.comparisons import comparison
 from tests.report import fakes
 from tests.report.test_report import ENDS
@@ -94,6 +97,16 @@ def converted(_):
     return convert.conversion("garden/sparse/0", scene(), output, lost)
 
 
+def aligned(_):
+    flight = block(6, pixel_noise=0.5, survey_noise=0.02)
+    x, y, z = flight.gcps[2].position
+    object.__setattr__(flight.gcps[2], "position", (x + 1.0, y, z))
+    object.__setattr__(flight.gcps[5], "measurements", flight.gcps[5].measurements[:1])
+    found = align(flight.problem, gcps=flight.gcps, check_points=["t4"])
+    output = {"path": "placed/", "format": "colmap"}
+    return align_report.alignment("garden/sparse/0", found, output, ())
+
+
 def synthesized(_):
     made = synthesize(SceneOptions(num_images=5, num_points=40, mean_track_length=3.0))
     report = synth._report(
@@ -123,6 +136,7 @@ REPORTS = {
     "inspect_graph": eliminated,
     "check": checked,
     "convert": converted,
+    "align": aligned,
     "synth": synthesized,
 }
 
@@ -132,7 +146,7 @@ REPORTS = {
 def test_report(name, monkeypatch):
     monkeypatch.setattr(_core, "available_memory", lambda: 16e9)
     text = render(*REPORTS[name](monkeypatch), width=WIDTH)
-    if name in ("check", "inspect"):
+    if name in ("align", "check", "inspect"):
         text = normalised(text)
     path = GOLDEN / f"{name}.txt"
     if os.environ.get("UPDATE_GOLDEN"):

@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 from bundle.arguments import as_array
 from bundle.errors import InputError, brief
 from bundle.georeference.alignment_result import Alignment, ControlPointError, ImageError
-from bundle.georeference.control_point import GroundControlPoint, Sigma, parse_sigma
+from bundle.georeference.control_point import (
+    GroundControlPoint,
+    Sigma,
+    parse_pixel_sigma,
+    parse_sigma,
+)
 from bundle.georeference.given_positions import (
     Frame,
     given_control_points,
@@ -101,7 +106,7 @@ def align(
     given = as_problem(problem)
     sigma = parse_sigma("gcp_sigma", gcp_sigma)
     gps_default = parse_sigma("gps_sigma", gps_sigma)
-    pixel_sigma = number("gcp_pixel_sigma", gcp_pixel_sigma, above=0)
+    pixel_sigma = parse_pixel_sigma("gcp_pixel_sigma", gcp_pixel_sigma)
     loss = choice("prior_loss", prior_loss, LOSSES)
     loss_scale = number("prior_loss_scale", prior_loss_scale, above=0)
     lever = as_array("antenna", antenna)

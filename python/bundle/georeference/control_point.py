@@ -10,9 +10,20 @@ from typing import Any, NamedTuple
 from bundle.errors import InputError, brief
 from bundle.option_fields import choice, number
 
-__all__ = ["ROLES", "GroundControlPoint", "Measurement", "Sigma", "parse_sigma"]
+__all__ = [
+    "ROLES",
+    "GroundControlPoint",
+    "Measurement",
+    "Sigma",
+    "parse_pixel_sigma",
+    "parse_sigma",
+]
 
 ROLES = ("control", "check")
+SMALLEST, LARGEST = 1e-9, 1e9
+"""Standard deviations: beyond, squares are lost in rounding."""
+FARTHEST = 1e12
+"""Coordinates, metres."""
 
 
 class Sigma(NamedTuple):
@@ -101,17 +112,32 @@ def parse_sigma(name: str, value: Any) -> Sigma:
             f"{name}: expected metres, such as 0.02 or 0.02/0.05 (horizontal/vertical), "
             f"found {brief(value)}"
         )
-    horizontal, vertical = (number(name, part, above=0) for part in (parts[0], parts[-1]))
+    horizontal, vertical = (
+        number(name, part, minimum=SMALLEST, maximum=LARGEST) for part in (parts[0], parts[-1])
+    )
     return Sigma(horizontal, vertical)
+
+
+def parse_pixel_sigma(name: str, value: Any) -> float:
+    """Return the standard deviation of a measurement in pixels.
+
+    Raises:
+        InputError: it is out of range; the message begins with the name.
+    """
+    return number(name, value, minimum=SMALLEST, maximum=LARGEST)
 
 
 def _position(here: str, given: Any) -> tuple[float, float, float]:
     numbers = _items(f"{here}: position", given)
     if len(numbers) != 3:
         raise InputError(f"{here}: position: expected 3 numbers, found {brief(given)}")
-    x, y = (number(f"{here}: position", value) for value in numbers[:2])
+    x, y = (_coordinate(here, value) for value in numbers[:2])
     unknown = isinstance(numbers[2], float) and math.isnan(numbers[2])
-    return x, y, math.nan if unknown else number(f"{here}: position", numbers[2])
+    return x, y, math.nan if unknown else _coordinate(here, numbers[2])
+
+
+def _coordinate(here: str, value: Any) -> float:
+    return number(f"{here}: position", value, minimum=-FARTHEST, maximum=FARTHEST)
 
 
 def _measurements(here: str, given: Any) -> tuple[Measurement, ...]:
@@ -129,7 +155,7 @@ def _measurements(here: str, given: Any) -> tuple[Measurement, ...]:
         x, y = (number(f"{here}: {image}: pixel", value) for value in numbers[:2])
         sigma = numbers[2] if len(numbers) > 2 else None
         if sigma is not None:
-            sigma = number(f"{here}: {image}: sigma", sigma, above=0)
+            sigma = parse_pixel_sigma(f"{here}: {image}: sigma", sigma)
         measurements[image] = Measurement(image, x, y, sigma)
     return tuple(measurements.values())
 

@@ -29,10 +29,15 @@ from pathlib import Path
 import numpy as np
 
 from bundle.errors import InputError, brief, nearest, shown
-from bundle.georeference.control_point import GroundControlPoint, Measurement, Sigma, parse_sigma
+from bundle.georeference.control_point import (
+    GroundControlPoint,
+    Measurement,
+    Sigma,
+    parse_pixel_sigma,
+    parse_sigma,
+)
 from bundle.georeference.odm_lines import parse_number, read_lines
 from bundle.io import as_path
-from bundle.option_fields import number
 from bundle.words import plural
 
 __all__ = ["PIXEL_SHIFT", "read_gcp_list"]
@@ -118,7 +123,7 @@ def _read_line(
     pixel_sigma = None
     if "pixel_sigma" in settings:
         found = parse_number(place, "pixel_sigma", settings["pixel_sigma"])
-        pixel_sigma = number(f"{place}: pixel_sigma", found, above=0)
+        pixel_sigma = parse_pixel_sigma(f"{place}: pixel_sigma", found)
     image = words[5]
     if image in target.measurements:
         raise InputError(

@@ -201,6 +201,17 @@ def fit_similarity(
     Raises:
         InputError: the points do not determine seven degrees of freedom; the message says why.
     """
+    try:
+        return _fitted(points, loss, loss_scale, what)
+    except (np.linalg.LinAlgError, OverflowError):
+        raise InputError(
+            f"expected {what} and a model whose sizes a computer can relate, found "
+            f"coordinates up to {np.nanmax(np.abs(points.target)):.3g} and in the model "
+            f"{np.abs(points.source).max():.3g}"
+        ) from None
+
+
+def _fitted(points: Correspondences, loss: str, loss_scale: float, what: str) -> SimilarityFit:
     _check_points(points, what)
     similarity = _start(points)
     center = points.source.mean(axis=0)
@@ -210,7 +221,7 @@ def fit_similarity(
             root, whitened, jacobian = _whitened(similarity, points, center)
             weight = _weights(whitened, loss, loss_scale)
             normal, gradient = _normal(jacobian, whitened, weight)
-            _check_normal(normal, points, what)
+            _check_normal(normal, points, weight, what)
             step = np.asarray(-np.linalg.solve(normal, gradient), np.float64)
             similarity, share = _stepped(similarity, points, center, step, root, weight)
             if share * _length(step, similarity.scale * size) <= SMALLEST_STEP:
@@ -218,7 +229,7 @@ def fit_similarity(
         _, whitened, jacobian = _whitened(similarity, points, center)
         weight = _weights(whitened, loss, loss_scale)
         normal, _ = _normal(jacobian, whitened, weight)
-        _check_normal(normal, points, what)
+        _check_normal(normal, points, weight, what)
         covariance = np.asarray(np.linalg.inv(normal), np.float64)
     taken = weight[:, None] * np.einsum("nij,jk,nik->ni", jacobian, covariance, jacobian)
     redundancy = np.where(np.abs(jacobian).sum(axis=2) > 0, 1 - taken, 0.0)
@@ -250,12 +261,17 @@ def _on_a_line(what: str, count: int) -> str:
     )
 
 
-def _check_normal(normal: Array, points: Correspondences, what: str) -> None:
+def _check_normal(normal: Array, points: Correspondences, weight: Array, what: str) -> None:
     """Refuse points that leave a degree of freedom open to first order."""
     diagonal = np.sqrt(np.diag(normal))
     scaled = normal / np.outer(diagonal, diagonal)
     if np.isfinite(scaled).all() and np.linalg.cond(scaled) < WORST_CONDITION:
         return
+    if (weight == 0).any():
+        raise InputError(
+            f"the loss leaves {int((weight > 0).sum())} of {len(points)} {what}, which do not "
+            "determine the model: expected a larger scale of the loss, or another loss"
+        )
     known = int((~np.isnan(points.target[:, 2])).sum())
     if known < len(points):
         raise InputError(
@@ -330,7 +346,10 @@ def _whitened(
 
 
 def _weights(whitened: Array, loss: str, loss_scale: float) -> Array:
-    weights: Array = evaluate_loss(loss, loss_scale, (whitened**2).sum(axis=1))[:, 1]
+    squared = (whitened**2).sum(axis=1)
+    if not np.isfinite(squared).all():
+        raise OverflowError
+    weights: Array = evaluate_loss(loss, loss_scale, squared)[:, 1]
     return weights
 
 

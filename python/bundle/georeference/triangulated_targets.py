@@ -137,7 +137,7 @@ def _triangulated(
     if start is None:
         return lost("its rays are parallel")
     position, normal = _refined(problem, images, rotations, translations, xy, sigma, start)
-    if not np.linalg.cond(normal) < WORST_CONDITION:
+    if not _is_regular(normal):
         return lost("its rays are parallel")
     residual, _, valid = _reprojected(problem, images, rotations, translations, xy, position)
     if not valid.all():
@@ -202,10 +202,14 @@ def _followed(model: str, params: Array, xy: Array, start: Array) -> Array | Non
 def _intersection(rays: Array, centers: Array) -> Array | None:
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     normal = across.sum(axis=0)
-    if not np.linalg.cond(normal) < WORST_CONDITION:
+    if not _is_regular(normal):
         return None
     nearest: Array = np.linalg.solve(normal, np.einsum("nij,nj->i", across, centers))
     return nearest
+
+
+def _is_regular(normal: Array) -> bool:
+    return bool(np.isfinite(normal).all() and np.linalg.cond(normal) < WORST_CONDITION)
 
 
 def _reprojected(
@@ -250,7 +254,7 @@ def _refined(
     for _ in range(MAX_STEPS):
         normal = jacobian.T @ jacobian
         damped = normal + damping * np.diag(np.diag(normal))
-        if not np.isfinite(damped).all() or np.linalg.det(damped) == 0:
+        if not _is_regular(damped):
             break
         step = np.linalg.solve(damped, -jacobian.T @ residual)
         candidate = at(position + step)

@@ -47,8 +47,8 @@ def alignment(
         rows.append(("residuals", f"{number(aligned.sigma0)} sigmas"))
     rows.append(("output", f"{shown(output['path'])} ({format_name(output['format'])})"))
     suspects = [
-        f"{point.name} is probably wrong: leaving it out moves it "
-        f"{', '.join(_offsets(point.leave_one_out))} from its coordinates."
+        f"{point.name} is probably wrong: the other points place it "
+        f"{', '.join(_offsets(point.leave_one_out))} of its coordinates."
         for point in aligned.control_points
         if point.suspect
     ]
@@ -87,7 +87,7 @@ def _control_points(aligned: Alignment) -> list[RenderableType]:
             label = f"total rms {kind}"
             cells.append((label, plural(len(chosen), "point"), "", *rms, "", "", "", pixels(px)))
     head = ("control point", "role", "images", "east [m]", "north", "up")
-    return ["", columns((*head, "alone east", "north", "up", "[px]"), cells, left=2)]
+    return ["", columns((*head, "without: east", "north", "up", "[px]"), cells, left=2)]
 
 
 def _images(

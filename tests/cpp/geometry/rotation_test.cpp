@@ -61,11 +61,12 @@ void RandomVector(std::mt19937_64* random, double norm, double out[3]) {
 }
 
 /// From where squares underflow, over both sides of the switch to the series at 0.01, to a turn.
-constexpr double kAngles[] = {0,    1e-300, 1e-160, 1e-20, 1e-8, 1e-4, 0.0099999, 0.01, 0.0100001,
-                              0.02, 0.1,    0.5,    1.0,   2.0,  3.0,  3.1415926, 3.2,  6.0};
+constexpr double kRotationAngles[] = {0,         1e-300, 1e-160,    1e-20,     1e-8, 1e-4,
+                                      0.0099999, 0.01,   0.0100001, 0.02,      0.1,  0.5,
+                                      1.0,       2.0,    3.0,       3.1415926, 3.2,  6.0};
 
 TEST(Rotation, CoefficientsEqualTheirSeries) {
-  for (const double angle : kAngles) {
+  for (const double angle : kRotationAngles) {
     const RotationCoefficients found = ExpCoefficients(angle * angle);
     const LongCoefficients expected = SeriesCoefficients(static_cast<long double>(angle * angle));
     // C by its formula loses the digits of a^3 / 6 in a - sin(a): at most 1e-4 of them are left at
@@ -80,7 +81,7 @@ TEST(Rotation, CoefficientsEqualTheirSeries) {
 
 TEST(Rotation, ExpAndLeftJacobianEqualTheMatrixSeries) {
   std::mt19937_64 random(1);
-  for (const double angle : kAngles) {
+  for (const double angle : kRotationAngles) {
     for (int repeat = 0; repeat < 20; ++repeat) {
       double w[3], rotation[9], left_jacobian[9];
       RandomVector(&random, angle, w);
@@ -98,7 +99,7 @@ TEST(Rotation, ExpAndLeftJacobianEqualTheMatrixSeries) {
 
 TEST(Rotation, QuaternionIsTheSameRotation) {
   std::mt19937_64 random(2);
-  for (const double angle : kAngles) {
+  for (const double angle : kRotationAngles) {
     double w[3], rotation[9], left_jacobian[9], q[4], from_quaternion[9];
     RandomVector(&random, angle, w);
     ExpRotation(w, rotation, left_jacobian);

@@ -12,19 +12,6 @@ using testing::FactorMaker;
 using testing::Kind;
 using testing::SmallScene;
 
-SolveOptions Options() {
-  SolveOptions options;
-  options.num_threads = 2;
-  return options;
-}
-
-void CheckAlongTheWay(Comparison* comparison) {
-  comparison->Check(1e-4);
-  comparison->Check(1e2);
-  comparison->Step();
-  comparison->Check(1e-3);
-}
-
 TEST(CameraFactors, AddToTheNormalEquationsWhatDenseAlgebraSays) {
   for (const int images_per_camera : {1, 2, 4}) {
     const Scene scene = SmallScene(images_per_camera);

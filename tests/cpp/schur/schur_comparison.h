@@ -233,4 +233,19 @@ class Comparison {
   const Damping damping_;
 };
 
+inline SolveOptions Options() {
+  SolveOptions options;
+  options.loss_scale = 5;
+  options.num_threads = 2;
+  return options;
+}
+
+/// At the start, again with another damping, and after a step.
+inline void CheckAlongTheWay(Comparison* comparison) {
+  comparison->Check(1e-4);
+  comparison->Check(1e2);
+  comparison->Step();
+  comparison->Check(1e-3);
+}
+
 }  // namespace bundle

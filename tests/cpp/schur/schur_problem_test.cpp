@@ -26,21 +26,6 @@ SceneOptions SmallScene() {
   return options;
 }
 
-SolveOptions Options() {
-  SolveOptions options;
-  options.loss_scale = 5;
-  options.num_threads = 2;
-  return options;
-}
-
-/// At the start, again with another damping, and after a step.
-void CheckAlongTheWay(Comparison* comparison) {
-  comparison->Check(1e-4);
-  comparison->Check(1e2);
-  comparison->Step();
-  comparison->Check(1e-3);
-}
-
 class SchurProblemTest : public ::testing::TestWithParam<int> {};
 
 TEST_P(SchurProblemTest, EqualsDenseAlgebraInExtendedPrecision) {
