@@ -162,6 +162,7 @@ PYTHON_MAY_IMPORT = {
         "round_record",
         "solve_record",
         "solver",
+        "summary",
         "words",
     },
     "check_defaults": set(),

@@ -21,12 +21,13 @@ from bundle.tables import console, render
 __all__ = ["check_json", "check_new", "show", "write_json"]
 
 
-def check_json(path: str | None, *others: str) -> None:
+def check_json(path: str | None, *others: str, what: str = "report") -> None:
     """Refuse now a path that a report could not be written to later, or must not be.
 
     Args:
         path: the argument of --json or --html.
         *others: what the command reads and writes besides, which a report must not replace.
+        what: a report, or what else is written there.
 
     Raises:
         InputError: the path is a folder, has no folder to be in, is one of the others or a model
@@ -39,11 +40,11 @@ def check_json(path: str | None, *others: str) -> None:
     target = Path(os.path.realpath(path))
     for other in (Path(os.path.realpath(other)) for other in others):
         if target == other or (target.parent == other and target.name in MODEL_FILES):
-            raise InputError(f"{shown(path)}: the report would replace what the command works on")
+            raise InputError(f"{shown(path)}: the {what} would replace what the command works on")
     atomic.check_file(Path(path))
     found = reconstruction_at(target)
     if found is not None:
-        raise InputError(f"{shown(path)}: the report would replace {found}")
+        raise InputError(f"{shown(path)}: the {what} would replace {found}")
 
 
 def check_new(path: str, flag: str) -> None:

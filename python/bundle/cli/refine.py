@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.gps_flags import add_gps_flags, check_gps_flags
@@ -15,9 +16,9 @@ from bundle.cli.option_flags import (
     options_given,
     with_named_images,
 )
-from bundle.cli.parser import add_input, add_output
+from bundle.cli.parser import a_path, add_input, add_output
 from bundle.options import SolveOptions
-from bundle.rounds.round_options import RoundOptions
+from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
 
 if TYPE_CHECKING:
     from bundle.problem import Problem
@@ -26,6 +27,14 @@ __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "refine"
 HELP = "bundle adjustment: poses, points and intrinsics that explain the observations best"
+
+# Arguments of bundle.solve_rounds that are no options.
+ARGUMENTS = {
+    "only_images": "--only-images",
+    "checkpoint": "--checkpoint",
+    "checkpoint_interval": "--checkpoint-interval",
+    "resume": "--resume",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,6 +51,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="refine only these images, the points that they see and their cameras, and leave all "
         "else as it is, bit for bit; other images that see these points take part, held (ids and "
         "names, such as 1,5-9,left/*.jpg; default: all images)",
+    )
+    group = parser.add_argument_group("runs that may be killed")
+    group.add_argument(
+        "--checkpoint",
+        metavar="FILE",
+        type=a_path,
+        help="write FILE after each round and every few iterations, for --resume (default: none)",
+    )
+    group.add_argument(
+        "--checkpoint-interval",
+        metavar="N",
+        type=int,
+        default=None,
+        help="iterations from one checkpoint to the next within a round; the solver starts anew "
+        f"from each, which takes a few more steps (default: {CHECKPOINT_INTERVAL})",
+    )
+    group.add_argument(
+        "--resume",
+        metavar="FILE",
+        type=a_path,
+        help="go on from this checkpoint, with the same INPUT and options (--threads may differ), "
+        "and go on writing it; from the start if there is no such file. With --deterministic the "
+        "result is that of a run with --checkpoint that was not killed, bit for bit",
     )
     parser.add_argument(
         "--check-gradients",
@@ -75,6 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_gps_flags(arguments, options)
     source, target = arguments.input, arguments.output
     check_json(arguments.json, source, target)
+    checkpoints = _checkpoints_given(arguments)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         begun = perf_counter()
@@ -101,7 +134,7 @@ def run(arguments: argparse.Namespace) -> int:
             if wrong:
                 return EXIT_NO_SOLUTION
         progress.stage("building the problem")
-        flags = naming_flags(SolveOptions, RoundOptions, only_images="--only-images")
+        flags = naming_flags(SolveOptions, RoundOptions, **ARGUMENTS)
         with flags, naming_gps_flags():
             solved = solve_rounds(
                 problem,
@@ -110,6 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
                 only_images=arguments.only_images,
                 priors=() if gps is None else gps.priors,
                 align=None if gps is None else True,
+                **checkpoints,
                 progress=progress.iteration,
             )
         georeference = None if gps is None else gps.georeference(solved)
@@ -134,6 +168,7 @@ def run(arguments: argparse.Namespace) -> int:
     more = rounds.asdict() if rounds.num_rounds else {}
     if arguments.only_images is not None:
         more["only_images"] = arguments.only_images
+    more |= checkpoints
     if arguments.json != "-":
         show(*refinement(source, problem, solved, wall, written, lost, georeference))
     report = json.refinement(source, problem, solved, wall, written, more, georeference)
@@ -159,6 +194,31 @@ def _rounds_given(arguments: argparse.Namespace) -> RoundOptions:
         if given and rounds.num_rounds == 0:
             raise InputError(f"{field.metadata['flag']}: expected with --rounds only")
     return rounds
+
+
+def _checkpoints_given(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what was said about checkpoints, and say where a run starts over.
+
+    Raises:
+        InputError: a file is one of the others, or there is an interval but no checkpoint.
+    """
+    from bundle.cli.output import check_json
+    from bundle.cli.standard_streams import complain
+    from bundle.errors import InputError, shown
+
+    others = [arguments.input, arguments.output, *filter(None, [arguments.json])]
+    files = {name: getattr(arguments, name) for name in ("checkpoint", "resume")}
+    for path in files.values():
+        check_json(path, *others, what="checkpoint")
+    if arguments.checkpoint_interval is None:
+        given = {}
+    elif not any(files.values()):
+        raise InputError("--checkpoint-interval: expected with --checkpoint or --resume only")
+    else:
+        given = {"checkpoint_interval": arguments.checkpoint_interval}
+    if arguments.resume is not None and not Path(arguments.resume).exists():
+        complain(f"note: {shown(arguments.resume)} does not exist; the run starts with the input")
+    return {name: value for name, value in files.items() if value is not None} | given
 
 
 def _wrong_jacobians(

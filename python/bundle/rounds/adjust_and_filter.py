@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import os
+import pickle
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle import solver
-from bundle.errors import InputError
+from bundle.errors import InputError, first_line
 from bundle.image_selection import ImageSelection, find_images
-from bundle.io import Source, as_problem
+from bundle.io import Source, as_path, as_problem
+from bundle.option_fields import number
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.result import Result
 from bundle.round_record import Round
+from bundle.rounds.checkpoint import (
+    State,
+    check_target,
+    digest,
+    fingerprint_of_options,
+    read,
+    write,
+)
 from bundle.rounds.filtering import Filtered, filter_observations
 from bundle.rounds.local_part import LocalPart
-from bundle.rounds.round_options import RoundOptions
+from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
+from bundle.rounds.segments import num_steps, solve_in_segments
 from bundle.solve_record import Progress
 from bundle.words import plural
 
@@ -49,6 +63,9 @@ def solve_rounds(
     priors: Iterable[PositionPrior] = (),
     align: bool | None = None,
     bounds: _Bounds | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    checkpoint_interval: int = CHECKPOINT_INTERVAL,
+    resume: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     **changes: Any,
 ) -> Result:
@@ -79,6 +96,14 @@ def solve_rounds(
         priors: measured positions of images, as in :func:`bundle.solve`.
         align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
         bounds: of camera parameters, as in :func:`bundle.solve`.
+        checkpoint: file that is replaced, whole or not at all, after each round and each
+            ``checkpoint_interval`` iterations, so that a run that was killed can go on. The solver
+            starts anew from what the file holds, whether the run is killed or not: with the option
+            ``deterministic`` a resumed run ends where the uninterrupted one does, bit for bit.
+        checkpoint_interval: iterations from one checkpoint to the next within a round.
+        resume: checkpoint to go on from, with the same problem and options (the number of threads
+            may differ); from the start if the file does not exist. Checkpoints go on to be written
+            there if ``checkpoint`` names no other file.
         progress: as in :func:`bundle.solve`, in each round.
         **changes: options by name, in place of those in ``options``.
 
@@ -87,9 +112,11 @@ def solve_rounds(
         each round; summary, iterations and times are those of the last adjustment.
 
     Raises:
-        InputError: as :func:`bundle.solve` and :func:`bundle.filter_observations`; or a filter
-            removed all observations.
-        KeyboardInterrupt, MemoryError, OSError: as :func:`bundle.solve`.
+        InputError: as :func:`bundle.solve` and :func:`bundle.filter_observations`; a filter
+            removed all observations; or the checkpoint is none, or one of another problem or with
+            other options.
+        KeyboardInterrupt, MemoryError: as :func:`bundle.solve`.
+        OSError: as :func:`bundle.solve`, or the checkpoint cannot be read or written.
     """
     options = SolveOptions.of(options, changes, "solve_rounds")
     limits = RoundOptions(
@@ -98,54 +125,165 @@ def solve_rounds(
         min_angle=min_angle,
         min_track_length=min_track_length,
     )
-    given = current = as_problem(problem)
-    factors = tuple(factors) if isinstance(factors, list | tuple) else factors
-    priors = tuple(priors) if isinstance(priors, Iterable) else priors
-    used = options
-    part = None
+    interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
+    checkpoint = None if checkpoint is None else as_path(checkpoint, "checkpoint")
+    resume = None if resume is None else as_path(resume, "resume")
+    given = as_problem(problem)
     if only_images is not None:
         if align:
             raise InputError("align: expected without only_images, which leave the rest in place")
-        factors, priors = _as_factors(given, factors, priors), ()
+        align = False
+    start, factors, similarity = solver._placed(given, factors, priors, align)
+    factors = _listed(factors)
+    used = options
+    part = None
+    if only_images is not None:
         part = LocalPart(given, find_images("only_images", given, only_images), factors)
-        current, used, bounds = part.problem, part.options(options), part.bounds(bounds)
+        start, used, bounds = part.problem, part.options(options), part.bounds(bounds)
         check_observed(part)
-    observations, points = np.arange(current.num_observations), np.arange(current.num_points)
-    rounds: list[Round] = []
-    similarity = None
-    while True:
-        result = solver.solve(
-            current,
-            used,
-            factors=factors,
-            priors=priors,
-            align=False if rounds else align,
-            bounds=bounds,
-            progress=progress,
-        )
-        similarity = similarity or result.similarity
-        current = result.problem
-        if result.summary.interrupted or not result.summary.is_solution_usable:
-            break
-        if limits.num_rounds == 0:
-            break
-        filtered = filter_adjusted(current, limits, used, factors)
-        rounds.append(round_of(len(rounds) + 1, result, filtered))
-        check_left(filtered, rounds[-1], limits)
-        current = filtered.problem
-        observations = observations[filtered.observation_mask]
-        points = points[filtered.point_mask]
-        if is_last(rounds[-1], limits):
-            break
+    run = _Run(start, used, limits, factors, bounds, progress)
+    if checkpoint is not None or resume is not None:
+        fingerprint = {
+            "input": digest(given),
+            **fingerprint_of_options(options),
+            **limits.asdict(),
+            "checkpoint_interval": interval,
+            "only_images": None if part is None else part.named_ids,
+            "factors and bounds": digest_of_pickle((factors, bounds)),
+        }
+        run.keep(checkpoint, resume, fingerprint, interval)
+    state, result = run.to_the_end()
     return dataclasses.replace(
         result,
-        problem=current if part is None else part.merge(current, observations, points),
+        problem=(
+            state.problem
+            if part is None
+            else part.merge(state.problem, state.observations, state.points)
+        ),
         initial_problem=given,
         options=result.options if part is None else restored(result.options, options),
-        rounds=tuple(rounds),
+        rounds=state.rounds,
         similarity=similarity,
         part=None if part is None else part.record,
     )
+
+
+class _Run:
+    """Rounds on one problem, from its start or from a checkpoint."""
+
+    def __init__(
+        self,
+        start: Problem,
+        options: SolveOptions,
+        limits: RoundOptions,
+        factors: tuple[Factor, ...],
+        bounds: _Bounds | None,
+        progress: Progress | None,
+    ) -> None:
+        self._start, self._options, self._limits = start, options, limits
+        self._factors, self._bounds, self._progress = factors, bounds, progress
+        self._path: Path | None = None
+        self._fingerprint: dict[str, Any] = {}
+        self._interval = 0
+        self._state = State(
+            problem=start,
+            observations=np.arange(start.num_observations),
+            points=np.arange(start.num_points),
+        )
+
+    def keep(
+        self,
+        checkpoint: Path | None,
+        resume: Path | None,
+        fingerprint: dict[str, Any],
+        interval: int,
+    ) -> None:
+        """Write checkpoints from now on, and begin where one ended."""
+        path = checkpoint if checkpoint is not None else resume
+        assert path is not None
+        check_target(path)
+        self._path, self._fingerprint, self._interval = path, fingerprint, interval
+        if resume is not None and resume.exists():
+            used, _, _ = solver._settle(self._start, self._options, self._factors, self._bounds)
+            self._state = read(resume, self._start, used, fingerprint)
+
+    def to_the_end(self) -> tuple[State, Result]:
+        """Adjust and filter; return where that ended and the last adjustment."""
+        state = self._state
+        if state.has_ended and state.so_far is not None:
+            return state, state.so_far
+        while True:
+            result = self._adjust(state)
+            state = dataclasses.replace(state, problem=result.problem, so_far=None)
+            if result.summary.interrupted or not result.summary.is_solution_usable:
+                return state, result
+            has_ended = self._limits.num_rounds == 0
+            if not has_ended:
+                state = self._filter(state, result)
+                has_ended = is_last(state.rounds[-1], self._limits)
+            if has_ended:
+                state = dataclasses.replace(state, so_far=result, has_ended=True)
+            self._save(state)
+            if has_ended:
+                return state, result
+
+    def _adjust(self, state: State) -> Result:
+        if self._path is None:
+            return self._solve(state.problem, self._options, self._progress)
+        return solve_in_segments(
+            self._solve,
+            state.problem,
+            self._options,
+            self._interval,
+            so_far=state.so_far,
+            progress=self._progress,
+            save=lambda result: self._save(
+                dataclasses.replace(state, problem=result.problem, so_far=result)
+            ),
+        )
+
+    def _solve(self, problem: Problem, options: SolveOptions, progress: Progress | None) -> Result:
+        return solver.solve(
+            problem, options, factors=self._factors, bounds=self._bounds, progress=progress
+        )
+
+    def _filter(self, state: State, result: Result) -> State:
+        filtered = filter_adjusted(result.problem, self._limits, self._options, self._factors)
+        done = round_of(len(state.rounds) + 1, result, filtered)
+        check_left(filtered, done, self._limits)
+        return State(
+            problem=filtered.problem,
+            observations=state.observations[filtered.observation_mask],
+            points=state.points[filtered.point_mask],
+            rounds=(*state.rounds, done),
+        )
+
+    def _save(self, state: State) -> None:
+        if self._path is not None:
+            write(self._path, state, self._start, self._fingerprint)
+
+
+def digest_of_pickle(value: Any) -> str:
+    """Return a digest of what has to be the same in the run that goes on.
+
+    Raises:
+        InputError: it does not pickle.
+    """
+    try:
+        return hashlib.sha256(pickle.dumps(value, protocol=5)).hexdigest()
+    except Exception as error:  # whatever the user's objects raise
+        raise InputError(
+            "checkpoint: expected factors that pickle, so that the run that goes on has the same, "
+            f"found one that does not ({first_line(error)})"
+        ) from None
+
+
+def _listed(factors: Iterable[Factor]) -> tuple[Factor, ...]:
+    if isinstance(factors, tuple | list):
+        return tuple(factors)
+    from bundle.graph.variables import as_list
+
+    return as_list("factors", "factors", factors)
 
 
 def restored(used: SolveOptions, given: SolveOptions) -> SolveOptions:
@@ -164,15 +302,6 @@ def check_observed(part: LocalPart) -> None:
             f"only_images: expected images that see points, found none in "
             f"{plural(part.record.num_images, 'image')}"
         )
-
-
-def _as_factors(problem: Problem, factors: Iterable[Factor], priors: Any) -> Iterable[Factor]:
-    """Return the factors with those of the priors, in the world of the problem."""
-    if isinstance(priors, tuple) and not priors:
-        return factors
-    from bundle.georeference.prior_alignment import ProblemPriors
-
-    return (*factors, *ProblemPriors.make(problem, priors).factors())
 
 
 def filter_adjusted(
@@ -199,7 +328,7 @@ def round_of(number: int, result: Result, filtered: Filtered) -> Round:
         initial_cost=summary.initial_cost,
         cost=summary.final_cost,
         termination_type=summary.termination_type,
-        num_iterations=len(result.iterations["iteration"]) - 1,
+        num_iterations=num_steps(result),
         num_points=adjusted.num_points,
         num_observations=adjusted.num_observations,
         num_observations_removed=filtered.num_observations_removed,

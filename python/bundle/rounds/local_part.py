@@ -38,13 +38,15 @@ class LocalPart:
     Attributes:
         problem: what goes to the solver.
         record: what that is, for reports.
+        named_ids: of the images that are refined.
     """
 
     def __init__(
         self, whole: Problem, image_ids: Iterable[int], factors: Iterable[Factor] = ()
     ) -> None:
         self._whole = whole
-        named = np.isin(whole.image_ids, list(image_ids))
+        self.named_ids = list(image_ids)
+        named = np.isin(whole.image_ids, self.named_ids)
         seen = np.zeros(whole.num_points, bool)
         seen[whole.observation_point[named[whole.observation_image]]] = True
         self._observations = np.flatnonzero(seen[whole.observation_point])

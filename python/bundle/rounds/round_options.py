@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 from bundle.option_fields import Options, documented, option
 
-__all__ = ["RoundOptions"]
+__all__ = ["CHECKPOINT_INTERVAL", "RoundOptions"]
+
+CHECKPOINT_INTERVAL = 20
+"""Iterations from one checkpoint to the next within a round."""
 
 
 @documented
