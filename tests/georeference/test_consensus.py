@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bundle.georeference.consensus import agreeing
+from bundle.georeference.consensus import _squared_lengths, agreeing
 from bundle.georeference.similarity import umeyama
 
 
@@ -36,6 +36,36 @@ def test_all_agree_where_nothing_is_wrong():
         # Sigmas that are far too small are no reason to drop anything.
         assert agreeing(source, target, sigmas / 100).sum() >= 8
         assert agreeing(source, target, sigmas * 100).all()
+
+
+def test_the_noise_of_a_triple_is_taken_out():
+    shares = []
+    for seed in range(30):
+        source, target, sigmas = correspondences(40, 0.1, seed)
+        shares.append(agreeing(source, target, sigmas).mean())
+    assert np.mean(shares) > 0.93  # 95 % of good points are within the limit
+
+
+def test_points_within_their_sigmas_all_agree():
+    source, target, sigmas = correspondences(300, 0.1, 2)
+    assert agreeing(source, target, 3 * sigmas).all()
+    assert not agreeing(source, target, sigmas).all()
+
+
+def test_a_triple_of_exact_points_gives_the_exact_similarity():
+    source, target, sigmas = correspondences(10, 0.0, 6)
+    triples = np.array([[0, 1, 2], [9, 4, 7]])
+    squared = _squared_lengths(source, target, sigmas + 1, triples, np.arange(10))
+    assert squared.max() < 1e-18
+
+
+def test_triples_of_copies_are_passed_over():
+    source, target, sigmas = correspondences(12, 0.1, 8)
+    source[:5], target[:5] = source[0], target[0]
+    target[-3:] += 50
+    chosen = agreeing(source, target, sigmas)
+    assert chosen[:9].all()
+    assert not chosen[9:].any()
 
 
 def test_coordinates_that_do_not_count():

@@ -9,6 +9,7 @@ from bundle import InputError, PositionPrior
 from bundle.georeference import Similarity
 from bundle.georeference.prior_alignment import ProblemPriors
 from bundle.georeference.similar_problem import moved
+from bundle.georeference.similarity import umeyama
 from tests import scenes
 
 PLACE = Similarity(
@@ -106,6 +107,40 @@ def test_heights_that_are_not_known(known):
     offsets = found.projection_centers[:, :2] - level[:, :2]
     spread = np.ptp(level[:, :2], axis=0).max()
     assert np.abs(offsets).max() < 0.7 * spread
+
+
+def test_a_vertical_sigma_that_is_infinite_is_an_unknown_height():
+    problem, goal = problem_and_goal()
+    positions = goal.projection_centers.copy()
+    positions[4:, 2] += 30
+    made = [
+        PositionPrior(i + 1, position, (0.1, np.inf if i >= 4 else 0.1))
+        for i, position in enumerate(positions)
+    ]
+    assert_placed(ProblemPriors.make(problem, made).aligned(problem)[0], goal, atol=1e-5)
+
+
+def test_a_position_that_is_somewhat_off_has_less_weight():
+    problem, goal = problem_and_goal()
+    positions = goal.projection_centers.copy()
+    positions[0, 2] += 0.5
+    found, _ = ProblemPriors.make(problem, priors(positions)).aligned(problem)
+    off = np.abs(found.projection_centers - goal.projection_centers).max()
+    fit = umeyama(problem.projection_centers, positions)
+    equal = np.abs(fit.apply(problem.projection_centers) - goal.projection_centers).max()
+    assert off < 0.5 * equal
+
+
+def test_a_straight_flight():
+    problem, goal = problem_and_goal()
+    poses = goal.cam_from_world.copy()
+    rotations = Rotation.from_quat(poses[:, :4])
+    line = np.outer(np.arange(8.0), [30, 40, 0])
+    poses[:, 4:] = -rotations.apply(line)
+    noise = np.random.default_rng(3).standard_normal((8, 3))
+    made = priors(line + noise, 1.0)
+    with pytest.raises(InputError, match="line"):
+        ProblemPriors.make(problem, made).align(problem.replace(cam_from_world=poses))
 
 
 @pytest.mark.parametrize(

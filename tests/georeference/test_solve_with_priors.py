@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle import InputError, PositionPrior
 from bundle.georeference import LocalFrame
+from bundle.georeference.prior_alignment import ProblemPriors
 from bundle.georeference.similarity import umeyama
 from tests import scenes
 from tests.georeference.test_prior_alignment import LEVER, antennas, priors, problem_and_goal
@@ -209,13 +210,19 @@ def test_a_wrong_position_moves_nothing(brighton, loss):
     assert np.linalg.norm(trusting - plain, axis=1).max() > 1
 
 
-def test_rounds_align_before_the_first(backend):
+def test_rounds_align_before_the_first(backend, monkeypatch):
     problem, goal = problem_and_goal(noise=0.5)
+    calls = []
+    aligned = ProblemPriors.aligned
+    monkeypatch.setattr(
+        ProblemPriors, "aligned", lambda self, given: calls.append(given) or aligned(self, given)
+    )
     made = priors(noisy(goal, 0.1), 0.1)
     result = bundle.solve_rounds(
         problem, priors=iter(made), num_rounds=3, max_error=1.5, backend=backend
     )
     assert len(result.rounds) > 1
+    assert calls == [problem]
     assert result.similarity.scale == pytest.approx(25, rel=0.05)
     assert result.initial_problem is problem
     again = bundle.solve(result.problem, priors=made, align=False, backend=backend, **TIGHT)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.parser import a_path, add_input, add_output
@@ -14,8 +13,6 @@ __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "align"
 HELP = "puts a reconstruction where GPS, control points or another model say it is"
-
-GEOREFERENCE = "georeference.json"
 
 FLAGS = {
     "gcps": "--gcp",
@@ -46,7 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--gcp-sigma",
         metavar="H[/V]",
-        default="0.02",
         help="standard deviation of control points, horizontal and vertical, in metres, where the "
         "file has none (default: 0.02)",
     )
@@ -54,7 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--gcp-pixel-sigma",
         metavar="PX",
         type=float,
-        default=0.5,
         help="standard deviation of their measurements in pixels, where the file has none "
         "(default: 0.5)",
     )
@@ -78,14 +73,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--gps-sigma",
         metavar="H[/V]",
-        default="2/5",
         help="standard deviation of positions, horizontal and vertical, in metres, where they have "
         "none of their own (default: 2/5)",
     )
     group.add_argument(
         "--antenna",
         metavar="X,Y,Z",
-        default="0,0,0",
         help="the antenna in the frame of the camera: right, down, forward, in metres "
         "(default: 0,0,0)",
     )
@@ -100,7 +93,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--prior-loss",
         metavar="NAME",
-        default="trivial",
         help="loss of control points and positions: trivial, huber, soft-l1, cauchy, arctan or "
         "tukey (default: trivial)",
     )
@@ -108,20 +100,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--prior-loss-scale",
         metavar="X",
         type=float,
-        default=1.0,
-        help="sigmas at which it bends (default: 1)",
+        help="length of a residual in standard deviations at which it bends (default: 2.7955, "
+        "which 5 %% of good points exceed)",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Align INPUT into OUTPUT."""
+    from bundle.cli.gps_flags import antenna, check_georeference, write_georeference
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.georeference import align
-    from bundle.io import atomic, check_target, load, output_format, save
+    from bundle.io import check_target, load, output_format, save
     from bundle.report.align import alignment, as_json
-    from bundle.report.json import dumps, plain
 
     source, target = arguments.input, arguments.output
     check_json(arguments.json, source, target)
@@ -133,47 +125,29 @@ def run(arguments: argparse.Namespace) -> int:
             "format": output_format(problem, target, arguments.format, source),
         }
         check_target(problem, **output)
-        beside = _beside(**output)
-        if arguments.json not in (None, "-"):
-            check_json(arguments.json, str(beside))
-        if beside.parent.is_dir():
-            atomic.check_file(beside)
+        check_georeference(**output, json=arguments.json)
         progress.stage("aligning")
-        aligned = align(
-            problem,
-            gcps=arguments.gcp,
-            gps=arguments.gps,
-            to=arguments.reference,
-            images=arguments.images,
-            gcp_sigma=arguments.gcp_sigma,
-            gcp_pixel_sigma=arguments.gcp_pixel_sigma,
-            check_points=[name for name in arguments.check_points.split(",") if name],
-            gps_sigma=arguments.gps_sigma,
-            antenna=_numbers(arguments.antenna),
-            prior_loss=arguments.prior_loss,
-            prior_loss_scale=arguments.prior_loss_scale,
-        )
+        settings = {
+            "gcps": arguments.gcp,
+            "gps": arguments.gps,
+            "to": arguments.reference,
+            "images": arguments.images,
+            "gcp_sigma": arguments.gcp_sigma,
+            "gcp_pixel_sigma": arguments.gcp_pixel_sigma,
+            "check_points": [name for name in arguments.check_points.split(",") if name],
+            "gps_sigma": arguments.gps_sigma,
+            "antenna": None if arguments.antenna is None else antenna(arguments.antenna),
+            "prior_loss": arguments.prior_loss,
+            "prior_loss_scale": arguments.prior_loss_scale,
+        }
+        aligned = align(problem, **{k: v for k, v in settings.items() if v is not None})
         progress.stage(f"writing {shown(target)}")
         lost = save(aligned.problem, **output)
-        atomic.write_text(beside, dumps(plain(aligned.asdict())))
+        write_georeference(aligned, **output)
     if arguments.json != "-":
         show(*alignment(source, aligned, output, lost))
     write_json(arguments.json, as_json(source, problem, aligned, output))
     return EXIT_DONE
-
-
-def _beside(path: str, format: str) -> Path:
-    """Return where georeference.json goes: into a folder, beside a file."""
-    return (Path(path).parent if format == "bal" else Path(path)) / GEOREFERENCE
-
-
-def _numbers(text: str) -> list[float]:
-    from bundle.errors import InputError, brief
-
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(f"--antenna: expected X,Y,Z in metres, found {brief(text)}") from None
 
 
 @contextmanager

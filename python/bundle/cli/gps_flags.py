@@ -14,11 +14,12 @@ from bundle.errors import InputError, brief
 from bundle.options import LOSSES, SolveOptions
 
 if TYPE_CHECKING:
-    from bundle.georeference import Georeference, GpsPriors
+    from bundle.georeference import Alignment, Georeference, GpsPriors
     from bundle.problem import Problem
 
 __all__ = [
     "add_gps_flags",
+    "antenna",
     "check_georeference",
     "check_gps_flags",
     "georeference_path",
@@ -128,7 +129,7 @@ def priors_given(arguments: argparse.Namespace, problem: Problem) -> GpsPriors |
         if getattr(arguments, name) is not None
     }
     if arguments.antenna is not None:
-        settings["antenna"] = _antenna(arguments.antenna)
+        settings["antenna"] = antenna(arguments.antenna)
     with naming_gps_flags():
         return gps_priors(problem, arguments.gps, **settings)
 
@@ -169,7 +170,7 @@ def check_georeference(path: str, format: str, json: str | None) -> None:
         atomic.check_file(beside)
 
 
-def write_georeference(georeference: Georeference, path: str, format: str) -> None:
+def write_georeference(georeference: Georeference | Alignment, path: str, format: str) -> None:
     """Write the file, whole or not at all."""
     from bundle.io import atomic
     from bundle.report import json
@@ -178,7 +179,12 @@ def write_georeference(georeference: Georeference, path: str, format: str) -> No
     atomic.write_text(georeference_path(path, format), text)
 
 
-def _antenna(text: str) -> list[float]:
+def antenna(text: str) -> list[float]:
+    """Return x, y, z of the antenna.
+
+    Raises:
+        InputError: the text is something else.
+    """
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

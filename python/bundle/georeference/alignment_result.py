@@ -112,7 +112,8 @@ class Alignment(Displayed):
         """Return what ``georeference.json`` holds.
 
         ``similarity`` maps a point x of the input to scale * rotation @ x + translation, metres
-        east, north, up of ``origin``. ``rms_enu`` is that of the control points, of the positions
+        east, north, up of ``origin``; ``pipeline`` is PROJ's operation from longitude, latitude and
+        height to these. ``rms_enu`` is that of the control points, of the positions
         where there are none, or of the shared images.
         """
         kinds = ("control", "gps", "shared_images")
@@ -120,6 +121,7 @@ class Alignment(Displayed):
         return {
             "reference_system": self.reference_system,
             "origin": self.origin.asdict() if self.origin else None,
+            "pipeline": self.origin.pipeline if self.origin else None,
             "similarity": self.similarity.asdict(),
             "gps": [_image(image) for image in self.positions],
             "gcps": [

@@ -102,14 +102,13 @@ class PositionPrior(Displayed):
 
     @property
     def full_covariance(self) -> Array:
-        """(3, 3); axes that do not count have a variance of 1e200 and no correlation."""
+        """(3, 3); axes that do not count have a variance of 1e200."""
         if self.covariance is not None:
             full: Array = np.array(self.covariance, dtype=np.float64)
         else:
             sigmas = np.asarray(self.sigma, dtype=np.float64)
             full = np.eye(3) * np.clip(sigmas, 1 / UNKNOWN, UNKNOWN) ** 2
         if np.isnan(np.asarray(self.position)[2]):
-            full[2, :], full[:, 2] = 0, 0
             full[2, 2] = UNKNOWN**2
         return full
 

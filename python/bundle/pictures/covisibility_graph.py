@@ -69,7 +69,7 @@ def draw_covisibility(ax: Axes, problem: Problem, max_edges: int = 4000) -> None
 
     graph = covisibility_graph(problem, max_edges)
     positions = within_view(graph.positions)
-    strength = np.log1p(graph.weights) / np.log1p(max(graph.weights.max(initial=1), 2))
+    strength = np.log1p(graph.weights) / np.log1p(graph.weights.max(initial=2))
     colours = np.zeros((len(strength), 4))
     colours[:, :3] = (0.06, 0.43, 0.71)
     colours[:, 3] = 0.06 + 0.6 * strength**2

@@ -1,0 +1,128 @@
+"""Priors from positions on the earth, and what became of them."""
+
+import json
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle import InputError
+from bundle.georeference import GpsPositions, LocalFrame, gps_priors, read_geo_file
+from tests.georeference.test_prior_alignment import problem_and_goal
+
+FRAME = LocalFrame(46.8, -91.9, 200.0)
+
+
+def positions(problem, goal, accuracy=np.nan, **changes):
+    count = problem.num_images
+    settings = {
+        "names": problem.image_names,
+        "geodetic": FRAME.to_geodetic(goal.projection_centers),
+        "accuracy": np.full((count, 2), accuracy),
+        "reference_system": "EPSG:4326",
+        "source": "here",
+    }
+    return GpsPositions(**settings | changes)
+
+
+def test_sigmas_are_those_of_each_position_or_the_default():
+    problem, goal = problem_and_goal()
+    accuracy = np.array([[0.02, 0.05], [np.nan, 0.07], [0.03, np.nan]] + [[np.nan, np.nan]] * 5)
+    known = gps_priors(problem, positions(problem, goal, accuracy=accuracy), gps_sigma="3/7")
+    found = [prior.sigma.tolist() for prior in known.priors]
+    assert found[:3] == [[0.02, 0.02, 0.05], [3, 3, 0.07], [0.03, 0.03, 7]]
+    assert found[3:] == [[3, 3, 7]] * 5
+    default = gps_priors(problem, positions(problem, goal)).priors[0]
+    assert default.sigma.tolist() == [2, 2, 5]
+    assert default.loss == "trivial"
+
+
+def test_the_frame():
+    problem, goal = problem_and_goal()
+    given = positions(problem, goal)
+    known = gps_priors(problem, given, origin=FRAME)
+    found = np.array([prior.position for prior in known.priors])
+    np.testing.assert_allclose(found, goal.projection_centers, atol=1e-6)
+    middle = gps_priors(problem, given)
+    assert middle.origin == LocalFrame.about(given.geodetic)
+    # Those that do not count have no influence on it.
+    names = (*problem.image_names[:7], "other.jpg")
+    fewer = gps_priors(problem, positions(problem, goal, names=names))
+    assert fewer.origin == LocalFrame.about(given.geodetic[:7])
+    assert [prior.image for prior in fewer.priors] == list(range(1, 8))
+    assert any("1 image of the model without" in note for note in fewer.notes)
+    assert any("1 position of images that the model" in note for note in fewer.notes)
+
+
+def test_images_by_the_last_part_of_their_names():
+    problem, goal = problem_and_goal()
+    folders = problem.replace(image_names=[f"left/{name}" for name in problem.image_names])
+    assert len(gps_priors(folders, positions(problem, goal)).priors) == 8
+
+
+def test_what_became_of_them():
+    problem, goal = problem_and_goal(noise=0.1)
+    wrong = goal.projection_centers.copy()
+    wrong[3] += [3.5, 0, 0]
+    wrong[5] += [0, 5.0, 0]
+    given = positions(problem, goal, geodetic=FRAME.to_geodetic(wrong))
+    settings = {"gps_sigma": 1.0, "prior_loss": "tukey", "origin": FRAME}
+    known = gps_priors(problem, given, **settings)
+    result = bundle.solve(problem, priors=known.priors)
+    place = known.georeference(result)
+    assert [image.name for image in place.suspects] == ["image5.jpg", "image3.jpg"]
+    assert [image.sigmas for image in place.suspects] == pytest.approx([5, 3.5], abs=0.1)
+    assert place.suspects[1].residual[0] == pytest.approx(-3.5, abs=0.1)
+    expected = np.sqrt(np.mean([np.square(image.residual) for image in place.images], axis=0))
+    np.testing.assert_allclose(place.rms, expected)
+    assert "image5.jpg" in repr(place)
+    assert "image4.jpg" not in repr(place)
+    content = json.loads(json.dumps(place.asdict()))
+    assert content["origin"] == FRAME.asdict()
+    assert content["pipeline"] == FRAME.pipeline
+    np.testing.assert_array_equal(content["similarity"]["rotation"], result.similarity.rotation)
+    unmoved = bundle.solve(goal, priors=known.priors, align=False)
+    with pytest.raises(InputError, match="a solve that aligned"):
+        known.georeference(unmoved)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"gps_sigma": 0}, "gps_sigma:"),
+        ({"gps_sigma": (1, 2, 3)}, "gps_sigma:"),
+        ({"antenna": [0, 0]}, "antenna: expected 3 numbers"),
+        ({"prior_loss": "no"}, "prior_loss: expected one of"),
+        ({"prior_loss_scale": -1}, "prior_loss_scale: expected more than 0"),
+        ({"gps": None}, "gps: expected"),
+        ({"gps": 5}, "gps: expected"),
+        ({"gps": "exif"}, "images: expected the folder"),
+    ],
+)
+def test_wrong_arguments_are_named(settings, words):
+    problem, goal = problem_and_goal()
+    arguments = {"gps": positions(problem, goal), **settings}
+    with pytest.raises(InputError, match=words):
+        gps_priors(problem, arguments.pop("gps"), **arguments)
+
+
+def test_a_flight_in_utm_is_the_same_flight(tmp_path):
+    """Coordinates of a map give the local frame that longitude and latitude do."""
+    import pyproj
+
+    problem, goal = problem_and_goal()
+    geodetic = FRAME.to_geodetic(goal.projection_centers)
+    to_utm = pyproj.Transformer.from_crs("EPSG:4326", "EPSG:32615", always_xy=True)
+    rows = []
+    for name, (latitude, longitude, height) in zip(problem.image_names, geodetic, strict=True):
+        x, y = to_utm.transform(longitude, latitude)
+        rows.append(f"{name} {x:.6f} {y:.6f} {height:.6f}")
+    path = tmp_path / "geo.txt"
+    path.write_text("\n".join(["WGS84 UTM 15N", *rows]))
+    known = gps_priors(problem, read_geo_file(path), origin=FRAME)
+    found = np.array([prior.position for prior in known.priors])
+    np.testing.assert_allclose(found, goal.projection_centers, atol=1e-5)
+    # As they stand, the map's coordinates would be off: turned and shrunk.
+    flat = np.array([row.split()[1:3] for row in rows], dtype=float)
+    plane = found[:, :2] - found[0, :2]
+    assert np.abs(flat - flat[0] - plane).max() > 0.1
