@@ -5,6 +5,7 @@ import pytest
 
 import bundle
 from tests import scenes
+from tests.fused.measured_steps import first_measured
 
 BACKENDS = ("fused", "ceres")
 
@@ -52,7 +53,10 @@ def assert_same_steps(problem, bounds, **options):
     np.testing.assert_allclose(
         found["gradient_max_norm"], expected["gradient_max_norm"], rtol=1e-6, atol=1e-9 * scale
     )
-    np.testing.assert_allclose(found["step_norm"], expected["step_norm"], rtol=1e-5, atol=1e-9)
+    begin = first_measured(expected)
+    np.testing.assert_allclose(
+        found["step_norm"][begin:], expected["step_norm"][begin:], rtol=1e-5, atol=1e-9
+    )
     assert ours.active_bounds == theirs.active_bounds
     np.testing.assert_allclose(
         ours.problem.camera_params, theirs.problem.camera_params, rtol=1e-8, atol=1e-9

@@ -13,6 +13,7 @@ from bundle import _core
 from bundle.options import LOSSES
 from tests import scenes
 from tests.fused.covering import covering
+from tests.fused.measured_steps import first_measured
 from tests.fused.test_same_steps_as_ceres import shuffled
 
 KINDS = (
@@ -242,11 +243,15 @@ TRACES = ("cost", "gradient_max_norm", "step_norm", "trust_region_radius")
 
 def deviation(found, expected, name, n):
     """Of each iteration, in units of the largest value where values fall to rounding."""
+    unmeasured = first_measured(expected.iterations)
     found, expected = (np.asarray(x.iterations[name][:n], float) for x in (found, expected))
     unit = np.abs(expected)
     if name in ("gradient_max_norm", "step_norm"):
         unit = np.maximum(unit, 1e-3 * unit.max())
-    return np.abs(found - expected) / np.maximum(unit, 1e-300)
+    result = np.abs(found - expected) / np.maximum(unit, 1e-300)
+    if name == "step_norm":
+        result[:unmeasured] = 0
+    return result
 
 
 def num_comparable(number):

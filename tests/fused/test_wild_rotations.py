@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from tests import scenes
+from tests.fused.measured_steps import first_measured
 
 # Of an image whose rotation is wrong by 60 to 180 degrees; the others and most points are held.
 SEEDS = (9, 56, 69)
@@ -67,7 +68,9 @@ def test_same_steps_as_ceres_far_out(seed, strategy):
     for name in ("cost", "gradient_max_norm", "step_norm", "trust_region_radius"):
         values = np.asarray(expected.iterations[name])
         unit = np.maximum(values, 1e-3 * values.max() if name != "cost" else 0)
-        assert np.all(np.abs(found.iterations[name] - values) <= 1e-9 * unit), name
+        begin = first_measured(expected.iterations) if name == "step_norm" else 0
+        difference = np.abs(found.iterations[name] - values)
+        assert np.all((difference <= 1e-9 * unit)[begin:]), name
     for result in (found, expected):
         assert result.summary.termination_type == "CONVERGENCE"
         assert result.summary.final_cost == pytest.approx(

@@ -111,4 +111,4 @@ def test_taken_for_a_leftover_before_it_was_locked(
 
 def test_mount_points() -> None:
     points = mount_points()
-    assert not points or {Path("/"), Path("/proc")} <= points
+    assert not points or Path("/proc") in points  # "/" is none where the root was changed

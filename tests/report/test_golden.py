@@ -145,6 +145,7 @@ REPORTS = {
 @pytest.mark.parametrize("name", REPORTS)
 def test_report(name, monkeypatch):
     monkeypatch.setattr(_core, "available_memory", lambda: 16e9)
+    monkeypatch.setattr(_core, "CERES_VERSION", "2.1.0")
     text = render(*REPORTS[name](monkeypatch), width=WIDTH)
     if name in ("align", "check", "inspect"):
         text = normalised(text)

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "core/ceres/ceres_version.h"
 #include "core/interface/options.h"
 #include "core/model/problem_factors.h"
 #include "core/solver/solver.h"
@@ -96,11 +97,15 @@ TEST(ManyTurns, BothBackendsTakeTheSameStepsToTheEnd) {
     }
     EXPECT_GT(found.iterations.size(), 5u);
     ASSERT_EQ(found.iterations.size(), expected.iterations.size());
+    bool measures_step = CERES_VERSION_MAJOR == 2 && CERES_VERSION_MINOR == 1;
     for (size_t i = 0; i < found.iterations.size(); ++i) {
       const IterationRecord &a = found.iterations[i], &b = expected.iterations[i];
       EXPECT_EQ(a.step_is_successful, b.step_is_successful) << i;
       EXPECT_NEAR(a.cost, b.cost, 1e-9 * b.cost) << i;
-      EXPECT_NEAR(a.step_norm, b.step_norm, 1e-7 * (1 + b.step_norm)) << i;
+      if (measures_step) {
+        EXPECT_NEAR(a.step_norm, b.step_norm, 1e-7 * (1 + b.step_norm)) << i;
+      }
+      measures_step = measures_step || (i > 0 && b.step_is_successful);
       EXPECT_NEAR(a.trust_region_radius, b.trust_region_radius, 1e-7 * b.trust_region_radius) << i;
     }
   }
