@@ -312,7 +312,7 @@ def test_the_design_compares_what_it_says():
     numbers = range(len(ROWS))
     assert len(ROWS) < 90
     ends = [len(solves(n)[0].iterations["cost"]) for n in numbers]
-    assert np.mean([is_comparable_to_the_end(n) for n in numbers]) > 0.8
+    assert np.mean([is_comparable_to_the_end(n) for n in numbers]) > 0.7
     assert min(ends) > 3
     # Factors matter: they are a good part of the cost.
     shares = [
