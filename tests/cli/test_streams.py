@@ -15,8 +15,8 @@ from tests.cli.conftest import command, environment
 from tests.scenes import scene
 
 
-def shell(*arguments, redirect):
-    words = " ".join(map(str, command(*arguments)))
+def shell(*arguments, redirect, prefix=""):
+    words = prefix + " ".join(map(str, command(*arguments)))
     return subprocess.run(
         f"{words} {redirect}", shell=True, executable="/bin/bash", env=environment(),
         capture_output=True, text=True, timeout=60, check=False,
@@ -50,6 +50,10 @@ def test_help_on_odd_streams():
             assert done.returncode == code, (redirect, arguments)
             assert "Traceback" not in done.stderr
             assert done.stderr.count("\n") == (code == 2)
+    # argparse drops an error of writing, which comes at once without a buffer.
+    done = shell("--help", redirect=">/dev/full", prefix="PYTHONUNBUFFERED=1 ")
+    assert done.returncode == 2
+    assert done.stderr == "error: standard output: No space left on device\n"
 
 
 def test_what_was_written_before_an_error_is_named(model, tmp_path):
