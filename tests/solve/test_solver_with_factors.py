@@ -209,6 +209,16 @@ class Bar:
         return [residual], [-row[None], row[None]]
 
 
+def assert_same_but_for_rounding(found, expected):
+    """Two points that a function couples are for a sparse solver whose bits depend on addresses."""
+    np.testing.assert_allclose(found.iterations["cost"], expected.iterations["cost"], rtol=1e-10)
+    np.testing.assert_allclose(found.problem.points, expected.problem.points, atol=1e-10)
+    np.testing.assert_allclose(
+        found.problem.cam_from_world, expected.problem.cam_from_world, atol=1e-10
+    )
+    assert found.summary.num_factors == expected.summary.num_factors
+
+
 def test_functions_in_python():
     problem = scenes.make_problem(num_images=6)
     keys = [("point", 1), ("point", 2)]
@@ -216,7 +226,7 @@ def test_functions_in_python():
     settings = {"factors": factors, "num_threads": 1, "max_num_iterations": 5}
     solver = bundle.Solver(problem, **settings)
     for values in (with_other_values(problem), problem):
-        assert_same(solver.solve(values), bundle.solve(values, **settings))
+        assert_same_but_for_rounding(solver.solve(values), bundle.solve(values, **settings))
     points = problem.points.copy()
     points[0] = 20
     far = problem.replace(points=points)
@@ -237,7 +247,7 @@ def test_functions_in_python():
         for _ in range(3):
             solver.solve()
     expected = bundle.solve(problem, **settings | {"factors": solver.factors})
-    assert_same(solver.solve(), expected)
+    assert_same_but_for_rounding(solver.solve(), expected)
 
 
 def test_it_pickles_with_factors_and_bounds():
