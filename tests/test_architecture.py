@@ -75,6 +75,7 @@ PYTHON_MAY_IMPORT = {
     },
     "warning_kinds": set(),
     "words": set(),
+    "rotations": set(),
     "components": set(),
     "display": set(),
     "tables": {"words"},
@@ -128,6 +129,7 @@ PYTHON_MAY_IMPORT = {
         "errors",
         "option_fields",
         "problem",
+        "rotations",
         "words",
     },
     "solver": {
@@ -207,6 +209,7 @@ PYTHON_MAY_IMPORT = {
         "option_fields",
         "options",
         "problem",
+        "rotations",
         "words",
     },
     "compare_defaults": {"memory_sizes"},

@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from bundle.synthetic.body import Body, random_directions
-from bundle.synthetic.rotations import (
+from bundle.rotations import (
     look_along,
     quaternion_from_matrix,
     quaternion_from_vector,
@@ -14,6 +13,7 @@ from bundle.synthetic.rotations import (
     quaternion_rotate,
     rotate,
 )
+from bundle.synthetic.body import Body, random_directions
 from bundle.synthetic.route import drive_laps, drive_one_way, waypoints
 
 

@@ -33,13 +33,14 @@ from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.gps_priors import GPS_SIGMA
 from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.position_prior import ROBUST_SCALE
-from bundle.georeference.similar_problem import moved, rotation_matrices
+from bundle.georeference.similar_problem import moved
 from bundle.georeference.similarity import Correspondences, fit_similarity
 from bundle.georeference.triangulated_targets import ImageIndex, Triangulated, triangulate
 from bundle.io import Source, as_problem
 from bundle.option_fields import choice, number
 from bundle.options import LOSSES
 from bundle.problem import Problem
+from bundle.rotations import rotation_matrices
 from bundle.words import plural
 
 __all__ = ["GCP_PIXEL_SIGMA", "GCP_SIGMA", "align"]

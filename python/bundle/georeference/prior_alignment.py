@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from bundle.errors import InputError, brief, nearest
 from bundle.georeference.consensus import agreeing
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
-from bundle.georeference.similar_problem import moved, rotation_matrices
+from bundle.georeference.similar_problem import moved
 from bundle.georeference.similarity import Correspondences, Similarity, fit_similarity
 from bundle.graph import PositionFactor
 from bundle.graph.variables import as_list
 from bundle.problem import Problem
+from bundle.rotations import rotation_matrices
 
 __all__ = ["ProblemPriors"]
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from bundle.cameras import camera_models, project
 from bundle.errors import InputError
 from bundle.georeference.control_point import GroundControlPoint, Measurement
-from bundle.georeference.similar_problem import rotation_matrices
 from bundle.problem import Problem
+from bundle.rotations import rotation_matrices
 
 __all__ = ["ImageIndex", "Triangulated", "direction_of", "triangulate"]
 

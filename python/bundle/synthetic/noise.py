@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.problem import Problem
-from bundle.synthetic.intrinsics import FOCAL_PARAMS, RADIAL_PARAMS, TANGENTIAL_PARAMS, Intrinsics
-from bundle.synthetic.rotations import (
+from bundle.rotations import (
     dot,
     quaternion_from_vector,
+    quaternion_inverse,
     quaternion_multiply,
     quaternion_rotate,
 )
+from bundle.synthetic.intrinsics import FOCAL_PARAMS, RADIAL_PARAMS, TANGENTIAL_PARAMS, Intrinsics
 from bundle.synthetic.scene_options import SceneOptions
 
 __all__ = ["measure", "perturb"]
@@ -51,7 +52,7 @@ def perturb(
     Rotations turn about the camera centre, so that rotation and translation noise are independent.
     """
     rotations, translations = truth.cam_from_world[:, :4], truth.cam_from_world[:, 4:]
-    centers = -quaternion_rotate(_inverse(rotations), translations)
+    centers = -quaternion_rotate(quaternion_inverse(rotations), translations)
     scale = _median_distance(truth, centers)
     turn = np.radians(options.rotation_noise) * rng.standard_normal(centers.shape)
     turned = quaternion_multiply(quaternion_from_vector(turn), rotations)
@@ -68,11 +69,6 @@ def _median_distance(problem: Problem, centers: Array) -> float:
     """Return the scale of a scene: the median distance of a point from the cameras that see it."""
     to_point = problem.points[problem.observation_point] - centers[problem.observation_image]
     return float(np.median(np.sqrt(dot(to_point, to_point))))
-
-
-def _inverse(quaternions: Array) -> Array:
-    inverse: Array = quaternions * np.array([-1.0, -1.0, -1.0, 1.0])
-    return inverse
 
 
 def _perturbed_params(

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.rotations import dot, look_along
 from bundle.synthetic.body import Body, random_directions
-from bundle.synthetic.rotations import dot, look_along
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
 from bundle.synthetic.scene_options import SceneOptions
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.synthetic.rotations import look_along
+from bundle.rotations import look_along
 from bundle.synthetic.route import drive_laps, drive_one_way, waypoints
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
 from bundle.synthetic.scene_options import SceneOptions

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.problem import Problem
+from bundle.rotations import quaternion_from_matrix, rotate
 from bundle.synthetic.intrinsics import Intrinsics, draw_intrinsics
 from bundle.synthetic.noise import measure, perturb
 from bundle.synthetic.orbit import Orbit
 from bundle.synthetic.photo_collection import PhotoCollection
-from bundle.synthetic.rotations import quaternion_from_matrix, rotate
 from bundle.synthetic.scene import Pairs, Points, Scene
 from bundle.synthetic.scene_options import SceneOptions
 from bundle.synthetic.street import Street

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.cameras import project
+from bundle.rotations import dot, rotate
 from bundle.synthetic.cells import Cells
 from bundle.synthetic.intrinsics import Intrinsics
-from bundle.synthetic.rotations import dot, rotate
 from bundle.synthetic.scene import Pairs, Points, Scene
 from bundle.synthetic.scene_options import MIN_OBSERVATIONS_PER_IMAGE
 

@@ -14,9 +14,11 @@ __all__ = [
     "look_along",
     "quaternion_from_matrix",
     "quaternion_from_vector",
+    "quaternion_inverse",
     "quaternion_multiply",
     "quaternion_rotate",
     "rotate",
+    "rotation_matrices",
 ]
 
 Array = NDArray[np.float64]
@@ -78,7 +80,24 @@ def quaternion_multiply(a: Array, b: Array) -> Array:
     return np.concatenate([v, w], axis=1)
 
 
+def quaternion_inverse(q: Array) -> Array:
+    """Return the inverses of unit quaternions (N, 4)."""
+    inverse: Array = q * np.array([-1.0, -1.0, -1.0, 1.0])
+    return inverse
+
+
 def quaternion_rotate(q: Array, vectors: Array) -> Array:
     """Return vectors (N, 3) rotated by unit quaternions (N, 4)."""
     twice = 2.0 * np.cross(q[:, :3], vectors)
     return vectors + q[:, 3:] * twice + np.cross(q[:, :3], twice)
+
+
+def rotation_matrices(quaternions: Array) -> Array:
+    """Return (n, 3, 3) rotations of (n, 4) quaternions qx qy qz qw of any length."""
+    x, y, z, w = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
