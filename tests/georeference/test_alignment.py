@@ -13,9 +13,11 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle import InputError, align
 from bundle.georeference import GpsPositions, LocalFrame, Similarity, read_gcp_list
+from bundle.georeference.correspondences import Correspondences
+from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Correspondences, fit_similarity
-from bundle.georeference.triangulated_targets import ImageIndex, direction_of, triangulate
+from bundle.georeference.similarity_fit import fit_similarity
+from bundle.georeference.triangulated_targets import direction_of, triangulate
 from bundle.reprojection import reprojection_errors
 from bundle.rotations import quaternion_from_matrix, rotation_matrices
 from tests.formulas import PARAMS as MODELS

@@ -23,6 +23,7 @@ from bundle.georeference.control_point import (
     parse_pixel_sigma,
     parse_sigma,
 )
+from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.given_positions import (
     Frame,
     given_control_points,
@@ -31,11 +32,12 @@ from bundle.georeference.given_positions import (
 )
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.gps_priors import GPS_SIGMA
+from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.position_prior import ROBUST_SCALE
 from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Correspondences, fit_similarity
-from bundle.georeference.triangulated_targets import ImageIndex, Triangulated, triangulate
+from bundle.georeference.similarity_fit import fit_similarity
+from bundle.georeference.triangulated_targets import Triangulated, triangulate
 from bundle.io import Source, as_problem
 from bundle.option_fields import choice, number
 from bundle.options import LOSSES

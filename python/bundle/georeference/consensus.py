@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.georeference.position_prior import ROBUST_SCALE
-from bundle.georeference.similarity import umeyama
+from bundle.georeference.similarity import scale_and_rotation, umeyama
 
 __all__ = ["agreeing"]
 
@@ -87,12 +87,8 @@ def _squared_lengths(
     a, b = source[triples], target[triples]
     center, goal = a.mean(axis=1, keepdims=True), b.mean(axis=1, keepdims=True)
     a, b = a - center, b - goal
-    u, d, vt = np.linalg.svd(np.swapaxes(b, 1, 2) @ a)
-    sign = np.ones((len(triples), 3))
-    sign[:, 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    rotation = (u * sign[:, None, :]) @ vt
     with np.errstate(all="ignore"):
-        scale = (d * sign).sum(axis=1) / (a**2).sum(axis=(1, 2))
+        scale, rotation = scale_and_rotation(a, b)
         turned = (source[scored] - center) @ np.swapaxes(rotation, 1, 2)
         residual = scale[:, None, None] * turned + goal - target[scored]
         squared: Array = ((residual / sigmas[scored]) ** 2).sum(axis=2)

@@ -16,11 +16,11 @@ from bundle.georeference.alignment_result import metres, root_mean_square
 from bundle.georeference.control_point import parse_sigma
 from bundle.georeference.given_positions import given_gps
 from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
 from bundle.georeference.prior_alignment import ProblemPriors
 from bundle.georeference.similarity import Similarity
-from bundle.georeference.triangulated_targets import ImageIndex
 from bundle.problem import Problem
 from bundle.words import plural
 
@@ -223,12 +223,11 @@ def gps_priors(
     # Refuse these now, whatever the positions are.
     settings: dict[str, Any] = {"loss": prior_loss, "loss_scale": prior_loss_scale}
     _check_settings(antenna, settings)
-    if problem.num_images and not any(problem.image_names):
-        raise InputError("gps: expected images with names, which BAL files do not have, found none")
+    index = ImageIndex(problem, "gps: ")
     positions = given_gps(gps, images, problem)
     if positions is None:
         raise InputError('gps: expected "exif", a path or GpsPositions, found None')
-    rows = _rows(ImageIndex(problem), positions)
+    rows = _rows(index, positions)
     chosen = sorted(rows)
     if len(chosen) < FEWEST:
         raise InputError(_too_few(problem, positions, len(chosen)))

@@ -28,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError
-from bundle.georeference.similarity import Correspondences, SimilarityFit, fit_similarity
+from bundle.georeference.correspondences import Correspondences
+from bundle.georeference.similarity_fit import SimilarityFit, fit_similarity
 
 __all__ = ["LEVEL", "LeaveOneOut", "leave_one_out", "probability_f2", "probability_t"]
 

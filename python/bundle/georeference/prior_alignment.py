@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from bundle.errors import InputError, brief, nearest
 from bundle.georeference.consensus import agreeing
+from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
 from bundle.georeference.similar_problem import moved
-from bundle.georeference.similarity import Correspondences, Similarity, fit_similarity
+from bundle.georeference.similarity import Similarity
+from bundle.georeference.similarity_fit import fit_similarity
 from bundle.graph import PositionFactor
 from bundle.graph.variables import as_list
 from bundle.problem import Problem

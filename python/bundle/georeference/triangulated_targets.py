@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.cameras import camera_models, project
-from bundle.errors import InputError
 from bundle.georeference.control_point import GroundControlPoint, Measurement
+from bundle.georeference.image_index import ImageIndex
 from bundle.problem import Problem
 from bundle.rotations import rotation_matrices
 
-__all__ = ["ImageIndex", "Triangulated", "direction_of", "triangulate"]
+__all__ = ["Triangulated", "direction_of", "triangulate"]
 
 Array = NDArray[np.float64]
 
@@ -61,34 +61,6 @@ class Triangulated:
     covariance: Array
     residual: Array
     reason: str = ""
-
-
-class ImageIndex:
-    """Finds images by name: the whole name, or its last part where that is unique.
-
-    Raises:
-        InputError: the images have no names.
-    """
-
-    def __init__(self, problem: Problem) -> None:
-        if problem.num_images and not any(problem.image_names):
-            raise InputError("expected images with names, which BAL files do not have, found none")
-        self._whole = {name: index for index, name in enumerate(problem.image_names)}
-        self._last: dict[str, int] = {}
-        for name, index in self._whole.items():
-            last = _last_part(name)
-            self._last[last] = -1 if last in self._last else index
-
-    def find(self, name: str) -> int | None:
-        """Return the index of an image, None where the model has none of this name."""
-        if name in self._whole:
-            return self._whole[name]
-        index = self._last.get(_last_part(name), -1)
-        return None if index < 0 else index
-
-
-def _last_part(name: str) -> str:
-    return name.replace("\\", "/").rpartition("/")[2]
 
 
 def triangulate(

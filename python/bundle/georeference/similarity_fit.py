@@ -1,0 +1,302 @@
+"""Weighted similarity between two sets of corresponding points, each with its covariance.
+
+Wanted are s, R, t with y_i = s R a_i + R m_i + t near b_i: a_i in the model, b_i where it was
+surveyed, and m_i an offset in metres along the axes of the model (the lever arm of an antenna; zero
+otherwise). Minimized is
+
+    1/2 sum rho(r_i^T S_i^-1 r_i),  r_i = y_i - b_i,  S_i = B_i + s^2 R A_i R^T
+
+with the covariances B_i of the survey and A_i of the point in the model. An unknown height takes
+away the third row of r_i and S_i.
+
+The start is the closed form for equal weights (``umeyama``). From there Gauss-Newton steps with
+left increments
+
+    dr = (y - t) dlambda - [y - t]x dw + dt,  s <- s exp(dlambda),  R <- Exp(dw) R
+
+(the part of dlambda without R m) repeat with the S_i and the weights rho' of the last step, until
+they stand still: iteratively reweighted least squares, whose fixed point is the minimum for the
+S_i found. Where heights are unknown the closed form needs some: it takes those that the model
+itself predicts, a few times over.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.georeference.correspondences import Correspondences
+from bundle.georeference.similarity import Similarity, umeyama
+from bundle.losses import evaluate_loss
+from bundle.rotations import quaternion_from_vector, rotation_matrices
+
+__all__ = ["SimilarityFit", "fit_similarity"]
+
+Array = NDArray[np.float64]
+
+THINNEST = 1e-6
+"""Width over length of points that count as lying on one line."""
+WIDEST_ANGLE = math.radians(10)
+"""Standard deviation of an angle, at least one of three, beyond which it counts as open."""
+LEAST_FREEDOM = 1e-6
+"""Degrees of freedom below which rounding alone is left."""
+MAX_STEPS = 200
+SMALLEST_STEP = 1e-13
+WORST_CONDITION = 1e10
+
+
+@dataclass(frozen=True)
+class SimilarityFit:
+    """A similarity that was fitted, and how certain it is.
+
+    Attributes:
+        similarity: the map.
+        covariance: (7, 7) of log scale, rotation (radians, left increment) and translation [m] at
+            ``center``, for the covariances as given.
+        center: (3,) the point of the model to which the translation of ``covariance`` belongs.
+        weight: (n,) rho' of each point; 1 without a loss.
+        whitened: (n, 3) residuals divided by the lower Cholesky factors of their covariances,
+            0 for unknown heights.
+        redundancy: (n, 3) share of each whitened residual that is not taken up by the fit, between
+            0 and 1; 0 for unknown heights.
+    """
+
+    similarity: Similarity
+    covariance: Array
+    center: Array
+    weight: Array
+    whitened: Array
+    redundancy: Array
+
+    @property
+    def sigma0(self) -> float:
+        """Size of the residuals in sigmas, over the degrees of freedom; nan without any."""
+        freedom = float(self.redundancy.sum())
+        squared = float((self.weight[:, None] * self.whitened**2).sum())
+        return math.sqrt(squared / freedom) if freedom > LEAST_FREEDOM else math.nan
+
+    def predict(self, points: Correspondences) -> tuple[Array, Array]:
+        """Return residuals (n, 3) and their covariances (n, 3, 3), of points that did not count.
+
+        The covariance is that of the survey and of the model's point and that of the similarity.
+        """
+        residual = _residuals(self.similarity, points)
+        jacobian = _jacobian(self.similarity, points, self.center)
+        fitted = np.einsum("nij,jk,nlk->nil", jacobian, self.covariance, jacobian)
+        return residual, fitted + _covariances(self.similarity, points)
+
+
+def fit_similarity(
+    points: Correspondences, *, loss: str = "trivial", loss_scale: float = 1.0, what: str = "points"
+) -> SimilarityFit:
+    """Return the weighted similarity.
+
+    Args:
+        points: at least three, not on one line, of which enough have a height.
+        loss: name of a robust loss of the residuals in sigmas.
+        loss_scale: where it bends, in sigmas.
+        what: what the points are, for messages.
+
+    Raises:
+        InputError: the points do not determine seven degrees of freedom; the message says why.
+    """
+    try:
+        return _fitted(points, loss, loss_scale, what)
+    except (np.linalg.LinAlgError, OverflowError):
+        raise InputError(
+            f"expected {what} and a model whose sizes a computer can relate, found "
+            f"coordinates up to {np.nanmax(np.abs(points.target)):.3g} and in the model "
+            f"{np.abs(points.source).max():.3g}"
+        ) from None
+
+
+def _fitted(points: Correspondences, loss: str, loss_scale: float, what: str) -> SimilarityFit:
+    _check_points(points, what)
+    similarity = _start(points)
+    center = points.source.mean(axis=0)
+    size = float(np.sqrt(((points.source - center) ** 2).sum(axis=1).mean()))
+    with np.errstate(all="ignore"):  # what is not determined is refused below
+        for _ in range(MAX_STEPS):
+            root, whitened, jacobian = _whitened(similarity, points, center)
+            weight = _weights(whitened, loss, loss_scale)
+            normal, gradient = _normal(jacobian, whitened, weight)
+            _check_normal(normal, points, weight, what)
+            step = np.asarray(-np.linalg.solve(normal, gradient), np.float64)
+            similarity, share = _stepped(similarity, points, center, step, root, weight)
+            if share * _length(step, similarity.scale * size) <= SMALLEST_STEP:
+                break
+        _, whitened, jacobian = _whitened(similarity, points, center)
+        weight = _weights(whitened, loss, loss_scale)
+        normal, _ = _normal(jacobian, whitened, weight)
+        _check_normal(normal, points, weight, what)
+        covariance = np.asarray(np.linalg.inv(normal), np.float64)
+    taken = weight[:, None] * np.einsum("nij,jk,nik->ni", jacobian, covariance, jacobian)
+    redundancy = np.where(np.abs(jacobian).sum(axis=2) > 0, 1 - taken, 0.0)
+    fit = SimilarityFit(similarity, covariance, center, weight, whitened, redundancy)
+    _check_angles(fit, points, what)
+    return fit
+
+
+def _check_points(points: Correspondences, what: str) -> None:
+    count = len(points)
+    if count < 3:
+        raise InputError(f"expected at least 3 {what} to place the model, found {count}")
+    known = ~np.isnan(points.target[:, 2])
+    if not known.any():
+        raise InputError(
+            f"expected {what} with a height, found none: the height of the model stays open"
+        )
+    level = np.where(known, points.target[:, 2], points.target[known, 2].mean())
+    for cloud in (points.source, np.column_stack([points.target[:, :2], level])):
+        spread = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
+        if spread[1] <= THINNEST * spread[0]:
+            raise InputError(_on_a_line(what, count))
+
+
+def _on_a_line(what: str, count: int) -> str:
+    return (
+        f"the {count} {what} lie on one line: expected one beside it, as the model could turn "
+        "about the line"
+    )
+
+
+def _check_normal(normal: Array, points: Correspondences, weight: Array, what: str) -> None:
+    """Refuse points that leave a degree of freedom open to first order."""
+    diagonal = np.sqrt(np.diag(normal))
+    scaled = normal / np.outer(diagonal, diagonal)
+    if np.isfinite(scaled).all() and np.linalg.cond(scaled) < WORST_CONDITION:
+        return
+    if (weight == 0).any():
+        raise InputError(
+            f"the loss leaves {int((weight > 0).sum())} of {len(points)} {what}, which do not "
+            "determine the model: expected a larger scale of the loss, or another loss"
+        )
+    known = int((~np.isnan(points.target[:, 2])).sum())
+    if known < len(points):
+        raise InputError(
+            f"the heights of {known} of {len(points)} {what} are known, which leaves the tilt or "
+            "the height of the model open; expected 3 with a height, not on one line"
+        )
+    raise InputError(_on_a_line(what, len(points)))
+
+
+def _check_angles(fit: SimilarityFit, points: Correspondences, what: str) -> None:
+    """Refuse points that are on a line as far as their own residuals tell."""
+    # What the residuals say about the sigmas counts where they are smaller.
+    sigma0 = 1.0 if math.isnan(fit.sigma0) else min(fit.sigma0, 1.0)
+    angle = math.sqrt(np.linalg.eigvalsh(fit.covariance[1:4, 1:4])[-1]) * sigma0
+    if angle > WIDEST_ANGLE:
+        raise InputError(
+            f"the {len(points)} {what} leave a rotation of the model open by "
+            f"{math.degrees(angle):.3g} degrees (one sigma), expected at most "
+            f"{math.degrees(WIDEST_ANGLE):.0f}: within their sigmas they lie on one line"
+        )
+
+
+def _start(points: Correspondences) -> Similarity:
+    known = ~np.isnan(points.target[:, 2])
+    target = points.target.copy()
+    if known.all():
+        return umeyama(points.source, target)
+    target[~known, 2] = target[known, 2].mean()
+    similarity = umeyama(points.source, target)
+    for _ in range(MAX_STEPS):
+        target[~known, 2] = similarity.apply(points.source)[~known, 2]
+        similarity = umeyama(points.source, target)
+    return similarity
+
+
+def _residuals(similarity: Similarity, points: Correspondences) -> Array:
+    moved = similarity.apply(points.source) + points.offset @ similarity.rotation.T
+    residual: Array = moved - points.target
+    return residual
+
+
+def _covariances(similarity: Similarity, points: Correspondences) -> Array:
+    turned = similarity.rotation @ points.source_covariance @ similarity.rotation.T
+    covariances: Array = points.target_covariance + similarity.scale**2 * turned
+    return covariances
+
+
+def _jacobian(similarity: Similarity, points: Correspondences, center: Array) -> Array:
+    """Return (n, 3, 7) by log scale, rotation and translation at the center."""
+    scaled = similarity.scale * (points.source - center) @ similarity.rotation.T
+    x, y, z = (scaled + points.offset @ similarity.rotation.T).T
+    jacobian = np.zeros((len(points), 3, 7))
+    jacobian[:, :, 0] = scaled
+    jacobian[:, 0, 2], jacobian[:, 0, 3] = z, -y
+    jacobian[:, 1, 1], jacobian[:, 1, 3] = -z, x
+    jacobian[:, 2, 1], jacobian[:, 2, 2] = y, -x
+    jacobian[:, :, 4:] = np.eye(3)
+    return jacobian
+
+
+def _whitened(
+    similarity: Similarity, points: Correspondences, center: Array
+) -> tuple[Array, Array, Array]:
+    """Return the inverse Cholesky factors, whitened residuals and whitened Jacobians."""
+    unknown = np.isnan(points.target[:, 2])
+    root = np.linalg.inv(np.linalg.cholesky(_covariances(similarity, points)))
+    # The factor is lower triangular: east and north are whitened without the height.
+    root[unknown, 2] = 0.0
+    residual = np.nan_to_num(_residuals(similarity, points))
+    whitened = np.einsum("nij,nj->ni", root, residual)
+    return root, whitened, root @ _jacobian(similarity, points, center)
+
+
+def _weights(whitened: Array, loss: str, loss_scale: float) -> Array:
+    squared = (whitened**2).sum(axis=1)
+    if not np.isfinite(squared).all():
+        raise OverflowError
+    weights: Array = evaluate_loss(loss, loss_scale, squared)[:, 1]
+    return weights
+
+
+def _normal(jacobian: Array, whitened: Array, weight: Array) -> tuple[Array, Array]:
+    weighted = weight[:, None, None] * jacobian
+    return (
+        np.einsum("nij,nik->jk", weighted, jacobian),
+        np.einsum("nij,ni->j", weighted, whitened),
+    )
+
+
+def _stepped(
+    similarity: Similarity,
+    points: Correspondences,
+    center: Array,
+    step: Array,
+    root: Array,
+    weight: Array,
+) -> tuple[Similarity, float]:
+    """Return the similarity after the step, or after a share of it that lowers the cost."""
+
+    def cost(at: Similarity) -> float:
+        whitened = np.einsum("nij,nj->ni", root, np.nan_to_num(_residuals(at, points)))
+        return float((weight[:, None] * whitened**2).sum())
+
+    before, share = cost(similarity), 1.0
+    while share > 1e-9:
+        after = _moved(similarity, center, share * step)
+        if cost(after) <= before * (1 + 1e-12):
+            return after, share
+        share /= 4
+    return similarity, 0.0
+
+
+def _moved(similarity: Similarity, center: Array, step: Array) -> Similarity:
+    scale = similarity.scale * math.exp(min(max(step[0], -1.0), 1.0))
+    turn = rotation_matrices(quaternion_from_vector(step[None, 1:4]))[0]
+    rotation = turn @ similarity.rotation
+    middle = similarity.apply(center[None])[0] + step[4:]
+    u, _, vt = np.linalg.svd(rotation)
+    rotation = u @ vt
+    return Similarity(scale, rotation, middle - scale * rotation @ center)
+
+
+def _length(step: Array, size: float) -> float:
+    """Return the length of a step relative to the size of the scene."""
+    return float(np.abs(step[:4]).max() + np.abs(step[4:]).max() / size)
