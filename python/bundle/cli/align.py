@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.gps_flags import GPS_FLAGS, add_loss_flags, add_position_flags
+from bundle.cli.option_flags import naming_flags
 from bundle.cli.parser import a_path, add_input, add_output
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
@@ -19,13 +19,8 @@ FLAGS = {
     "gcp_sigma": "--gcp-sigma",
     "gcp_pixel_sigma": "--gcp-pixel-sigma",
     "check_points": "--check-points",
-    "gps": "--gps",
-    "images": "--images",
-    "gps_sigma": "--gps-sigma",
-    "antenna": "--antenna",
+    **GPS_FLAGS,
     "to": "--reference",
-    "prior_loss": "--prior-loss",
-    "prior_loss_scale": "--prior-loss-scale",
     "align": "expected --gcp, --gps or --reference",
 }
 """Of the arguments of ``bundle.align``."""
@@ -33,7 +28,7 @@ FLAGS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
-    parser.usage = "bundle align INPUT -o OUTPUT [--gcp FILE] [--gps FILE|exif] [options]"
+    parser.usage = "bundle align INPUT -o OUTPUT [--gcp FILE] [--gps exif|FILE] [options]"
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
     group = parser.add_argument_group("ground control points")
@@ -60,28 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="control points that are compared and have no influence, such as gcp02,gcp07 "
         "(default: those that the file marks so)",
     )
-    group = parser.add_argument_group("positions of images")
-    group.add_argument(
-        "--gps",
-        metavar="FILE|exif",
-        type=a_path,
-        help="OpenDroneMap's geo.txt, or exif: what the images themselves say (default: none)",
-    )
-    group.add_argument(
-        "--images", metavar="DIR", type=a_path, help="folder of the images, for --gps exif"
-    )
-    group.add_argument(
-        "--gps-sigma",
-        metavar="H[/V]",
-        help="standard deviation of positions, horizontal and vertical, in metres, where they have "
-        "none of their own (default: 2/5)",
-    )
-    group.add_argument(
-        "--antenna",
-        metavar="X,Y,Z",
-        help="the antenna in the frame of the camera: right, down, forward, in metres "
-        "(default: 0,0,0)",
-    )
+    add_position_flags(parser.add_argument_group("positions of images"))
     group = parser.add_argument_group("another model")
     group.add_argument(
         "--reference",
@@ -89,20 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=a_path,
         help="a model with images of the same names, into whose frame INPUT goes (default: none)",
     )
-    group = parser.add_argument_group("robustness")
-    group.add_argument(
-        "--prior-loss",
-        metavar="NAME",
-        help="loss of control points and positions: trivial, huber, soft-l1, cauchy, arctan or "
-        "tukey (default: trivial)",
-    )
-    group.add_argument(
-        "--prior-loss-scale",
-        metavar="X",
-        type=float,
-        help="length of a residual in standard deviations at which it bends (default: 2.7955, "
-        "which 5 %% of good points exceed)",
-    )
+    add_loss_flags(parser.add_argument_group("robustness"), "control points and positions")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -117,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     source, target = arguments.input, arguments.output
     check_json(arguments.json, source, target)
-    with Progress(quiet=arguments.quiet) as progress, _naming_flags():
+    with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
         progress.stage(f"reading {shown(source)}")
         problem = load(source)
         output = {
@@ -148,17 +109,3 @@ def run(arguments: argparse.Namespace) -> int:
         show(*alignment(source, aligned, output, lost))
     write_json(arguments.json, as_json(source, problem, aligned, output))
     return EXIT_DONE
-
-
-@contextmanager
-def _naming_flags() -> Iterator[None]:
-    """Let an InputError about an argument of ``bundle.align`` name its flag."""
-    from bundle.errors import InputError
-
-    try:
-        yield
-    except InputError as error:
-        name, colon, rest = str(error).partition(":")
-        if name not in FLAGS:
-            raise
-        raise InputError(f"{FLAGS[name]}{colon}{rest}") from None

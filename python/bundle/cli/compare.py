@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from bundle import compare_defaults as defaults
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.option_flags import add_options, options_given
+from bundle.cli.option_flags import add_options, naming_flags, options_given
 from bundle.cli.parser import a_path
 from bundle.errors import InputError
 from bundle.options import SolveOptions
@@ -110,7 +108,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--timeout: expected more than 0 seconds, found {arguments.timeout:g}")
     check_json(arguments.json, *arguments.inputs)
     check_json(arguments.html, *arguments.inputs, *filter(None, [arguments.json]))
-    with Progress(quiet=arguments.quiet) as progress, _naming_flags():
+    flags = {name: _flag(name) for name in defaults.COMPARED}
+    with Progress(quiet=arguments.quiet) as progress, naming_flags(**flags):
         comparison = compare(
             arguments.inputs,
             options,
@@ -148,18 +147,6 @@ def _show_progress(progress: Progress, at: comparison.Progress) -> None:
     elif progress.is_live:
         values = at.iteration
         progress.stage(f"{at.stage}: iter {values['iteration']}  cost {values['cost']:.4e}")
-
-
-@contextmanager
-def _naming_flags() -> Iterator[None]:
-    """Let an InputError about an option that is compared name its flag here."""
-    try:
-        yield
-    except InputError as error:
-        name, _, rest = str(error).partition(":")
-        if name in defaults.COMPARED:
-            raise InputError(f"{_flag(name)}:{rest}") from None
-        raise
 
 
 def _flag(name: str) -> str:

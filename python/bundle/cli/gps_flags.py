@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bundle.cli.option_flags import choice_word
+from bundle.cli.option_flags import choice_word, naming_flags
 from bundle.cli.parser import a_path
 from bundle.errors import InputError, brief
 from bundle.options import LOSSES, SolveOptions
@@ -18,6 +16,7 @@ if TYPE_CHECKING:
     from bundle.problem import Problem
 
 __all__ = [
+    "GPS_FLAGS",
     "add_gps_flags",
     "antenna",
     "check_georeference",
@@ -29,7 +28,7 @@ __all__ = [
 
 FILE = "georeference.json"
 
-_FLAGS = {
+GPS_FLAGS = {
     "gps": "--gps",
     "images": "--images",
     "gps_sigma": "--gps-sigma",
@@ -39,6 +38,10 @@ _FLAGS = {
 }
 
 
+NAMED = {**GPS_FLAGS, "priors": "--gps"}
+"""Of the arguments of ``gps_priors``, and of a solve's priors, which `refine` made of positions."""
+
+
 def add_gps_flags(parser: argparse.ArgumentParser) -> None:
     """Add the flags of ``bundle.georeference.gps_priors``."""
     group = parser.add_argument_group(
@@ -46,6 +49,12 @@ def add_gps_flags(parser: argparse.ArgumentParser) -> None:
         "The model is first moved into metres east, north, up about the middle of the positions, "
         f"and stays there. {FILE} in OUTPUT, or beside it if it is a file, says where that is.",
     )
+    add_position_flags(group)
+    add_loss_flags(group, "the positions")
+
+
+def add_position_flags(group: argparse._ArgumentGroup) -> None:
+    """Add the flags that say what the positions are."""
     group.add_argument(
         "--gps",
         metavar="exif|FILE",
@@ -71,13 +80,17 @@ def add_gps_flags(parser: argparse.ArgumentParser) -> None:
         help="place of the antenna in the frame of the camera, right, down, forward, in metres "
         "(default: 0,0,0)",
     )
+
+
+def add_loss_flags(group: argparse._ArgumentGroup, what: str) -> None:
+    """Add the flags of the loss of positions, or of what else stands in a help text."""
     words = [choice_word(name) for name in LOSSES]
     group.add_argument(
         "--prior-loss",
         metavar="NAME",
         choices=words,
         type=choice_word,
-        help="robust loss of the positions: tukey and arctan give up on gross errors, the others "
+        help=f"robust loss of {what}: tukey and arctan give up on gross errors, the others "
         f"keep pulling (one of {', '.join(words)}; default: trivial)",
     )
     group.add_argument(
@@ -85,7 +98,7 @@ def add_gps_flags(parser: argparse.ArgumentParser) -> None:
         metavar="X",
         type=float,
         help="length of a residual in standard deviations at which it bends (default: 2.7955, "
-        "which 5 %% of good positions exceed)",
+        "which 5 %% of good ones exceed)",
     )
 
 
@@ -95,7 +108,7 @@ def check_gps_flags(arguments: argparse.Namespace, options: SolveOptions) -> Non
     Raises:
         InputError: a flag that needs another one.
     """
-    for name, flag in _FLAGS.items():
+    for name, flag in GPS_FLAGS.items():
         if arguments.gps is None and getattr(arguments, name) is not None:
             raise InputError(f"{flag}: expected with --gps only, found without")
     if arguments.gps is None:
@@ -130,22 +143,8 @@ def priors_given(arguments: argparse.Namespace, problem: Problem) -> GpsPriors |
     }
     if arguments.antenna is not None:
         settings["antenna"] = antenna(arguments.antenna)
-    with naming_gps_flags():
+    with naming_flags(**NAMED):
         return gps_priors(problem, arguments.gps, **settings)
-
-
-@contextmanager
-def naming_gps_flags() -> Iterator[None]:
-    """Let an InputError about an argument of ``gps_priors`` name its flag."""
-    try:
-        yield
-    except InputError as error:
-        name, colon, rest = str(error).partition(":")
-        if name == "priors":  # those of a solve, which this command made of the positions
-            name = "gps"
-        if name not in _FLAGS:
-            raise
-        raise InputError(f"{_FLAGS[name]}{colon}{rest}") from None
 
 
 def georeference_path(path: str, format: str) -> Path:

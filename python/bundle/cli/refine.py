@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.gps_flags import add_gps_flags, check_gps_flags
+from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags
 from bundle.cli.option_flags import (
     add_options,
     naming_flags,
@@ -88,7 +88,6 @@ def run(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.gps_flags import (
         check_georeference,
-        naming_gps_flags,
         priors_given,
         write_georeference,
     )
@@ -134,8 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
             if wrong:
                 return EXIT_NO_SOLUTION
         progress.stage("building the problem")
-        flags = naming_flags(SolveOptions, RoundOptions, **ARGUMENTS)
-        with flags, naming_gps_flags():
+        with naming_flags(SolveOptions, RoundOptions, **ARGUMENTS, **NAMED):
             solved = solve_rounds(
                 problem,
                 options,
