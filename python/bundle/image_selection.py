@@ -11,10 +11,10 @@ import numpy as np
 from bundle.errors import InputError, brief
 from bundle.problem import Problem
 
-__all__ = ["ImageSelection", "find_images"]
+__all__ = ["MOST_IDS", "ImageSelection", "find_images", "id_range"]
 
 MOST_IDS = 10_000_000
-"""Ids that a range may hold: a slip must not fill the memory."""
+"""Ids that a list may hold: a slip in a range must not fill the memory."""
 
 ImageSelection = str | Iterable[int | str]
 """A list such as "1,5-9,left/*.jpg", or its entries one by one."""
@@ -62,19 +62,32 @@ def _ids(argument: str, entry: Any) -> Iterable[int] | None:
         return (int(entry),)
     if not isinstance(entry, str):
         raise InputError(f"{argument}: expected ids or names of images, found {brief(entry)}")
-    first, dash, last = (piece.strip() for piece in entry.partition("-"))
+    try:
+        ids = id_range(entry)
+    except ValueError as error:
+        raise InputError(f"{argument}: {error}") from None
+    if ids is not None and ids.stop - ids.start > MOST_IDS:  # len() ends at 2^63 - 1
+        raise InputError(f"{argument}: expected at most {MOST_IDS} ids, found {entry!r}")
+    return ids
+
+
+def id_range(text: str) -> range | None:
+    """Return the ids that "5" or "5-9" names, None for other text.
+
+    Raises:
+        ValueError: the range ends before it starts.
+    """
+    first, dash, last = (piece.strip() for piece in text.partition("-"))
     if not _is_id(first) or (dash and not _is_id(last)):
         return None
     low, high = int(first), int(last) if dash else int(first)
     if high < low:
-        raise InputError(f"{argument}: the range {entry!r} ends before it starts")
-    if high - low >= MOST_IDS:
-        raise InputError(f"{argument}: expected at most {MOST_IDS} ids, found {entry!r}")
+        raise ValueError(f"the range {text.strip()!r} ends before it starts")
     return range(low, high + 1)
 
 
 def _is_id(text: str) -> bool:
-    return text.isascii() and text.isdigit() and len(text) < 20
+    return text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 2**63
 
 
 def _named(argument: str, problem: Problem, pattern: str) -> list[int]:

@@ -10,7 +10,7 @@ import pytest
 
 import bundle
 from bundle.cli.error_lines import describe_error
-from bundle.cli.option_flags import MOST_IDS
+from bundle.image_selection import MOST_IDS
 from tests.cli.conftest import command, environment
 from tests.figures import in_order
 from tests.scenes import scene
@@ -122,6 +122,8 @@ def test_folder_that_is_no_model(run, tmp_path):
         (["refine", "IN", "-o", "OUT", "--fix-images", "9-5"], ["--fix-images", "9-5"]),
         (["refine", "IN", "-o", "OUT", "--fix-images", "1,,2"], ["--fix-images"]),
         (["refine", "IN", "-o", "OUT", "--fix-points", "0-99999999999"], [str(MOST_IDS)]),
+        (["refine", "IN", "-o", "OUT", "--fix-points", f"0-{2**63 - 1}"], [str(MOST_IDS)]),
+        (["refine", "IN", "-o", "OUT", "--only-images", f"0-{2**63 - 1}"], [str(MOST_IDS)]),
         (["refine", "IN", "-o", "OUT", "--fix-points", "9" * 50], ["--fix-points"]),
         (["refine", "IN", "-o", "OUT", "--fix-images", "77"], ["--fix-images:", "77"]),
         (["refine", "IN", "-o", "OUT", "--format", "ply"], ["--format", "ply"]),

@@ -59,7 +59,7 @@ def add_position_flags(group: argparse._ArgumentGroup) -> None:
         "--gps",
         metavar="exif|FILE",
         type=a_path,
-        help="measured positions as priors: exif: what the images themselves say; FILE: "
+        help="measured positions; exif: what the images themselves say; FILE: "
         "OpenDroneMap's geo.txt (default: none)",
     )
     group.add_argument(

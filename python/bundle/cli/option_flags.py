@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bundle.errors import InputError
-from bundle.image_selection import find_images
+from bundle.image_selection import MOST_IDS, find_images, id_range
 
 if TYPE_CHECKING:
     from bundle.options import SolveOptions
@@ -27,9 +27,6 @@ __all__ = [
 ]
 
 Options = TypeVar("Options")
-
-MOST_IDS = 10_000_000
-"""Ids that a list may hold: a slip in a range must not fill the memory."""
 
 
 def add_options(
@@ -116,17 +113,17 @@ def parse_ids(text: str) -> tuple[int, ...]:
     """
     ids: set[int] = set()
     for part in text.split(","):
-        first, dash, last = (piece.strip() for piece in part.partition("-"))
-        if not _is_id(first) or (dash and not _is_id(last)):
+        try:
+            more = id_range(part)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+        if more is None:
             raise argparse.ArgumentTypeError(
                 f"expected ids and ranges such as 1,2,5-9, found {text!r}"
             )
-        low, high = int(first), int(last) if dash else int(first)
-        if high < low:
-            raise argparse.ArgumentTypeError(f"the range {part.strip()!r} ends before it starts")
-        if high - low >= MOST_IDS - len(ids):
+        if more.stop - more.start > MOST_IDS - len(ids):  # len() ends at 2^63 - 1
             raise argparse.ArgumentTypeError(f"expected at most {MOST_IDS} ids, found {text!r}")
-        ids.update(range(low, high + 1))
+        ids.update(more)
     return tuple(sorted(ids))
 
 
@@ -139,10 +136,6 @@ def parse_images(text: str) -> tuple[int, ...] | str:
     parts = [part.strip() for part in text.split(",")]
     numeric = all(part.replace("-", "").strip().isdigit() for part in parts)
     return parse_ids(text) if numeric or not all(parts) else text
-
-
-def _is_id(text: str) -> bool:
-    return text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 2**63
 
 
 def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -> None:
