@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from bundle.graph import Factor
     from bundle.graph.problem_factors import ProblemFactors
 
-__all__ = ["Progress", "Solver", "resolve_defaults", "solve"]
+__all__ = ["Progress", "Solver", "place_at_priors", "resolve_defaults", "settle", "solve"]
 
 
 def solve(
@@ -105,8 +105,8 @@ def solve(
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
-    start, factors, similarity = _placed(problem, factors, priors, align)
-    options, known, limits = _settle(start, options, factors, bounds)
+    start, factors, similarity = place_at_priors(problem, factors, priors, align)
+    options, known, limits = settle(start, options, factors, bounds)
     given = None if known is None else known.core()
     output = _core.solve(start, options.asdict(), progress, limits, given)
     return _result(problem, options, output, limits, similarity)
@@ -155,7 +155,7 @@ class Solver(Displayed):
         problem = as_problem(problem)
         options = SolveOptions.of(options, changes, "Solver")
         self._problem = problem
-        self._options, known, self._limits = _settle(problem, options, factors, bounds)
+        self._options, known, self._limits = settle(problem, options, factors, bounds)
         self._factors = () if known is None else known.factors
         given = None if known is None else known.core()
         self._core = _core.Solver(problem, self._options.asdict(), self._limits, given)
@@ -283,7 +283,7 @@ def _result(
     )
 
 
-def _placed(
+def place_at_priors(
     problem: Problem,
     factors: Iterable[Factor],
     priors: Iterable[PositionPrior],
@@ -311,7 +311,7 @@ def _placed(
     return problem, [*factors, *known.factors()], similarity
 
 
-def _settle(
+def settle(
     problem: Problem,
     options: SolveOptions,
     factors: Iterable[Factor],

@@ -204,15 +204,13 @@ double CameraFactors::Slope(const CameraStates& cameras, const double* points,
       row += of.unknown.size();
     }
   }
-  const std::vector<int> xyz = {0, 1, 2};
   for (const OfPoint& of : of_points_) {
     const double* const point = points + 3 * int64_t{of.point};
     linearize(of.factor, &point);
     const double* const d = points_step + 3 * int64_t{of.point};
-    const std::vector<double> point_step(d, d + 3);
     const double* row = jacobian.data();
     for (const double r : residual) {
-      slope += r * Along(row, xyz, point_step);
+      slope += r * (row[0] * d[0] + row[1] * d[1] + row[2] * d[2]);
       row += 3;
     }
   }

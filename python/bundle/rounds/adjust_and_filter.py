@@ -113,7 +113,7 @@ def solve_rounds(
         if align:
             raise InputError("align: expected without only_images, which leave the rest in place")
         align = False
-    start, factors, similarity = solver._placed(given, factors, priors, align)
+    start, factors, similarity = solver.place_at_priors(given, factors, priors, align)
     factors = _listed(factors)
     used = options
     part = None

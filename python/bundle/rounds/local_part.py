@@ -18,11 +18,12 @@ from bundle.errors import InputError
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.round_record import PartRecord
+from bundle.rounds.filtering import subset
 
 if TYPE_CHECKING:
     from bundle.graph import Factor
 
-__all__ = ["LocalPart"]
+__all__ = ["LocalPart", "touched_ids"]
 
 _Indices = NDArray[np.int64]
 
@@ -54,7 +55,7 @@ class LocalPart:
         images[whole.observation_image[self._observations]] = True
         points, refined_cameras = seen.copy(), np.zeros(whole.num_cameras, bool)
         refined_cameras[whole.image_camera[named]] = True
-        touched = _touched(factors)
+        touched = touched_ids(factors)
         images |= np.isin(whole.image_ids, touched["image"])
         points |= np.isin(whole.point_ids, touched["point"])
         cameras = np.isin(whole.camera_ids, touched["camera"])
@@ -124,8 +125,6 @@ class LocalPart:
         stays = np.ones(whole.num_points, bool)
         stays[self._points] = False
         stays[self._points[points]] = True
-        from bundle.rounds.filtering import subset
-
         return subset(values, left, stays)
 
     def _extract(self) -> Problem:
@@ -155,7 +154,7 @@ class LocalPart:
         )
 
 
-def _touched(factors: Iterable[Factor]) -> dict[str, list[int]]:
+def touched_ids(factors: Iterable[Factor]) -> dict[str, list[int]]:
     """Return the ids of the variables of factors by kind."""
     touched: dict[str, list[int]] = {"image": [], "camera": [], "point": []}
     keys: list[Any] = [key for factor in factors for key in factor.keys]

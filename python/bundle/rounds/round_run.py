@@ -18,6 +18,7 @@ from bundle.result import Result
 from bundle.round_record import Round
 from bundle.rounds.checkpoint import State, check_target, read, write
 from bundle.rounds.filtering import Filtered, filter_observations
+from bundle.rounds.local_part import touched_ids
 from bundle.rounds.round_options import RoundOptions
 from bundle.rounds.segments import num_steps, solve_in_segments
 from bundle.solve_record import Progress
@@ -70,7 +71,7 @@ class RoundRun:
         check_target(path)
         self._path, self._fingerprint, self._interval = path, fingerprint, interval
         if resume is not None and resume.exists():
-            used, _, _ = solver._settle(self._start, self._options, self._factors, self._bounds)
+            used, _, _ = solver.settle(self._start, self._options, self._factors, self._bounds)
             self._state = read(resume, self._start, used, fingerprint)
 
     def to_the_end(self) -> tuple[State, Result]:
@@ -133,8 +134,7 @@ def _filter_adjusted(
     problem: Problem, limits: RoundOptions, options: SolveOptions, factors: Iterable[Factor]
 ) -> Filtered:
     """Filter what a round has adjusted; points that are known otherwise stay."""
-    keys: list[Any] = [key for factor in factors for key in factor.keys]
-    known = {key[1] for key in keys if key[0] == "point"}
+    known = touched_ids(factors)["point"]
     return filter_observations(
         problem,
         limits.max_error,
