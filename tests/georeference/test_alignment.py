@@ -169,6 +169,30 @@ def test_horizontal_targets_count_without_their_height():
     assert aligned.suspects == ()
 
 
+def test_positions_count_by_their_sigmas_horizontal_and_vertical():
+    problem, cameras = block(1).problem, block(1).cameras
+    frame = LocalFrame(47.0, 11.0, 500.0)
+    noise = np.random.default_rng(4).normal(size=(9, 3)) * [1, 1, 3]
+    accuracy = np.full((9, 2), np.nan)
+    accuracy[2] = 3.0, 0.05
+    geodetic = frame.to_geodetic(cameras + noise)
+    gps = GpsPositions(problem.image_names, geodetic, accuracy, "EPSG:4326", "test")
+    aligned = align(problem, gps=gps, gps_sigma=(0.1, 10))
+    target = aligned.origin.to_enu(geodetic)
+    sigmas = np.tile([0.1, 0.1, 10.0], (9, 1))
+    sigmas[2] = 3.0, 3.0, 0.05
+
+    def residual(x):
+        turned = Rotation.from_rotvec(x[1:4]).apply(problem.projection_centers)
+        return ((np.exp(x[0]) * turned + x[4:] - target) / sigmas).ravel()
+
+    similarity = aligned.similarity
+    turn = Rotation.from_matrix(similarity.rotation).as_rotvec()
+    found = np.r_[np.log(similarity.scale), turn, similarity.translation]
+    best = least_squares(residual, found, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    assert 0.5 * np.sum(residual(found) ** 2) == pytest.approx(best.cost, rel=1e-9)
+
+
 def test_measured_positions_place_a_model_with_their_lever_arm():
     flight = block(1)
     lever = np.array([0.4, -0.3, 0.2])
