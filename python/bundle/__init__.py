@@ -6,11 +6,12 @@ TYPE_CHECKING = False  # as of typing, whose import takes longer than all that i
 if TYPE_CHECKING:
     from typing import Any
 
-    from bundle import georeference, html, losses, pictures, warning_kinds
+    from bundle import constraints, georeference, html, losses, pictures, warning_kinds
     from bundle._core import __version__
     from bundle.cameras import camera_models, project
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
+    from bundle.constraints import Constraints
     from bundle.errors import InputError
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
         PriorFactor,
         RelativePoseFactor,
         ReprojectionFactor,
+        ScalarPriorFactor,
     )
     from bundle.headers import get_include
     from bundle.inspection import (
@@ -47,6 +49,7 @@ __all__ = [
     "Alignment",
     "BetweenFactor",
     "Comparison",
+    "Constraints",
     "Description",
     "FactorGraph",
     "Filtered",
@@ -67,6 +70,7 @@ __all__ = [
     "ReprojectionError",
     "ReprojectionFactor",
     "Result",
+    "ScalarPriorFactor",
     "SceneOptions",
     "SolveOptions",
     "Solver",
@@ -78,6 +82,7 @@ __all__ = [
     "check_gradients",
     "check_jacobians",
     "compare",
+    "constraints",
     "describe",
     "filter_observations",
     "georeference",
@@ -102,6 +107,7 @@ _DEFERRED = {
     "cameras": ("camera_models", "project"),
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
+    "constraints": ("Constraints",),
     "errors": ("InputError",),
     "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (
@@ -114,6 +120,7 @@ _DEFERRED = {
         "PriorFactor",
         "RelativePoseFactor",
         "ReprojectionFactor",
+        "ScalarPriorFactor",
     ),
     "headers": ("get_include",),
     "inspection": (

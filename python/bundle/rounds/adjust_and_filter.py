@@ -24,8 +24,12 @@ from bundle.solve_record import Progress
 from bundle.words import plural
 
 if TYPE_CHECKING:
+    from bundle.constraint_record import RuleEnd
+    from bundle.constraints import Constraints, Rule
+    from bundle.constraints.applied import Applied
     from bundle.georeference import PositionPrior
     from bundle.graph import Factor
+    from bundle.problem import Problem
 
 __all__ = ["solve_rounds"]
 
@@ -43,6 +47,7 @@ def solve_rounds(
     priors: Iterable[PositionPrior] = (),
     align: bool | None = None,
     bounds: Bounds | None = None,
+    constraints: Constraints | Iterable[str | Rule] = (),
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_interval: int = CHECKPOINT_INTERVAL,
     resume: str | os.PathLike[str] | None = None,
@@ -76,6 +81,9 @@ def solve_rounds(
         priors: measured positions of images, as in :func:`bundle.solve`.
         align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
         bounds: of camera parameters, as in :func:`bundle.solve`.
+        constraints: rules, as in :func:`bundle.solve`. What they say of the start they say of the
+            start of the first round. With ``only_images`` a parameter that is shared with a camera
+            outside of the part is held.
         checkpoint: file that is replaced, whole or not at all, after each round and each
             ``checkpoint_interval`` iterations, so that a run that was killed can go on. The solver
             starts anew from what the file holds, whether the run is killed or not: with the option
@@ -113,15 +121,22 @@ def solve_rounds(
         if align:
             raise InputError("align: expected without only_images, which leave the rest in place")
         align = False
-    start, factors, similarity = solver.place_at_priors(given, factors, priors, align)
+    placed, factors, similarity = solver.place_at_priors(given, factors, priors, align)
     factors = _listed(factors)
-    used = options
     part = None
     if only_images is not None:
-        part = LocalPart(given, find_images("only_images", given, only_images), factors)
-        start, used, bounds = part.problem, part.options(options), part.bounds(bounds)
+        named = find_images("only_images", given, only_images)
+        part = LocalPart(given, named, factors)
+    start, used, applied = solver.constrained(
+        placed, options, constraints, None if part is None else part.refined_ids
+    )
+    if part is not None:
+        if start is not given:
+            part = LocalPart(start, named, factors)
+        start, used, bounds = part.problem, part.options(used), part.bounds(bounds)
+        applied = None if applied is None else applied.restricted(start)
         check_observed(part)
-    run = RoundRun(start, used, limits, factors, bounds, progress)
+    run = RoundRun(start, used, limits, factors, bounds, progress, applied)
     if checkpoint is not None or resume is not None:
         fingerprint = {
             "input": digest(given),
@@ -129,7 +144,9 @@ def solve_rounds(
             **limits.asdict(),
             "checkpoint_interval": interval,
             "only_images": None if part is None else part.named_ids,
-            "factors and bounds": digest_of_pickle((factors, bounds)),
+            "factors and bounds": digest_of_pickle(
+                (factors, bounds, applied and dataclasses.replace(applied, rules=()))
+            ),
         }
         run.keep(checkpoint, resume, fingerprint, interval)
     state, result = run.to_the_end()
@@ -144,8 +161,15 @@ def solve_rounds(
         options=result.options if part is None else restored(result.options, options),
         rounds=state.rounds,
         similarity=similarity,
+        constraints=() if applied is None else _rule_ends(applied, placed, state.problem),
         part=None if part is None else part.record,
     )
+
+
+def _rule_ends(applied: Applied, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
+    from bundle.constraints.ends import rule_ends
+
+    return rule_ends(applied, before, after)
 
 
 def digest_of_pickle(value: Any) -> str:
