@@ -88,10 +88,17 @@ struct ColmapIndex {
     std::array<double, kMaxCameraParams> params{};
     ColmapSpan params_span;
   };
+  /// sensor_from_rig, where it is known.
+  struct SensorPose {
+    bool is_known = false;
+    std::array<double, 7> pose{};
+    ColmapSpan span{};
+  };
   struct Rig {
     uint32_t id;
     uint64_t at;
-    std::vector<Sensor> sensors;
+    std::vector<Sensor> sensors{};    ///< the reference sensor first
+    std::vector<SensorPose> poses{};  ///< of each sensor; not known of the reference sensor
   };
   struct Datum {
     Sensor sensor;
