@@ -43,10 +43,15 @@ def extended() -> pycolmap.Reconstruction:
 def moved(problem: Problem, seed: int = 0) -> Problem:
     """Return the problem as a solve might, with other frames, sensors, points and parameters."""
     rng = np.random.default_rng(seed)
+
+    def near(poses: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+        poses = poses + rng.normal(0, 1e-3, poses.shape)
+        poses[:, :4] /= np.linalg.norm(poses[:, :4], axis=1, keepdims=True)
+        return poses
+
     return problem.replace(
-        rig_from_world=problem.rig_from_world + rng.normal(0, 1e-3, problem.rig_from_world.shape),
-        sensor_from_rig=problem.sensor_from_rig
-        + rng.normal(0, 1e-3, problem.sensor_from_rig.shape),
+        rig_from_world=near(problem.rig_from_world),
+        sensor_from_rig=near(problem.sensor_from_rig),
         points=problem.points + rng.normal(0, 1e-3, problem.points.shape),
         camera_params=problem.camera_params * (1 + 1e-3),
     )

@@ -78,17 +78,11 @@ def remove_cameras(reconstruction: pycolmap.Reconstruction, camera_ids: set[int]
 
 
 def remove_images(reconstruction: pycolmap.Reconstruction, image_ids: set[int]) -> None:
-    """Remove images that observe no point any more, and frames that have no other image."""
+    """Remove images that observe no point any more, with their frames: all images of each."""
     for image_id in sorted(image_ids):
-        image = reconstruction.image(image_id)
-        frame = reconstruction.frame(image.frame_id)
-        others = [datum for datum in frame.data_ids if datum != image.data_id]
-        if any(datum.sensor_id.type == pycolmap.SensorType.CAMERA for datum in others):
-            frame.clear_data_ids()
-            for datum in others:
-                frame.add_data_id(datum)
-        else:
-            _remove_frame(reconstruction, image.frame_id)
+        frame_id = reconstruction.image(image_id).frame_id
+        if frame_id in reconstruction.frames:
+            _remove_frame(reconstruction, frame_id)
         del reconstruction.images[image_id]
 
 

@@ -19,7 +19,15 @@ from bundle.errors import InputError
 from bundle.io.rigs import cameras_of, is_trivial
 from bundle.problem import Problem
 
-__all__ = ["check_rigs", "fits", "reframed", "rigid3d", "taken_apart", "write_poses"]
+__all__ = [
+    "check_rigs",
+    "fits",
+    "reframed",
+    "rigid3d",
+    "taken_apart",
+    "without_parts_of_frames",
+    "write_poses",
+]
 
 MAX_ID = 2**32 - 2
 
@@ -74,6 +82,8 @@ def fits(source: pycolmap.Reconstruction, problem: Problem) -> bool:
 def write_poses(reconstruction: pycolmap.Reconstruction, problem: Problem) -> None:
     """Write where frames and sensors are, of rigs that fit."""
     for frame_id, pose in zip(problem.frame_ids.tolist(), problem.rig_from_world, strict=True):
+        if frame_id not in reconstruction.frames:
+            continue  # none of its images is in the problem
         frame = reconstruction.frame(frame_id)
         is_registered = frame.has_pose()
         frame.rig_from_world = rigid3d(pose)
@@ -87,6 +97,33 @@ def write_poses(reconstruction: pycolmap.Reconstruction, problem: Problem) -> No
     ):
         sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
         reconstruction.rigs[rig_id].set_sensor_from_rig(sensor, rigid3d(pose))
+
+
+def without_parts_of_frames(
+    reconstruction: pycolmap.Reconstruction, image_ids: set[int]
+) -> tuple[pycolmap.Reconstruction, set[int]]:
+    """Remove images, which observe no point any more, from frames that have others.
+
+    Returns:
+        The reconstruction, another one where there are such frames, as pycolmap's frames cannot
+        lose an image; and the images that are left to be removed, with their frames.
+    """
+    partial = {
+        frame_id
+        for frame_id, frame in reconstruction.frames.items()
+        if 0 < sum(datum.id in image_ids for datum in frame.image_ids) < len(list(frame.image_ids))
+    }
+    gone = {i for i in image_ids if reconstruction.image(i).frame_id in partial}
+    if not gone:
+        return reconstruction, image_ids
+    result = _with_cameras(reconstruction)
+    for _, rig in sorted(reconstruction.rigs.items()):
+        result.add_rig(rig)
+    for frame_id, frame in sorted(reconstruction.frames.items()):
+        data = [datum for datum in frame.data_ids if not (_is_image(datum) and datum.id in gone)]
+        images = [reconstruction.image(datum.id) for datum in data if _is_image(datum)]
+        _add_frame(result, frame_id, frame.rig_id, frame.rig_from_world, images, data)
+    return _with_points(result, reconstruction), image_ids - gone
 
 
 def taken_apart(reconstruction: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
@@ -182,14 +219,16 @@ def _add_frame(
     reconstruction: pycolmap.Reconstruction,
     frame_id: int,
     rig_id: int,
-    pose: pycolmap.Rigid3d,
+    pose: pycolmap.Rigid3d | None,
     images: list[pycolmap.Image],
+    data: list[pycolmap.data_t] | None = None,
 ) -> None:
     frame = pycolmap.Frame()
     frame.frame_id, frame.rig_id = frame_id, rig_id
-    for image in images:
-        frame.add_data_id(image.data_id)
-    frame.rig_from_world = pose
+    for datum in [image.data_id for image in images] if data is None else data:
+        frame.add_data_id(datum)
+    if pose is not None:
+        frame.rig_from_world = pose
     reconstruction.add_frame(frame)
     for image in images:
         copy = pycolmap.Image(image.name, image.points2D, image.camera_id, image.image_id)
@@ -197,6 +236,10 @@ def _add_frame(
             copy.reset_point3D_for_point2D(int(keypoint))
         copy.frame_id = frame_id
         reconstruction.add_image(copy)
+
+
+def _is_image(datum: pycolmap.data_t) -> bool:
+    return bool(datum.sensor_id.type == pycolmap.SensorType.CAMERA)
 
 
 def _with_points(

@@ -24,7 +24,15 @@ from bundle.io.frames import Rigs, remove_cameras, remove_images
 from bundle.io.observation_edits import Baseline, ObservationEdits, find_edits
 from bundle.io.problem_source import is_source
 from bundle.io.reconstruction import baseline_of
-from bundle.io.rig_edits import check_rigs, fits, reframed, rigid3d, taken_apart, write_poses
+from bundle.io.rig_edits import (
+    check_rigs,
+    fits,
+    reframed,
+    rigid3d,
+    taken_apart,
+    without_parts_of_frames,
+    write_poses,
+)
 from bundle.problem import Problem
 from bundle.rig_arrays import rig_of_image
 
@@ -66,7 +74,9 @@ def write_back(problem: Problem) -> tuple[pycolmap.Reconstruction, ObservationEd
     if not has_same_rigs:
         reconstruction = taken_apart(reconstruction)
     _detach(reconstruction, problem, baseline, edits)
-    remove_images(reconstruction, set(baseline.image_ids.tolist()) - _set(problem.image_ids))
+    gone = set(baseline.image_ids.tolist()) - _set(problem.image_ids)
+    reconstruction, gone = without_parts_of_frames(reconstruction, gone)
+    remove_images(reconstruction, gone)
     _write_cameras(reconstruction, problem)
     framed = has_same_rigs & (rig_of_image(problem) >= 0)
     _write_images(reconstruction, problem, edits, framed, has_source=source is not None)
