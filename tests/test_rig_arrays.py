@@ -122,7 +122,8 @@ def test_poses_that_contradict_the_rigs_are_refused():
     poses = problem.cam_from_world.copy()
     poses[3, 4] += 1e-3
     with pytest.raises(
-        InputError, match=r"^image 4: .*sensor_from_rig \* rig_from_world of frame 2"
+        InputError,
+        match=r"^cam_from_world: image 4: .*sensor_from_rig \* rig_from_world of frame 2",
     ):
         problem.replace(cam_from_world=poses)
     poses[3, 4] = problem.cam_from_world[3, 4] * (1 + 1e-7)

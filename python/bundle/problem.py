@@ -165,6 +165,7 @@ class Problem(Displayed):
             model: choice("camera_models", model, known) for model in dict.fromkeys(models)
         }
         object.__setattr__(self, "camera_models", tuple(canonical[model] for model in models))
+        rig_arrays.settle(self)
         _core.validate(self)
         _check_values(self)
         rig_arrays.check(self)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bundle.arrays import filled, freeze
 from bundle.errors import InputError
-from bundle.rotations import quaternion_multiply, quaternion_rotate
+from bundle.rotations import quaternion_multiply, quaternion_rotate, rotation_matrices
 
 if TYPE_CHECKING:
     from bundle.problem import Problem
@@ -33,6 +33,7 @@ __all__ = [
     "reference_cameras",
     "rig_of_image",
     "sensor_names",
+    "settle",
 ]
 
 _Poses = NDArray[np.float64]
@@ -50,7 +51,14 @@ DTYPES: dict[str, type] = {
 }
 """The fields of a problem that are about rigs, in an order in which their defaults are known."""
 
+TOLERANCE = 1e-6
+"""Difference of a pose from that of its rig: in entries of the rotation, and of the translation
+relative to the larger one of frame and sensor. The poses of rigs count; this is what files round
+away."""
 
+
+# What is wrong with a pose is told by who checks it.
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def compose(sensor_from_rig: _Poses, rig_from_world: _Poses) -> _Poses:
     """Return (n, 7) poses of the cameras of (n, 7) sensors on rigs at (n, 7) poses."""
     sensor, frame = _unit(sensor_from_rig), _unit(rig_from_world)
@@ -98,6 +106,8 @@ def recomputed_poses(problem: Problem, changes: Mapping[str, Any]) -> _Poses | N
         moved = _differ(before, after)
     except (TypeError, ValueError, IndexError):
         return None  # the new problem says what is wrong with its arrays
+    if not np.isfinite(poses).all():
+        return None
     return np.where(moved[:, None], poses, problem.cam_from_world)
 
 
@@ -123,11 +133,37 @@ def default(problem: Problem, name: str) -> NDArray[Any]:
     return filled((0,), 0, DTYPES[name])
 
 
+def settle(problem: Problem) -> None:
+    """Drop rows of -1 where there are no frames to refer to.
+
+    Raises:
+        InputError: there are sensors or rows of sensors, but no frames.
+    """
+    if len(problem.rig_from_world):
+        return
+    if len(problem.sensor_from_rig):
+        raise InputError(
+            f"sensor_from_rig: expected no sensors where there are no frames, "
+            f"found {len(problem.sensor_from_rig)}"
+        )
+    for name in ("image_frame", "image_sensor"):
+        rows = getattr(problem, name)
+        if rows.shape not in ((0,), (problem.num_images,)):
+            raise InputError(f"{name}: expected shape ({problem.num_images},), found {rows.shape}")
+        if (rows != -1).any():
+            bad = int(np.argmax(rows != -1))
+            raise InputError(
+                f"{name}: image {problem.image_ids[bad]}: expected -1 as there are no frames, "
+                f"found {rows[bad]}"
+            )
+        object.__setattr__(problem, name, filled((0,), 0, np.int32))
+
+
 def check(problem: Problem) -> None:
     """Check what the core does not look at: that frames, sensors and rigs belong together.
 
     Raises:
-        InputError: sensors without a frame, rigs that do not fit the sensors of their frames, a
+        InputError: rigs that do not fit the sensors of their frames, a
             sensor with two images in a frame, a rig with two reference cameras.
     """
     if len(problem.frame_rig_ids) != problem.num_frames:
@@ -136,12 +172,6 @@ def check(problem: Problem) -> None:
             f"found {problem.frame_rig_ids.shape}"
         )
     if problem.num_frames == 0:
-        if problem.num_sensors:
-            raise InputError(
-                f"sensor_from_rig: expected no sensors where there are no frames, "
-                f"found {problem.num_sensors}"
-            )
-        _check_absent(problem)
         return
     if not problem.num_sensors and (problem.image_sensor != -1).any():
         bad = int(np.argmax(problem.image_sensor != -1))
@@ -162,6 +192,7 @@ def check(problem: Problem) -> None:
         )
     _check_once(problem, images)
     _check_references(problem, images, rig)
+    _check_poses(problem, images)
 
 
 def rig_of_image(problem: Problem) -> NDArray[np.int64]:
@@ -240,19 +271,28 @@ def _rigs_of_frames(problem: Problem) -> NDArray[np.int64]:
     return rig
 
 
-def _check_absent(problem: Problem) -> None:
-    """Check that nothing refers to frames, of which there are none, and drop rows of -1."""
-    for name in ("image_frame", "image_sensor"):
-        rows = getattr(problem, name)
-        if rows.shape not in ((0,), (problem.num_images,)):
-            raise InputError(f"{name}: expected shape ({problem.num_images},), found {rows.shape}")
-        if (rows != -1).any():
-            bad = int(np.argmax(rows != -1))
-            raise InputError(
-                f"{name}: image {problem.image_ids[bad]}: expected -1 as there are no frames, "
-                f"found {rows[bad]}"
-            )
-        object.__setattr__(problem, name, filled((0,), 0, np.int32))
+def _check_poses(problem: Problem, images: Any) -> None:
+    """Check that images are where their rigs say, as closely as files are rounded."""
+    names = ("cam_from_world", "image_frame", "image_sensor", "rig_from_world", "sensor_from_rig")
+    expected = placed({name: getattr(problem, name) for name in names})[images]
+    given = problem.cam_from_world[images]
+    turned = np.abs(rotation_matrices(given[:, :4]) - rotation_matrices(expected[:, :4]))
+    turn = turned.max(axis=(1, 2))
+    shift = np.abs(given[:, 4:] - expected[:, 4:]).max(axis=1)
+    size = np.abs(problem.rig_from_world[problem.image_frame[images], 4:]).max(axis=1)
+    sensor = problem.image_sensor[images]
+    on_arm = np.flatnonzero(sensor >= 0)
+    arms = np.abs(problem.sensor_from_rig[sensor[on_arm], 4:]).max(axis=1)
+    size[on_arm] = np.maximum(size[on_arm], arms)
+    wrong = ~((turn <= TOLERANCE) & (shift <= TOLERANCE * size))
+    if wrong.any():
+        bad = int(np.argmax(wrong))
+        frame = problem.frame_ids[problem.image_frame[images[bad]]]
+        raise InputError(
+            f"cam_from_world: image {problem.image_ids[images[bad]]}: expected sensor_from_rig * "
+            f"rig_from_world of frame {frame}, found a rotation that differs by {turn[bad]:.3g} "
+            f"and a translation that differs by {shift[bad]:.3g}"
+        )
 
 
 def _check_once(problem: Problem, images: Any) -> None:
