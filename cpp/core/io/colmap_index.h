@@ -209,6 +209,11 @@ void CheckCameraSize(const ModelFile& file, uint64_t position, const std::string
 void CheckImageName(const ModelFile& file, uint64_t position, const std::string& subject,
                     std::string_view name);
 
+/// "camera 3".
+inline std::string RecordName(const char* kind, uint64_t id) {
+  return kind + (" " + std::to_string(id));
+}
+
 /// The shortest decimal number that reads back as `value`.
 std::string FormatNumber(double value);
 

@@ -17,8 +17,6 @@
 namespace bundle {
 namespace {
 
-std::string Name(const char* kind, uint64_t id) { return kind + (" " + std::to_string(id)); }
-
 /// Whether the only camera of a rig is its reference sensor.
 bool IsTrivial(const ColmapIndex::Rig& rig) {
   return std::none_of(
@@ -75,9 +73,10 @@ class RigFinder {
       };
       const int64_t count = std::count_if(images.begin(), images.end(), same);
       if (count > 1) {
-        index_.frames_file.Fail(
-            frame.at, Name("frame", frame.id) + ": expected at most one image of " +
-                          Name("camera", datum.sensor.id) + ", found " + std::to_string(count));
+        index_.frames_file.Fail(frame.at, RecordName("frame", frame.id) +
+                                              ": expected at most one image of " +
+                                              RecordName("camera", datum.sensor.id) + ", found " +
+                                              std::to_string(count));
       }
     }
     return images;
@@ -125,10 +124,10 @@ class RigFinder {
     const ColmapIndex::Rig& rig = index_.rigs[framed.rig];
     const ColmapIndex::Image& taken =
         index_.images[model_.images_by_id[static_cast<size_t>(image.row)]];
-    index_.rigs_file.Fail(rig.at, Name("rig", rig.id) + ": expected the pose of " +
-                                      Name("camera", rig.sensors[image.sensor].id) +
-                                      " on the rig, as it took " + Name("image", taken.id) +
-                                      " of " + Name("frame", index_.frames[framed.frame].id) +
+    index_.rigs_file.Fail(rig.at, RecordName("rig", rig.id) + ": expected the pose of " +
+                                      RecordName("camera", rig.sensors[image.sensor].id) +
+                                      " on the rig, as it took " + RecordName("image", taken.id) +
+                                      " of " + RecordName("frame", index_.frames[framed.frame].id) +
                                       ", found none");
   }
 
