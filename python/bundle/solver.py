@@ -321,12 +321,6 @@ def settle(
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None,
 ) -> tuple[SolveOptions, ProblemFactors | None, CameraBounds | None]:
     """Check factors and bounds, and fill in the options."""
-    if problem.num_frames:
-        raise InputError(
-            "problem: expected images with poses of their own, "
-            f"found {plural(problem.num_frames, 'frame')} of rigs of several sensors, "
-            "which cannot be refined yet; Problem.without_rigs() takes the rigs apart"
-        )
     known = _problem_factors(problem, factors)
     if known is not None and known.locate and options.gauge == "auto":
         options = options.replace(gauge="none")
