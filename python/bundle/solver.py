@@ -28,7 +28,18 @@ if TYPE_CHECKING:
     from bundle.graph.problem_factors import ProblemFactors
     from bundle.placement import Prior
 
-__all__ = ["Progress", "Solver", "resolve_defaults", "settle", "solve", "with_priors"]
+__all__ = [
+    "STATE",
+    "Progress",
+    "Solver",
+    "resolve_defaults",
+    "settle",
+    "solve",
+    "with_priors",
+]
+
+# What a solve gives back of a problem; the poses of rigs only where there are some.
+STATE = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
 
 
 def solve(
@@ -282,7 +293,7 @@ def _result(
     output: dict[str, Any],
     limits: CameraBounds | None = None,
 ) -> Result:
-    refined = problem._moved(output["cam_from_world"], output["camera_params"], output["points"])
+    refined = problem._moved(**{name: output[name] for name in STATE if name in output})
     return Result(
         problem=refined,
         initial_problem=problem,
@@ -315,6 +326,12 @@ def settle(
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None,
 ) -> tuple[SolveOptions, ProblemFactors | None, CameraBounds | None]:
     """Check factors and bounds, and fill in the options."""
+    if problem.num_frames:
+        raise InputError(
+            "problem: expected images with poses of their own, "
+            f"found {plural(problem.num_frames, 'frame')} of rigs of several sensors, "
+            "which cannot be refined yet; Problem.without_rigs() takes the rigs apart"
+        )
     known = _problem_factors(problem, factors)
     if known is not None and known.locate and options.gauge == "auto":
         options = options.replace(gauge="none")
