@@ -141,7 +141,7 @@ def test_cameras_that_differ(changes, found):
 
 def test_spheres_of_one_size_are_shared():
     problem = make_problem(num_images=2, model="EQUIRECTANGULAR")
-    with pytest.raises(InputError, match="camera 1: .*same w and h"):
+    with pytest.raises(InputError, match=r"camera 1: .*same w and h"):
         bundle.share_cameras(problem)
     params = problem.camera_params[[0, 0]]
     shared = bundle.share_cameras(problem.replace(camera_params=params))

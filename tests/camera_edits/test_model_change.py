@@ -59,7 +59,7 @@ def test_a_fit_is_as_near_as_it_says(old, new, worst):
     assert (change.exact, change.converged, change.num_without_ray) == (False, True, 0)
     assert (change.old_model, change.new_model) == (old, new)
     assert change.num_observations == problem.num_observations
-    # By bisection-free means: rays of pixels by the old model, the tests' formula of the new one.
+    # Rays of the pixels by the old model, pixels of these by the tests' formula of the new one.
     rays, _ = pixel_rays(old, problem.camera_params[0], problem.observation_xy)
     params = changed.problem.camera_params[0]
     assert list(change.after.values()) == params.tolist()
@@ -182,13 +182,13 @@ def test_a_fisheye_that_sees_too_much():
     ("old", "new"), [("EQUIRECTANGULAR", "PINHOLE"), ("PINHOLE", "EQUIRECTANGULAR")]
 )
 def test_the_sphere_is_no_lens(old, new):
-    with pytest.raises(InputError, match="camera 1: .*EQUIRECTANGULAR"):
+    with pytest.raises(InputError, match=r"camera 1: .*EQUIRECTANGULAR"):
         bundle.change_camera_model(make_problem(model=old), new)
 
 
 def test_misuse():
     problem = scene()
-    with pytest.raises(InputError, match="model: .*did you mean OPENCV"):
+    with pytest.raises(InputError, match=r"model: .*did you mean OPENCV"):
         bundle.change_camera_model(problem, "OPENC")
     with pytest.raises(InputError, match="camera_ids: there is no camera 77"):
         bundle.change_camera_model(problem, "OPENCV", camera_ids=[0, 77])

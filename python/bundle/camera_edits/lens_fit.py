@@ -8,10 +8,10 @@ by Levenberg and Marquardt's method with the columns scaled by their norms (Marq
     [J; sqrt(lambda) D] step = [-r; 0],
 
 by orthogonal factorisation: polynomials of a high degree are too ill-conditioned for the normal
-equations. Of [J r] only the triangle R of its factor QR is needed for that. A lens that is symmetric
-about its axis is nearest to one that is so too: then the principal point and the coefficients of
-the others stay. Models differ most in how far from linear they are at their neutral parameters, where
-derivatives may vanish, so that a fit starts from several lenses and the best one counts.
+equations. Of [J r] only the triangle R of its factor QR is needed for that. A lens that is
+symmetric about its axis is nearest to one that is so too: then the principal point and the
+coefficients of the others stay. Some models are far from linear, or have derivatives that vanish,
+at their neutral parameters, so that a fit starts from several lenses and the best one counts.
 """
 
 from __future__ import annotations
@@ -183,5 +183,5 @@ def _linearized(
         cost = float(residual @ residual)
     if not (params[focal] > 0).all() or not np.isfinite(cost) or not np.isfinite(system).all():
         return np.inf, system
-    triangle: NDArray[np.float64] = np.linalg.qr(system, mode="r")
+    triangle: NDArray[np.float64] = np.asarray(np.linalg.qr(system, mode="r"))
     return cost, triangle
