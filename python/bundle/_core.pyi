@@ -81,6 +81,8 @@ class ColmapModel:
         camera_params: NDArray[np.float64],
         points: NDArray[np.float64],
         point_errors: NDArray[np.float64],
+        rig_from_world: NDArray[np.float64],
+        sensor_from_rig: NDArray[np.float64],
     ) -> None: ...
 
 def read_colmap_model(folder: str | bytes) -> tuple[ColmapModel, dict[str, Any]]: ...

@@ -26,7 +26,10 @@ if TYPE_CHECKING:
     from bundle.graph import Factor
     from bundle.graph.problem_factors import ProblemFactors
 
-__all__ = ["Progress", "Solver", "place_at_priors", "resolve_defaults", "settle", "solve"]
+__all__ = ["STATE", "Progress", "Solver", "place_at_priors", "resolve_defaults", "settle", "solve"]
+
+# What a solve gives back of a problem; the poses of rigs only where there are some.
+STATE = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
 
 
 def solve(
@@ -270,7 +273,7 @@ def _result(
     limits: CameraBounds | None = None,
     similarity: Similarity | None = None,
 ) -> Result:
-    refined = problem._moved(output["cam_from_world"], output["camera_params"], output["points"])
+    refined = problem._moved(**{name: output[name] for name in STATE if name in output})
     return Result(
         problem=refined,
         initial_problem=problem,
@@ -318,6 +321,12 @@ def settle(
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None,
 ) -> tuple[SolveOptions, ProblemFactors | None, CameraBounds | None]:
     """Check factors and bounds, and fill in the options."""
+    if problem.num_frames:
+        raise InputError(
+            "problem: expected images with poses of their own, "
+            f"found {plural(problem.num_frames, 'frame')} of rigs of several sensors, "
+            "which cannot be refined yet; Problem.without_rigs() takes the rigs apart"
+        )
     known = _problem_factors(problem, factors)
     if known is not None and known.locate and options.gauge == "auto":
         options = options.replace(gauge="none")

@@ -199,6 +199,7 @@ def losses(problem: Problem) -> tuple[str, ...]:
             offset > 0,
             f"Principal points, up to {offset:g} px, are subtracted from the observations.",
         ),
+        (problem.num_frames, "Rigs are taken apart: each image gets a pose of its own."),
         (any(problem.image_names), "Names of images are left out."),
         (renumbered, f"Ids are renumbered from 0: {', '.join(renumbered)}."),
         (problem.camera_sizes[problem.image_camera].any(), "Sizes of images are left out."),

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core, address_space
+from bundle import _core, address_space, rig_arrays
 from bundle.deferred_source import DeferredSource
 from bundle.errors import InputError, first_line
 from bundle.io.interrupts import interrupts_deferred
@@ -40,6 +40,12 @@ _SHARED_ARRAYS = (
     "observation_point",
     "observation_keypoint",
     "observation_xy",
+    "frame_ids",
+    "frame_rig_ids",
+    "image_frame",
+    "image_sensor",
+    "sensor_rig_ids",
+    "sensor_camera_ids",
 )
 _SHARED_NAMES = ("image_names", "camera_models")
 
@@ -59,6 +65,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
         found = "something else" if folder.exists() else "nothing"
         raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
     model, fields = _core.read_colmap_model(os.fsencode(folder))
+    fields["cam_from_world"] = rig_arrays.placed(fields)
     source = DeferredSource(model, fields, partial(_reconstruction, folder, fields))
     try:
         return Problem(**fields, format="colmap", source=source)
@@ -125,6 +132,8 @@ def rewrite(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
         problem.camera_params,
         problem.points,
         _point_errors(problem)[:, None],
+        problem.rig_from_world,
+        problem.sensor_from_rig,
     )
     return () if binary else lost_in_text(problem)
 
