@@ -103,6 +103,17 @@ PYTHON_MAY_IMPORT = {
     "image_selection": {"errors", "problem"},
     "round_record": set(),
     "camera_changes": {"cameras", "result"},
+    "camera_edits": {
+        "arguments",
+        "cameras",
+        "display",
+        "errors",
+        "io",
+        "option_fields",
+        "problem",
+        "reprojection",
+        "words",
+    },
     "io": {
         "_core",
         "address_space",
@@ -277,6 +288,7 @@ PYTHON_MAY_IMPORT = {
     "report": {
         "_core",
         "camera_changes",
+        "camera_edits",
         "display",
         "checking",
         "comparison",
