@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.parser import add_input, add_output
+from bundle.cli.parser import add_input, add_output, add_rig_config, with_rigs
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -17,6 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
     add_input(parser)
     add_output(parser, "output")
+    add_rig_config(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -32,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.json, arguments.input, path)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
-        problem = load(arguments.input)
+        problem = with_rigs(load(arguments.input), arguments.rig_config)
         output = {
             "path": path,
             "format": output_format(problem, path, arguments.format, arguments.input),

@@ -16,7 +16,7 @@ from bundle.cli.option_flags import (
     options_given,
     with_named_images,
 )
-from bundle.cli.parser import a_path, add_input, add_output
+from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, with_rigs
 from bundle.options import SolveOptions
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
 
@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "bundle refine INPUT -o OUTPUT [options]"
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
+    add_rig_config(parser)
     add_options(parser, SolveOptions, "options of the solve")
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
     add_gps_flags(parser)
@@ -110,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         begun = perf_counter()
-        problem = load(source)
+        problem = with_rigs(load(source), arguments.rig_config)
         load_time = perf_counter() - begun
         if problem.num_observations == 0:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")

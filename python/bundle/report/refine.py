@@ -11,8 +11,10 @@ from bundle.camera_changes import CameraChange, camera_changes
 from bundle.errors import shown
 from bundle.options import SolveOptions
 from bundle.problem import Problem
+from bundle.report.rig_tables import rig_fact, sensor_table
 from bundle.report.timing import WallTime, wall_table
 from bundle.result import Result
+from bundle.sensor_changes import sensor_changes
 from bundle.summary import Summary, sizes
 from bundle.tables import (
     Columns,
@@ -51,6 +53,7 @@ def refinement(
     rows = [
         ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
+        *rig_fact(problem),
         ("refined", _refined(solved.options)),
         *_part(solved),
         ("backend", _backend(summary)),
@@ -73,6 +76,7 @@ def refinement(
         "",
         *_positions(georeference),
         *_cameras(camera_changes(solved)),
+        *sensor_table(sensor_changes(solved)),
         *worst_table(solved.worst_images, "worst images, after"),
         facts([("outcome", outcome(solved))]),
         *notes(summary.warnings, style="yellow"),
