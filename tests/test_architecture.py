@@ -105,6 +105,17 @@ PYTHON_MAY_IMPORT = {
     "camera_changes": {"cameras", "result"},
     "sensor_changes": {"result", "rotations"},
     "rig_config": {"arguments", "cameras", "errors", "problem", "rig_arrays", "rotations"},
+    "camera_edits": {
+        "arguments",
+        "cameras",
+        "display",
+        "errors",
+        "io",
+        "option_fields",
+        "problem",
+        "reprojection",
+        "words",
+    },
     "io": {
         "_core",
         "address_space",
@@ -279,6 +290,7 @@ PYTHON_MAY_IMPORT = {
     "report": {
         "_core",
         "camera_changes",
+        "camera_edits",
         "display",
         "checking",
         "comparison",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags
+from bundle.cli.lens_flags import add_lens_flags, cameras_edited
 from bundle.cli.option_flags import (
     add_options,
     naming_flags,
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, SolveOptions, "options of the solve")
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
     add_gps_flags(parser)
+    add_lens_flags(parser)
     parser.add_argument(
         "--only-images",
         metavar="IMAGES",
@@ -111,10 +113,13 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         begun = perf_counter()
-        problem = with_rigs(load(source), arguments.rig_config)
+        loaded = load(source)
         load_time = perf_counter() - begun
-        if problem.num_observations == 0:
+        if loaded.num_observations == 0:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")
+        edits = cameras_edited(arguments, loaded)
+        problem = loaded if edits is None else edits.problem
+        problem = with_rigs(problem, arguments.rig_config)
         options = with_named_images(options, arguments, problem)
         output = {
             "path": target,
@@ -169,8 +174,8 @@ def run(arguments: argparse.Namespace) -> int:
         more["only_images"] = arguments.only_images
     more |= checkpoints
     if arguments.json != "-":
-        show(*refinement(source, problem, solved, wall, written, lost, georeference))
-    report = json.refinement(source, problem, solved, wall, written, more, georeference)
+        show(*refinement(source, loaded, solved, wall, written, lost, georeference, edits))
+    report = json.refinement(source, loaded, solved, wall, written, more, georeference, edits)
     write_json(arguments.json, report)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE

@@ -20,11 +20,13 @@ from bundle.result import Result
 from bundle.sensor_changes import sensor_changes
 
 if TYPE_CHECKING:
+    from bundle.camera_edits import CameraEdits
     from bundle.georeference import Georeference
     from bundle.statistics import Description
 
 __all__ = [
     "SCHEMA",
+    "camera_edits",
     "conversion",
     "dumps",
     "heading",
@@ -96,6 +98,7 @@ def refinement(
     output: dict[str, str] | None,
     more_options: Mapping[str, Any] | None = None,
     georeference: Georeference | None = None,
+    edits: CameraEdits | None = None,
 ) -> dict[str, Any]:
     """Return the report of `bundle refine`; `output` is None where nothing was written.
 
@@ -107,6 +110,7 @@ def refinement(
     place = {} if georeference is None else {"georeference": plain(georeference.asdict())}
     return {
         **heading("refine", path, problem),
+        **camera_edits(edits),
         **about,
         **(plain(rounds) if solved.rounds else {}),
         **({"part": plain(dataclasses.asdict(solved.part))} if solved.part else {}),
@@ -124,10 +128,24 @@ def _sensors(solved: Result) -> Any:
 
 
 def conversion(
-    path: str, problem: Problem, output: dict[str, str], lost: tuple[str, ...]
+    path: str,
+    problem: Problem,
+    output: dict[str, str],
+    lost: tuple[str, ...],
+    edits: CameraEdits | None = None,
 ) -> dict[str, Any]:
     """Return the report of `bundle convert`."""
-    return {**heading("convert", path, problem), "output": output, "lost": list(lost)}
+    return {
+        **heading("convert", path, problem),
+        **camera_edits(edits),
+        "output": output,
+        "lost": list(lost),
+    }
+
+
+def camera_edits(edits: CameraEdits | None) -> dict[str, Any]:
+    """Return the part on cameras that were changed before anything else, if they were."""
+    return {} if edits is None else {"camera_edits": plain(edits.asdict())}
 
 
 def information(path: str, problem: Problem, description: Description) -> dict[str, Any]:
