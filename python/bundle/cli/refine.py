@@ -17,7 +17,7 @@ from bundle.cli.option_flags import (
     options_given,
     with_named_images,
 )
-from bundle.cli.parser import a_path, add_input, add_output
+from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, with_rigs
 from bundle.options import SolveOptions
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
 
@@ -43,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "bundle refine INPUT -o OUTPUT [options]"
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
+    add_rig_config(parser)
     add_options(parser, SolveOptions, "options of the solve")
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
     add_gps_flags(parser)
@@ -118,6 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")
         edits = cameras_edited(arguments, loaded)
         problem = loaded if edits is None else edits.problem
+        problem = with_rigs(problem, arguments.rig_config)
         options = with_named_images(options, arguments, problem)
         output = {
             "path": target,
