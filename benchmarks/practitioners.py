@@ -1,11 +1,11 @@
 """What practitioners' inputs cost a step: position priors, a rig, and a round of filtering.
 
 Each run is a process of its own, ours and pycolmap's in turn, from the same start: the model with
-GPS is first put where its positions are, by bundle, and written for both. Both minimise the same
-cost, over poses, points, focal lengths and distortion: the reprojection error and, with priors, the
-squared distance of the camera centres from the positions in standard deviations. Sensors of a rig
-are held on it; the gauge is free, or decided by the priors. Of a filter, the time of
-``bundle.filter_observations`` after the solve counts, over that of a step.
+GPS is first put where its positions are, by bundle, disturbed, and written for both. Both minimise
+the same cost, over poses, points, focal lengths and distortion: the reprojection error and, with
+priors, the squared distance of the camera centres from the positions in standard deviations.
+Sensors of a rig are held on it; the gauge is free, or decided by the priors. Of a filter, the time
+of ``bundle.filter_observations`` after the solve counts, over that of a step.
 
 Run: python -m benchmarks.practitioners [--repeat N] [--threads N]
 """
