@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from bundle.problem import Problem
     from bundle.reprojection import ReprojectionError, reprojection_errors
     from bundle.result import Result
+    from bundle.rig_config import apply_rig_config
     from bundle.rounds import Filtered, filter_observations, solve_rounds
     from bundle.solver import Solver, solve
     from bundle.statistics import Description, describe
@@ -83,6 +84,7 @@ __all__ = [
     "SyntheticScene",
     "__version__",
     "align",
+    "apply_rig_config",
     "camera_models",
     "change_camera_model",
     "check_gradients",
@@ -147,6 +149,7 @@ _DEFERRED = {
     "problem": ("Problem",),
     "reprojection": ("ReprojectionError", "reprojection_errors"),
     "result": ("Result",),
+    "rig_config": ("apply_rig_config",),
     "rounds": ("Filtered", "filter_observations", "solve_rounds"),
     "solver": ("Solver", "solve"),
     "statistics": ("Description", "describe"),

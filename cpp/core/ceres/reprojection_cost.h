@@ -32,8 +32,9 @@ struct ReprojectionContext {
   const std::atomic<bool>* abandoned = nullptr;
 };
 
-/// The residual of one observation as Ceres sees it. Its parameter blocks are, in this order and as
-/// far as they are free: the point, the image's block, the shared camera's block.
+/// The residual of one observation, divided by its sigma, as Ceres sees it. Its parameter blocks
+/// are, in this order and as far as they are free: the point, the image's block, the shared
+/// camera's block.
 ///
 /// Camera parameters are read from `context.states`, not from the parameters: an EvaluationCallback
 /// keeps the two equal. The model is one of the registry's and known.

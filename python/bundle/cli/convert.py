@@ -6,7 +6,7 @@ import argparse
 
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.lens_flags import add_lens_flags, cameras_edited
-from bundle.cli.parser import add_input, add_output
+from bundle.cli.parser import add_input, add_output, add_rig_config, with_rigs
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -18,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
     add_input(parser)
     add_output(parser, "output")
+    add_rig_config(parser)
     add_lens_flags(parser)
 
 
@@ -37,6 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
         problem = load(arguments.input)
         edits = cameras_edited(arguments, problem)
         edited = problem if edits is None else edits.problem
+        edited = with_rigs(edited, arguments.rig_config)
         output = {
             "path": path,
             "format": output_format(edited, path, arguments.format, arguments.input),

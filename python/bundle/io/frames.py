@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pycolmap
 
-from bundle.io.rigs import cameras_of, is_trivial
+from bundle.io.colmap_rigs import cameras_of, is_trivial
 
 __all__ = ["Rigs", "remove_cameras", "remove_images"]
 

@@ -21,8 +21,8 @@ from bundle import rig_arrays
 from bundle.arguments import check_type
 from bundle.cameras import camera_models
 from bundle.errors import InputError
+from bundle.io.colmap_rigs import as_row, rigs_of
 from bundle.io.observation_edits import Baseline
-from bundle.io.rigs import as_row, rigs_of
 from bundle.problem import Problem
 
 __all__ = ["baseline_of", "from_pycolmap", "problem_of", "remember"]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from bundle import rig_arrays
 from bundle.errors import InputError
-from bundle.io.rigs import cameras_of, is_trivial
+from bundle.io.colmap_rigs import cameras_of, is_trivial
 from bundle.problem import Problem
 
 __all__ = [

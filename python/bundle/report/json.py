@@ -17,6 +17,7 @@ from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report.timing import WallTime
 from bundle.result import Result
+from bundle.sensor_changes import sensor_changes
 
 if TYPE_CHECKING:
     from bundle.camera_edits import CameraEdits
@@ -54,8 +55,15 @@ def heading(command: str, path: str, problem: Problem) -> dict[str, Any]:
             "num_images": problem.num_images,
             "num_points": problem.num_points,
             "num_observations": problem.num_observations,
+            **_rig_counts(problem),
         },
     }
+
+
+def _rig_counts(problem: Problem) -> dict[str, int]:
+    """Return the counts of rigs of several sensors; nothing where there are none."""
+    names = ("num_rigs", "num_frames", "num_sensors") if problem.num_frames else ()
+    return {name: getattr(problem, name) for name in names}
 
 
 def several(command: str, reports: list[dict[str, Any]]) -> dict[str, Any]:
@@ -107,11 +115,16 @@ def refinement(
         **(plain(rounds) if solved.rounds else {}),
         **({"part": plain(dataclasses.asdict(solved.part))} if solved.part else {}),
         "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
+        **({"sensors": _sensors(solved)} if problem.num_frames else {}),
         "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),
         **place,
         "wall_time": plain(dataclasses.asdict(wall)),
         "output": output,
     }
+
+
+def _sensors(solved: Result) -> Any:
+    return plain([dataclasses.asdict(change) for change in sensor_changes(solved)])
 
 
 def conversion(

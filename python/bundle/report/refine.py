@@ -12,8 +12,10 @@ from bundle.errors import shown
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report.camera_edit_rows import edit_rows
+from bundle.report.rig_tables import rig_fact, sensor_table
 from bundle.report.timing import WallTime, wall_table
 from bundle.result import Result
+from bundle.sensor_changes import sensor_changes
 from bundle.summary import Summary, sizes
 from bundle.tables import (
     Columns,
@@ -55,6 +57,7 @@ def refinement(
         ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
         *edit_rows(edits),
+        *rig_fact(problem),
         ("refined", _refined(solved.options)),
         *_part(solved),
         ("backend", _backend(summary)),
@@ -77,6 +80,7 @@ def refinement(
         "",
         *_positions(georeference),
         *_cameras(camera_changes(solved)),
+        *sensor_table(sensor_changes(solved)),
         *worst_table(solved.worst_images, "worst images, after"),
         facts([("outcome", outcome(solved))]),
         *notes((*(edits.warnings if edits else ()), *summary.warnings), style="yellow"),
