@@ -51,6 +51,24 @@ int Count(const py::handle& problem, const char* name) {
   return static_cast<int>(size);
 }
 
+/// Rigs of several sensors; a problem without `rig_from_world` has none.
+void ViewRigs(const py::handle& problem, bundle::ProblemView* view) {
+  if (!py::hasattr(problem, "rig_from_world")) return;
+  view->num_frames = Count(problem, "rig_from_world");
+  view->num_sensors = Count(problem, "sensor_from_rig");
+  view->rig_from_world = Data<double>(problem, "rig_from_world", {-1, 7});
+  view->sensor_from_rig = Data<double>(problem, "sensor_from_rig", {-1, 7});
+  // Without rigs, nothing reads them and they may be empty.
+  if (view->num_frames > 0 || view->num_sensors > 0) {
+    view->image_frame = Data<int32_t>(problem, "image_frame", {view->num_images});
+    view->image_sensor = Data<int32_t>(problem, "image_sensor", {view->num_images});
+  }
+  view->frame_ids = Data<int64_t>(problem, "frame_ids", {view->num_frames});
+  view->frame_rig_ids = Data<int64_t>(problem, "frame_rig_ids", {view->num_frames});
+  view->sensor_rig_ids = Data<int64_t>(problem, "sensor_rig_ids", {view->num_sensors});
+  view->sensor_camera_ids = Data<int64_t>(problem, "sensor_camera_ids", {view->num_sensors});
+}
+
 }  // namespace
 
 bundle::ProblemView ViewProblem(const py::handle& problem) {
@@ -63,6 +81,7 @@ bundle::ProblemView ViewProblem(const py::handle& problem) {
   view.cam_from_world = Data<double>(problem, "cam_from_world", {-1, 7});
   view.image_ids = Data<int64_t>(problem, "image_ids", {view.num_images});
   view.image_camera = Data<int32_t>(problem, "image_camera", {view.num_images});
+  ViewRigs(problem, &view);
   view.camera_ids = Data<int64_t>(problem, "camera_ids", {view.num_cameras});
   view.camera_params = Data<double>(problem, "camera_params", {-1, -1});
   view.camera_params_stride =
@@ -73,6 +92,9 @@ bundle::ProblemView ViewProblem(const py::handle& problem) {
   view.observation_image = Data<int32_t>(problem, "observation_image", {view.num_observations});
   view.observation_point = Data<int32_t>(problem, "observation_point", {view.num_observations});
   view.observation_xy = Data<double>(problem, "observation_xy", {-1, 2});
+  if (!problem.attr("observation_sigma").is_none()) {
+    view.observation_sigma = Data<double>(problem, "observation_sigma", {view.num_observations});
+  }
   Data<int32_t>(problem, "observation_keypoint", {view.num_observations});
 
   if (Count(problem, "image_names") != view.num_images) {

@@ -12,7 +12,7 @@ constexpr int kRows = 8;             ///< of a tableau
 constexpr int kTableaux = 5;         ///< before we give up
 constexpr double kRestart = 64;      ///< by which the first step of the next tableau is smaller
 constexpr double kEnough = 1e-10;    ///< relative error that needs no further step
-constexpr double kSafety = 4;        ///< on the estimated error
+constexpr double kErrorSafety = 4;   ///< on the estimated error
 constexpr int kProbes = 4;           ///< smaller steps against which a settled result is held
 constexpr double kNoise = 8;         ///< disagreement that rounding explains, in its estimates
 constexpr double kSameSlopes = 0.1;  ///< relative change of s(h) from scale to scale at a kink
@@ -127,7 +127,7 @@ class Search {
         if (IsPlateau(i)) continue;
         const double change = std::abs(next_[i] - settled.derivative[i]);
         const double explained = settled.uncertainty[i] + settled.curvature[i] * h * h;
-        if (change <= kSafety * explained + kNoise * noise_[i] / h) continue;
+        if (change <= kErrorSafety * explained + kNoise * noise_[i] / h) continue;
         disagreement[i] = std::max(disagreement[i], change);
         is_doubtful = true;
       }
@@ -202,7 +202,7 @@ class Search {
   /// among many differences of noise some agree by chance.
   bool Contradicts(const Estimate& finer, int i) const {
     const double change = std::abs(finer.derivative[i] - best_.derivative[i]);
-    return change > kSafety * finer.spread[i] + finer.uncertainty[i] + best_.uncertainty[i];
+    return change > kErrorSafety * finer.spread[i] + finer.uncertainty[i] + best_.uncertainty[i];
   }
 
   /// With s(h) of the last central difference.
@@ -247,7 +247,8 @@ class Search {
         const double entry = next_[m * n_ + i];
         const double left = next_[(m - 1) * n_ + i], above = table_[(m - 1) * n_ + i];
         const double error =
-            kSafety * std::max(std::abs(entry - left), std::abs(entry - above)) + noise_[i] / h;
+            kErrorSafety * std::max(std::abs(entry - left), std::abs(entry - above)) +
+            noise_[i] / h;
         if (error >= found->uncertainty[i]) continue;
         found->uncertainty[i] = error;
         found->derivative[i] = entry;

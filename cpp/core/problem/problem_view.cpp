@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <set>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/cameras/camera_model.h"
@@ -49,23 +51,68 @@ void CheckIdsUnique(const char* what, const int64_t* ids, int count) {
   if (repeated != sorted.end()) Fail(what, " ", *repeated, ": expected every id once, found twice");
 }
 
+template <typename... Name>
+void CheckPose(const double* pose, const Name&... name) {
+  for (int j = 0; j < 7; ++j) {
+    if (!std::isfinite(pose[j])) Fail(name..., ": expected a finite pose, found ", pose[j]);
+  }
+  const double norm = QuaternionNorm(pose);
+  if (!(norm > 1e-150) || !std::isfinite(norm * norm)) {
+    Fail(name..., ": expected a rotation, found a quaternion of norm ", norm);
+  }
+}
+
 void CheckImages(const ProblemView& problem) {
   for (int i = 0; i < problem.num_images; ++i) {
-    const double* pose = problem.cam_from_world + 7 * static_cast<int64_t>(i);
-    for (int j = 0; j < 7; ++j) {
-      if (!std::isfinite(pose[j])) {
-        Fail("image ", problem.image_ids[i], ": expected a finite pose, found ", pose[j]);
-      }
-    }
-    const double norm = QuaternionNorm(pose);
-    if (!(norm > 1e-150) || !std::isfinite(norm * norm)) {
-      Fail("image ", problem.image_ids[i], ": expected a rotation, found a quaternion of norm ",
-           norm);
-    }
+    CheckPose(problem.cam_from_world + 7 * static_cast<int64_t>(i), "image ", problem.image_ids[i]);
     const int32_t camera = problem.image_camera[i];
     if (camera < 0 || camera >= problem.num_cameras) {
       Fail("image ", problem.image_ids[i], ": expected a camera index below ", problem.num_cameras,
            ", found ", camera);
+    }
+  }
+}
+
+void CheckRigPoses(const ProblemView& problem) {
+  for (int f = 0; f < problem.num_frames; ++f) {
+    CheckPose(problem.rig_from_world + 7 * static_cast<int64_t>(f), "frame ", problem.frame_ids[f]);
+  }
+  for (int s = 0; s < problem.num_sensors; ++s) {
+    CheckPose(problem.sensor_from_rig + 7 * static_cast<int64_t>(s), "sensor_from_rig: rig ",
+              problem.sensor_rig_ids[s], ", camera ", problem.sensor_camera_ids[s]);
+  }
+}
+
+void CheckSensorIds(const ProblemView& problem) {
+  std::set<std::pair<int64_t, int64_t>> sensors;
+  for (int s = 0; s < problem.num_sensors; ++s) {
+    const auto sensor = std::make_pair(problem.sensor_rig_ids[s], problem.sensor_camera_ids[s]);
+    if (sensors.insert(sensor).second) continue;
+    Fail("sensor_from_rig: rig ", sensor.first, ", camera ", sensor.second,
+         ": expected every sensor once, found twice");
+  }
+}
+
+/// The frame and the sensor of each image: in range and of its camera.
+void CheckRigImages(const ProblemView& problem) {
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int32_t frame = problem.num_frames == 0 ? -1 : problem.image_frame[i];
+    const int32_t sensor = problem.num_sensors == 0 ? -1 : problem.image_sensor[i];
+    const int64_t id = problem.image_ids[i];
+    if (frame < -1 || frame >= problem.num_frames) {
+      Fail("image ", id, ": expected a frame index from -1 to ", problem.num_frames - 1, ", found ",
+           frame);
+    }
+    if (sensor < -1 || sensor >= problem.num_sensors) {
+      Fail("image ", id, ": expected a sensor index from -1 to ", problem.num_sensors - 1,
+           ", found ", sensor);
+    }
+    if (sensor < 0) continue;
+    if (frame < 0) Fail("image ", id, ": expected a frame beside its sensor, found none");
+    const int64_t camera = problem.camera_ids[problem.image_camera[i]];
+    if (camera != problem.sensor_camera_ids[sensor]) {
+      Fail("image ", id, ": expected camera ", problem.sensor_camera_ids[sensor],
+           " of its sensor, found camera ", camera);
     }
   }
 }
@@ -123,6 +170,13 @@ void CheckObservations(const ProblemView& problem) {
       Fail("observation ", i, " (image ", problem.image_ids[image], ", point ",
            problem.point_ids[point], "): expected finite pixels, found ", xy[0], " ", xy[1]);
     }
+    if (problem.observation_sigma == nullptr) continue;
+    const double sigma = problem.observation_sigma[i];
+    if (!(sigma > 0) || !std::isfinite(sigma) || !std::isfinite(1 / sigma)) {
+      Fail("observation_sigma: observation ", i, " (image ", problem.image_ids[image], ", point ",
+           problem.point_ids[point], "): expected a finite sigma above 0, in pixels, found ",
+           sigma);
+    }
   }
 }
 
@@ -130,6 +184,7 @@ void CheckObservations(const ProblemView& problem) {
 
 void ValidateState(const ProblemView& problem) {
   CheckImages(problem);
+  CheckRigPoses(problem);
   CheckCameras(problem);
   CheckPoints(problem);
 }
@@ -138,7 +193,10 @@ void ValidateProblem(const ProblemView& problem) {
   CheckIdsUnique("image", problem.image_ids, problem.num_images);
   CheckIdsUnique("camera", problem.camera_ids, problem.num_cameras);
   CheckIdsUnique("point", problem.point_ids, problem.num_points);
+  CheckIdsUnique("frame", problem.frame_ids, problem.num_frames);
+  CheckSensorIds(problem);
   ValidateState(problem);
+  CheckRigImages(problem);
   CheckObservations(problem);
 }
 
@@ -174,6 +232,21 @@ void CheckSameStructure(const ProblemView& expected, const ProblemView& given) {
                  given.camera_model_names.data(), expected.num_cameras);
   CheckSameArray("image_ids", expected.image_ids, given.image_ids, expected.num_images);
   CheckSameArray("image_camera", expected.image_camera, given.image_camera, expected.num_images);
+  CheckSameCount("rig_from_world", expected.num_frames, given.num_frames);
+  CheckSameCount("sensor_from_rig", expected.num_sensors, given.num_sensors);
+  if (expected.num_frames > 0) {
+    CheckSameArray("image_frame", expected.image_frame, given.image_frame, expected.num_images);
+    CheckSameArray("frame_rig_ids", expected.frame_rig_ids, given.frame_rig_ids,
+                   expected.num_frames);
+    CheckSameArray("frame_ids", expected.frame_ids, given.frame_ids, expected.num_frames);
+  }
+  if (expected.num_sensors > 0) {
+    CheckSameArray("image_sensor", expected.image_sensor, given.image_sensor, expected.num_images);
+    CheckSameArray("sensor_rig_ids", expected.sensor_rig_ids, given.sensor_rig_ids,
+                   expected.num_sensors);
+    CheckSameArray("sensor_camera_ids", expected.sensor_camera_ids, given.sensor_camera_ids,
+                   expected.num_sensors);
+  }
   CheckSameArray("camera_ids", expected.camera_ids, given.camera_ids, expected.num_cameras);
   CheckSameArray("point_ids", expected.point_ids, given.point_ids, expected.num_points);
   CheckSameArray("observation_image", expected.observation_image, given.observation_image,

@@ -29,6 +29,22 @@ struct ProblemView {
   const int64_t* image_ids = nullptr;      ///< num_images, for messages
   const int32_t* image_camera = nullptr;   ///< num_images: index of the camera
 
+  /// Rigs of several sensors: an image i with image_frame[i] >= 0 has no pose of its own but that
+  /// of its sensor on its rig, cam_from_world = sensor_from_rig * rig_from_world. Without such rigs
+  /// there are no frames, no sensors and no arrays.
+  int num_frames = 0;  ///< a frame: where a rig is at one time
+  int num_sensors =
+      0;  ///< but for their rigs' reference sensors, whose sensor_from_rig is identity
+  const double* rig_from_world = nullptr;   ///< num_frames x 7, as cam_from_world
+  const double* sensor_from_rig = nullptr;  ///< num_sensors x 7
+  const int32_t* image_frame = nullptr;     ///< num_images: index of the frame; -1: none
+  /// num_images: index of the sensor; -1: the reference sensor, or no frame.
+  const int32_t* image_sensor = nullptr;
+  const int64_t* frame_ids = nullptr;          ///< num_frames, for messages
+  const int64_t* frame_rig_ids = nullptr;      ///< num_frames
+  const int64_t* sensor_rig_ids = nullptr;     ///< num_sensors: a sensor is a rig and a camera
+  const int64_t* sensor_camera_ids = nullptr;  ///< num_sensors
+
   const int64_t* camera_ids = nullptr;            ///< num_cameras, for messages
   std::vector<std::string> camera_model_names;    ///< num_cameras
   std::vector<const CameraModel*> camera_models;  ///< num_cameras; nullptr: a model we do not know
@@ -56,6 +72,8 @@ struct ProblemView {
   const int32_t* observation_image = nullptr;  ///< num_observations
   const int32_t* observation_point = nullptr;  ///< num_observations
   const double* observation_xy = nullptr;      ///< num_observations x 2
+  /// num_observations, pixels: what a solve divides residuals by before the loss; nullptr: 1 each.
+  const double* observation_sigma = nullptr;
 
   const ProblemFactors* factors = nullptr;  ///< beside the observations; nullptr: none
   /// The origin of these arrays' world in that of the factors.
@@ -64,6 +82,10 @@ struct ProblemView {
   const double* ParamsOf(int camera) const {
     return camera_params + static_cast<int64_t>(camera) * camera_params_stride;
   }
+  /// The frame of an image; -1: its pose is its own.
+  int FrameOf(int image) const { return num_frames == 0 ? -1 : image_frame[image]; }
+  /// The sensor of an image; -1: it moves with its frame as it is, or has none.
+  int SensorOf(int image) const { return num_sensors == 0 ? -1 : image_sensor[image]; }
 };
 
 /// Observations grouped by point: those of point p are in images[starts[p]] to images[starts[p + 1]
@@ -83,14 +105,16 @@ std::vector<int64_t> TrackLengths(const ProblemView& problem);
 /// differ. Arrays at the same place are taken for equal.
 void CheckSameStructure(const ProblemView& expected, const ProblemView& given);
 
-/// Checks what a solve changes: poses, camera parameters and points, as ValidateProblem does.
+/// Checks what a solve changes: poses of images, frames and sensors, camera parameters and points,
+/// as ValidateProblem does.
 void ValidateState(const ProblemView& problem);
 
 /// Checks the values of a problem whose arrays have the right sizes.
 ///
 /// Throws InputError at the first value that is not finite, index out of range, repeated id, zero
-/// quaternion, non-positive focal length or parameter row that is too short, naming what has it by
-/// its id. Unknown camera models (nullptr) pass: a function that needs the model throws.
+/// quaternion, non-positive focal length, parameter row that is too short, or sensor of another
+/// camera, naming what has it by its id. Unknown camera models (nullptr) pass: a function that
+/// needs the model throws.
 void ValidateProblem(const ProblemView& problem);
 
 }  // namespace bundle

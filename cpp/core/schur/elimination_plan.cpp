@@ -246,11 +246,13 @@ class Planner {
   void LinkChunks() {
     std::vector<int> last_chunk(images_.rank.size(), -1);
     for (size_t c = 0; c < plan_.chunks.size(); ++c) {
-      for (const int image : plan_.chunks[c].images) {
-        plan_.chunks[c].previous_chunk.push_back(last_chunk[image]);
-        last_chunk[image] = static_cast<int>(c);
+      Chunk& chunk = plan_.chunks[c];
+      for (const int image : chunk.images) {
+        chunk.previous_chunk.push_back(last_chunk[images_.owner[image]]);
       }
+      for (const int image : chunk.images) last_chunk[images_.owner[image]] = static_cast<int>(c);
     }
+    plan_.image_owner = images_.owner;
   }
 
   static constexpr uint16_t kDiagonal = 0xffff;  ///< an image that sees a point twice
@@ -285,6 +287,11 @@ EliminationPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayou
 void TakeMeasurements(const ProblemView& problem, EliminationPlan* plan) {
   for (size_t k = 0; k < plan->observation.size(); ++k) {
     std::copy_n(problem.observation_xy + 2 * int64_t{plan->observation[k]}, 2, &plan->xy[2 * k]);
+  }
+  const bool has_sigmas = problem.observation_sigma != nullptr;
+  plan->inverse_sigma.resize(has_sigmas ? plan->observation.size() : 0);
+  for (size_t k = 0; k < plan->inverse_sigma.size(); ++k) {
+    plan->inverse_sigma[k] = 1 / problem.observation_sigma[plan->observation[k]];
   }
 }
 

@@ -70,8 +70,8 @@ class PairNumbers {
 /// results therefore do not depend on the number of threads.
 ///
 /// Memory: 20 bytes an observation (image and measurement, copied into this order, so that every
-/// pass reads forwards), 2 bytes for its place in the chunk and 2 bytes for every pair of
-/// observations of a point.
+/// pass reads forwards), 8 more where observations have sigmas, 2 bytes for its place in the chunk
+/// and 2 bytes for every pair of observations of a point.
 
 /// Points [first_point, last_point) of the plan. A point that so many images see that its blocks
 /// alone are too many is spread over several chunks, each of which adds the rows of some images.
@@ -85,7 +85,7 @@ struct Chunk {
   /// The images that occur, in the order of their blocks in the layout; block i of the chunk is the
   /// diagonal one of images[i].
   std::vector<int> images;
-  /// Of each image, the last chunk before this one in which it occurs; -1: none.
+  /// Of each image, the last chunk before this one in which one of its owner occurs; -1: none.
   std::vector<int> previous_chunk;
   /// Blocks images.size() and up: pairs of indices into `images`, the first the smaller.
   struct Pair {
@@ -103,13 +103,15 @@ struct EliminationPlan {
   /// Of each observation; within a point in the order of the images' blocks in the layout, then
   /// images with nothing to refine.
   std::vector<int32_t> image;
-  std::vector<double> xy;            ///< two of each observation
-  std::vector<int32_t> observation;  ///< of each: its index in the problem; empty unless asked for
+  std::vector<double> xy;             ///< two of each observation
+  std::vector<double> inverse_sigma;  ///< one of each observation; empty where the problem has none
+  std::vector<int32_t> observation;   ///< of each: its index in the problem; empty unless asked for
   std::vector<uint16_t> image_in_chunk;  ///< of each observation: index into Chunk::images
   /// Of each pair of observations i < j of a free point, i slowest, whose images have something to
   /// refine: the chunk's block.
   std::vector<uint16_t> pair_block;
   std::vector<Chunk> chunks;
+  std::vector<int> image_owner;  ///< ImageOrder::owner
 
   int num_points() const { return static_cast<int>(point.size()); }
   int64_t num_observations() const { return static_cast<int64_t>(image.size()); }
@@ -141,6 +143,9 @@ struct ImageOrder {
   /// Place of each image: refined ones in the order of their blocks, which S likes best, then the
   /// others.
   std::vector<int> rank;
+  /// Of each image: the first of those whose poses are in the same block, which are next to each
+  /// other in the order. Itself, but for images of a rig.
+  std::vector<int> owner;
 };
 
 ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout);

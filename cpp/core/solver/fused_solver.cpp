@@ -73,8 +73,9 @@ void FusedSolver::ChooseSolver() {
   CheckTrustRegion(options_);
   Warn(WarningKind::kPreconditionerNotUsed, FindIdlePreconditioner(options_), &warnings_);
   RefuseTooMuchMemory(options_.linear_solver_type, shape, /*cameras_eliminated=*/false);
-  working_bytes_ = PredictFusedWorkingBytes(
-      layout_, track_lengths_, EffectiveNumThreads(options_.num_threads), BufferBytes());
+  working_bytes_ =
+      PredictFusedWorkingBytes(layout_, track_lengths_, problem_.observation_sigma != nullptr,
+                               EffectiveNumThreads(options_.num_threads), BufferBytes());
   track_lengths_ = {};
   RefuseTooMuchMemory(working_bytes_);
   if (options_.preconditioner_type == PreconditionerType::kAuto) {
@@ -181,6 +182,8 @@ ProgressCallback FusedSolver::AddFixedCost(const ProgressCallback& progress) con
 void FusedSolver::CollectState(SolveOutput* output) {
   const CameraStates& cameras = schur_->cameras();
   output->cam_from_world = cameras.CamFromWorld();
+  output->rig_from_world = cameras.RigFromWorld();
+  output->sensor_from_rig = cameras.SensorFromRig();
   output->camera_params = cameras.camera_params();
   output->points = schur_->Points();
 }

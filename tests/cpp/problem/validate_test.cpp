@@ -121,6 +121,44 @@ TEST(ValidateProblem, FindsWhatIsNoRotation) {
   for (const double size : {1e-100, 1.0, -5.0, 1e100}) EXPECT_EQ(quaternion(size), "") << size;
 }
 
+std::string ComplaintOfRigsAfter(const std::function<void(Scene*)>& damage) {
+  SceneOptions options;
+  options.num_images = 6;
+  options.num_points = 4;
+  Scene scene = MakeScene(options);
+  testing::MakeRigs(2, 0.3, /*last_alone=*/true, &scene);
+  damage(&scene);
+  return Complaint(scene.View());
+}
+
+TEST(ValidateProblem, FindsWhatIsNoRig) {
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene*) {}), "");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_frame[1] = 2; }),
+            "image 3: expected a frame index from -1 to 1, found 2");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_frame[1] = -2; }),
+            "image 3: expected a frame index from -1 to 1, found -2");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_sensor[1] = 1; }),
+            "image 3: expected a sensor index from -1 to 0, found 1");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_sensor[1] = -2; }),
+            "image 3: expected a sensor index from -1 to 0, found -2");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_frame[1] = -1; }),
+            "image 3: expected a frame beside its sensor, found none");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->image_camera[3] = 0; }),
+            "image 7: expected camera 103 of its sensor, found camera 101");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->frame_ids[1] = 31; }),
+            "frame 31: expected every id once, found twice");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->rig_from_world[12] = kNan; }),
+            "frame 33: expected a finite pose, found nan");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) { s->sensor_from_rig[4] = kInf; }),
+            "sensor_from_rig: rig 7, camera 103: expected a finite pose, found inf");
+  EXPECT_EQ(ComplaintOfRigsAfter([](Scene* s) {
+              for (int j = 0; j < 7; ++j) s->sensor_from_rig.push_back(s->sensor_from_rig[j]);
+              s->sensor_rig_ids.push_back(7);
+              s->sensor_camera_ids.push_back(103);
+            }),
+            "sensor_from_rig: rig 7, camera 103: expected every sensor once, found twice");
+}
+
 TEST(ValidateProblem, FindsWhatIsNoLens) {
   for (const double focal : {0.0, -0.0, -800.0}) {
     EXPECT_EQ(ComplaintAfter([&](Scene* s) {

@@ -34,6 +34,14 @@ struct Scene {
   std::vector<int32_t> observation_image;
   std::vector<int32_t> observation_point;
   std::vector<double> observation_xy;
+  std::vector<double> rig_from_world;  ///< empty without rigs, as are all below
+  std::vector<double> sensor_from_rig;
+  std::vector<int32_t> image_frame;
+  std::vector<int32_t> image_sensor;
+  std::vector<int64_t> frame_ids;
+  std::vector<int64_t> frame_rig_ids;
+  std::vector<int64_t> sensor_rig_ids;
+  std::vector<int64_t> sensor_camera_ids;
 
   int num_images() const { return static_cast<int>(image_ids.size()); }
   int num_cameras() const { return static_cast<int>(camera_ids.size()); }
@@ -62,6 +70,17 @@ struct Scene {
     view.observation_image = observation_image.data();
     view.observation_point = observation_point.data();
     view.observation_xy = observation_xy.data();
+    if (frame_ids.empty()) return view;
+    view.num_frames = static_cast<int>(frame_ids.size());
+    view.num_sensors = static_cast<int>(sensor_rig_ids.size());
+    view.rig_from_world = rig_from_world.data();
+    view.sensor_from_rig = sensor_from_rig.data();
+    view.image_frame = image_frame.data();
+    view.image_sensor = image_sensor.data();
+    view.frame_ids = frame_ids.data();
+    view.frame_rig_ids = frame_rig_ids.data();
+    view.sensor_rig_ids = sensor_rig_ids.data();
+    view.sensor_camera_ids = sensor_camera_ids.data();
     return view;
   }
 };
@@ -226,6 +245,47 @@ inline void RepeatObservations(int step, Scene* scene) {
     scene->observation_point.push_back(point);
     scene->observation_xy.push_back(x + 0.25);
     scene->observation_xy.push_back(y - 0.25);
+  }
+}
+
+/// Makes rigs of the images: images i, i + n, i + 2 n, ... are one sensor's, with one camera, and
+/// those of a frame are n in a row, for the rig 7 with n = `num_sensors`. `last_alone`: the last
+/// frame's images keep poses of their own. Sensor k stands k times `baseline` beside the reference
+/// and is turned; poses of images follow from those of the first of their frame. The pixels stay.
+inline void MakeRigs(int num_sensors, double baseline, bool last_alone, Scene* scene) {
+  const int num_frames = scene->num_images() / num_sensors - (last_alone ? 1 : 0);
+  for (int k = 0; k < num_sensors; ++k) {
+    const double turn[3] = {0.02 * k, -0.03 * k, 0.01 * k};
+    double q[4];
+    ExpQuaternion(turn, q);
+    if (k == 0) continue;
+    scene->sensor_from_rig.insert(scene->sensor_from_rig.end(), q, q + 4);
+    const double t[3] = {-baseline * k, 0.1 * baseline * k, -0.05 * baseline * k};
+    scene->sensor_from_rig.insert(scene->sensor_from_rig.end(), t, t + 3);
+    scene->sensor_rig_ids.push_back(7);
+    scene->sensor_camera_ids.push_back(scene->camera_ids[k]);
+  }
+  for (int i = 0; i < scene->num_images(); ++i) {
+    const int frame = i / num_sensors, sensor = i % num_sensors - 1;
+    scene->image_camera[i] = i % num_sensors;
+    const bool alone = frame >= num_frames;
+    scene->image_frame.push_back(alone ? -1 : frame);
+    scene->image_sensor.push_back(alone ? -1 : sensor);
+    if (alone) continue;
+    double* const pose = &scene->cam_from_world[7 * static_cast<size_t>(i)];
+    if (sensor < 0) {
+      scene->frame_ids.push_back(31 + 2 * frame);
+      scene->frame_rig_ids.push_back(7);
+      scene->rig_from_world.insert(scene->rig_from_world.end(), pose, pose + 7);
+      continue;
+    }
+    const double* const s = &scene->sensor_from_rig[7 * static_cast<size_t>(sensor)];
+    const double* const f = &scene->rig_from_world[7 * static_cast<size_t>(frame)];
+    double rotation[9];
+    QuaternionToRotation(s, rotation);
+    QuaternionProduct(s, f, pose);
+    MatrixVector3(rotation, f + 4, pose + 4);
+    for (int j = 0; j < 3; ++j) pose[4 + j] += s[4 + j];
   }
 }
 

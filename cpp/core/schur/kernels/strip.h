@@ -90,13 +90,16 @@ inline void VisitLanes(const EliminationInput& input, const Strip& strip, const 
 struct LaneState {
   Pack pose[24];  ///< rotation, translation, left Jacobian and padding, as in StateRecords
   Pack params[kMaxCameraParams];
+  Pack translation_jacobian[12];  ///< and padding; where there is one
+  bool has_translation_jacobian;
   Pack point[3];
   Pack rotated[3];       ///< R X
   Pack camera_point[3];  ///< R X + t
 
-  /// Without the left Jacobian unless `for_derivatives`.
+  /// Without the Jacobians of the chart unless `for_derivatives`.
   LaneState(const EliminationInput& input, const StateRecords& x, const Lanes& lanes,
-            bool for_derivatives) {
+            bool for_derivatives)
+      : has_translation_jacobian(for_derivatives && x.translation_jacobian > 0) {
     const int32_t* const image = input.plan->image.data();
     const double* records[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
@@ -105,6 +108,11 @@ struct LaneState {
       for (int i = 0; i < 3; ++i) point[i].v[lane] = at[i];
     }
     GatherRecords(records, for_derivatives ? 24 : 12, pose);
+    if (has_translation_jacobian) {
+      const double* more[kLanes];
+      for (int lane = 0; lane < kLanes; ++lane) more[lane] = records[lane] + x.translation_jacobian;
+      GatherRecords(more, 12, translation_jacobian);
+    }
     for (int lane = 0; lane < kLanes; ++lane) records[lane] += StateRecords::kParams;
     GatherRecords(records, (lanes.group->num_params + 3) / 4 * 4, params);
     for (int i = 0; i < 3; ++i) {
@@ -130,7 +138,8 @@ inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* h
   return true;
 }
 
-/// Residuals of observations in lanes and how they change, corrected for the loss.
+/// Residuals of observations in lanes, divided by their sigmas, and how they change, corrected for
+/// the loss.
 struct LaneResiduals {
   Pack r[2];
   Pack rho;
@@ -151,6 +160,7 @@ struct LaneResiduals {
     kProjectLanes[model](AllCameraModels()[model], state.params, state.camera_point, measurement,
                          input.cheirality, r, derive ? d_camera_point : nullptr,
                          derive ? d_params : nullptr, &counts, lanes.count);
+    if (input.inverse_sigma != nullptr) DivideBySigmas(input, lanes, derive);
     if (!All(counts) || x.num_held > 0) Hold(input, x, lanes, counts, derive);
     const LossLanes loss = EvaluateLoss(input.loss, input.loss_scale, r[0] * r[0] + r[1] * r[1]);
     rho = loss.rho;
@@ -158,6 +168,19 @@ struct LaneResiduals {
     for (Pack& value : r) value *= loss.weight;
     for (Pack& value : d_camera_point) value *= loss.weight;
     for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= loss.weight;
+  }
+
+  /// Out of line, so that problems without sigmas keep the code that they had.
+  __attribute__((noinline)) void DivideBySigmas(const EliminationInput& input, const Lanes& lanes,
+                                                bool derive) {
+    Pack weight;
+    for (int lane = 0; lane < kLanes; ++lane) {
+      weight.v[lane] = input.inverse_sigma[lanes.observation[lane]];
+    }
+    for (Pack& value : r) value *= weight;
+    if (!derive) return;
+    for (Pack& value : d_camera_point) value *= weight;
+    for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= weight;
   }
 
   /// Gives lanes that hold a residual (factors/reprojection.h) that residual and no derivatives.
@@ -194,7 +217,8 @@ struct LaneResiduals {
     }
   }
 
-  /// Row of the derivative by the pose's chart: (q x a)^T J_l, a^T (factors/reprojection.h).
+  /// Row of the derivative by the pose's chart: (q x a)^T J_l, a^T (factors/reprojection.h), or
+  /// (q x a)^T R_s J_f, a^T R_s (factors/rig_pose.h).
   void ChainPose(const LaneState& state, int row, Pack* d_pose) const {
     const Pack* a = d_camera_point + 3 * row;
     const Pack* q = state.rotated;
@@ -204,6 +228,11 @@ struct LaneResiduals {
     for (int j = 0; j < 3; ++j) {
       d_pose[j] = torque[0] * left[j] + torque[1] * left[3 + j] + torque[2] * left[6 + j];
       d_pose[3 + j] = a[j];
+    }
+    if (!state.has_translation_jacobian) return;
+    const Pack* turn = state.translation_jacobian;
+    for (int j = 0; j < 3; ++j) {
+      d_pose[3 + j] = a[0] * turn[j] + a[1] * turn[3 + j] + a[2] * turn[6 + j];
     }
   }
 
