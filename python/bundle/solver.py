@@ -77,11 +77,11 @@ def solve(
     it. What is held stays, and the cost of its factors counts.
 
     Both backends take factors of images, rigs and cameras, and of one point; those that couple a
-    point with something else that is refined, and functions in Python, are for Ceres. With factors of
-    images or points gauge "auto" holds nothing: they say where the world is, as far as they do, and
-    the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what they
-    always do, and warn (``gauge_beside_factors``). The world of the factors is that of the problem,
-    also where a far scene is solved about its centre.
+    point with something else that is refined, and functions in Python, are for Ceres. With factors
+    of images or points gauge "auto" holds nothing: they say where the world is, as far as they do,
+    and the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what
+    they always do, and warn (``gauge_beside_factors``). The world of the factors is that of the
+    problem, also where a far scene is solved about its centre.
 
     Priors of positions are factors, too. As a reconstruction stands in a frame of its own, the
     problem is first moved by the similarity that they determine, robustly (``similarity`` of the
