@@ -207,9 +207,9 @@ def full_pattern(
 MAX_TRACK_LENGTH: int
 
 def available_memory() -> float: ...
-def parameter_blocks(
-    problem: Problem, options: dict[str, Any]
-) -> dict[str, Any]: ...  # size, image_block, camera_block: NDArray[np.int32]; point_is_free: bool
+
+# size, image_block, sensor_block, camera_block: NDArray[np.int32]; point_is_free: bool
+def parameter_blocks(problem: Problem, options: dict[str, Any]) -> dict[str, Any]: ...
 def elimination_plan(problem: Problem, options: dict[str, Any]) -> dict[str, int]: ...
 def auto_choice(
     sizes: NDArray[np.int32],

@@ -73,6 +73,7 @@ void SchurProblem::Reset(const SolveOptions& options) {
 Linearization SchurProblem::Linearize(double damping) {
   damping_ = damping;
   sums_.Clear(&pool_);
+  setup_.assembler.SetMaps(x_->cameras());
   const bool first = !scaled_;
   Linearization result;
   result.cost = factors_.Linearize(x_->cameras(), x_->points.data());
@@ -220,6 +221,7 @@ void SchurProblem::Accept() {
 EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
   input.point_prior = factors_.point_prior();
   input.prior_sums = factors_.prior_sums();
+  if (!solver_->NeedsCameraDiagonal()) input.image_is_mapped = assembler_.image_is_mapped();
   return input;
 }
 

@@ -45,6 +45,10 @@ struct EliminationInput {
   /// by its entry of J^T r. They are those of the last linearisation.
   const double* prior_sums = nullptr;
 
+  /// Of each image 1, if the pose's rows of its ChunkSum::camera_diagonal are wanted; nullptr: all
+  /// rows of all images are.
+  const uint8_t* image_is_mapped = nullptr;
+
   const double* PriorOf(int point) const {
     const int place = point_prior == nullptr ? -1 : point_prior[point];
     return place < 0 ? nullptr : prior_sums + 12 * static_cast<int64_t>(place);
@@ -55,6 +59,9 @@ struct EliminationInput {
 /// parameters from 24 on), and the points in the order of the plan.
 struct StateRecords {
   static constexpr int kTranslation = 9, kLeftJacobian = 12, kParams = 24;
+  /// Where a record has the derivative of the translation by that of the chart (9); 0: it is the
+  /// identity. Of an image of a rig, this and the left Jacobian are by the chart of its frame.
+  int translation_jacobian = 0;
   const double* images = nullptr;
   int stride = 0;  ///< of `images`; a multiple of 4
   const double* points = nullptr;
@@ -83,8 +90,8 @@ struct ChunkSum {
   double gradient_max = 0;      ///< of the points
 };
 
-/// A step of the camera parameters, as the passes read it, a record per image: J_l dw (3), dt (3),
-/// 2 unused, dparams from 8 on.
+/// A step of the camera parameters, as the passes read it, a record per image: J_l dw (3), dt (3)
+/// of cam_from_world, 2 unused, dparams from 8 on.
 struct StepRecords {
   static constexpr int kTranslation = 3, kParams = 8;
   const double* images = nullptr;
