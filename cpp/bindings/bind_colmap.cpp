@@ -81,6 +81,31 @@ void PutImages(const ColmapModel& model, py::dict* fields) {
   (*fields)["image_camera"] = Column<int32_t>(images, order, camera_row);
 }
 
+void PutRigs(const ColmapModel& model, py::dict* fields) {
+  const ColmapRigs& rigs = model.rigs;
+  const auto num_frames = static_cast<py::ssize_t>(rigs.frames.size());
+  const auto num_sensors = static_cast<py::ssize_t>(rigs.sensors.size());
+  std::vector<int64_t> frame_ids, frame_rig_ids, sensor_rig_ids, sensor_camera_ids;
+  for (const size_t f : rigs.frames) {
+    frame_ids.push_back(model.index.frames[f].id);
+    frame_rig_ids.push_back(model.index.frames[f].rig_id);
+  }
+  for (const auto& [r, s] : rigs.sensors) {
+    sensor_rig_ids.push_back(model.index.rigs[r].id);
+    sensor_camera_ids.push_back(model.index.rigs[r].sensors[s].id);
+  }
+  const auto num_images = static_cast<py::ssize_t>(rigs.image_frame.size());
+  (*fields)["rig_from_world"] = ToImmutableNumpy(model.RigFromWorld(), {num_frames, 7});
+  (*fields)["frame_ids"] = ToImmutableNumpy(std::move(frame_ids), {num_frames});
+  (*fields)["frame_rig_ids"] = ToImmutableNumpy(std::move(frame_rig_ids), {num_frames});
+  (*fields)["image_frame"] = ToImmutableNumpy(std::vector<int32_t>(rigs.image_frame), {num_images});
+  (*fields)["image_sensor"] =
+      ToImmutableNumpy(std::vector<int32_t>(rigs.image_sensor), {num_images});
+  (*fields)["sensor_from_rig"] = ToImmutableNumpy(model.SensorFromRig(), {num_sensors, 7});
+  (*fields)["sensor_rig_ids"] = ToImmutableNumpy(std::move(sensor_rig_ids), {num_sensors});
+  (*fields)["sensor_camera_ids"] = ToImmutableNumpy(std::move(sensor_camera_ids), {num_sensors});
+}
+
 void PutPoints(const ColmapModel& model, py::dict* fields) {
   std::vector<double> points;
   points.reserve(3 * model.points_by_id.size());
@@ -111,6 +136,7 @@ py::tuple ReadModel(const std::string& folder) {
   py::dict fields;
   PutCameras(*model, &fields);
   PutImages(*model, &fields);
+  PutRigs(*model, &fields);
   PutPoints(*model, &fields);
   PutObservations(std::move(model->observations), &fields);
   return py::make_tuple(std::move(model), fields);
@@ -134,8 +160,11 @@ void ExpectShape(const Numbers& array, const char* name, size_t rows, py::ssize_
 
 void WriteModel(const ColmapModel& model, const std::filesystem::path& folder,
                 const Numbers& cam_from_world, const Numbers& camera_params, const Numbers& points,
-                const Numbers& point_errors) {
+                const Numbers& point_errors, const Numbers& rig_from_world,
+                const Numbers& sensor_from_rig) {
   ExpectShape(cam_from_world, "cam_from_world", model.images_by_id.size(), 7);
+  ExpectShape(rig_from_world, "rig_from_world", model.rigs.frames.size(), 7);
+  ExpectShape(sensor_from_rig, "sensor_from_rig", model.rigs.sensors.size(), 7);
   ExpectShape(camera_params, "camera_params", model.cameras_by_id.size(), -1);
   ExpectShape(points, "points", model.points_by_id.size(), 3);
   ExpectShape(point_errors, "point_errors", model.points_by_id.size(), 1);
@@ -146,8 +175,12 @@ void WriteModel(const ColmapModel& model, const std::filesystem::path& folder,
                        std::to_string(camera_params.shape(1)));
     }
   }
-  const ColmapValues values{cam_from_world.data(), camera_params.data(),
-                            static_cast<size_t>(camera_params.shape(1)), points.data(),
+  const ColmapValues values{cam_from_world.data(),
+                            rig_from_world.data(),
+                            sensor_from_rig.data(),
+                            camera_params.data(),
+                            static_cast<size_t>(camera_params.shape(1)),
+                            points.data(),
                             point_errors.data()};
   try {
     const py::gil_scoped_release release;
@@ -184,5 +217,6 @@ void BindColmap(py::module_& m) {
                              [](const ColmapModel& model) { return model.index.names_with_spaces; })
       .def("files", &bundle::Files)
       .def("write", &bundle::WriteModel, py::arg("folder"), py::arg("cam_from_world"),
-           py::arg("camera_params"), py::arg("points"), py::arg("point_errors"));
+           py::arg("camera_params"), py::arg("points"), py::arg("point_errors"),
+           py::arg("rig_from_world"), py::arg("sensor_from_rig"));
 }

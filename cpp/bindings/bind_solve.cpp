@@ -113,8 +113,8 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   return ToPython(view, std::move(output));
 }
 
-/// A solver, the problem it was made for and its restrictions, whose arrays nothing in Python can change,
-/// and its factors, which it all keeps alive.
+/// A solver, the problem it was made for and its restrictions, whose arrays nothing in Python can
+/// change, and its factors, which it all keeps alive.
 class PythonSolver {
  public:
   PythonSolver(py::object problem, const py::dict& options, py::object restrictions,

@@ -8,6 +8,13 @@ if TYPE_CHECKING:
 
     from bundle import constraints, georeference, html, losses, pictures, warning_kinds
     from bundle._core import __version__
+    from bundle.camera_edits import (
+        CameraModelChange,
+        ChangedModels,
+        change_camera_model,
+        share_cameras,
+        split_cameras,
+    )
     from bundle.cameras import camera_models, project
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
@@ -39,6 +46,7 @@ if TYPE_CHECKING:
     from bundle.problem import Problem
     from bundle.reprojection import ReprojectionError, reprojection_errors
     from bundle.result import Result
+    from bundle.rig_config import apply_rig_config
     from bundle.rounds import Filtered, filter_observations, solve_rounds
     from bundle.solver import Solver, solve
     from bundle.statistics import Description, describe
@@ -48,6 +56,8 @@ if TYPE_CHECKING:
 __all__ = [
     "Alignment",
     "BetweenFactor",
+    "CameraModelChange",
+    "ChangedModels",
     "Comparison",
     "Constraints",
     "Description",
@@ -78,7 +88,9 @@ __all__ = [
     "SyntheticScene",
     "__version__",
     "align",
+    "apply_rig_config",
     "camera_models",
+    "change_camera_model",
     "check_gradients",
     "check_jacobians",
     "compare",
@@ -96,14 +108,23 @@ __all__ = [
     "project",
     "reprojection_errors",
     "save",
+    "share_cameras",
     "solve",
     "solve_rounds",
+    "split_cameras",
     "synthesize",
     "warning_kinds",
 ]
 
 _DEFERRED = {
     "_core": ("__version__",),
+    "camera_edits": (
+        "CameraModelChange",
+        "ChangedModels",
+        "change_camera_model",
+        "share_cameras",
+        "split_cameras",
+    ),
     "cameras": ("camera_models", "project"),
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
@@ -135,6 +156,7 @@ _DEFERRED = {
     "problem": ("Problem",),
     "reprojection": ("ReprojectionError", "reprojection_errors"),
     "result": ("Result",),
+    "rig_config": ("apply_rig_config",),
     "rounds": ("Filtered", "filter_observations", "solve_rounds"),
     "solver": ("Solver", "solve"),
     "statistics": ("Description", "describe"),

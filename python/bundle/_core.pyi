@@ -81,6 +81,8 @@ class ColmapModel:
         camera_params: NDArray[np.float64],
         points: NDArray[np.float64],
         point_errors: NDArray[np.float64],
+        rig_from_world: NDArray[np.float64],
+        sensor_from_rig: NDArray[np.float64],
     ) -> None: ...
 
 def read_colmap_model(folder: str | bytes) -> tuple[ColmapModel, dict[str, Any]]: ...
@@ -205,10 +207,9 @@ def full_pattern(
 MAX_TRACK_LENGTH: int
 
 def available_memory() -> float: ...
-def parameter_blocks(
-    problem: Problem, options: dict[str, Any]
-) -> dict[str, Any]: ...
+
 # size, image_block, sensor_block, camera_block: NDArray[np.int32]; point_is_free: bool
+def parameter_blocks(problem: Problem, options: dict[str, Any]) -> dict[str, Any]: ...
 def elimination_plan(problem: Problem, options: dict[str, Any]) -> dict[str, int]: ...
 def auto_choice(
     sizes: NDArray[np.int32],

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core
+from bundle import _core, rig_arrays
 from bundle.arrays import filled, freeze, immutable
 from bundle.cameras import camera_models
 from bundle.deferred_source import DeferredSource
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.option_fields import choice
-from bundle.words import contents, format_name
+from bundle.words import contents, format_name, plural
 
 if TYPE_CHECKING:
     import pycolmap
@@ -45,6 +45,7 @@ _DTYPES: dict[str, type] = {
     "camera_ids": np.int64,
     "camera_sizes": np.int64,
     "point_ids": np.int64,
+    **rig_arrays.DTYPES,
 }
 
 # What has a default has one entry for each of these.
@@ -82,6 +83,20 @@ class Problem(Displayed):
         image_names: num_images names; "" (the default) where the source has none.
         image_camera: (num_images,) index (not id) of each image's camera. By default image i has
             camera i, or all images have the only camera.
+        rig_from_world: (num_frames, 7) pose of each frame of a rig of several sensors, as
+            cam_from_world; empty (the default) where every image has a pose of its own.
+        frame_ids: (num_frames,) ids in the source; from 0 by default.
+        frame_rig_ids: (num_frames,) id of the rig of each frame; by default that of its sensors.
+        image_frame: (num_images,) index (not id) of each image's frame, -1 where the pose of the
+            image is its own; empty (the default) where there are no frames.
+        image_sensor: (num_images,) index of each image's sensor, -1 for the reference sensor of its
+            rig and for images without a frame; empty (the default) where there are no frames.
+        sensor_from_rig: (num_sensors, 7) pose of each camera on its rig but of reference sensors,
+            whose pose is the rig's: as cam_from_world, with the rig in place of the world. An image
+            with a frame has cam_from_world = sensor_from_rig * rig_from_world, to a millionth in
+            each entry of the rotation and relative to the larger of the two translations.
+        sensor_rig_ids: (num_sensors,) id of the rig of each sensor in the source.
+        sensor_camera_ids: (num_sensors,) id (not index) of the camera that the sensor is.
         camera_ids: (num_cameras,) ids in the source; from 0 by default.
         camera_models: num_cameras COLMAP model names; see ``bundle.camera_models()``.
         camera_params: (num_cameras, width) parameters in COLMAP's order (pixels for focal lengths
@@ -96,6 +111,10 @@ class Problem(Displayed):
             left corner of the upper left pixel (BAL: in the principal point), x right, y down.
         observation_keypoint: (num_observations,) index of the observation among the keypoints of
             its image in the source; -1 (the default) where it is none of them.
+        observation_sigma: (num_observations,) standard deviation of each measured position, in
+            pixels, or None (the default): 1 each. A solve divides the residual r by it, before the
+            loss: its cost is 1/2 sum rho(||r / sigma||^2), and ``loss_scale`` counts in sigmas.
+            Statistics of reprojection errors stay in pixels. No file format keeps it.
         format: "bal", "colmap" or "memory" (the default): where it came from. Decides the defaults
             of ``gauge`` and ``cheirality`` and what ``bundle.save`` writes when the path does not
             say.
@@ -106,8 +125,9 @@ class Problem(Displayed):
     Raises:
         InputError: an array has the wrong shape or type, holds a value that is not finite, an index
             out of range, a repeated id, a zero quaternion, a focal length that is not positive or a
-            negative size; a name cannot be printed; a camera model does not exist. The message
-            names the field, or the image, camera, point or observation.
+            negative size; a name cannot be printed; a camera model does not exist; an image is not
+            where its rig says that it is. The message names the field, or the image, camera, point,
+            observation, frame or sensor.
     """
 
     cam_from_world: NDArray[np.float64]
@@ -124,6 +144,15 @@ class Problem(Displayed):
     observation_point: NDArray[np.int32]
     observation_xy: NDArray[np.float64]
     observation_keypoint: NDArray[np.int32] = field(default_factory=_by_default)
+    observation_sigma: NDArray[np.float64] | None = None
+    rig_from_world: NDArray[np.float64] = field(default_factory=_by_default)
+    frame_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    frame_rig_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    image_frame: NDArray[np.int32] = field(default_factory=_by_default)
+    image_sensor: NDArray[np.int32] = field(default_factory=_by_default)
+    sensor_from_rig: NDArray[np.float64] = field(default_factory=_by_default)
+    sensor_rig_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    sensor_camera_ids: NDArray[np.int64] = field(default_factory=_by_default)
     format: str = "memory"
     source: Any = field(default=None, repr=False)
 
@@ -133,6 +162,7 @@ class Problem(Displayed):
             value = getattr(self, name)
             array = _default(self, name) if value is None else immutable(name, value, dtype)
             object.__setattr__(self, name, array)
+        object.__setattr__(self, "observation_sigma", _sigmas(self.observation_sigma))
         names = ("",) * self.num_images if self.image_names is None else self.image_names
         object.__setattr__(self, "image_names", _names("image_names", names))
         models = _names("camera_models", self.camera_models)
@@ -141,8 +171,10 @@ class Problem(Displayed):
             model: choice("camera_models", model, known) for model in dict.fromkeys(models)
         }
         object.__setattr__(self, "camera_models", tuple(canonical[model] for model in models))
+        rig_arrays.settle(self)
         _core.validate(self)
         _check_values(self)
+        rig_arrays.check(self)
 
     @property
     def num_images(self) -> int:
@@ -163,6 +195,21 @@ class Problem(Displayed):
     def num_observations(self) -> int:
         """Number of observations."""
         return len(self.observation_xy)
+
+    @property
+    def num_rigs(self) -> int:
+        """Number of rigs of several sensors that have a frame; images beside them have none."""
+        return len(np.unique(self.frame_rig_ids))
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames of rigs of several sensors."""
+        return len(self.rig_from_world)
+
+    @property
+    def num_sensors(self) -> int:
+        """Number of sensors with a sensor_from_rig: reference sensors do not count."""
+        return len(self.sensor_from_rig)
 
     @property
     def projection_centers(self) -> NDArray[np.float64]:
@@ -205,15 +252,25 @@ class Problem(Displayed):
         return _unpacked, (type(self), fields | {"source": problem_source.packed(self.source)})
 
     def replace(self, **changes: Any) -> Self:
-        """Return a copy with some arrays replaced; the others are shared, not copied."""
+        """Return a copy with some arrays replaced; the others are shared, not copied.
+
+        Where frames or sensors of rigs change and ``cam_from_world`` is not given, it is computed
+        anew for the images of what has moved. A ``cam_from_world`` that does not fit the rigs is
+        refused: to move images of rigs, replace ``rig_from_world`` or ``sensor_from_rig``.
+        """
+        poses = rig_arrays.recomputed_poses(self, changes)
+        if poses is not None:
+            changes["cam_from_world"] = poses
         return dataclasses.replace(self, **{"source": vars(self)["source"], **changes})
 
-    def _moved(self, cam_from_world: Any, camera_params: Any, points: Any) -> Self:
+    def without_rigs(self) -> Self:
+        """Return a copy in which each image has a pose of its own, where it is now."""
+        return self.replace(**dict.fromkeys(rig_arrays.DTYPES))
+
+    def _moved(self, **state: Any) -> Self:
         """Return a copy in another state, whose arrays are immutable and which the core checked."""
         moved = object.__new__(type(self))
-        vars(moved).update(
-            vars(self), cam_from_world=cam_from_world, camera_params=camera_params, points=points
-        )
+        vars(moved).update(vars(self), **state)
         return moved
 
     @staticmethod
@@ -221,8 +278,7 @@ class Problem(Displayed):
         """Take over the registered images of a reconstruction, which is copied and kept as source.
 
         Raises:
-            InputError: the reconstruction has a rig of several sensors, or references that do not
-                resolve.
+            InputError: a camera with images has no sensor_from_rig, or references do not resolve.
         """
         from bundle.io import colmap
 
@@ -231,21 +287,32 @@ class Problem(Displayed):
     def to_pycolmap(self) -> pycolmap.Reconstruction:
         """Return a reconstruction: a copy of the source with the numbers of this problem in it.
 
-        Per-point errors are recomputed. A problem that did not come from COLMAP gives a new
-        reconstruction with one trivial rig and frame an image.
+        Per-point errors are recomputed; ``observation_sigma`` has no place in it. A problem that
+        did not come from COLMAP gives a new reconstruction with one trivial rig and frame an image
+        where it has no rigs.
         """
         from bundle.io import colmap
 
         return colmap.to_pycolmap(self)
 
     def __repr__(self) -> str:
-        return f"Problem({self.format}: {contents(self)})"
+        return f"Problem({self.format}: {contents(self)}{self._rigs(', ')})"
+
+    def _rigs(self, before: str = "") -> str:
+        """Return "26 frames of 1 rig", nothing where there are no rigs."""
+        if not self.num_frames:
+            return ""
+        return f"{before}{plural(self.num_frames, 'frame')} of {plural(self.num_rigs, 'rig')}"
 
     def _display(self) -> Display:
         models = ", ".join(dict.fromkeys(self.camera_models)) or "none"
         return Display(
             title=f"Problem ({format_name(self.format)})",
-            facts=(("contents", contents(self)), ("camera models", models)),
+            facts=(
+                ("contents", contents(self)),
+                ("camera models", models),
+                *((("rigs", self._rigs()),) if self.num_frames else ()),
+            ),
         )
 
 
@@ -267,6 +334,8 @@ setattr(Problem, "source", _Source())  # noqa: B010 (the checker knows the field
 
 def _default(problem: Problem, name: str) -> NDArray[Any]:
     """Return the default of an array; those that it depends on are there."""
+    if name in rig_arrays.DTYPES:
+        return rig_arrays.default(problem, name)
     if name not in _ONE_FOR_EACH:
         raise InputError(f"{name}: expected numbers, found None")
     count, dtype = getattr(problem, _ONE_FOR_EACH[name]), _DTYPES[name]
@@ -282,6 +351,14 @@ def _default(problem: Problem, name: str) -> NDArray[Any]:
             )
         return filled((count,), 0, dtype)
     return freeze(np.arange(count, dtype=dtype))
+
+
+def _sigmas(given: Any) -> NDArray[np.float64] | None:
+    """Return the sigmas of observations; None where none are given."""
+    if given is None:
+        return None
+    sigmas = immutable("observation_sigma", given, np.float64)
+    return sigmas if sigmas.size else None
 
 
 def _names(field_name: str, names: Any) -> tuple[str, ...]:

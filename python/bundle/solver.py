@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping, Set
 from typing import TYPE_CHECKING, Any
 
@@ -9,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
-from bundle.arguments import as_flag, check_function
+from bundle.arguments import check_function
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief, first_line
 from bundle.io import Source, as_problem
 from bundle.options import CHANGEABLE, SolveOptions
+from bundle.placement import Start, place_at_priors
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.restrictions import Restrictions
@@ -24,19 +26,23 @@ from bundle.words import contents, plural
 if TYPE_CHECKING:
     from bundle.constraints import Constraints, Rule
     from bundle.constraints.applied import Applied
-    from bundle.georeference import PositionPrior, Similarity
     from bundle.graph import Factor
     from bundle.graph.problem_factors import ProblemFactors
+    from bundle.placement import Prior
 
 __all__ = [
+    "STATE",
     "Progress",
     "Solver",
     "constrained",
-    "place_at_priors",
     "resolve_defaults",
     "settle",
     "solve",
+    "with_priors",
 ]
+
+# What a solve gives back of a problem; the poses of rigs only where there are some.
+STATE = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
 
 
 def solve(
@@ -44,7 +50,7 @@ def solve(
     options: SolveOptions | None = None,
     *,
     factors: Iterable[Factor] = (),
-    priors: Iterable[PositionPrior] = (),
+    priors: Iterable[Prior] = (),
     align: bool | None = None,
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
@@ -62,8 +68,10 @@ def solve(
     variables of the problem: ``("image", image_id)`` is cam_from_world on se3 (qx qy qz qw tx ty
     tz; its tangent coordinates are rotation, then translation, in the frame of cam_from_world, as
     :class:`bundle.FactorGraph` has them), ``("camera", camera_id)`` the camera's parameters in
-    COLMAP's order and ``("point", point_id)`` the coordinates, both Euclidean. For instance
-    measured positions of the images' centres, to 2 cm::
+    COLMAP's order and ``("point", point_id)`` the coordinates, both Euclidean. Of rigs,
+    ``("frame", frame_id)`` is rig_from_world and ``("sensor", (rig_id, camera_id))``
+    sensor_from_rig, on se3 as images are. For instance measured positions of the images' centres,
+    to 2 cm::
 
         factors = [bundle.PositionFactor(("image", i), xyz, 1 / 0.02**2) for i, xyz in gps.items()]
         bundle.solve(problem, factors=factors)
@@ -72,12 +80,12 @@ def solve(
     :class:`bundle.RelativePoseFactor`. What a factor touches is refined even if no observation sees
     it. What is held stays, and the cost of its factors counts.
 
-    Both backends take factors of images and cameras, and of one point; those that couple a point
-    with something else that is refined, and functions in Python, are for Ceres. With factors of
-    images or points gauge "auto" holds nothing: they say where the world is, as far as they do, and
-    the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what they
-    always do, and warn (``gauge_beside_factors``). The world of the factors is that of the problem,
-    also where a far scene is solved about its centre.
+    Both backends take factors of images, rigs and cameras, and of one point; those that couple a
+    point with something else that is refined, and functions in Python, are for Ceres. With factors
+    of images or points gauge "auto" holds nothing: they say where the world is, as far as they do,
+    and the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what
+    they always do, and warn (``gauge_beside_factors``). The world of the factors is that of the
+    problem, also where a far scene is solved about its centre.
 
     Priors of positions are factors, too. As a reconstruction stands in a frame of its own, the
     problem is first moved by the similarity that they determine, robustly (``similarity`` of the
@@ -86,13 +94,23 @@ def solve(
         priors = [bundle.PositionPrior(name, enu, (2, 5)) for name, enu in gps.items()]
         bundle.solve(problem, priors=priors)
 
+    Ground control points (:class:`bundle.GroundControlPoint`, coordinates in the same metres) are
+    priors as well. Each becomes a point of the solve, with its surveyed position as a prior of its
+    own sigma and its pixels as observations with theirs; it decides where the problem is moved to
+    as positions do, and is not among the points of the result. Check points have no influence.
+    ``control_points`` of the result says how far all of them are from the survey::
+
+        known = bundle.georeference.gcp_priors(problem, "gcp_list.txt")
+        bundle.solve(problem, priors=known.priors).control_points
+
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
         factors: beside the observations, such as :class:`bundle.PriorFactor`.
-        priors: measured positions of images. Their costs come after those of the factors.
+        priors: measured positions of images, and control points. Their costs come after those of
+            the factors, those of control points last.
         align: whether the problem is first moved to where the priors are. None: if there are no
-            factors, and at least three positions that do not lie on one line.
+            factors, and at least three positions and control points that do not lie on one line.
         constraints: rules of what is held, bounded, shared or known, such as ``"cameras *: f prior
             2 %"`` (:class:`bundle.Constraints`). They speak of the problem after it was moved to
             the priors, and the costs of their priors come last. ``constraints`` of the result says
@@ -113,20 +131,21 @@ def solve(
             that does not exist, options that exclude each other or the backend asked for, dense
             matrices beyond the memory of this machine, bounds of no camera, of another number of
             parameters, or that exclude the start, or a factor with an unknown key, numbers that do
-            not fit its variables, or no finite value at the start; a prior of no image, or priors
-            that do not determine where the problem is although ``align`` is True; a rule that names
-            nothing of the problem, contradicts another one or the options, or excludes the start.
+            not fit its variables, or no finite value at the start; a prior of no image, control
+            points that are measured in no two images, or priors that do not determine where the
+            problem is although ``align`` is True; a rule that names nothing of the problem,
+            contradicts another one or the options, or excludes the start.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
-    placed, factors, similarity = place_at_priors(problem, factors, priors, align)
-    start, options, applied = constrained(placed, options, constraints)
-    options, known, limits = settle(start, options, factors, bounds, applied)
+    placed = place_at_priors(problem, factors, priors, align)
+    start, options, applied = constrained(placed.problem, options, constraints)
+    options, known, limits = settle(start, options, placed.factors, bounds, applied)
     given = None if known is None else known.core()
     output = _core.solve(start, options.asdict(), progress, limits, given)
-    return _result(problem, options, output, limits, similarity, placed)
+    return with_priors(_result(placed.problem, options, output, limits), placed, problem)
 
 
 class Solver(Displayed):
@@ -313,10 +332,8 @@ def _result(
     options: SolveOptions,
     output: dict[str, Any],
     limits: Restrictions | None = None,
-    similarity: Similarity | None = None,
-    placed: Problem | None = None,
 ) -> Result:
-    refined = problem._moved(output["cam_from_world"], output["camera_params"], output["points"])
+    refined = problem._moved(**{name: output[name] for name in STATE if name in output})
     return Result(
         problem=refined,
         initial_problem=problem,
@@ -324,38 +341,23 @@ def _result(
         factor_costs_before=output["factor_costs_before"],
         factor_costs_after=output["factor_costs_after"],
         active_bounds=() if limits is None else limits.active(refined),
-        constraints=() if limits is None else limits.ends(placed or problem, refined),
-        similarity=similarity,
+        constraints=() if limits is None else limits.ends(problem, refined),
         **record_fields(output),
     )
 
 
-def place_at_priors(
-    problem: Problem,
-    factors: Iterable[Factor],
-    priors: Iterable[PositionPrior],
-    align: bool | None,
-) -> tuple[Problem, Iterable[Factor], Similarity | None]:
-    """Return the start of a solve with priors, all factors, and the similarity to that start."""
-    if align is not None:
-        align = as_flag("align", align)
-    if isinstance(priors, tuple | list) and not priors:
-        if align:
-            raise InputError("align: expected priors to align the problem to, found none")
-        return problem, factors, None
-    from bundle.georeference.prior_alignment import ProblemPriors
-    from bundle.graph.variables import as_list
-
-    known = ProblemPriors.make(problem, priors)
-    factors = as_list("factors", "factors", factors)
-    similarity = None
-    if align or (align is None and not factors):
-        try:
-            problem, similarity = known.aligned(problem)
-        except InputError as error:
-            if align:
-                raise InputError(f"priors: {error}") from None
-    return problem, [*factors, *known.factors()], similarity
+def with_priors(result: Result, start: Start, given: Problem) -> Result:
+    """Return the result of a solve of a start as one of the problem given."""
+    if start.problem is given and start.targets is None:
+        return result
+    refined = start.result(result.problem)
+    return dataclasses.replace(
+        result,
+        problem=refined,
+        initial_problem=given,
+        similarity=start.similarity,
+        control_points=start.control_points(refined),
+    )
 
 
 def settle(

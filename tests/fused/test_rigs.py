@@ -55,12 +55,13 @@ ROWS = {
 @functools.cache
 def solves(name):
     scene, solver, options = ROWS[name]
-    problem = rig_problem(**SCENES[scene])
+    problem = rig_problem(perturbation=4e-2, **SCENES[scene])
     options = {
         "gauge": "none",
         "linear_solver_type": solver,
         "preconditioner_type": "schur_jacobi" if solver == "iterative_schur" else "auto",
         "max_num_iterations": 6,
+        "function_tolerance": 1e-12,
         "num_threads": 2,
         **options,
     }
@@ -156,9 +157,14 @@ def factors_of(problem):
     keys = [("image", int(problem.image_ids[image])) for image in (0, 1)]  # of one frame
     yield bundle.RelativePoseFactor(*keys, measured, 1e5 * np.eye(6))
 
+    frame = ("frame", int(problem.frame_ids[2]))
+    yield bundle.PriorFactor(frame, problem.rig_from_world[2] + 0.01, 1e4 * np.eye(6))
+    sensor = ("sensor", (1, 2))
+    yield bundle.PriorFactor(sensor, problem.sensor_from_rig[0] + 0.02, 1e4 * np.eye(6))
+
 
 @pytest.mark.parametrize("refined", [False, True])
-def test_factors_of_images_move_frames_and_sensors(refined):
+def test_factors_move_frames_and_sensors(refined):
     problem = rig_problem()
     expected, found = (
         bundle.solve(
@@ -180,7 +186,7 @@ def test_a_solver_is_used_again():
     problem = rig_problem(rigs=(THREE,))
     options = {"refine_sensor_from_rig": True, "gauge": "two_cameras", "max_num_iterations": 4}
     solver = bundle.Solver(problem, **options)
-    moved = problem.replace(rig_from_world=problem.rig_from_world + [[0] * 4 + [0.01] * 3])
+    moved = problem.replace(rig_from_world=problem.rig_from_world + np.repeat([0, 0.01], [4, 3]))
     for start in (moved, problem):
         again, once = solver.solve(start), bundle.solve(start, **options)
         np.testing.assert_array_equal(again.iterations["cost"], once.iterations["cost"])

@@ -82,7 +82,10 @@ def fields(reconstruction: pycolmap.Reconstruction) -> dict[str, object]:
             for camera_id, camera in reconstruction.cameras.items()
         },
         "rigs": {
-            rig_id: (rig.num_sensors(), str(rig.ref_sensor_id))
+            rig_id: (
+                str(rig.ref_sensor_id) if rig.num_sensors() else None,
+                {str(s): p and pose_of(p) for s, p in rig.non_ref_sensors.items()},
+            )
             for rig_id, rig in reconstruction.rigs.items()
         },
         "frames": {

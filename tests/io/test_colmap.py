@@ -106,18 +106,6 @@ def test_new_reconstruction_with_ids_from_zero(tmp_path: Path, binary: bool) -> 
         )
 
 
-@pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
-def test_rig_of_several_sensors_is_refused(tmp_path: Path, binary: bool) -> None:
-    source = synthesize(9, num_cameras_per_rig=3)
-    with pytest.raises(
-        InputError, match=r"^rig 1 has 3 sensors .*only single-sensor rigs are supp"
-    ):
-        Problem.from_pycolmap(source)
-    folder = write_model(source, tmp_path / "rigs", binary=binary)
-    with pytest.raises(InputError, match=rf"^{folder}: rig 1 has 3 sensors"):
-        colmap.load(folder)
-
-
 def test_names_with_spaces_survive_text(tmp_path: Path) -> None:
     source = synthesize(11)
     for image_id, image in source.images.items():

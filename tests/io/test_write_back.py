@@ -169,11 +169,6 @@ def test_a_source_that_was_changed_after_all(problem: Problem) -> None:
     assert result.compute_num_observations() == problem.num_observations
 
 
-def test_a_source_with_rigs_of_several_sensors_is_refused(problem: Problem) -> None:
-    with pytest.raises(ValueError, match="only single-sensor rigs"):
-        problem.replace(source=synthesize(9, num_cameras_per_rig=3)).to_pycolmap()
-
-
 def test_a_keypoint_without_a_point_gets_one_at_another_place(problem: Problem) -> None:
     image_id = int(problem.image_ids[2])
     keypoints = problem.source.image(image_id).points2D

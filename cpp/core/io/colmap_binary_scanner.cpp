@@ -228,14 +228,17 @@ void ScanRigs(ColmapIndex* index) {
     const std::string subject = "rig " + std::to_string(id);
     const auto num_sensors =
         reader.ReadCount<uint32_t>("sensors of " + subject, kMinSensorSize - 1);
-    ColmapIndex::Rig rig{id, at, {}};
+    ColmapIndex::Rig rig{id, at};
     for (uint32_t j = 0; j < num_sensors; ++j) {
       rig.sensors.push_back(ReadSensor(&reader, index->rigs_file, subject));
+      ColmapIndex::SensorPose& sensor = rig.poses.emplace_back();
       if (j == 0 || reader.Read<uint8_t>("a pose flag") == 0) continue;  // first: reference sensor
       const uint64_t pose_at = reader.position();
-      double pose[7];
-      reader.ReadArray(pose, 7, "a pose");
-      CheckPose(index->rigs_file, pose_at, subject + ", sensor " + std::to_string(j), pose);
+      reader.ReadArray(sensor.pose.data(), 7, "a pose");
+      CheckPose(index->rigs_file, pose_at, subject + ", sensor " + std::to_string(j),
+                sensor.pose.data());
+      sensor.is_known = true;
+      sensor.span = {pose_at, reader.position()};
     }
     index->rigs.push_back(std::move(rig));
   }

@@ -116,23 +116,22 @@ class IdMap {
   std::unordered_map<uint64_t, size_t> sparse_;
 };
 
-std::string Name(const char* kind, uint64_t id) { return kind + (" " + std::to_string(id)); }
-
 std::string Name(const ColmapIndex::Sensor& sensor) {
-  return Name(sensor.type == SensorType::kCamera ? "camera" : "IMU", sensor.id);
+  return RecordName(sensor.type == SensorType::kCamera ? "camera" : "IMU", sensor.id);
 }
 
 void CheckRigs(const ColmapIndex& index, const IdMap& cameras) {
   for (const ColmapIndex::Rig& rig : index.rigs) {
     for (auto sensor = rig.sensors.begin(); sensor != rig.sensors.end(); ++sensor) {
       if (std::find(rig.sensors.begin(), sensor, *sensor) != sensor) {
-        index.rigs_file.Fail(rig.at, Name("rig", rig.id) + ": expected each sensor once, found " +
-                                         Name(*sensor) + " again");
+        index.rigs_file.Fail(rig.at, RecordName("rig", rig.id) +
+                                         ": expected each sensor once, found " + Name(*sensor) +
+                                         " again");
       }
       if (sensor->type == SensorType::kCamera && cameras.Find(sensor->id) == IdMap::kNone) {
         index.rigs_file.Fail(
             rig.at,
-            Name("rig", rig.id) + ": expected a camera of the model, found " + Name(*sensor));
+            RecordName("rig", rig.id) + ": expected a camera of the model, found " + Name(*sensor));
       }
     }
   }
@@ -144,27 +143,29 @@ void CheckFrames(const ColmapIndex& index, const IdMap& rigs, const IdMap& image
   for (size_t f = 0; f < index.frames.size(); ++f) {
     const ColmapIndex::Frame& frame = index.frames[f];
     const auto fail = [&](const std::string& message) {
-      index.frames_file.Fail(frame.at, Name("frame", frame.id) + ": " + message);
+      index.frames_file.Fail(frame.at, RecordName("frame", frame.id) + ": " + message);
     };
     const int64_t r = rigs.Find(frame.rig_id);
-    if (r == IdMap::kNone) fail("expected a rig of the model, found " + Name("rig", frame.rig_id));
+    if (r == IdMap::kNone)
+      fail("expected a rig of the model, found " + RecordName("rig", frame.rig_id));
     const std::vector<ColmapIndex::Sensor>& sensors = index.rigs[static_cast<size_t>(r)].sensors;
     for (const ColmapIndex::Datum& datum : frame.data) {
       if (std::find(sensors.begin(), sensors.end(), datum.sensor) == sensors.end()) {
-        fail("expected a sensor of " + Name("rig", frame.rig_id) + ", found " + Name(datum.sensor));
+        fail("expected a sensor of " + RecordName("rig", frame.rig_id) + ", found " +
+             Name(datum.sensor));
       }
       if (datum.sensor.type != SensorType::kCamera) continue;
       const int64_t i = images.Find(datum.id);
       if (i == IdMap::kNone)
-        fail("expected an image of the model, found " + Name("image", datum.id));
+        fail("expected an image of the model, found " + RecordName("image", datum.id));
       const ColmapIndex::Image& image = index.images[static_cast<size_t>(i)];
       if (image.camera_id != datum.sensor.id) {
-        fail("expected " + Name("image", image.id) + " with its " +
-             Name("camera", image.camera_id) + ", found " + Name(datum.sensor));
+        fail("expected " + RecordName("image", image.id) + " with its " +
+             RecordName("camera", image.camera_id) + ", found " + Name(datum.sensor));
       }
       if (std::exchange((*frame_of_image)[static_cast<size_t>(i)], static_cast<int64_t>(f)) !=
           IdMap::kNone) {
-        fail("expected each image in one frame, found " + Name("image", image.id) + " again");
+        fail("expected each image in one frame, found " + RecordName("image", image.id) + " again");
       }
     }
   }
@@ -177,13 +178,13 @@ void CheckImages(const ColmapIndex& index, const IdMap& cameras,
   for (size_t i = 0; i < index.images.size(); ++i) {
     const ColmapIndex::Image& image = index.images[i];
     if (cameras.Find(image.camera_id) == IdMap::kNone) {
-      index.images_file.Fail(image.at, Name("image", image.id) +
+      index.images_file.Fail(image.at, RecordName("image", image.id) +
                                            ": expected a camera of the model, found " +
-                                           Name("camera", image.camera_id));
+                                           RecordName("camera", image.camera_id));
     }
     if (has_frames && frame_of_image[i] == IdMap::kNone) {
       index.images_file.Fail(
-          image.at, Name("image", image.id) + ": expected a frame that holds it, found none");
+          image.at, RecordName("image", image.id) + ": expected a frame that holds it, found none");
     }
   }
 }
@@ -197,7 +198,8 @@ void CheckPointIdsUnique(const ColmapIndex& index) {
   const auto twin = std::adjacent_find(ids.begin(), ids.end(), same_id);
   if (twin == ids.end()) return;
   const auto& [id, at] = *std::next(twin);
-  index.points_file.Fail(at, "expected each point once, found " + Name("point", id) + " again");
+  index.points_file.Fail(at,
+                         "expected each point once, found " + RecordName("point", id) + " again");
 }
 
 /// Tracks against keypoints: each names the other, once. Returns each keypoint's point.
@@ -211,29 +213,30 @@ std::vector<int64_t> CheckTracks(const ColmapIndex& index, const IdMap& images) 
       const ColmapIndex::TrackElement& element = index.track_elements[e];
       const auto fail = [&](const std::string& message) {
         index.points_file.Fail(index.TrackElementPlace(point, e - point.first_element),
-                               Name("point", point.id) + ": " + message);
+                               RecordName("point", point.id) + ": " + message);
       };
       const int64_t i = images.Find(element.image_id);
       if (i == IdMap::kNone) {
         fail("expected an image of the model in the track, found " +
-             Name("image", element.image_id));
+             RecordName("image", element.image_id));
       }
       const ColmapIndex::Image& image = index.images[static_cast<size_t>(i)];
       if (element.keypoint >= image.num_keypoints) {
         fail("expected one of the " + std::to_string(image.num_keypoints) + " keypoints of " +
-             Name("image", image.id) + " in the track, found " +
-             Name("keypoint", element.keypoint));
+             RecordName("image", image.id) + " in the track, found " +
+             RecordName("keypoint", element.keypoint));
       }
       const uint64_t keypoint = image.first_keypoint + element.keypoint;
       const uint64_t point_id = index.keypoint_point_ids[keypoint];
       if (point_id != point.id) {
-        fail("expected " + Name("keypoint", element.keypoint) + " of " + Name("image", image.id) +
-             " to refer back to it, found " +
-             (point_id == kInvalidPoint3DId ? "no point" : Name("point", point_id)));
+        fail("expected " + RecordName("keypoint", element.keypoint) + " of " +
+             RecordName("image", image.id) + " to refer back to it, found " +
+             (point_id == kInvalidPoint3DId ? "no point" : RecordName("point", point_id)));
       }
       if (point_of_keypoint[keypoint] != IdMap::kNone) {
         fail("expected each keypoint once in the track, found " +
-             Name("keypoint", element.keypoint) + " of " + Name("image", image.id) + " again");
+             RecordName("keypoint", element.keypoint) + " of " + RecordName("image", image.id) +
+             " again");
       }
       point_of_keypoint[keypoint] = static_cast<int64_t>(p);
     }
@@ -246,9 +249,9 @@ std::vector<int64_t> CheckTracks(const ColmapIndex& index, const IdMap& images) 
         continue;
       }
       index.images_file.Fail(index.KeypointPlace(image, k),
-                             Name("image", image.id) + ", " + Name("keypoint", k) +
+                             RecordName("image", image.id) + ", " + RecordName("keypoint", k) +
                                  ": expected a point with this keypoint in its track, found " +
-                                 Name("point", point_id));
+                                 RecordName("point", point_id));
     }
   }
   return point_of_keypoint;

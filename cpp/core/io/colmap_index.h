@@ -88,10 +88,17 @@ struct ColmapIndex {
     std::array<double, kMaxCameraParams> params{};
     ColmapSpan params_span;
   };
+  /// sensor_from_rig, where it is known.
+  struct SensorPose {
+    bool is_known = false;
+    std::array<double, 7> pose{};
+    ColmapSpan span{};
+  };
   struct Rig {
     uint32_t id;
     uint64_t at;
-    std::vector<Sensor> sensors;
+    std::vector<Sensor> sensors{};    ///< the reference sensor first
+    std::vector<SensorPose> poses{};  ///< of each sensor; not known of the reference sensor
   };
   struct Datum {
     Sensor sensor;
@@ -201,6 +208,11 @@ void CheckCameraSize(const ModelFile& file, uint64_t position, const std::string
 /// An image name is UTF-8 without control characters: what pycolmap can hand to Python.
 void CheckImageName(const ModelFile& file, uint64_t position, const std::string& subject,
                     std::string_view name);
+
+/// "camera 3".
+inline std::string RecordName(const char* kind, uint64_t id) {
+  return kind + (" " + std::to_string(id));
+}
 
 /// The shortest decimal number that reads back as `value`.
 std::string FormatNumber(double value);

@@ -11,6 +11,20 @@
 
 namespace bundle {
 
+/// Rigs that are more than a reference camera, as our problem has them: frames with an image by id,
+/// cameras with a sensor_from_rig by the ids of rig and camera. All empty where no such rig has a
+/// frame with an image. Other sensors (IMUs, cameras of unknown pose) stay in the files.
+struct ColmapRigs {
+  struct Place {
+    size_t rig;     ///< in index.rigs
+    size_t sensor;  ///< in its sensors
+  };
+  std::vector<size_t> frames;  ///< positions in index.frames
+  std::vector<Place> sensors;
+  std::vector<int32_t> image_frame;   ///< of each row of our images: row in `frames`; -1: none
+  std::vector<int32_t> image_sensor;  ///< row in `sensors`; -1: the reference sensor, or no frame
+};
+
 /// A COLMAP model as it was read: its files, checked, what stands in them, and the order of our
 /// arrays, which is that of the ids. The files stay in memory, so that `WriteColmapModel` can write
 /// them again with other numbers whatever has become of them on the disk.
@@ -19,20 +33,26 @@ struct ColmapModel {
   std::vector<size_t> cameras_by_id;  ///< positions in `index`
   std::vector<size_t> images_by_id;
   std::vector<size_t> points_by_id;
-  /// Of each frame, the row of its image in our arrays; -1 for one without an image.
+  /// Of each frame of a rig of one camera, the row of its image in our arrays; -1 for one without
+  /// an image, and for frames of other rigs.
   std::vector<int64_t> image_of_frame;
+  ColmapRigs rigs;
   ColmapObservations observations;
 
   bool is_binary() const { return index.kind == ModelFile::Kind::kBinary; }
   /// Models from before there were rigs and frames have neither.
   bool has_frames() const { return !index.rigs.empty() || !index.frames.empty(); }
 
-  /// (num_images, 7) qx qy qz qw tx ty tz. The pose of an image is its frame's where there are any.
+  /// (num_images, 7) qx qy qz qw tx ty tz. The pose of an image is its frame's where its frame has
+  /// but one camera, and that of images.bin in frames of other rigs.
   std::vector<double> CamFromWorld() const;
+  std::vector<double> RigFromWorld() const;   ///< of `rigs.frames`
+  std::vector<double> SensorFromRig() const;  ///< of `rigs.sensors`
 };
 
-/// Reads a model as CheckColmapModel does, and keeps it. Throws InputError as that does, and for a
-/// rig of several sensors or a frame of several images, which our problem does not have.
+/// Reads a model as CheckColmapModel does, and keeps it. Throws InputError as that does, and for
+/// two images of one camera in a frame and images of a camera whose sensor_from_rig is not known,
+/// which our problem does not have.
 ColmapModel ReadColmapModel(const std::string& folder);
 
 /// Reads the files of a COLMAP model from end to end and throws InputError at the first thing that
@@ -48,10 +68,16 @@ void CheckColmapModel(const std::string& folder);
 /// folder holds both; the index may keep the contents of the files.
 ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents);
 
+/// Fills `image_of_frame` and `rigs` from the index and its order. Throws InputError as
+/// ReadColmapModel does.
+void FindColmapRigs(ColmapModel* model);
+
 /// The numbers that a solve changes, one row a record in the order of the ids.
 struct ColmapValues {
-  const double* cam_from_world = nullptr;  ///< (num_images, 7) qx qy qz qw tx ty tz
-  const double* camera_params = nullptr;   ///< (num_cameras, params_width)
+  const double* cam_from_world = nullptr;   ///< (num_images, 7) qx qy qz qw tx ty tz
+  const double* rig_from_world = nullptr;   ///< (frames of ColmapRigs, 7)
+  const double* sensor_from_rig = nullptr;  ///< (sensors of ColmapRigs, 7)
+  const double* camera_params = nullptr;    ///< (num_cameras, params_width)
   size_t params_width = 0;
   const double* points = nullptr;        ///< (num_points, 3)
   const double* point_errors = nullptr;  ///< (num_points,) mean reprojection error in pixels

@@ -255,15 +255,17 @@ void ScanPoints(ColmapIndex* index) {
 void ScanRigs(ColmapIndex* index) {
   ColmapTextCursor cursor(index->rigs_file);
   while (cursor.NextRecord()) {
-    ColmapIndex::Rig rig{cursor.Id("a rig id"), cursor.line(), {}};
+    ColmapIndex::Rig rig{cursor.Id("a rig id"), cursor.line()};
     const std::string subject = "rig " + std::to_string(rig.id);
     const uint64_t num_sensors = cursor.Integer("a number of sensors", kInvalidColmapId);
     for (uint64_t j = 0; j < num_sensors; ++j) {
       rig.sensors.push_back(ReadSensor(&cursor));
+      ColmapIndex::SensorPose& sensor = rig.poses.emplace_back();
       if (j == 0) continue;  // the reference sensor
       if (cursor.Integer("HAS_POSE", 1) == 1) {
-        double pose[7];
-        ReadPose(&cursor, index->rigs_file, subject + ", sensor " + std::to_string(j), pose);
+        sensor.span = ReadPose(&cursor, index->rigs_file, subject + ", sensor " + std::to_string(j),
+                               sensor.pose.data());
+        sensor.is_known = true;
       }
     }
     cursor.ExpectEndOfLine();

@@ -2,8 +2,11 @@
 
 #include <array>
 #include <cstring>
+#include <map>
 #include <string>
 #include <string_view>
+#include <utility>
+#include <vector>
 
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
@@ -66,9 +69,18 @@ std::vector<size_t> Rows(const std::vector<size_t>& by_id) {
 }
 
 /// qw qx qy qz tx ty tz of a row of ours.
-std::array<double, 7> FilePose(const ColmapValues& values, size_t row) {
-  const double* pose = values.cam_from_world + 7 * row;
+std::array<double, 7> FilePose(const double* poses, size_t row) {
+  const double* pose = poses + 7 * row;
   return {pose[3], pose[0], pose[1], pose[2], pose[4], pose[5], pose[6]};
+}
+
+/// Rows of the sensors with a pose by position in the file: of the rig, of the sensor in it.
+std::map<std::pair<size_t, size_t>, size_t> SensorsInOrderOfFile(const ColmapRigs& rigs) {
+  std::map<std::pair<size_t, size_t>, size_t> rows;
+  for (size_t row = 0; row < rigs.sensors.size(); ++row) {
+    rows.emplace(std::make_pair(rigs.sensors[row].rig, rigs.sensors[row].sensor), row);
+  }
+  return rows;
 }
 
 void WriteWhole(const std::filesystem::path& path, std::string_view contents) {
@@ -113,7 +125,7 @@ void WriteTrivialBinary(const ColmapModel& model, const ColmapValues& values,
     const ColmapIndex::Image& image = model.index.images[model.images_by_id[row]];
     frames.Put(image.id);
     frames.Put(image.camera_id);
-    for (const double value : FilePose(values, row)) frames.Put(value);
+    for (const double value : FilePose(values.cam_from_world, row)) frames.Put(value);
     frames.Put(uint32_t{1});
     frames.PutSensor(image.camera_id);
     frames.Put(static_cast<uint64_t>(image.id));
@@ -146,7 +158,8 @@ void WriteTrivialText(const ColmapModel& model, const ColmapValues& values,
     const std::string id = std::to_string(image.id);
     const std::string camera = std::to_string(image.camera_id);
     frames.append(id).append(" ").append(camera);
-    for (const double value : FilePose(values, row)) frames.append(" ").append(FormatNumber(value));
+    for (const double value : FilePose(values.cam_from_world, row))
+      frames.append(" ").append(FormatNumber(value));
     frames.append(" 1 CAMERA ").append(camera).append(" ").append(id).append("\n");
   }
   WriteWhole(folder / "frames.txt", frames);
@@ -175,7 +188,8 @@ void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
   const std::vector<size_t> image_rows = Rows(model.images_by_id);
   Patcher images = patcher(index.images_file, "images");
   for (size_t i = 0; i < index.images.size(); ++i) {
-    images.Replace(index.images[i].pose_span, FilePose(values, image_rows[i]).data(), 7);
+    images.Replace(index.images[i].pose_span, FilePose(values.cam_from_world, image_rows[i]).data(),
+                   7);
   }
   images.Finish();
 
@@ -192,12 +206,24 @@ void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
     write_trivial(model, values, folder);
     return;
   }
-  patcher(index.rigs_file, "rigs").Finish();
+  Patcher rigs = patcher(index.rigs_file, "rigs");
+  for (const auto& [place, row] : SensorsInOrderOfFile(model.rigs)) {
+    rigs.Replace(index.rigs[place.first].poses[place.second].span,
+                 FilePose(values.sensor_from_rig, row).data(), 7);
+  }
+  rigs.Finish();
+
+  std::vector<int64_t> frame_rows(index.frames.size(), -1);
+  for (size_t row = 0; row < model.rigs.frames.size(); ++row) {
+    frame_rows[model.rigs.frames[row]] = static_cast<int64_t>(row);
+  }
   Patcher frames = patcher(index.frames_file, "frames");
   for (size_t f = 0; f < index.frames.size(); ++f) {
-    if (model.image_of_frame[f] < 0) continue;
-    const auto row = static_cast<size_t>(model.image_of_frame[f]);
-    frames.Replace(index.frames[f].pose_span, FilePose(values, row).data(), 7);
+    const bool is_ours = frame_rows[f] >= 0;
+    const int64_t row = is_ours ? frame_rows[f] : model.image_of_frame[f];
+    if (row < 0) continue;
+    const double* poses = is_ours ? values.rig_from_world : values.cam_from_world;
+    frames.Replace(index.frames[f].pose_span, FilePose(poses, static_cast<size_t>(row)).data(), 7);
   }
   frames.Finish();
 }

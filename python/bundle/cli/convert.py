@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.parser import add_input, add_output
+from bundle.cli.lens_flags import add_lens_flags, cameras_edited
+from bundle.cli.parser import add_input, add_output, add_rig_config, with_rigs
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -17,6 +18,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
     add_input(parser)
     add_output(parser, "output")
+    add_rig_config(parser)
+    add_lens_flags(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -33,14 +36,18 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = load(arguments.input)
+        edits = cameras_edited(arguments, problem)
+        edited = problem if edits is None else edits.problem
+        edited = with_rigs(edited, arguments.rig_config)
         output = {
             "path": path,
-            "format": output_format(problem, path, arguments.format, arguments.input),
+            "format": output_format(edited, path, arguments.format, arguments.input),
         }
-        check_target(problem, **output)
+        check_target(edited, **output)
         progress.stage(f"writing {shown(path)}")
-        lost = save(problem, **output)
+        lost = save(edited, **output)
     if arguments.json != "-":
-        show(*conversion(arguments.input, problem, output, lost))
-    write_json(arguments.json, json.conversion(arguments.input, problem, output, lost))
+        show(*conversion(arguments.input, problem, output, lost, edits))
+    report = json.conversion(arguments.input, problem, output, lost, edits)
+    write_json(arguments.json, report)
     return EXIT_DONE

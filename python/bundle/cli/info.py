@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.parser import add_input
+from bundle.cli.parser import add_input, add_rig_config, with_rigs
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
     parser.usage = "bundle info INPUT... [options]"
     add_input(parser, "inputs", nargs="+")
+    add_rig_config(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -38,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         for path in arguments.inputs:
             progress.stage(f"reading {shown(path)}")
-            problem = load(path)
+            problem = with_rigs(load(path), arguments.rig_config)
             progress.stage("counting")
             description = describe(problem)
             tables += ["", *info.information(path, problem, description)]

@@ -7,14 +7,25 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from bundle.cli.standard_streams import print_out
 from bundle.cli.suggestions import unknown_command, unknown_value
 from bundle.errors import InputError, shown
 from bundle.io import FORMATS
 
-__all__ = ["Parser", "a_path", "add_common_arguments", "add_input", "add_output"]
+if TYPE_CHECKING:
+    from bundle.problem import Problem
+
+__all__ = [
+    "Parser",
+    "a_path",
+    "add_common_arguments",
+    "add_input",
+    "add_output",
+    "add_rig_config",
+    "with_rigs",
+]
 
 
 class _Formatter(argparse.HelpFormatter):
@@ -120,6 +131,27 @@ def add_input(
         help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text); "
         "told by its content",
     )
+
+
+def add_rig_config(parser: argparse.ArgumentParser) -> None:
+    """Add --rig-config."""
+    parser.add_argument(
+        "--rig-config",
+        metavar="FILE",
+        type=a_path,
+        help="make rigs out of the images, as COLMAP's rig_config.json says: images whose names "
+        "differ in their prefix only are a frame; poses of sensors that it does not have are means "
+        "over the frames (default: the rigs of INPUT)",
+    )
+
+
+def with_rigs(problem: Problem, path: str | None) -> Problem:
+    """Return the problem with the rigs of a file, if there is one."""
+    if path is None:
+        return problem
+    from bundle.rig_config import apply_rig_config
+
+    return apply_rig_config(problem, path)
 
 
 def add_output(parser: argparse.ArgumentParser, *names: str, **settings: Any) -> None:

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.cli.constraint_flags import add_constraint_flags, as_options, constraints_given
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags
+from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
+from bundle.cli.lens_flags import add_lens_flags, cameras_edited
 from bundle.cli.option_flags import (
     add_options,
     naming_flags,
     options_given,
     with_named_images,
 )
-from bundle.cli.parser import a_path, add_input, add_output
+from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, with_rigs
 from bundle.options import SolveOptions
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
 
@@ -43,10 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "bundle refine INPUT -o OUTPUT [options]"
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
+    add_rig_config(parser)
     add_options(parser, SolveOptions, "options of the solve")
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
     add_constraint_flags(parser)
     add_gps_flags(parser)
+    add_lens_flags(parser)
     parser.add_argument(
         "--only-images",
         metavar="IMAGES",
@@ -113,10 +116,13 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         begun = perf_counter()
-        problem = load(source)
+        loaded = load(source)
         load_time = perf_counter() - begun
-        if problem.num_observations == 0:
+        if loaded.num_observations == 0:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")
+        edits = cameras_edited(arguments, loaded)
+        problem = loaded if edits is None else edits.problem
+        problem = with_rigs(problem, arguments.rig_config)
         options = with_named_images(options, arguments, problem)
         output = {
             "path": target,
@@ -125,30 +131,31 @@ def run(arguments: argparse.Namespace) -> int:
         check_target(
             problem, **output, refined=options.refine, fixed_camera_ids=options.fixed_camera_ids
         )
-        gps = None
-        if arguments.gps is not None:
-            check_georeference(**output, json=arguments.json)
-            progress.stage(f"reading positions: {shown(arguments.gps)}")
-            gps = priors_given(arguments, problem)
+        for what, path in (("control points", arguments.gcp), ("positions", arguments.gps)):
+            if path is not None:
+                check_georeference(**output, json=arguments.json)
+                progress.stage(f"reading {what}: {shown(path)}")
+        known = priors_given(arguments, problem)
         if arguments.check_gradients:
             progress.stage("checking the Jacobians")
             wrong = _wrong_jacobians(arguments, problem, options)
             if wrong:
                 return EXIT_NO_SOLUTION
         progress.stage("building the problem")
-        with naming_flags(SolveOptions, RoundOptions, **ARGUMENTS, **NAMED):
+        flags = {**ARGUMENTS, **NAMED, "priors": main_flag(arguments)}
+        with naming_flags(SolveOptions, RoundOptions, **flags):
             solved = solve_rounds(
                 problem,
                 options,
                 **rounds.asdict(),
                 only_images=arguments.only_images,
-                priors=() if gps is None else gps.priors,
-                align=None if gps is None else True,
+                priors=() if known is None else known.priors,
+                align=None if known is None else True,
                 constraints=constraints,
                 **checkpoints,
                 progress=progress.iteration,
             )
-        georeference = None if gps is None else gps.georeference(solved)
+        georeference = None if known is None else known.georeference(solved)
         begun = perf_counter()
         lost: tuple[str, ...] = ()
         saved = solved.summary.is_solution_usable or solved.summary.interrupted
@@ -172,8 +179,8 @@ def run(arguments: argparse.Namespace) -> int:
         more["only_images"] = arguments.only_images
     more |= checkpoints | as_options(arguments)
     if arguments.json != "-":
-        show(*refinement(source, problem, solved, wall, written, lost, georeference))
-    report = json.refinement(source, problem, solved, wall, written, more, georeference)
+        show(*refinement(source, loaded, solved, wall, written, lost, georeference, edits))
+    report = json.refinement(source, loaded, solved, wall, written, more, georeference, edits)
     write_json(arguments.json, report)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE

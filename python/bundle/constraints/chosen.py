@@ -56,7 +56,7 @@ class Chooser:
         """
         cameras = self.indices(rule)
         every = rule.target.entries is None
-        found = []
+        found: list[tuple[int, str, tuple[int, ...]]] = []
         columns: dict[tuple[str, str], tuple[int, ...]] = {}
         models = self._problem.camera_models
         for name in rule.parameters:

@@ -151,9 +151,18 @@ class _Resolver:
                 self._points.setdefault(index, number)
                 self._counts[number] += 1
                 continue
+            if rule.target.kind == "image" and self._is_on_rig(index):
+                raise InputError(
+                    f"{rule.place}: expected images with a pose of their own, found image "
+                    f"{self._problem.image_ids[index]} on a rig; hold its frame by fixed_image_ids"
+                )
             for part in rule.parameters:
                 self._poses.setdefault((index, part), number)
                 self._counts[number] += 1
+
+    def _is_on_rig(self, image: int) -> bool:
+        frames = self._problem.image_frame
+        return len(frames) > 0 and bool(frames[image] >= 0)
 
     def _bound(self, number: int, rule: Bounds) -> None:
         for camera, _, columns in self._chooser.parameters(rule):

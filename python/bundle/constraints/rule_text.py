@@ -75,7 +75,7 @@ class _Reader:
             )
         self._target = Target.of(text[:colon])
         self._clause = text[colon + 1 :].strip()
-        self._tokens = _TOKEN.findall(self._clause)
+        self._tokens: list[str] = _TOKEN.findall(self._clause)
 
     def rule(self) -> Rule:
         rule = self._read()
@@ -118,8 +118,8 @@ class _Reader:
         if word == "%":
             if len(numbers) not in (1, 2):
                 raise InputError(f"expected prior [VALUE] PERCENT %, found {brief(self._clause)}")
-            *value, percent = numbers
-            return make(self._target, names, *(value or [None]), None, percent, place=self._place)
+            value = numbers[0] if len(numbers) == 2 else None
+            return make(self._target, names, value, None, numbers[-1], place=self._place)
         if at_end or len(numbers) > 1:
             raise InputError(
                 "expected prior [VALUE] sigma SIGMA or prior [VALUE] PERCENT %, found "

@@ -133,7 +133,7 @@ class Rule:
             raise InputError(f"{subject}{error}") from None
 
     def _check(self) -> None:
-        known = {"image": POSES, "point": POSES[:1]}.get(self.target.kind)
+        known = {"image": POSES, "point": POSES[:1]}.get(self.target.kind, ())
         for name in self.parameters if known else ():
             if name not in known:
                 raise InputError(

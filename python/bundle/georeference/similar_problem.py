@@ -5,15 +5,18 @@ R_c x + t_c before its camera is at s (R_c x + t_c) after. So
 
     R_c' = R_c R^T,  t_c' = s t_c - R_c' t,
 
-and no projection changes.
+and no projection changes. Frames of rigs move as cameras do, and rigs grow with the scene as well:
+t_s' = s t_s for a sensor_from_rig.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bundle.georeference.similarity import Similarity
 from bundle.problem import Problem
+from bundle.rig_arrays import placed
 from bundle.rotations import (
     quaternion_from_matrix,
     quaternion_inverse,
@@ -26,12 +29,24 @@ __all__ = ["moved"]
 
 def moved(problem: Problem, similarity: Similarity) -> Problem:
     """Return the problem where the similarity puts it; observations and cameras stay."""
+    changes = {"points": similarity.apply(problem.points)}
+    poses = _moved_poses(problem.cam_from_world, similarity)
+    if problem.num_frames:
+        arms = problem.sensor_from_rig.copy()
+        arms[:, 4:] *= similarity.scale
+        changes["sensor_from_rig"] = arms
+        changes["rig_from_world"] = _moved_poses(problem.rig_from_world, similarity)
+        poses = placed(
+            {name: getattr(problem, name) for name in ("image_frame", "image_sensor")}
+            | {"cam_from_world": poses}
+            | changes
+        )
+    return problem.replace(cam_from_world=poses, **changes)
+
+
+def _moved_poses(poses: NDArray[np.float64], similarity: Similarity) -> NDArray[np.float64]:
     back = quaternion_inverse(quaternion_from_matrix(similarity.rotation[None]))
-    quaternions = quaternion_multiply(problem.cam_from_world[:, :4], back)
+    quaternions = quaternion_multiply(poses[:, :4], back)
     turned = rotation_matrices(quaternions)
-    translations = similarity.scale * problem.cam_from_world[:, 4:]
-    translations = translations - turned @ similarity.translation
-    return problem.replace(
-        cam_from_world=np.hstack([quaternions, translations]),
-        points=similarity.apply(problem.points),
-    )
+    translations = similarity.scale * poses[:, 4:] - turned @ similarity.translation
+    return np.hstack([quaternions, translations])

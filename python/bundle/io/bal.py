@@ -22,7 +22,7 @@ from bundle import _core
 from bundle.cameras import param_kinds
 from bundle.errors import InputError, shown
 from bundle.io import problem_source
-from bundle.io.problem_source import BalSource
+from bundle.io.problem_source import LOST_SIGMAS, BalSource
 from bundle.problem import Problem
 
 __all__ = ["check_refined", "load", "losses", "radial_params", "save"]
@@ -199,6 +199,7 @@ def losses(problem: Problem) -> tuple[str, ...]:
             offset > 0,
             f"Principal points, up to {offset:g} px, are subtracted from the observations.",
         ),
+        (problem.num_frames, "Rigs are taken apart: each image gets a pose of its own."),
         (any(problem.image_names), "Names of images are left out."),
         (renumbered, f"Ids are renumbered from 0: {', '.join(renumbered)}."),
         (problem.camera_sizes[problem.image_camera].any(), "Sizes of images are left out."),
@@ -206,6 +207,7 @@ def losses(problem: Problem) -> tuple[str, ...]:
             (problem.observation_keypoint >= 0).any(),
             "Keypoint indices, and keypoints without a point, are left out.",
         ),
+        (problem.observation_sigma is not None, LOST_SIGMAS),
         (beside, f"{_listed(beside)} are left out.".capitalize()),
     )
     return tuple(sentence for applies, sentence in found if applies)

@@ -18,16 +18,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core, address_space
+from bundle import _core, address_space, rig_arrays
 from bundle.deferred_source import DeferredSource
 from bundle.errors import InputError, first_line
 from bundle.io.interrupts import interrupts_deferred
+from bundle.io.problem_source import LOST_SIGMAS
 from bundle.problem import Problem
 
 if TYPE_CHECKING:
     import pycolmap
 
-__all__ = ["can_rewrite", "load", "lost_in_text", "rewrite"]
+__all__ = ["can_rewrite", "load", "lost", "rewrite"]
 
 # What a problem shares with its source where only numbers that a solve changes are other ones.
 _SHARED_ARRAYS = (
@@ -40,6 +41,12 @@ _SHARED_ARRAYS = (
     "observation_point",
     "observation_keypoint",
     "observation_xy",
+    "frame_ids",
+    "frame_rig_ids",
+    "image_frame",
+    "image_sensor",
+    "sensor_rig_ids",
+    "sensor_camera_ids",
 )
 _SHARED_NAMES = ("image_names", "camera_models")
 
@@ -59,6 +66,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
         found = "something else" if folder.exists() else "nothing"
         raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
     model, fields = _core.read_colmap_model(os.fsencode(folder))
+    fields["cam_from_world"] = rig_arrays.placed(fields)
     source = DeferredSource(model, fields, partial(_reconstruction, folder, fields))
     try:
         return Problem(**fields, format="colmap", source=source)
@@ -125,8 +133,16 @@ def rewrite(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
         problem.camera_params,
         problem.points,
         _point_errors(problem)[:, None],
+        problem.rig_from_world,
+        problem.sensor_from_rig,
     )
-    return () if binary else lost_in_text(problem)
+    return lost(problem, binary=binary)
+
+
+def lost(problem: Problem, *, binary: bool) -> tuple[str, ...]:
+    """Return what no COLMAP model of this format keeps of a problem, one sentence each."""
+    sigmas = () if problem.observation_sigma is None else (LOST_SIGMAS,)
+    return (*sigmas, *(() if binary else lost_in_text(problem)))
 
 
 def lost_in_text(problem: Problem) -> tuple[str, ...]:

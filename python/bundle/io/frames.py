@@ -1,8 +1,10 @@
-"""Rigs of one camera and frames of one image: adding, moving and removing images and cameras."""
+"""Frames and rigs of a reconstruction: adding, moving and removing images and cameras."""
 
 from __future__ import annotations
 
 import pycolmap
+
+from bundle.io.colmap_rigs import cameras_of, is_trivial
 
 __all__ = ["Rigs", "remove_cameras", "remove_images"]
 
@@ -14,7 +16,8 @@ class Rigs:
         self._reconstruction = reconstruction
         self._rig_of_camera: dict[int, int] = {}
         for rig_id, rig in sorted(reconstruction.rigs.items()):
-            if rig.num_sensors() and rig.ref_sensor_id.type == pycolmap.SensorType.CAMERA:
+            is_camera = rig.num_sensors() and rig.ref_sensor_id.type == pycolmap.SensorType.CAMERA
+            if is_camera and is_trivial(rig):
                 self._rig_of_camera.setdefault(rig.ref_sensor_id.id, rig_id)
 
     def free_frame_id(self, wanted: int) -> int:
@@ -64,7 +67,7 @@ def remove_cameras(reconstruction: pycolmap.Reconstruction, camera_ids: set[int]
     rigs = {
         rig_id
         for rig_id, rig in reconstruction.rigs.items()
-        if not camera_ids.isdisjoint(_cameras_of(rig))
+        if not camera_ids.isdisjoint(sensor.id for sensor in cameras_of(rig))
     }
     for frame_id in [f for f, frame in reconstruction.frames.items() if frame.rig_id in rigs]:
         _remove_frame(reconstruction, frame_id)
@@ -74,15 +77,12 @@ def remove_cameras(reconstruction: pycolmap.Reconstruction, camera_ids: set[int]
         del reconstruction.cameras[camera_id]
 
 
-def _cameras_of(rig: pycolmap.Rig) -> list[int]:
-    sensors = rig.sensor_ids()
-    return [sensor.id for sensor in sensors if sensor.type == pycolmap.SensorType.CAMERA]
-
-
 def remove_images(reconstruction: pycolmap.Reconstruction, image_ids: set[int]) -> None:
-    """Remove images that observe no point any more, with their frames."""
+    """Remove images that observe no point any more, with their frames: all images of each."""
     for image_id in sorted(image_ids):
-        _remove_frame(reconstruction, reconstruction.image(image_id).frame_id)
+        frame_id = reconstruction.image(image_id).frame_id
+        if frame_id in reconstruction.frames:
+            _remove_frame(reconstruction, frame_id)
         del reconstruction.images[image_id]
 
 

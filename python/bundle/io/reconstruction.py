@@ -1,8 +1,8 @@
 """From ``pycolmap.Reconstruction`` to :class:`bundle.Problem`; ``write_back`` goes the other way.
 
 A rig of one camera has ``rig_from_world = cam_from_world``, so a pose is read from the image and
-written to its frame. Setting a pose, parameters or a point in pycolmap keeps every bit; what a
-problem did not change comes out as it went in.
+written to its frame; for other rigs see ``bundle.rig_arrays``. Setting a pose, parameters or a
+point in pycolmap keeps every bit; what a problem did not change comes out as it went in.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
+from bundle import rig_arrays
 from bundle.arguments import check_type
 from bundle.cameras import camera_models
 from bundle.errors import InputError
+from bundle.io.colmap_rigs import as_row, rigs_of
 from bundle.io.observation_edits import Baseline
 from bundle.problem import Problem
 
@@ -32,8 +34,9 @@ def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
     """Take over the registered images of a reconstruction, which is copied and kept as source.
 
     Raises:
-        InputError: a rig has several sensors or a frame several images; keypoints and tracks do not
-            match; a value that :class:`bundle.Problem` refuses.
+        InputError: a frame has several images of one camera, or an image of a camera of which the
+            pose on the rig is not known; keypoints and tracks do not match; a value that
+            :class:`bundle.Problem` refuses.
     """
     check_type("reconstruction", reconstruction, pycolmap.Reconstruction)
     return problem_of(pycolmap.Reconstruction(reconstruction))
@@ -41,7 +44,6 @@ def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
 
 def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
     """As :func:`from_pycolmap`, without the copy: the caller gives the reconstruction away."""
-    _check_rigs(reconstruction)
     cameras = [camera for _, camera in sorted(reconstruction.cameras.items())]
     images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
     points = sorted(reconstruction.points3D.items())
@@ -50,8 +52,16 @@ def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
     image_ids = np.array([image.image_id for image in images], np.int64)
     observations = _observations(images, point_ids)
     _check_tracks(reconstruction, points, image_ids, observations)
+    rigs = rigs_of(reconstruction, images)
+    poses = [
+        np.zeros(7) if framed else _pose(image)
+        for image, framed in zip(images, rigs.framed, strict=True)
+    ]
     problem = Problem(
-        cam_from_world=np.array([_pose(image) for image in images]).reshape(-1, 7),
+        cam_from_world=rig_arrays.placed(
+            rigs.fields | {"cam_from_world": np.array(poses).reshape(-1, 7)}
+        ),
+        **rigs.fields,
         image_ids=image_ids,
         image_names=tuple(_name(image) for image in images),
         image_camera=np.array([camera_index[image.camera_id] for image in images], np.int32),
@@ -103,7 +113,6 @@ def baseline_of(reconstruction: pycolmap.Reconstruction) -> Baseline:
     # A source never changes, but users can change theirs.
     if known and counts == (len(known.image_ids), len(known.point_ids), len(known.image)):
         return known
-    _check_rigs(reconstruction)
     images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
     points = sorted(reconstruction.points3D.items())
     point_ids = _ids_of_points([point_id for point_id, _ in points])
@@ -113,24 +122,6 @@ def baseline_of(reconstruction: pycolmap.Reconstruction) -> Baseline:
     return Baseline(image_ids, point_ids, found.image, found.point, found.keypoint, found.xy)
 
 
-def _check_rigs(reconstruction: pycolmap.Reconstruction) -> None:
-    for rig_id, rig in sorted(reconstruction.rigs.items()):
-        if rig.num_sensors() > 1:
-            raise InputError(
-                f"rig {rig_id} has {rig.num_sensors()} sensors (reference: {_sensor(rig)}): "
-                "only single-sensor rigs are supported"
-            )
-    for frame_id, frame in sorted(reconstruction.frames.items()):
-        num_images = len(list(frame.image_ids))
-        if num_images > 1:
-            raise InputError(f"frame {frame_id}: expected at most one image, found {num_images}")
-
-
-def _sensor(rig: pycolmap.Rig) -> str:
-    sensor = rig.ref_sensor_id
-    return f"{sensor.type.name.lower()} {sensor.id}"
-
-
 def _ids_of_points(ids: list[int]) -> NDArray[np.int64]:
     if ids and ids[-1] > MAX_POINT_ID:
         raise InputError(f"expected point ids below 2^63, found {ids[-1]}")
@@ -138,8 +129,7 @@ def _ids_of_points(ids: list[int]) -> NDArray[np.int64]:
 
 
 def _pose(image: pycolmap.Image) -> NDArray[np.float64]:
-    cam_from_world = image.cam_from_world()
-    return np.concatenate((cam_from_world.rotation.quat, cam_from_world.translation))
+    return as_row(image.cam_from_world())
 
 
 def _name(image: pycolmap.Image) -> str:

@@ -5,9 +5,10 @@ its own afterwards, no more and no fewer. The source adds what a problem does no
 rigs, ids of frames, keypoints without a point, images without a pose. A problem without a source is
 an edit of the empty reconstruction; its points stay black, COLMAP's "no colour".
 
-Of an image that the problem does not have any more, frame and keypoints go as well; of a camera,
-its rig and the images without a pose that it took. The rig of a camera whose images are gone, and
-points without observations, stay while the problem has the camera and the points.
+Of an image that the problem does not have any more, keypoints go as well, and its frame if it has
+no other image; of a camera, its rig and the images without a pose that it took. The rig of a camera
+whose images are gone, and points without observations, stay while the problem has the camera and
+the points.
 """
 
 from __future__ import annotations
@@ -23,7 +24,17 @@ from bundle.io.frames import Rigs, remove_cameras, remove_images
 from bundle.io.observation_edits import Baseline, ObservationEdits, find_edits
 from bundle.io.problem_source import is_source
 from bundle.io.reconstruction import baseline_of
+from bundle.io.rig_edits import (
+    check_rigs,
+    fits,
+    reframed,
+    rigid3d,
+    taken_apart,
+    without_parts_of_frames,
+    write_poses,
+)
 from bundle.problem import Problem
+from bundle.rig_arrays import rig_of_image
 
 __all__ = ["check", "to_pycolmap", "write_back"]
 
@@ -36,8 +47,9 @@ def to_pycolmap(problem: Problem) -> pycolmap.Reconstruction:
     """Return a reconstruction: a copy of the source with every edit of the problem in it.
 
     The errors of the points are computed anew. A problem that did not come from COLMAP gives a new
-    reconstruction: the same ids, a trivial rig a camera and a trivial frame an image, keypoints in
-    the order of the problem, and names such as image_000007 for images that have none.
+    reconstruction: the same ids, the rigs of the problem and else a trivial rig a camera and a
+    trivial frame an image, keypoints in the order of the problem, and names such as image_000007
+    for images that have none.
 
     Raises:
         InputError: an id that COLMAP cannot hold, or a keypoint index that does not exist or is
@@ -58,12 +70,22 @@ def write_back(problem: Problem) -> tuple[pycolmap.Reconstruction, ObservationEd
     reconstruction = (
         pycolmap.Reconstruction() if source is None else pycolmap.Reconstruction(source)
     )
+    has_same_rigs = fits(reconstruction, problem)
+    if not has_same_rigs:
+        reconstruction = taken_apart(reconstruction)
     _detach(reconstruction, problem, baseline, edits)
-    remove_images(reconstruction, set(baseline.image_ids.tolist()) - _set(problem.image_ids))
+    gone = set(baseline.image_ids.tolist()) - _set(problem.image_ids)
+    reconstruction, gone = without_parts_of_frames(reconstruction, gone)
+    remove_images(reconstruction, gone)
     _write_cameras(reconstruction, problem)
-    _write_images(reconstruction, problem, edits, has_source=source is not None)
+    framed = has_same_rigs & (rig_of_image(problem) >= 0)
+    _write_images(reconstruction, problem, edits, framed, has_source=source is not None)
     remove_cameras(reconstruction, set(reconstruction.cameras) - _set(problem.camera_ids))
     _write_keypoints(reconstruction, problem, edits)
+    if has_same_rigs:
+        write_poses(reconstruction, problem)
+    else:
+        reconstruction = reframed(reconstruction, problem)
     _write_points(reconstruction, problem, edits)
     return reconstruction, edits
 
@@ -95,6 +117,7 @@ def _edits(problem: Problem) -> tuple[Baseline, ObservationEdits]:
         )
     source = _source(problem)
     source = pycolmap.Reconstruction() if source is None else source
+    check_rigs(problem, source)
     baseline = baseline_of(source)
     num_keypoints = np.array(
         [
@@ -150,6 +173,7 @@ def _write_images(
     reconstruction: pycolmap.Reconstruction,
     problem: Problem,
     edits: ObservationEdits,
+    framed: NDArray[np.bool_],
     *,
     has_source: bool,
 ) -> None:
@@ -161,7 +185,7 @@ def _write_images(
     for index, image_id in enumerate(ids):
         camera_id = int(problem.camera_ids[problem.image_camera[index]])
         name = problem.image_names[index]
-        pose = _rigid3d(problem.cam_from_world[index])
+        pose = rigid3d(problem.cam_from_world[index])
         if is_new[index]:
             if not name and not has_source:
                 name = _free_name(image_id, taken_names)
@@ -170,6 +194,8 @@ def _write_images(
             continue
         image = reconstruction.image(image_id)
         image.name = name
+        if framed[index]:
+            continue
         if image.camera_id != camera_id:
             rigs.move(image, camera_id, pose)
             continue
@@ -197,10 +223,6 @@ def _free_name(image_id: int, taken: set[str]) -> str:
         name += "_"
     taken.add(name)
     return name
-
-
-def _rigid3d(pose: NDArray[np.float64]) -> pycolmap.Rigid3d:
-    return pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:4]), pose[4:])
 
 
 def _write_keypoints(

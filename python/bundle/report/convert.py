@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from rich.console import RenderableType
 
+from bundle.camera_edits import CameraEdits
 from bundle.errors import shown
 from bundle.problem import Problem
+from bundle.report.camera_edit_rows import edit_rows
 from bundle.tables import facts, format_name, notes
 from bundle.words import contents
 
@@ -13,13 +15,19 @@ __all__ = ["conversion"]
 
 
 def conversion(
-    path: str, problem: Problem, output: dict[str, str], lost: tuple[str, ...]
+    path: str,
+    problem: Problem,
+    output: dict[str, str],
+    lost: tuple[str, ...],
+    edits: CameraEdits | None = None,
 ) -> list[RenderableType]:
     """Return what was read, what was written and what was lost between them."""
     rows = [
         ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
+        *edit_rows(edits),
         ("output", f"{shown(output['path'])} ({format_name(output['format'])})"),
         ("lost", "" if lost else "nothing"),
     ]
-    return [facts(rows), *notes(lost)]
+    warnings = () if edits is None else edits.warnings
+    return [facts(rows), *notes(lost), *notes(warnings, style="yellow")]

@@ -10,6 +10,7 @@ from rich.console import RenderableType
 from bundle.errors import shown
 from bundle.problem import Problem
 from bundle.report.refine import worst_table
+from bundle.report.rig_tables import rig_fact, rig_table
 from bundle.statistics import CameraGroup, Covisibility, Description, Distribution
 from bundle.statistics.depths import COLLAPSED
 from bundle.tables import Bar, Columns, columns, facts, format_name, notes, number, pixels, plural
@@ -23,11 +24,16 @@ def information(path: str, problem: Problem, description: Description) -> list[R
     wrong = [suspicion.sentence for suspicion in description.suspicions]
     return [
         facts(
-            [("input", f"{shown(path)} ({format_name(problem.format)})"), ("", contents(problem))]
+            [
+                ("input", f"{shown(path)} ({format_name(problem.format)})"),
+                ("", contents(problem)),
+                *rig_fact(problem),
+            ]
         ),
         "",
         _cameras(description.cameras),
         "",
+        *rig_table(description.rigs),
         _distributions(description),
         "",
         _histogram("track length", "points", description.track_length),

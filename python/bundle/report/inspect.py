@@ -15,6 +15,7 @@ from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report import json
+from bundle.report.rig_tables import rig_fact
 from bundle.tables import Columns, CommandLine, columns, facts, format_name, notes, number
 from bundle.words import contents, duration, plural
 
@@ -38,6 +39,7 @@ def inspected(
             [
                 ("input", f"{shown(path)} ({format_name(problem.format)})"),
                 ("", contents(problem)),
+                *rig_fact(problem),
                 ("unknowns", _unknowns(inspection)),
                 ("nonzeros", _nonzeros(inspection)),
                 ("", CONVENTION),

@@ -17,13 +17,16 @@ from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report.timing import WallTime
 from bundle.result import Result
+from bundle.sensor_changes import sensor_changes
 
 if TYPE_CHECKING:
+    from bundle.camera_edits import CameraEdits
     from bundle.georeference import Georeference
     from bundle.statistics import Description
 
 __all__ = [
     "SCHEMA",
+    "camera_edits",
     "conversion",
     "dumps",
     "heading",
@@ -52,8 +55,15 @@ def heading(command: str, path: str, problem: Problem) -> dict[str, Any]:
             "num_images": problem.num_images,
             "num_points": problem.num_points,
             "num_observations": problem.num_observations,
+            **_rig_counts(problem),
         },
     }
+
+
+def _rig_counts(problem: Problem) -> dict[str, int]:
+    """Return the counts of rigs of several sensors; nothing where there are none."""
+    names = ("num_rigs", "num_frames", "num_sensors") if problem.num_frames else ()
+    return {name: getattr(problem, name) for name in names}
 
 
 def several(command: str, reports: list[dict[str, Any]]) -> dict[str, Any]:
@@ -88,6 +98,7 @@ def refinement(
     output: dict[str, str] | None,
     more_options: Mapping[str, Any] | None = None,
     georeference: Georeference | None = None,
+    edits: CameraEdits | None = None,
 ) -> dict[str, Any]:
     """Return the report of `bundle refine`; `output` is None where nothing was written.
 
@@ -99,6 +110,7 @@ def refinement(
     place = {} if georeference is None else {"georeference": plain(georeference.asdict())}
     return {
         **heading("refine", path, problem),
+        **camera_edits(edits),
         **about,
         **(plain(rounds) if solved.rounds else {}),
         **({"part": plain(dataclasses.asdict(solved.part))} if solved.part else {}),
@@ -108,6 +120,7 @@ def refinement(
             else {}
         ),
         "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
+        **({"sensors": _sensors(solved)} if problem.num_frames else {}),
         "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),
         **place,
         "wall_time": plain(dataclasses.asdict(wall)),
@@ -115,11 +128,29 @@ def refinement(
     }
 
 
+def _sensors(solved: Result) -> Any:
+    return plain([dataclasses.asdict(change) for change in sensor_changes(solved)])
+
+
 def conversion(
-    path: str, problem: Problem, output: dict[str, str], lost: tuple[str, ...]
+    path: str,
+    problem: Problem,
+    output: dict[str, str],
+    lost: tuple[str, ...],
+    edits: CameraEdits | None = None,
 ) -> dict[str, Any]:
     """Return the report of `bundle convert`."""
-    return {**heading("convert", path, problem), "output": output, "lost": list(lost)}
+    return {
+        **heading("convert", path, problem),
+        **camera_edits(edits),
+        "output": output,
+        "lost": list(lost),
+    }
+
+
+def camera_edits(edits: CameraEdits | None) -> dict[str, Any]:
+    """Return the part on cameras that were changed before anything else, if they were."""
+    return {} if edits is None else {"camera_edits": plain(edits.asdict())}
 
 
 def information(path: str, problem: Problem, description: Description) -> dict[str, Any]:

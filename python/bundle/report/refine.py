@@ -11,8 +11,11 @@ from bundle.camera_changes import CameraChange, camera_changes
 from bundle.errors import shown
 from bundle.options import SolveOptions
 from bundle.problem import Problem
+from bundle.report.camera_edit_rows import edit_rows
+from bundle.report.rig_tables import rig_fact, sensor_table
 from bundle.report.timing import WallTime, wall_table
 from bundle.result import Result
+from bundle.sensor_changes import sensor_changes
 from bundle.summary import Summary, sizes
 from bundle.tables import (
     Columns,
@@ -29,6 +32,7 @@ from bundle.words import contents
 from bundle.worst_images import ImageError
 
 if TYPE_CHECKING:
+    from bundle.camera_edits import CameraEdits
     from bundle.georeference import Georeference
 
 __all__ = ["contents", "outcome", "refinement", "worst_table"]
@@ -45,12 +49,15 @@ def refinement(
     output: dict[str, str] | None,
     lost: tuple[str, ...],
     georeference: Georeference | None = None,
+    edits: CameraEdits | None = None,
 ) -> list[RenderableType]:
     """Return the report on one solve; `output` is None where nothing was written."""
     summary = solved.summary
     rows = [
         ("input", f"{shown(path)} ({format_name(problem.format)})"),
         ("", contents(problem)),
+        *edit_rows(edits),
+        *rig_fact(problem),
         ("refined", _refined(solved.options)),
         *_part(solved),
         ("backend", _backend(summary)),
@@ -74,9 +81,10 @@ def refinement(
         *_positions(georeference),
         *_cameras(camera_changes(solved)),
         *_constraints(solved),
+        *sensor_table(sensor_changes(solved)),
         *worst_table(solved.worst_images, "worst images, after"),
         facts([("outcome", outcome(solved))]),
-        *notes(summary.warnings, style="yellow"),
+        *notes((*(edits.warnings if edits else ()), *summary.warnings), style="yellow"),
         "",
         wall_table(summary, wall),
         "",
@@ -188,7 +196,9 @@ def outcome(solved: Result) -> str:
 
 
 def _refined(options: SolveOptions) -> str:
-    refined = ", ".join(name.replace("_", " ") for name in options.refine) or "nothing"
+    names = [name.replace("_", " ") for name in options.refine]
+    names += ["sensors on rigs"] * options.refine_sensor_from_rig
+    refined = ", ".join(names) or "nothing"
     words = [refined, f"gauge {options.gauge.replace('_', '-')}"]
     if options.loss != "trivial":
         words.append(f"{options.loss.replace('_', '-')} loss at {options.loss_scale:g} px")
@@ -196,6 +206,7 @@ def _refined(options: SolveOptions) -> str:
         (options.fixed_camera_ids, "camera"),
         (options.fixed_image_ids, "image"),
         (options.fixed_point_ids, "point"),
+        (options.fixed_sensors, "sensor"),
     )
     words += [f"{plural(len(ids), noun)} fixed" for ids, noun in fixed if ids]
     return "; ".join(words)

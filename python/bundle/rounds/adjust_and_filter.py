@@ -15,6 +15,7 @@ from bundle.image_selection import ImageSelection, find_images
 from bundle.io import Source, as_path, as_problem
 from bundle.option_fields import number
 from bundle.options import SolveOptions
+from bundle.placement import place_at_priors
 from bundle.result import Result
 from bundle.rounds.checkpoint import digest, fingerprint_of_options
 from bundle.rounds.local_part import LocalPart
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from bundle.constraint_record import RuleEnd
     from bundle.constraints import Constraints, Rule
     from bundle.constraints.applied import Applied
-    from bundle.georeference import PositionPrior
     from bundle.graph import Factor
+    from bundle.placement import Prior
     from bundle.problem import Problem
 
 __all__ = ["solve_rounds"]
@@ -44,7 +45,7 @@ def solve_rounds(
     min_track_length: int = 2,
     only_images: ImageSelection | None = None,
     factors: Iterable[Factor] = (),
-    priors: Iterable[PositionPrior] = (),
+    priors: Iterable[Prior] = (),
     align: bool | None = None,
     bounds: Bounds | None = None,
     constraints: Constraints | Iterable[str | Rule] = (),
@@ -78,7 +79,9 @@ def solve_rounds(
             solver and the filter. A camera that also took other images is refined, too, unless it
             is in ``fixed_camera_ids`` (``part`` of the result names it).
         factors: beside the observations, as in :func:`bundle.solve`.
-        priors: measured positions of images, as in :func:`bundle.solve`.
+        priors: measured positions of images and control points, as in :func:`bundle.solve`. No
+            filter removes a measurement of a control point; counts of points and observations in
+            ``rounds`` include control points.
         align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
         bounds: of camera parameters, as in :func:`bundle.solve`.
         constraints: rules, as in :func:`bundle.solve`. What they say of the start they say of the
@@ -121,14 +124,19 @@ def solve_rounds(
         if align:
             raise InputError("align: expected without only_images, which leave the rest in place")
         align = False
-    placed, factors, similarity = solver.place_at_priors(given, factors, priors, align)
-    factors = _listed(factors)
+    placed = place_at_priors(given, factors, priors, align)
+    factors = _listed(placed.factors)
     part = None
     if only_images is not None:
+        if placed.control_point_ids:
+            raise InputError(
+                "priors: expected no control points beside only_images, which leave the rest in "
+                "place"
+            )
         named = find_images("only_images", given, only_images)
         part = LocalPart(given, named, factors)
     start, used, applied = solver.constrained(
-        placed, options, constraints, None if part is None else part.refined_ids
+        placed.problem, options, constraints, None if part is None else part.refined_ids
     )
     if part is not None:
         if start is not given:
@@ -136,7 +144,9 @@ def solve_rounds(
         start, used, bounds = part.problem, part.options(used), part.bounds(bounds)
         applied = None if applied is None else applied.restricted(start)
         check_observed(part)
-    run = RoundRun(start, used, limits, factors, bounds, progress, applied)
+    run = RoundRun(
+        start, used, limits, factors, bounds, progress, placed.control_point_ids, applied
+    )
     if checkpoint is not None or resume is not None:
         fingerprint = {
             "input": digest(given),
@@ -145,25 +155,32 @@ def solve_rounds(
             "checkpoint_interval": interval,
             "only_images": None if part is None else part.named_ids,
             "factors and bounds": digest_of_pickle(
-                (factors, bounds, applied and dataclasses.replace(applied, rules=()))
+                _without_places(factors, bounds, placed.targets, applied)
             ),
         }
         run.keep(checkpoint, resume, fingerprint, interval)
     state, result = run.to_the_end()
+    refined = placed.result(state.problem)
     return dataclasses.replace(
         result,
         problem=(
-            state.problem
-            if part is None
-            else part.merge(state.problem, state.observations, state.points)
+            refined if part is None else part.merge(state.problem, state.observations, state.points)
         ),
         initial_problem=given,
         options=result.options if part is None else restored(result.options, options),
         rounds=state.rounds,
-        similarity=similarity,
-        constraints=() if applied is None else _rule_ends(applied, placed, state.problem),
+        similarity=placed.similarity,
+        control_points=placed.control_points(refined) if part is None else (),
+        constraints=() if applied is None else _rule_ends(applied, placed.problem, state.problem),
         part=None if part is None else part.record,
     )
+
+
+def _without_places(factors: Any, bounds: Any, targets: Any, applied: Applied | None) -> Any:
+    """Return what decides a run, without where its rules stood."""
+    rules = None if applied is None else dataclasses.replace(applied, rules=())
+    given = [factors, bounds, *(part for part in (targets, rules) if part is not None)]
+    return tuple(given)
 
 
 def _rule_ends(applied: Applied, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
@@ -201,6 +218,8 @@ def restored(used: SolveOptions, given: SolveOptions) -> SolveOptions:
         fixed_image_ids=given.fixed_image_ids,
         fixed_camera_ids=given.fixed_camera_ids,
         fixed_point_ids=given.fixed_point_ids,
+        refine_sensor_from_rig=given.refine_sensor_from_rig,
+        fixed_sensors=given.fixed_sensors,
     )
 
 

@@ -5,8 +5,8 @@ left, and of what was done, with a fingerprint of the run: a digest of the input
 that decides the result (not the number of threads). It is replaced whole or not at all
 (``bundle.io.atomic``: written beside, flushed, renamed): a kill at any instant leaves a checkpoint.
 
-A checkpoint costs its size, 24 bytes per point and 56 per image beside a bit per observation, and
-the wait for the disk.
+A checkpoint costs its size, 24 bytes per point and 56 per image (and frame of a rig) beside a bit
+per observation, and the wait for the disk.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from bundle.problem import Problem
 from bundle.result import Result
 from bundle.round_record import Round
 from bundle.rounds.filtering import subset
+from bundle.solver import STATE
 from bundle.summary import Summary
 
 __all__ = ["State", "check_target", "digest", "fingerprint_of_options", "read", "write"]
@@ -66,9 +67,9 @@ def digest(problem: Problem) -> str:
     """Return what tells a problem from others: all its arrays and names, not where it came from."""
     digest = hashlib.sha256()
     for field in dataclasses.fields(problem):
-        if field.name == "source":
+        value = None if field.name == "source" else getattr(problem, field.name)
+        if value is None:
             continue
-        value = getattr(problem, field.name)
         if isinstance(value, np.ndarray):
             digest.update(f"{field.name} {value.dtype} {value.shape}".encode())
             digest.update(np.ascontiguousarray(value).data)
@@ -118,9 +119,7 @@ def write(path: Path, state: State, start: Problem, fingerprint: Mapping[str, An
         np.savez(
             file,
             meta=np.frombuffer(json.dumps(meta).encode(), np.uint8),
-            cam_from_world=state.problem.cam_from_world,
-            camera_params=state.problem.camera_params,
-            points=state.problem.points,
+            **{name: getattr(state.problem, name) for name in STATE},
             observation_mask=np.packbits(observations),
             point_mask=np.packbits(points),
             **arrays,
@@ -160,8 +159,7 @@ def _state(
         np.unpackbits(arrays[name], count=size).astype(bool)
         for name, size in zip(("observation_mask", "point_mask"), sizes, strict=True)
     ]
-    names = ("cam_from_world", "camera_params", "points")
-    problem = subset(start, *masks).replace(**{name: arrays[name] for name in names})
+    problem = subset(start, *masks).replace(**{name: arrays[name] for name in STATE})
     so_far = meta["so_far"]
     if so_far is not None:
         so_far = _result(so_far, _without_prefix(arrays), problem, options)

@@ -39,7 +39,7 @@ class LocalPart:
     Attributes:
         problem: what goes to the solver.
         record: what that is, for reports.
-        named_ids: of the images that are refined.
+        named_ids: of the images that are refined, in the order of the problem.
     """
 
     def __init__(
@@ -47,7 +47,8 @@ class LocalPart:
     ) -> None:
         self._whole = whole
         self.named_ids = list(image_ids)
-        named = np.isin(whole.image_ids, self.named_ids)
+        named = with_frames(whole, np.isin(whole.image_ids, self.named_ids))
+        self.named_ids = whole.image_ids[named].tolist()
         seen = np.zeros(whole.num_points, bool)
         seen[whole.observation_point[named[whole.observation_image]]] = True
         self._observations = np.flatnonzero(seen[whole.observation_point])
@@ -63,6 +64,7 @@ class LocalPart:
         self._images, self._points, self._cameras = map(np.flatnonzero, (images, points, cameras))
         self._named, self._seen = named[self._images], seen[self._points]
         self._refined_cameras = refined_cameras[self._cameras]
+        self._take_rigs()
         self.problem = self._extract()
         shared = np.unique(whole.image_camera[~named])
         self.record = PartRecord(
@@ -90,6 +92,9 @@ class LocalPart:
             fixed_point_ids=_held(
                 "fixed_point_ids", options, whole.point_ids, part.point_ids, self._seen
             ),
+            # To move a sensor on its rig is to move images of every frame.
+            refine_sensor_from_rig=False,
+            fixed_sensors=(),
         )
 
     @property
@@ -122,13 +127,19 @@ class LocalPart:
         pose, params = whole.cam_from_world.copy(), whole.camera_params.copy()
         xyz = whole.points.copy()
         pose[self._images[self._named]] = refined.cam_from_world[self._named]
+        rigs: dict[str, Any] = {}
+        if len(self._frames):
+            frames, arms = whole.rig_from_world.copy(), whole.sensor_from_rig.copy()
+            frames[self._frames] = refined.rig_from_world
+            arms[self._sensors] = refined.sensor_from_rig
+            rigs = {"rig_from_world": frames, "sensor_from_rig": arms}
         width = refined.camera_params.shape[1]
         params[self._cameras[self._refined_cameras], :width] = refined.camera_params[
             self._refined_cameras
         ]
         moved = self._seen[points]
         xyz[self._points[points[moved]]] = refined.points[moved]
-        values = whole.replace(cam_from_world=pose, camera_params=params, points=xyz)
+        values = whole.replace(cam_from_world=pose, camera_params=params, points=xyz, **rigs)
         left = np.ones(whole.num_observations, bool)
         left[self._observations] = False
         left[self._observations[observations]] = True
@@ -145,7 +156,7 @@ class LocalPart:
         camera_row[self._cameras] = np.arange(len(self._cameras))
         point_row = np.zeros(whole.num_points, np.int32)
         point_row[self._points] = np.arange(len(self._points))
-        seen = self._observations
+        seen, sigma = self._observations, whole.observation_sigma
         return Problem(
             cam_from_world=whole.cam_from_world[self._images],
             image_ids=whole.image_ids[self._images],
@@ -160,8 +171,53 @@ class LocalPart:
             observation_image=image_row[whole.observation_image[seen]],
             observation_point=point_row[whole.observation_point[seen]],
             observation_xy=whole.observation_xy[seen],
+            observation_sigma=None if sigma is None else sigma[seen],
             format=whole.format,
+            **self._extract_rigs(),
         )
+
+    def _take_rigs(self) -> None:
+        """Find frames and sensors of the part; sensors of rigs that have a frame in it."""
+        whole = self._whole
+        self._frames = self._sensors = np.empty(0, np.int64)
+        self._refined_sensors = np.empty(0, bool)
+        if not whole.num_frames:
+            return
+        frames = whole.image_frame[self._images]
+        self._frames = np.unique(frames[frames >= 0])
+        rigs = whole.frame_rig_ids[self._frames]
+        self._sensors = np.flatnonzero(np.isin(whole.sensor_rig_ids, rigs))
+        named = whole.image_frame[self._images[self._named]]
+        outside = np.setdiff1d(np.arange(whole.num_frames), named)
+        held = np.isin(whole.sensor_rig_ids[self._sensors], whole.frame_rig_ids[outside])
+        self._refined_sensors = ~held
+
+    def _extract_rigs(self) -> dict[str, Any]:
+        whole = self._whole
+        if not len(self._frames):
+            return {}
+        frame_row = np.full(whole.num_frames + 1, -1, np.int32)  # the last for no frame, -1
+        frame_row[self._frames] = np.arange(len(self._frames))
+        sensor_row = np.full(whole.num_sensors + 1, -1, np.int32)
+        sensor_row[self._sensors] = np.arange(len(self._sensors))
+        return {
+            "rig_from_world": whole.rig_from_world[self._frames],
+            "frame_ids": whole.frame_ids[self._frames],
+            "frame_rig_ids": whole.frame_rig_ids[self._frames],
+            "image_frame": frame_row[whole.image_frame[self._images]],
+            "sensor_from_rig": whole.sensor_from_rig[self._sensors],
+            "sensor_rig_ids": whole.sensor_rig_ids[self._sensors],
+            "sensor_camera_ids": whole.sensor_camera_ids[self._sensors],
+            "image_sensor": sensor_row[whole.image_sensor[self._images]],
+        }
+
+
+def with_frames(problem: Problem, images: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the images, and those that share a frame with one of them."""
+    if not problem.num_frames:
+        return images
+    frames = problem.image_frame[images]
+    return images | np.isin(problem.image_frame, frames[frames >= 0])
 
 
 def touched_ids(factors: Iterable[Factor]) -> dict[str, list[int]]:

@@ -20,6 +20,7 @@ from bundle.reprojection import (
 )
 from bundle.statistics.covisibility import Covisibility, covisibility
 from bundle.statistics.depths import Depths, depths_of_observations, summarize
+from bundle.statistics.rig_summary import RigSummary, rig_summaries
 from bundle.statistics.suspicions import Suspicion, count_repeated, suspicions
 from bundle.words import number, pixels, plural
 from bundle.worst_images import ImageError, worst_of_errors
@@ -78,6 +79,7 @@ class Description(Displayed):
             such tracks, and they are no fault.
         worst_images: those with the largest errors; empty where a camera model is unknown.
         suspicions: what looks wrong, gravest first.
+        rigs: those of several sensors, by id.
     """
 
     cameras: tuple[CameraGroup, ...]
@@ -89,6 +91,7 @@ class Description(Displayed):
     num_repeated_observations: int
     worst_images: tuple[ImageError, ...]
     suspicions: tuple[Suspicion, ...]
+    rigs: tuple[RigSummary, ...] = ()
 
     def _display(self) -> Display:
         error = self.reprojection_error
@@ -101,6 +104,14 @@ class Description(Displayed):
             ("observations", f"mean {number(self.observations_per_image.mean)} per image"),
             ("covisibility", pieces),
             ("error", rmse),
+        ]
+        facts += [
+            (
+                "rig",
+                f"{rig.rig_id}: {plural(len(rig.sensors), 'sensor')}, "
+                f"{plural(rig.num_frames, 'frame')}",
+            )
+            for rig in self.rigs
         ]
         facts += [("suspicion", suspicion.sentence) for suspicion in self.suspicions]
         return Display(title="Description", facts=tuple(facts))
@@ -144,6 +155,7 @@ def describe(problem: Source) -> Description:
         num_repeated_observations=count_repeated(problem),
         worst_images=worst,
         suspicions=suspicions(problem, graph, errors, behind, depths),
+        rigs=rig_summaries(problem),
     )
 
 

@@ -145,7 +145,8 @@ class LinearizedProblem {
     }
   }
 
-  /// A row by an image's own pose, or by its frame's or sensor's (rig_pose_test.cpp has differences).
+  /// A row by an image's own pose, or by its frame's or sensor's (rig_pose_test.cpp has
+  /// differences).
   static Real ByPose(const RigPose& rig, bool is_sensor, const double* row, int column) {
     if (rig.frame == nullptr) return row[column];
     double map[36];
@@ -184,8 +185,9 @@ class LinearizedProblem {
         for (int k = 0; k < block.size; ++k) {
           const int column = block.columns[k];
           add(block.offset + k,
-              column < kPoseSize ? ByPose(cameras.rig(image), is_sensor, &jacobian.pose[6 * r], column)
-                                 : jacobian.params[kParams * r + column - kPoseSize]);
+              column < kPoseSize
+                  ? ByPose(cameras.rig(image), is_sensor, &jacobian.pose[6 * r], column)
+                  : jacobian.params[kParams * r + column - kPoseSize]);
         }
       }
       for (int k = 0; k < 3 && point_column_[point] >= 0; ++k) {

@@ -37,12 +37,17 @@ struct EliminationInput {
   Cheirality cheirality = Cheirality::kZero;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
+  const double* inverse_sigma = nullptr;  ///< of each observation of the plan; nullptr: 1 each
   int64_t longest_track = 0;
   /// Of each point of the plan: its place in `prior_sums`, or -1. nullptr: no factor is of a point.
   const int32_t* point_prior = nullptr;
   /// Of each place what factors add to the point's block, 12 numbers: rows of J^T J, each followed
   /// by its entry of J^T r. They are those of the last linearisation.
   const double* prior_sums = nullptr;
+
+  /// Of each image 1, if the pose's rows of its ChunkSum::camera_diagonal are wanted; nullptr: all
+  /// rows of all images are.
+  const uint8_t* image_is_mapped = nullptr;
 
   const double* PriorOf(int point) const {
     const int place = point_prior == nullptr ? -1 : point_prior[point];
