@@ -28,15 +28,21 @@ class ReprojectionCost final : public ceres::CostFunction {
     watch_ = context.watch;
     measurement_ = problem.observation_xy + 2 * observation;
 
+    context_ = &context;
+    image_ = image;
+
     set_num_residuals(2);
     if (layout.point_is_free(point)) {
       mutable_parameter_block_sizes()->push_back(3);
     } else {
       fixed_point_ = problem.points + 3 * static_cast<int64_t>(point);
     }
-    for (const int index : layout.blocks_of(image)) {
+    const ParameterLayout::ImageBlocks& of = layout.blocks_of(image);
+    for (int place = 0; place < static_cast<int>(of.size()); ++place) {
+      const int index = of[place];
       if (index < 0) continue;
       const CameraBlock& block = layout.blocks()[index];
+      if (layout.HasMap(problem, image, place)) maps_of_[num_blocks_] = static_cast<int8_t>(place);
       if (index == layout.blocks_of(image)[ParameterLayout::kSensorBlock]) sensor_ = num_blocks_;
       blocks_[num_blocks_++] = &block;
       mutable_parameter_block_sizes()->push_back(block.size);
@@ -66,7 +72,11 @@ class ReprojectionCost final : public ceres::CostFunction {
     for (int b = 0; b < num_blocks_; ++b) {
       if (jacobians[b] == nullptr) continue;
       if (rig_.frame != nullptr) ChainRig(local, b == sensor_, jacobian.pose);
-      Gather(jacobian, *blocks_[b], jacobians[b]);
+      if (maps_of_[b] >= 0) {
+        GatherMapped(jacobian, maps_of_[b], *blocks_[b], jacobians[b]);
+      } else {
+        Gather(jacobian, *blocks_[b], jacobians[b]);
+      }
     }
     return true;
   }
@@ -119,6 +129,25 @@ class ReprojectionCost final : public ceres::CostFunction {
     }
   }
 
+  void GatherMapped(const ReprojectionJacobian<kParams>& jacobian, int place,
+                    const CameraBlock& block, double* out) const {
+    ColumnMap map;
+    context_->layout.FillMap(context_->problem, image_, place, *pose_, &map);
+    std::fill_n(out, 2 * block.size, 0.0);
+    for (int i = 0; i < map.num_columns; ++i) {
+      const int column = map.columns[i];
+      const bool is_pose = column < kPoseSize;
+      const double* x = is_pose ? jacobian.pose + column : jacobian.params + (column - kPoseSize);
+      const double* const row = map.values + i * block.size;
+      AddMultiple(x[0], row, block.size, out);
+      AddMultiple(x[is_pose ? kPoseSize : kParams], row, block.size, out + block.size);
+    }
+  }
+
+  static void AddMultiple(double factor, const double* from, int size, double* to) {
+    for (int k = 0; k < size; ++k) to[k] += factor * from[k];
+  }
+
   static void Gather(const ReprojectionJacobian<kParams>& jacobian, const CameraBlock& block,
                      double* out) {
     for (int k = 0; k < block.size; ++k) {
@@ -134,13 +163,16 @@ class ReprojectionCost final : public ceres::CostFunction {
   const double* params_;
   const double* fixed_point_ = nullptr;
   const double* measurement_;
-  const CameraBlock* blocks_[3] = {};
+  const ReprojectionContext* context_ = nullptr;
+  const CameraBlock* blocks_[4] = {};
   HoldingWatch* watch_;
   mutable double held_[2] = {0, 0};  ///< what is held if the observation stops counting, or is held
   RigPose rig_;
+  int image_ = -1;
   int8_t num_blocks_ = 0;
-  int8_t sensor_ = -1;           ///< which of the blocks is the sensor's
-  mutable bool counted_ = true;  ///< at the last state
+  int8_t maps_of_[4] = {-1, -1, -1, -1};  ///< of each block with a map: its place in ImageBlocks
+  int8_t sensor_ = -1;                    ///< which of the blocks is the sensor's
+  mutable bool counted_ = true;           ///< at the last state
   Cheirality cheirality_;
   const std::atomic<bool>* abandoned_ = nullptr;
 };

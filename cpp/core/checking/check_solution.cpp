@@ -136,11 +136,9 @@ SolutionUnderCheck::SolutionUnderCheck(const ProblemView& problem, const Paramet
 uint32_t SolutionUnderCheck::FreeColumns(int64_t observation) const {
   const int image = problem_.observation_image[observation];
   const int camera = problem_.image_camera[image];
-  uint32_t free = 0;
-  for (const int index : layout_.blocks_of(image)) {
-    if (index < 0) continue;
-    const CameraBlock& block = layout_.blocks()[index];
-    for (int k = 0; k < block.size; ++k) free |= 1u << block.columns[k];
+  uint32_t free = layout_.RefinedColumns(problem_, image);
+  if (layout_.blocks_of(image)[ParameterLayout::kSensorBlock] >= 0) {
+    free |= FreeParameters::kWholePose;
   }
   // In its local coordinates, all of an image moves with its rig.
   if (problem_.FrameOf(image) >= 0 && (free & FreeParameters::kWholePose) != 0) {

@@ -40,7 +40,29 @@ void CameraStates::Reset() {
 
 void CameraStates::Update(const double* state) {
   layout_.Scatter(problem_, state, charts_.data(), camera_params_.data());
+  for (int i = 0; problem_.held_pose_parts != nullptr && i < problem_.num_images; ++i) {
+    if (TurnsAboutCentre(problem_, i)) TurnAboutCentre(i);
+  }
   Expand();
+}
+
+/// t = -R c for the centre c at the problem's values, which keep every bit where nothing turned.
+void CameraStates::TurnAboutCentre(int image) {
+  const double* const start = ValueOfPose(problem_, image);
+  double chart[kPoseSize], value[7], turn[9], rotation[9], back[3];
+  double* const translation = &charts_[kPoseSize * int64_t{image} + 3];
+  ChartOf(image, chart);
+  ValueOf(image, value);
+  if (std::equal(value, value + 4, start)) {
+    std::copy_n(start + 4, 3, translation);
+    return;
+  }
+  QuaternionToRotation(start, rotation);
+  VectorMatrix3(start + 4, rotation, back);  // R^T t = -c
+  PoseState pose;
+  ExpandPose((*anchors_)[image].rotation, chart, &pose);
+  std::copy_n(pose.rotation, 9, turn);
+  MatrixVector3(turn, back, translation);
 }
 
 void CameraStates::Expand() {

@@ -67,7 +67,7 @@ class ColumnBits {
 void CollectBlocks(const ParameterLayout& layout, const int32_t* begin, const int32_t* end,
                    std::vector<int>* blocks) {
   blocks->clear();
-  ParameterLayout::ImageBlocks last = {-1, -1, -1};
+  ParameterLayout::ImageBlocks last = {-1, -1, -1, -1};
   for (const int32_t* image = begin; image != end; ++image) {
     const ParameterLayout::ImageBlocks& of = layout.blocks_of(*image);
     for (size_t k = 0; k < of.size(); ++k) {
@@ -98,10 +98,10 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& probl
     if (a >= 0 && b >= 0) columns[std::min(a, b)].push_back(std::max(a, b));
   };
   for (int i = 0; i < problem.num_images; ++i) {
-    const auto [pose, sensor, camera] = layout.blocks_of(i);
-    couple(pose, camera);
-    couple(pose, sensor);
-    couple(sensor, camera);
+    const ParameterLayout::ImageBlocks& of = layout.blocks_of(i);
+    for (size_t b = 1; b < of.size(); ++b) {
+      for (size_t a = 0; a < b; ++a) couple(of[a], of[b]);
+    }
   }
   for (const FactorUnknowns& unknowns : FindFactorUnknowns(problem, layout)) {
     const std::vector<int>& blocks = unknowns.blocks;
@@ -109,7 +109,9 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& probl
       for (size_t a = 0; a < b; ++a) columns[blocks[a]].push_back(blocks[b]);
     }
   }
-  if (problem.factors == nullptr && problem.num_frames == 0) return columns;
+  const bool is_unique =
+      problem.factors == nullptr && problem.num_frames == 0 && problem.camera_tie == nullptr;
+  if (is_unique) return columns;
   for (std::vector<int>& rows : columns) {
     std::sort(rows.begin(), rows.end());
     rows.erase(std::unique(rows.begin(), rows.end()), rows.end());

@@ -67,6 +67,34 @@ inline int PoseOfSensor(const ProblemView& problem, int sensor) {
 /// qx qy qz qw tx ty tz in the problem.
 const double* ValueOfPose(const ProblemView& problem, int pose);
 
+/// A parameter of a camera that is a multiple of an unknown which other parameters are multiples
+/// of, too (ProblemView::camera_tie).
+struct TiedParameter {
+  int8_t column = 0;  ///< as in CameraBlock
+  int block = -1;
+  int entry = 0;  ///< unknown of the block
+  double scale = 1;
+  bool is_first = false;  ///< the parameter by which the state begins
+};
+
+/// How a step of the unknowns of a block moves the columns of an image, M of schur/column_map.h
+/// without the rows that are zero: num_columns x size, row-major.
+struct ColumnMap {
+  static constexpr int kMaxSize = kPoseSize + kMaxCameraParams;
+  int num_columns = 0;
+  int8_t columns[kMaxSize] = {};
+  double values[kMaxSize * kMaxSize];
+};
+
+/// True if the centre of an image's camera is held and its rotation is not. Its unknowns are w
+/// alone: with c the centre, t = -R c, and a step dw, which turns R to Exp(a) R for a = J_l dw,
+/// moves t by
+///
+///   dt = -a x R c = a x t.
+inline bool TurnsAboutCentre(const ProblemView& problem, int image) {
+  return problem.held_pose_parts != nullptr && problem.held_pose_parts[image] == kHeldPosition;
+}
+
 struct CameraBlock {
   int offset = 0;  ///< of its first number in the state
   int size = 0;
@@ -96,6 +124,10 @@ struct StateBounds {
   }
 };
 
+/// Parameters that are multiples of one number have one unknown. Where they are of one camera, it
+/// is the first of them, where the camera's parameters are, and the others follow. Where they are
+/// of several, it is in a block that all cameras share which are tied to each other, directly or by
+/// others: its columns mean nothing, but that they are no pose's.
 class ParameterLayout {
  public:
   ParameterLayout(const ProblemView& problem, FreeParameters free);
@@ -110,10 +142,10 @@ class ParameterLayout {
   bool point_is_free(int point) const { return free_.point[point] != 0; }
 
   /// The blocks that an image's observations depend on, -1 where there is none: that of its pose
-  /// (its own, with its intrinsics where merged, or its frame's), that of its sensor, and that of
-  /// its camera where it is not merged.
-  using ImageBlocks = std::array<int, 3>;
-  enum { kPoseBlock, kSensorBlock, kCameraBlock };
+  /// (its own, with its intrinsics where merged, or its frame's), that of its sensor, that of its
+  /// camera where it is not merged, and that of what its camera shares with others.
+  using ImageBlocks = std::array<int, 4>;
+  enum { kPoseBlock, kSensorBlock, kCameraBlock, kTiedBlock };
   const ImageBlocks& blocks_of(int image) const { return image_blocks_[image]; }
 
   /// Index of the block with a pose, and an image's intrinsics where merged; -1 if all is fixed.
@@ -124,6 +156,18 @@ class ParameterLayout {
   int camera_block(int camera) const { return camera_block_[camera]; }
   /// Index of the block with a camera's intrinsics, its own or an image's; -1 if all are fixed.
   int params_block(int camera) const { return params_block_[camera]; }
+  /// The parameters of a camera that are multiples of unknowns, but for those that are unknowns.
+  const std::vector<TiedParameter>& tied(int camera) const {
+    return tied_.empty() ? no_ties_ : tied_[camera];
+  }
+  /// True if the unknowns of a block of an image, by its place in ImageBlocks, are no columns of
+  /// its own but move these by a map. A sensor's are not meant.
+  bool HasMap(const ProblemView& problem, int image, int place) const;
+  /// That map at a pose of the image.
+  void FillMap(const ProblemView& problem, int image, int place, const PoseState& pose,
+               ColumnMap* map) const;
+  /// Bit j: the observations of an image depend on unknowns by column j. A sensor is not meant.
+  uint32_t RefinedColumns(const ProblemView& problem, int image) const;
   /// True if an observation depends on something free.
   bool IsRefined(const ProblemView& problem, int64_t observation) const;
   /// The blocks that stand with another one in some residual, but for the first of each image: no
@@ -142,6 +186,10 @@ class ParameterLayout {
 
  private:
   int AddBlock(uint8_t pose_bits, uint32_t camera_bits);
+  /// What is left of the free parameters of each camera without those in tied_, whose blocks are
+  /// not known yet but for the number of the component.
+  std::vector<uint32_t> FindTies(const ProblemView& problem);
+  void AddTiedBlocks();
   void FindImageBlocks(const ProblemView& problem);
   /// A state: of_pose(pose, column), and camera parameters (as in ProblemView).
   template <typename Pose>
@@ -154,6 +202,10 @@ class ParameterLayout {
   std::vector<int> camera_block_;
   std::vector<int> params_block_;
   std::vector<ImageBlocks> image_blocks_;
+  std::vector<std::vector<TiedParameter>> tied_;  ///< of each camera; empty: there are none
+  std::vector<int> tied_block_;                   ///< of each camera, -1: none
+  std::vector<int> component_sizes_;              ///< numbers that cameras share
+  std::vector<TiedParameter> no_ties_;
   int state_size_ = 0;
   int num_free_points_ = 0;
 };
@@ -221,6 +273,7 @@ class CameraStates {
 
  private:
   void Expand();
+  void TurnAboutCentre(int image);
   void ChartOf(int pose, double* chart) const;
   bool HasMoved(int pose) const;
   std::vector<double> Values(int first, int count) const;

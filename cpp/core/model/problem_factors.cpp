@@ -46,6 +46,10 @@ std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable, const Probl
   if (variable.kind == Kind::kPoint) return blocks;
   if (variable.kind == Kind::kCamera) {
     add(layout.params_block(variable.index), false, 0);
+    for (const TiedParameter& tie : layout.tied(variable.index)) {
+      const auto is_it = [&](const VariableBlock& of) { return of.block == tie.block; };
+      if (std::none_of(blocks.begin(), blocks.end(), is_it)) add(tie.block, false, 0);
+    }
   } else if (variable.kind == Kind::kImage && problem.FrameOf(variable.index) >= 0) {
     const ParameterLayout::ImageBlocks& of = layout.blocks_of(variable.index);
     add(of[ParameterLayout::kPoseBlock], true, 0);
@@ -56,13 +60,23 @@ std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable, const Probl
   return blocks;
 }
 
-/// The free columns of a variable within its block: what each is in the block, and of the variable.
+/// The free columns of a variable within one of its blocks: which unknown of the block moves each,
+/// and how many times.
 template <typename Visit>
-void ForFreeColumns(Kind kind, const CameraBlock& block, const Visit& visit) {
-  for (int k = 0; k < block.size; ++k) {
-    const int column = block.columns[k];
-    const bool is_pose = column < kPoseSize;
-    if (is_pose == IsPose(kind)) visit(k, is_pose ? column : column - kPoseSize);
+void ForFreeColumns(const ProblemVariable& variable, const ParameterLayout& layout, int index,
+                    const Visit& visit) {
+  const CameraBlock& block = layout.blocks()[index];
+  const bool is_camera = variable.kind == Kind::kCamera;
+  if (!is_camera || index == layout.params_block(variable.index)) {
+    for (int k = 0; k < block.size; ++k) {
+      const int column = block.columns[k];
+      const bool is_pose = column < kPoseSize;
+      if (is_pose == IsPose(variable.kind)) visit(k, is_pose ? column : column - kPoseSize, 1.0);
+    }
+  }
+  if (!is_camera) return;
+  for (const TiedParameter& tie : layout.tied(variable.index)) {
+    if (tie.block == index) visit(tie.entry, tie.column - kPoseSize, tie.scale);
   }
 }
 
@@ -77,7 +91,7 @@ FactorUnknowns UnknownsOf(const Factor& factor, const ProblemView& problem,
     }
     for (const VariableBlock& of : BlocksOf(variable, problem, layout)) {
       bool is_free = false;
-      ForFreeColumns(variable.kind, layout.blocks()[of.block], [&](int, int) { is_free = true; });
+      ForFreeColumns(variable, layout, of.block, [&](int, int, double) { is_free = true; });
       if (is_free) unknowns.blocks.push_back(of.block);
     }
   }
@@ -179,6 +193,7 @@ ChartedFactor::ChartedFactor(const Factor& factor, const ProblemView& problem,
         for (int j = 0; j < 3; ++j) {
           variable.columns.push_back(static_cast<int8_t>(j));
           variable.jacobian_column.push_back(column_begin_[num_points] + j);
+          variable.scale.push_back(1.0);
         }
         ++num_points;
       }
@@ -186,11 +201,12 @@ ChartedFactor::ChartedFactor(const Factor& factor, const ProblemView& problem,
     for (const VariableBlock& of : BlocksOf(given, problem, layout)) {
       const auto& blocks = unknowns_.blocks;
       const auto place = std::lower_bound(blocks.begin(), blocks.end(), of.block) - blocks.begin();
-      ForFreeColumns(given.kind, layout.blocks()[of.block], [&](int k, int column) {
+      ForFreeColumns(given, layout, of.block, [&](int k, int column, double scale) {
         auto& columns = of.is_of_rig ? variable.rig_columns : variable.columns;
         auto& to = of.is_of_rig ? variable.rig_jacobian_column : variable.jacobian_column;
         columns.push_back(static_cast<int8_t>(of.rig_column + column));
         to.push_back(column_begin_[unknowns_.points.size() + place] + k);
+        if (!of.is_of_rig) variable.scale.push_back(scale);
       });
     }
     variables_.push_back(std::move(variable));
@@ -207,6 +223,14 @@ void ToChart(const PoseState& pose, const double* origin, const double* row, dou
   MatrixVector3(pose.rotation, a, turned);
   VectorMatrix3(turned, pose.left_jacobian, out);
   MatrixVector3(pose.rotation, row + 3, out + 3);
+}
+
+/// Of an image that turns about its centre: what w moves t by.
+void AddTurn(const PoseState& pose, double* by_chart) {
+  double by_turn[9], moved[3];
+  MinusCross(pose.translation, pose.left_jacobian, by_turn);
+  VectorMatrix3(by_chart + 3, by_turn, moved);
+  for (int j = 0; j < 3; ++j) by_chart[j] += moved[j];
 }
 
 /// A pose's variable at a state, in the world of the factors.
@@ -295,6 +319,9 @@ bool ChartedFactor::Evaluate(const CameraStates& cameras, const double* const* p
       if (IsPose(variable.kind)) {
         ToChart(cameras.pose(PoseNumber(variable.kind, variable.index, problem_)),
                 variable.kind == Kind::kSensor ? kNoOrigin : problem_.origin, row, by_chart);
+        if (variable.kind == Kind::kImage && TurnsAboutCentre(problem_, variable.index)) {
+          AddTurn(cameras.pose(variable.index), by_chart);
+        }
         row = by_chart;
       }
       if (!variable.rig_columns.empty()) {
@@ -304,7 +331,7 @@ bool ChartedFactor::Evaluate(const CameraStates& cameras, const double* const* p
         }
       }
       for (size_t k = 0; k < variable.columns.size(); ++k) {
-        out[variable.jacobian_column[k]] += row[variable.columns[k]];
+        out[variable.jacobian_column[k]] += variable.scale[k] * row[variable.columns[k]];
       }
     }
   }

@@ -17,25 +17,31 @@ int WidthOf(const EliminationInput& input, int image) {
 Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
                      const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
                      const BlockStructure& structure)
-    : structure_(structure),
+    : problem_(problem),
+      layout_(layout),
+      structure_(structure),
       images_(problem.num_images),
       diagonal_begin_(DiagonalBlockOffsets(structure)) {
   for (int i = 0; i < problem.num_images; ++i) {
     const ModelGroup& group = groups[image_group[i]];
-    const auto [pose_block, sensor_block, camera_block] = layout.blocks_of(i);
+    const auto [pose_block, sensor_block, camera_block, tied_block] = layout.blocks_of(i);
     images_[i].num_columns = group.num_columns;
-    AddBlock(pose_block, layout, group, /*is_shared=*/false, &images_[i]);
+    AddBlock(i, ParameterLayout::kPoseBlock, group);
     AddSensor(i, sensor_block, layout, group);
-    AddBlock(camera_block, layout, group, /*is_shared=*/true, &images_[i]);
-    has_shared_blocks_ |= sensor_block >= 0 || camera_block >= 0;
+    AddBlock(i, ParameterLayout::kCameraBlock, group);
+    AddBlock(i, ParameterLayout::kTiedBlock, group);
+    has_shared_blocks_ |= sensor_block >= 0 || camera_block >= 0 || tied_block >= 0;
   }
+  for (const MapOf& map : maps_) images_[map.image].of[map.k].map = &map_values_[map.first];
   image_is_mapped_.resize(problem.num_images);
-  for (const SensorMapOf& map : maps_) image_is_mapped_[map.image] = 1;
+  for (const MapOf& map : maps_) image_is_mapped_[map.image] = 1;
+  for (const SensorMapOf& map : sensor_maps_) image_is_mapped_[map.image] = 1;
   // They stay where they are from now on.
-  for (const SensorMapOf& map : maps_) {
+  for (const SensorMapOf& map : sensor_maps_) {
     ImageBlocks& image = images_[map.image];
-    const auto is_mapped = [](const ImageBlock& of) { return of.num_local != 0 && of.is_shared; };
-    std::find_if(image.of, image.of + image.count, is_mapped)->map = map.values;
+    const int block = layout.blocks_of(map.image)[ParameterLayout::kSensorBlock];
+    const auto is_sensor = [&](const ImageBlock& of) { return of.block == block; };
+    std::find_if(image.of, image.of + image.count, is_sensor)->map = map.values;
   }
 }
 
@@ -52,11 +58,18 @@ void Assembler::AddSensor(int image, int block, const ParameterLayout& layout,
     const int8_t* const end = group.columns + group.num_columns;
     added.local[k] = static_cast<int8_t>(std::find(group.columns, end, k) - group.columns);
   }
-  maps_.push_back({image, {columns.columns, columns.columns + columns.size}, {}});
+  sensor_maps_.push_back({image, {columns.columns, columns.columns + columns.size}, {}});
 }
 
 void Assembler::SetMaps(const CameraStates& cameras) {
-  for (SensorMapOf& map : maps_) {
+  for (const MapOf& of : maps_) {
+    if (of.place != ParameterLayout::kPoseBlock) continue;  // they stay the same
+    ColumnMap map;
+    layout_.FillMap(problem_, of.image, of.place, cameras.pose(of.image), &map);
+    std::copy_n(map.values, map.num_columns * images_[of.image].of[of.k].size,
+                &map_values_[of.first]);
+  }
+  for (SensorMapOf& map : sensor_maps_) {
     double whole[kPoseSize * kPoseSize];
     SensorByFrameMap(cameras.rig(map.image), whole);
     double* to = map.values;
@@ -66,18 +79,27 @@ void Assembler::SetMaps(const CameraStates& cameras) {
   }
 }
 
-void Assembler::AddBlock(int block, const ParameterLayout& layout, const ModelGroup& group,
-                         bool is_shared, ImageBlocks* image) const {
+void Assembler::AddBlock(int image, int place, const ModelGroup& group) {
+  const int block = layout_.blocks_of(image)[place];
   if (block < 0) return;
-  const CameraBlock& columns = layout.blocks()[block];
-  ImageBlock& added = image->of[image->count++];
+  const CameraBlock& columns = layout_.blocks()[block];
+  const int8_t* local = columns.columns;
+  ColumnMap map;
+  ImageBlock& added = images_[image].of[images_[image].count];
   added.block = block;
   added.size = added.num_local = columns.size;
-  added.is_shared = is_shared;
-  for (int k = 0; k < columns.size; ++k) {
+  added.is_shared = place != ParameterLayout::kPoseBlock;
+  if (layout_.HasMap(problem_, image, place)) {
+    maps_.push_back({image, place, images_[image].count, map_values_.size()});
+    layout_.FillMap(problem_, image, place, PoseState(), &map);
+    map_values_.insert(map_values_.end(), map.values, map.values + map.num_columns * columns.size);
+    added.num_local = map.num_columns;
+    local = map.columns;
+  }
+  ++images_[image].count;
+  for (int k = 0; k < added.num_local; ++k) {
     const int8_t* const end = group.columns + group.num_columns;
-    added.local[k] =
-        static_cast<int8_t>(std::find(group.columns, end, columns.columns[k]) - group.columns);
+    added.local[k] = static_cast<int8_t>(std::find(group.columns, end, local[k]) - group.columns);
     added.is_contiguous &= added.local[k] == added.local[0] + k;
   }
 }
@@ -111,7 +133,9 @@ void Assembler::AddImage(const EliminationInput& input, const Chunk& chunk, cons
     AddPair(input, chunk.images[chunk.pairs[pair].first], image, block(num_images + pair),
             PairPart::kSecond, values);
   }
-  AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, nullptr,
+  const double* const squares =
+      sum.camera_diagonal == nullptr ? nullptr : sum.camera_diagonal + block_size * slot;
+  AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, squares,
              Part::kOwn, sums);
   AddDiagonal(input, image, block(slot), Part::kOwn, values);
   if (!sums->system.camera_diagonal.empty()) {

@@ -48,10 +48,10 @@ class Assembler {
   Assembler(const Assembler&) = delete;
   Assembler& operator=(const Assembler&) = delete;
 
-  /// Sets the maps of sensors at a state, before its chunks are added.
+  /// Sets the maps at a state, before its chunks are added.
   void SetMaps(const CameraStates& cameras);
   /// True if there are any; chunks then need the camera_diagonal of the images that have them.
-  bool has_maps() const { return !maps_.empty(); }
+  bool has_maps() const { return !sensor_maps_.empty() || !maps_.empty(); }
   const uint8_t* image_is_mapped() const { return image_is_mapped_.data(); }
 
   /// The pairs of a chunk that concern one of its images, ascending.
@@ -84,7 +84,7 @@ class Assembler {
 
  private:
   struct ImageBlocks {
-    ImageBlock of[3];
+    ImageBlock of[4];
     int count = 0;
     int num_columns = 0;  ///< local ones
   };
@@ -95,8 +95,7 @@ class Assembler {
   /// first shares, or those of what both share.
   enum class PairPart { kFirst, kSecond, kShared };
 
-  void AddBlock(int block, const ParameterLayout& layout, const ModelGroup& group, bool is_shared,
-                ImageBlocks* image) const;
+  void AddBlock(int image, int place, const ModelGroup& group);
   void AddSensor(int image, int block, const ParameterLayout& layout, const ModelGroup& group);
   /// `squares`: A^T A of the image, for maps.
   void AddVectors(const EliminationInput& input, int image, const double* vectors,
@@ -113,6 +112,8 @@ class Assembler {
   void PrefetchPair(int first, int second, const double* values) const;
   int64_t Entry(int column, int row) const { return structure_.Entry(column, row); }
 
+  const ProblemView& problem_;
+  const ParameterLayout& layout_;
   const BlockStructure& structure_;
   std::vector<ImageBlocks> images_;
   std::vector<int64_t> diagonal_begin_;
@@ -124,8 +125,16 @@ class Assembler {
     std::vector<int8_t> columns;
     double values[kPoseSize * kPoseSize];
   };
-  std::vector<SensorMapOf> maps_;
+  std::vector<SensorMapOf> sensor_maps_;
   std::vector<uint8_t> image_is_mapped_;
+
+  /// Of any other block, by its place in ParameterLayout::ImageBlocks and in ImageBlocks.
+  struct MapOf {
+    int image, place, k;
+    size_t first;  ///< of its values
+  };
+  std::vector<MapOf> maps_;
+  std::vector<double> map_values_;
 };
 
 /// Sums up chunks that several threads work on, in the order of the chunks, so that no bit of the

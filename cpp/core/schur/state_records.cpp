@@ -37,18 +37,6 @@ bool HeldResiduals::HasSameObservations(const HeldResiduals& other) const {
       [](const HeldResidual& a, const HeldResidual& b) { return a.observation == b.observation; });
 }
 
-namespace {
-
-uint32_t ColumnBits(const ParameterLayout& layout, int block) {
-  uint32_t bits = 0;
-  if (block < 0) return bits;
-  const CameraBlock& columns = layout.blocks()[block];
-  for (int k = 0; k < columns.size; ++k) bits |= 1u << columns.columns[k];
-  return bits;
-}
-
-}  // namespace
-
 bool ModelGroups::mixed() const {
   for (const ModelGroup& group : groups) {
     if (4 * group.num_quads != num_columns()) return true;
@@ -74,10 +62,10 @@ ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layou
   for (int i = 0; i < problem.num_images; ++i) {
     const int camera = problem.image_camera[i];
     const CameraModel* const model = problem.camera_models[camera];
-    const auto [pose_block, sensor_block, camera_block] = layout.blocks_of(i);
-    uint32_t columns = ColumnBits(layout, pose_block) | ColumnBits(layout, camera_block);
+    uint32_t columns = layout.RefinedColumns(problem, i);
     // What a sensor does is made of all that a frame does (column_map.h).
-    if (sensor_block >= 0) columns |= FreeParameters::kWholePose;
+    if (layout.blocks_of(i)[ParameterLayout::kSensorBlock] >= 0)
+      columns |= FreeParameters::kWholePose;
     result.image_refined.push_back(columns != 0 ? 1 : 0);
     if (model == nullptr) {
       result.image_group.push_back(0);
@@ -230,6 +218,9 @@ void CameraStep::Set(const std::vector<double>& camera_state, const CameraStates
     } else {
       MatrixVector3(at.pose(i).left_jacobian, pose, record);
       std::copy_n(pose + 3, 3, record + StepRecords::kTranslation);
+      if (TurnsAboutCentre(problem_, i)) {
+        Cross3(record, at.pose(i).translation, record + StepRecords::kTranslation);
+      }
     }
     if (problem_.camera_models[camera] == nullptr) continue;
     std::copy_n(

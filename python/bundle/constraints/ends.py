@@ -32,7 +32,7 @@ def rule_ends(applied: Applied, before: Problem, after: Problem) -> tuple[RuleEn
         if end is not None:
             priors.setdefault(prior.rule, []).append(end)
     bounds: dict[int, list[BoundEnd]] = {}
-    for (camera_id, j), pair in applied.bounds.items():
+    for (camera_id, j), pair in sorted(applied.bounds.items()):
         value = last.param(camera_id, j)
         if pair[0] < pair[1] and value in pair:
             side = "upper" if value == pair[1] else "lower"

@@ -96,7 +96,6 @@ class _Resolver:
                 self._share(number, rule)
             elif isinstance(rule, Ratio):
                 self._tie_ratio(number, rule)
-        self._refuse_unfinished()
         ties, held = self._settle_ties()
         self._check_bounds()
         for number, rule in enumerate(self._rules):
@@ -126,18 +125,6 @@ class _Resolver:
             counts=tuple(self._counts),
             bounded={(camera_ids[c], j): rule for (c, j), rule in self._bounded.items()},
         )
-
-    def _refuse_unfinished(self) -> None:
-        """Refuse what no backend does yet."""
-        for rule in self._rules:
-            if isinstance(rule, Share | Ratio):
-                raise InputError(f"{rule.place}: {rule.kind} is not supported yet")
-        for (image, part), number in self._poses.items():
-            if part == "position" and (image, "rotation") not in self._poses:
-                raise InputError(
-                    f"{self._place(number)}: a fixed position without a fixed rotation is not "
-                    "supported yet; use a prior with a small sigma"
-                )
 
     def _fix(self, number: int, rule: Fixed) -> None:
         if rule.target.kind == "camera":
