@@ -129,10 +129,11 @@ OPTIONS = {
         ),
         ("None", "word", "bytes", "itself"),
     ),
-    **dict.fromkeys(("deterministic", "check_solution"), OF_A_FLAG),
+    **dict.fromkeys(("deterministic", "check_solution", "refine_sensor_from_rig"), OF_A_FLAG),
     "refine": ("word", *OF_A_LIST),
     "fixed_image_ids": OF_IDS,
     "fixed_camera_ids": ("word", "bytes", "1.5"),
+    "fixed_sensors": ("word", "bytes", "1.5"),
     "fixed_point_ids": ("word", "bytes", "1.5"),
 }  # fmt: skip
 SCENE_OPTIONS = {

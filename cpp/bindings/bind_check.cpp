@@ -178,7 +178,7 @@ std::string SpotCheckSolution(const py::object& problem, const py::dict& options
   const bundle::ParameterLayout layout(view, free);
   std::vector<double> state = layout.InitialState(view);
   for (int i = 0; i < view.num_images; ++i) {
-    if (layout.image_block(i) < 0) continue;
+    if (layout.image_block(i) < 0) continue;  // of rigs, too
     const bundle::CameraBlock& block = layout.blocks()[layout.image_block(i)];
     for (int k = 0; k < block.size && block.columns[k] < 3; ++k) {
       state[block.offset + k] = rotation_offsets.at(i, block.columns[k]);

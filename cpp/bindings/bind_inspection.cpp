@@ -23,9 +23,12 @@ py::dict ParameterBlocks(const py::object& problem, const py::dict& options) {
   const bundle::ProblemView view = ViewProblem(problem);
   const bundle::PreparedSolve prepared = bundle::PrepareSolve(view, OptionsFromPython(options));
   const bundle::ParameterLayout& layout = prepared.layout;
-  std::vector<int> sizes, image_block, camera_block;
+  std::vector<int> sizes, image_block, sensor_block, camera_block;
   for (const bundle::CameraBlock& block : layout.blocks()) sizes.push_back(block.size);
-  for (int i = 0; i < view.num_images; ++i) image_block.push_back(layout.image_block(i));
+  for (int i = 0; i < view.num_images; ++i) {
+    image_block.push_back(layout.blocks_of(i)[bundle::ParameterLayout::kPoseBlock]);
+    sensor_block.push_back(layout.blocks_of(i)[bundle::ParameterLayout::kSensorBlock]);
+  }
   for (int c = 0; c < view.num_cameras; ++c) camera_block.push_back(layout.camera_block(c));
   py::array_t<bool> free_points(view.num_points);
   for (int p = 0; p < view.num_points; ++p) {
@@ -35,6 +38,7 @@ py::dict ParameterBlocks(const py::object& problem, const py::dict& options) {
   py::dict d;
   d["size"] = ToNumpy(std::move(sizes), {count(layout.blocks())});
   d["image_block"] = ToNumpy(std::move(image_block), {view.num_images});
+  d["sensor_block"] = ToNumpy(std::move(sensor_block), {view.num_images});
   d["camera_block"] = ToNumpy(std::move(camera_block), {view.num_cameras});
   d["point_is_free"] = free_points;
   return d;

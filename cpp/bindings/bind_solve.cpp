@@ -41,6 +41,8 @@ class GivenFactors {
       using Kind = bundle::ProblemVariable::Kind;
       factors_.variables.push_back({kind == "image"    ? Kind::kImage
                                     : kind == "camera" ? Kind::kCamera
+                                    : kind == "frame"  ? Kind::kFrame
+                                    : kind == "sensor" ? Kind::kSensor
                                                        : Kind::kPoint,
                                     index});
     }
@@ -78,6 +80,12 @@ py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
   const py::ssize_t num_images = view.num_images, num_cameras = view.num_cameras;
   const py::ssize_t num_points = view.num_points, stride = view.camera_params_stride;
   result["cam_from_world"] = ToImmutableNumpy(std::move(output.cam_from_world), {num_images, 7});
+  if (view.num_frames > 0) {
+    const py::ssize_t num_frames = view.num_frames, num_sensors = view.num_sensors;
+    result["rig_from_world"] = ToImmutableNumpy(std::move(output.rig_from_world), {num_frames, 7});
+    result["sensor_from_rig"] =
+        ToImmutableNumpy(std::move(output.sensor_from_rig), {num_sensors, 7});
+  }
   result["camera_params"] =
       ToImmutableNumpy(std::move(output.camera_params), {num_cameras, stride});
   result["points"] = ToImmutableNumpy(std::move(output.points), {num_points, 3});

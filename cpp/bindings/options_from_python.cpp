@@ -39,6 +39,8 @@ void VisitOptions(Options& o, const Visitor& visit) {
   visit("fixed_camera_ids", o.fixed_camera_ids);
   visit("fixed_image_ids", o.fixed_image_ids);
   visit("fixed_point_ids", o.fixed_point_ids);
+  visit("refine_sensor_from_rig", o.refine_sensor_from_rig);
+  visit("fixed_sensors", o.fixed_sensors);
   visit("gauge", o.gauge, bundle::kGauges);
   visit("cheirality", o.cheirality, bundle::kCheiralities);
   visit("check_solution", o.check_solution);

@@ -209,7 +209,8 @@ MAX_TRACK_LENGTH: int
 def available_memory() -> float: ...
 def parameter_blocks(
     problem: Problem, options: dict[str, Any]
-) -> dict[str, Any]: ...  # size, image_block, camera_block: NDArray[np.int32]; point_is_free: bool
+) -> dict[str, Any]: ...
+# size, image_block, sensor_block, camera_block: NDArray[np.int32]; point_is_free: bool
 def elimination_plan(problem: Problem, options: dict[str, Any]) -> dict[str, int]: ...
 def auto_choice(
     sizes: NDArray[np.int32],

@@ -190,6 +190,18 @@ class SolveOptions(Options):
     fixed_point_ids: tuple[int, ...] = option(
         (), "--fix-points", "ids of points that are held fixed", metavar="IDS"
     )
+    refine_sensor_from_rig: bool = option(
+        False,
+        "--refine-sensor-from-rig",
+        "refine where sensors are on their rigs, but for reference sensors and those of a rig whose "
+        "reference sensor observes nothing",
+    )
+    fixed_sensors: tuple[tuple[int, int], ...] = option(
+        (),
+        "--fix-sensors",
+        "sensors whose pose on their rig is held fixed, each a rig's id and a camera's",
+        metavar="SENSORS",
+    )
     gauge: str = option(
         "auto",
         "--gauge",
@@ -214,6 +226,8 @@ class SolveOptions(Options):
     def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
         if field.name == "refine":
             return _names(value)
+        if field.name == "fixed_sensors":
+            return _sensors(value)
         if field.name.startswith("fixed_"):
             return _ids(field.name, value)
         return checked(field, value)
@@ -230,6 +244,23 @@ def _names(value: Any) -> tuple[str, ...]:
     named = (word for word in words if not isinstance(word, str) or word)
     chosen = {choice("refine", word, REFINABLE) for word in named}
     return tuple(name for name in REFINABLE if name in chosen)
+
+
+def _sensors(value: Any) -> tuple[tuple[int, int], ...]:
+    """Return pairs of ids: of a rig, and of a camera."""
+    expected = "fixed_sensors: expected pairs (rig id, camera id), found "
+    try:
+        if isinstance(value, str | bytes | dict):
+            raise TypeError
+        given = [tuple(entry) for entry in value]
+        if any(len(pair) != 2 or any(isinstance(x, bool) for x in pair) for pair in given):
+            raise TypeError
+        pairs = {(operator.index(rig), operator.index(camera)) for rig, camera in given}
+    except TypeError:
+        raise InputError(expected + brief(value)) from None
+    for found in (entry for pair in pairs for entry in pair if not -(2**63) <= entry < 2**63):
+        raise InputError(f"fixed_sensors: expected ids below 2^63, found {brief(found)}")
+    return tuple(sorted(pairs))
 
 
 def _ids(name: str, value: Any) -> tuple[int, ...]:

@@ -18,6 +18,7 @@ class ReprojectionCost final : public ceres::CostFunction {
     const int camera = problem.image_camera[image];
     const int point = problem.observation_point[observation];
     pose_ = &context.states.pose(image);
+    rig_ = context.states.rig(image);
     params_ = context.states.params(camera);
     cheirality_ = context.cheirality;
     abandoned_ = context.abandoned;
@@ -30,9 +31,10 @@ class ReprojectionCost final : public ceres::CostFunction {
     } else {
       fixed_point_ = problem.points + 3 * static_cast<int64_t>(point);
     }
-    for (const int index : {layout.image_block(image), layout.camera_block(camera)}) {
+    for (const int index : layout.blocks_of(image)) {
       if (index < 0) continue;
       const CameraBlock& block = layout.blocks()[index];
+      if (index == layout.blocks_of(image)[ParameterLayout::kSensorBlock]) sensor_ = num_blocks_;
       blocks_[num_blocks_++] = &block;
       mutable_parameter_block_sizes()->push_back(block.size);
     }
@@ -56,8 +58,12 @@ class ReprojectionCost final : public ceres::CostFunction {
       if (jacobians[0] != nullptr) std::copy_n(jacobian.point, 6, jacobians[0]);
       ++jacobians;
     }
+    double local[2 * kPoseSize];
+    if (rig_.frame != nullptr) std::copy_n(jacobian.pose, 2 * kPoseSize, local);
     for (int b = 0; b < num_blocks_; ++b) {
-      if (jacobians[b] != nullptr) Gather(jacobian, *blocks_[b], jacobians[b]);
+      if (jacobians[b] == nullptr) continue;
+      if (rig_.frame != nullptr) ChainRig(local, b == sensor_, jacobian.pose);
+      Gather(jacobian, *blocks_[b], jacobians[b]);
     }
     return true;
   }
@@ -97,6 +103,19 @@ class ReprojectionCost final : public ceres::CostFunction {
     return r[0] * r[0] + r[1] * r[1] <= held_[0] * held_[0] + held_[1] * held_[1];
   }
 
+  void ChainRig(const double* local, bool is_sensor, double* out) const {
+    double map[kPoseSize * kPoseSize];
+    is_sensor ? SensorMap(rig_, map) : FrameMap(rig_, map);
+    std::fill_n(out, 2 * kPoseSize, 0.0);
+    for (int row = 0; row < 2; ++row) {
+      for (int i = 0; i < kPoseSize; ++i) {
+        for (int j = 0; j < kPoseSize; ++j) {
+          out[kPoseSize * row + j] += local[kPoseSize * row + i] * map[kPoseSize * i + j];
+        }
+      }
+    }
+  }
+
   static void Gather(const ReprojectionJacobian<kParams>& jacobian, const CameraBlock& block,
                      double* out) {
     for (int k = 0; k < block.size; ++k) {
@@ -112,10 +131,12 @@ class ReprojectionCost final : public ceres::CostFunction {
   const double* params_;
   const double* fixed_point_ = nullptr;
   const double* measurement_;
-  const CameraBlock* blocks_[2] = {};
+  const CameraBlock* blocks_[3] = {};
   HoldingWatch* watch_;
   mutable double held_[2] = {0, 0};  ///< what is held if the observation stops counting, or is held
+  RigPose rig_;
   int8_t num_blocks_ = 0;
+  int8_t sensor_ = -1;           ///< which of the blocks is the sensor's
   mutable bool counted_ = true;  ///< at the last state
   Cheirality cheirality_;
   const std::atomic<bool>* abandoned_ = nullptr;

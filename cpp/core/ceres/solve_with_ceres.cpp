@@ -217,11 +217,10 @@ class CeresSolve {
   void AddObservation(int64_t i) {
     const int image = problem_.observation_image[i];
     const int point = problem_.observation_point[i];
-    double* blocks[3];
+    double* blocks[4];
     int num_blocks = 0;
     if (layout_.point_is_free(point)) blocks[num_blocks++] = PointData(point);
-    for (const int index :
-         {layout_.image_block(image), layout_.camera_block(problem_.image_camera[image])}) {
+    for (const int index : layout_.blocks_of(image)) {
       if (index >= 0) blocks[num_blocks++] = state_.data() + layout_.blocks()[index].offset;
     }
     std::unique_ptr<ceres::CostFunction> cost = MakeReprojectionCost(context_, i);
@@ -295,6 +294,8 @@ class CeresSolve {
     }
     states_.Update(state_.data());
     output->cam_from_world = states_.CamFromWorld();
+    output->rig_from_world = states_.RigFromWorld();
+    output->sensor_from_rig = states_.SensorFromRig();
     output->camera_params = states_.camera_params();
     output->points = std::move(points_);
     if (options_.check_solution) {

@@ -24,10 +24,7 @@ bool IsSchur(ceres::LinearSolverType type) {
 /// Columns that are left when the images' blocks are eliminated (translate_options.cpp).
 int64_t NumColumnsWithoutImages(const ParameterLayout& layout) {
   int64_t num_columns = kPointSize * layout.num_free_points();
-  if (!layout.has_shared_intrinsics()) return num_columns;
-  for (const CameraBlock& block : layout.blocks()) {
-    if (block.columns[0] >= kPoseSize) num_columns += block.size;
-  }
+  for (const int block : layout.BlocksBesideFirst()) num_columns += layout.blocks()[block].size;
   return num_columns;
 }
 

@@ -116,14 +116,7 @@ FirstGroup FindFirstGroup(bool points_first, const ProblemView& problem,
       is_first = false;
     }
   };
-  if (!points_first && layout.has_shared_intrinsics()) {
-    // An image's block and its shared camera's block stand in the same residuals.
-    for (size_t b = 0; b < layout.blocks().size(); ++b) {
-      if (layout.blocks()[b].columns[0] >= kPoseSize) {
-        group.blocks_left_out.insert(static_cast<int>(b));
-      }
-    }
-  }
+  if (!points_first) group.blocks_left_out = layout.BlocksBesideFirst();
   for (const FactorUnknowns& unknowns : FindFactorUnknowns(problem, layout)) {
     if (points_first) {
       keep_one(unknowns.points, &group.points_left_out);

@@ -82,6 +82,8 @@ std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayou
 bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
   ProblemView refined = problem;
   refined.cam_from_world = output->cam_from_world.data();
+  refined.rig_from_world = output->rig_from_world.data();
+  refined.sensor_from_rig = output->sensor_from_rig.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
   try {
@@ -92,6 +94,8 @@ bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
       to->assign(from, from + to->size());
     };
     restore(problem.cam_from_world, &output->cam_from_world);
+    restore(problem.rig_from_world, &output->rig_from_world);
+    restore(problem.sensor_from_rig, &output->sensor_from_rig);
     restore(problem.camera_params, &output->camera_params);
     restore(problem.points, &output->points);
     output->summary.is_solution_usable = false;
@@ -132,10 +136,14 @@ uint32_t SolutionUnderCheck::FreeColumns(int64_t observation) const {
   const int image = problem_.observation_image[observation];
   const int camera = problem_.image_camera[image];
   uint32_t free = 0;
-  for (const int index : {layout_.image_block(image), layout_.camera_block(camera)}) {
+  for (const int index : layout_.blocks_of(image)) {
     if (index < 0) continue;
     const CameraBlock& block = layout_.blocks()[index];
     for (int k = 0; k < block.size; ++k) free |= 1u << block.columns[k];
+  }
+  // In its local coordinates, all of an image moves with its rig.
+  if (problem_.FrameOf(image) >= 0 && (free & FreeParameters::kWholePose) != 0) {
+    free |= FreeParameters::kWholePose;
   }
   if (layout_.point_is_free(problem_.observation_point[observation])) {
     free |= 7u << (kPoseSize + problem_.camera_models[camera]->num_params);
@@ -169,7 +177,7 @@ bool SolutionUnderCheck::operator()(int64_t observation, const double* x, double
   const int image = problem_.observation_image[observation];
   const double* measurement = problem_.observation_xy + 2 * observation;
   PoseState pose;
-  ExpandPose(states_.anchor_rotation(image), x, &pose);
+  ExpandPose(states_.chart_rotation(image), x, &pose);
   bool counts = false;
   VisitCameraModel(*problem_.camera_models[problem_.image_camera[image]], [&](auto model) {
     using Model = decltype(model);

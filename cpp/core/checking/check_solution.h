@@ -22,7 +22,8 @@ namespace bundle {
 std::vector<int64_t> SampleObservations(const ProblemView& problem, int64_t size);
 
 /// An observation and the numbers that its residual depends on: x = (v, t, parameters of the
-/// model, point), v as in factors/reprojection.h.
+/// model, point), v as in factors/reprojection.h; of an image of a rig (v, t) are local
+/// coordinates.
 struct ObservationAtPoint {
   static constexpr int kMaxSize = kPoseSize + kMaxCameraParams + 3;
 

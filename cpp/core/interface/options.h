@@ -83,6 +83,9 @@ inline constexpr NamedValue<Gauge> kGauges[] = {{"none", Gauge::kNone},
 inline constexpr NamedValue<Cheirality> kCheiralities[] = {{"algebraic", Cheirality::kAlgebraic},
                                                            {"zero", Cheirality::kZero}};
 
+/// Of the rig and of the camera.
+using SensorId = std::pair<int64_t, int64_t>;
+
 struct SolveOptions {
   Backend backend = Backend::kAuto;
   LinearSolverType linear_solver_type = LinearSolverType::kAuto;
@@ -102,9 +105,11 @@ struct SolveOptions {
   bool refine_focal = true;
   bool refine_principal_point = false;
   bool refine_extra = true;
+  bool refine_sensor_from_rig = false;  ///< where sensors are on their rigs
   std::vector<int64_t> fixed_camera_ids;
   std::vector<int64_t> fixed_image_ids;
   std::vector<int64_t> fixed_point_ids;
+  std::vector<SensorId> fixed_sensors;
   Gauge gauge = Gauge::kNone;
   Cheirality cheirality = Cheirality::kZero;
   bool check_solution = true;  ///< look for signs of a wrong Jacobian (checking/check_solution.h)

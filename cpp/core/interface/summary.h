@@ -186,9 +186,11 @@ struct SolveRecord {
 };
 
 struct SolveOutput : SolveRecord {
-  std::vector<double> cam_from_world;  ///< as in ProblemView
-  std::vector<double> camera_params;   ///< as in ProblemView
-  std::vector<double> points;          ///< as in ProblemView
+  std::vector<double> cam_from_world;   ///< as in ProblemView
+  std::vector<double> rig_from_world;   ///< as in ProblemView
+  std::vector<double> sensor_from_rig;  ///< as in ProblemView
+  std::vector<double> camera_params;    ///< as in ProblemView
+  std::vector<double> points;           ///< as in ProblemView
   /// Of each factor beside the observations 1/2 rho(||r||^2), at the start and at the solution; NaN
   /// where it has no value.
   std::vector<double> factor_costs_before;

@@ -62,18 +62,18 @@ class ColumnBits {
   std::vector<std::atomic<uint64_t>> words_;
 };
 
-/// Of the images that see a point; a camera that several of them share comes more than once only
+/// Of the images that see a point; a block that several of them share comes more than once only
 /// where others come in between.
-void CollectBlocks(const ProblemView& problem, const ParameterLayout& layout, const int32_t* begin,
-                   const int32_t* end, std::vector<int>* blocks) {
+void CollectBlocks(const ParameterLayout& layout, const int32_t* begin, const int32_t* end,
+                   std::vector<int>* blocks) {
   blocks->clear();
-  int last_camera = -1;
+  ParameterLayout::ImageBlocks last = {-1, -1, -1};
   for (const int32_t* image = begin; image != end; ++image) {
-    const int pose = layout.image_block(*image);
-    const int camera = layout.camera_block(problem.image_camera[*image]);
-    if (pose >= 0) blocks->push_back(pose);
-    if (camera >= 0 && camera != last_camera) blocks->push_back(camera);
-    last_camera = camera;
+    const ParameterLayout::ImageBlocks& of = layout.blocks_of(*image);
+    for (size_t k = 0; k < of.size(); ++k) {
+      if (of[k] >= 0 && of[k] != last[k]) blocks->push_back(of[k]);
+    }
+    last = of;
   }
 }
 
@@ -94,9 +94,14 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& probl
   const auto num_blocks = static_cast<int>(layout.blocks().size());
   std::vector<std::vector<int>> columns(num_blocks);
   for (int j = 0; j < num_blocks; ++j) columns[j].push_back(j);
+  const auto couple = [&](int a, int b) {
+    if (a >= 0 && b >= 0) columns[std::min(a, b)].push_back(std::max(a, b));
+  };
   for (int i = 0; i < problem.num_images; ++i) {
-    const int pose = layout.image_block(i), camera = layout.camera_block(problem.image_camera[i]);
-    if (pose >= 0 && camera >= 0) columns[std::min(pose, camera)].push_back(std::max(pose, camera));
+    const auto [pose, sensor, camera] = layout.blocks_of(i);
+    couple(pose, camera);
+    couple(pose, sensor);
+    couple(sensor, camera);
   }
   for (const FactorUnknowns& unknowns : FindFactorUnknowns(problem, layout)) {
     const std::vector<int>& blocks = unknowns.blocks;
@@ -104,7 +109,7 @@ std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& probl
       for (size_t a = 0; a < b; ++a) columns[blocks[a]].push_back(blocks[b]);
     }
   }
-  if (problem.factors == nullptr) return columns;
+  if (problem.factors == nullptr && problem.num_frames == 0) return columns;
   for (std::vector<int>& rows : columns) {
     std::sort(rows.begin(), rows.end());
     rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
@@ -171,7 +176,7 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
       std::vector<int> blocks;
       for (int64_t p = begin; p < end; ++p) {
         if (!layout.point_is_free(static_cast<int>(p))) continue;
-        CollectBlocks(problem, layout, tracks.images.data() + tracks.starts[p],
+        CollectBlocks(layout, tracks.images.data() + tracks.starts[p],
                       tracks.images.data() + tracks.starts[p + 1], &blocks);
         if (!neighbours.empty()) AddBlocks(neighbours, static_cast<int>(p), &blocks);
         MarkPairs(blocks, first, last, &bits);
@@ -206,11 +211,9 @@ void AddPoints(const ProblemView& problem, const ParameterLayout& layout, BlockP
     if (!layout.point_is_free(point)) continue;
     rows.assign(1, static_cast<int>(pattern->size.size()));
     for (int64_t k = tracks.starts[point]; k < tracks.starts[point + 1]; ++k) {
-      const int image = tracks.images[k];
-      const int pose = layout.image_block(image);
-      const int camera = layout.camera_block(problem.image_camera[image]);
-      if (pose >= 0) rows.push_back(first_block + pose);
-      if (camera >= 0) rows.push_back(first_block + camera);
+      for (const int block : layout.blocks_of(tracks.images[k])) {
+        if (block >= 0) rows.push_back(first_block + block);
+      }
     }
     if (const auto found = neighbours.find(point); found != neighbours.end()) {
       for (const int block : found->second.blocks) rows.push_back(first_block + block);
@@ -266,11 +269,7 @@ int64_t NumInformationNonzeros(const ProblemView& problem, const ParameterLayout
   for (int point = 0; point < problem.num_points; ++point) {
     if (!layout.point_is_free(point)) continue;
     for (int64_t k = tracks.starts[point]; k < tracks.starts[point + 1]; ++k) {
-      const int image = tracks.images[k];
-      for (const int block :
-           {layout.image_block(image), layout.camera_block(problem.image_camera[image])}) {
-        count_block(point, block);
-      }
+      for (const int block : layout.blocks_of(tracks.images[k])) count_block(point, block);
     }
     const auto found = neighbours.find(point);
     if (found == neighbours.end()) continue;

@@ -16,7 +16,8 @@ namespace bundle {
 std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
                                                 const ParameterLayout& layout, int num_threads = 1);
 
-/// Those that a residual couples, whatever its point: a shared camera and the poses of its images.
+/// Those that a residual couples, whatever its point: a shared camera or sensor and the poses of
+/// its images.
 std::vector<std::vector<int>> FindDirectlyCoupledBlocks(const ProblemView& problem,
                                                         const ParameterLayout& layout);
 

@@ -13,6 +13,12 @@
 /// They are taken far apart but from the bulk of the cloud, so that no stray point becomes the
 /// reference.
 ///
+/// Problems with rigs have as many degrees as are counted: six where the baseline of a rig is
+/// fixed, which gives the scale. The first frame (or image with a pose of its own) takes six, and a
+/// coordinate of the second one's translation the scale, if it is left; where there is no second
+/// one, a coordinate of a sensor's translation does. Three points would take more than that, so
+/// they are not taken.
+///
 /// Its directions, in which cameras and points may move together without any image changing: the
 /// world goes to X' = X + a, c + Exp(b) (X - c) or c + (1 + s) (X - c), with c the mean of the
 /// projection centres. An image R X + t stays what it is, up to its scale, if
@@ -62,10 +68,10 @@ std::vector<int> Fixed(const std::vector<int>& indices, const std::vector<uint8_
   return fixed;
 }
 
-/// The translation of cam_from_world[b] * inverse(cam_from_world[a]), that is t_b - R_b R_a^T t_a.
+/// The translation of pose b * inverse(pose a), that is t_b - R_b R_a^T t_a.
 void RelativeTranslation(const ProblemView& problem, int a, int b, double translation[3]) {
-  const double* pose_a = problem.cam_from_world + 7 * static_cast<int64_t>(a);
-  const double* pose_b = problem.cam_from_world + 7 * static_cast<int64_t>(b);
+  const double* pose_a = ValueOfPose(problem, a);
+  const double* pose_b = ValueOfPose(problem, b);
   double rotation_a[9], rotation_b[9], minus_center_a[3];
   QuaternionToRotation(pose_a, rotation_a);
   QuaternionToRotation(pose_b, rotation_b);
@@ -179,12 +185,69 @@ PoseRows OfPose(const PoseState& pose, const Eigen::Vector3d& centre) {
   return rows;
 }
 
+uint8_t& BitsOf(const ProblemView& problem, int pose, FreeParameters* free) {
+  if (pose < problem.num_images) return free->pose[pose];
+  pose -= problem.num_images;
+  return pose < problem.num_frames ? free->frame[pose] : free->sensor[pose - problem.num_frames];
+}
+
+/// Holds the free coordinate of a pose's translation in which `direction` is largest. False where
+/// it is zero in all of them.
+bool HoldCoordinate(const double* direction, uint8_t* bits) {
+  int largest = -1;
+  for (int j = 0; j < 3; ++j) {
+    if ((*bits >> (3 + j) & 1) == 0 || !(std::abs(direction[j]) > 1e-9)) continue;
+    if (largest < 0 || std::abs(direction[j]) > std::abs(direction[largest])) largest = j;
+  }
+  if (largest < 0) return false;
+  *bits = static_cast<uint8_t>(*bits & ~(1u << (3 + largest)));
+  return true;
+}
+
+std::string FixGaugeOfRigs(const ProblemView& problem, const std::vector<int>& images,
+                           FreeParameters* free) {
+  std::vector<int> poses;  // of frames, and of images that have one
+  for (const int i : images) {
+    const int frame = problem.FrameOf(i);
+    poses.push_back(frame < 0 ? i : PoseOfFrame(problem, frame));
+  }
+  const auto bits = [&](int pose) -> uint8_t& { return BitsOf(problem, pose, free); };
+  int degrees = CountGaugeDegrees(problem, *free);
+  if (degrees == 0) return "";
+  const auto held = std::find_if(poses.begin(), poses.end(), [&](int p) { return bits(p) == 0; });
+  const int first = held != poses.end() ? *held : poses.front();
+  if (degrees > 1) {
+    bits(first) = 0;
+    degrees = CountGaugeDegrees(problem, *free);
+  }
+  if (degrees == 0) return "";
+  for (const int second : poses) {
+    double baseline[3];
+    RelativeTranslation(problem, first, second, baseline);
+    if (second != first && HoldCoordinate(baseline, &bits(second))) return "";
+  }
+  for (int s = 0; s < problem.num_sensors; ++s) {
+    const int pose = PoseOfSensor(problem, s);
+    if (HoldCoordinate(ValueOfPose(problem, pose) + 4, &bits(pose))) return "";
+  }
+  return "The gauge holds only one frame: nothing that is free stands elsewhere, so the scale is "
+         "free.";
+}
+
 }  // namespace
 
 std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
   if (gauge == Gauge::kNone) return "";
   const std::vector<int> images =
       Observed(problem.observation_image, problem.num_observations, problem.num_images);
+  if (problem.num_frames > 0) {
+    if (images.empty()) return "";
+    const std::string sentence = FixGaugeOfRigs(problem, images, free);
+    if (gauge == Gauge::kTwoCameras || !sentence.empty()) return sentence;
+    return "Gauge three_points is held as two_cameras, by a frame: three points would hold the "
+           "shape "
+           "of their triangle as well, which rigs do not leave free.";
+  }
   const std::vector<int> points =
       Observed(problem.observation_point, problem.num_observations, problem.num_points);
   const std::vector<int> fixed_images = Fixed(images, free->pose);
@@ -201,9 +264,11 @@ std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterL
   constexpr int kCount = kNumGaugeDirections;
   std::vector<double> gauge_directions(static_cast<size_t>(layout.state_size()) * kCount, 0.0);
   const Eigen::Vector3d centre = MeanCentre(cameras, problem.num_images);
-  for (int i = 0; i < problem.num_images; ++i) {
-    if (layout.image_block(i) < 0) continue;
-    const CameraBlock& block = layout.blocks()[layout.image_block(i)];
+  // What scaling the world does to a sensor is no direction of it: a sensor's block is better off
+  // without, as a cluster of its own that has all its columns (linear/coarse_space.cpp).
+  for (int i = 0; i < problem.num_images + problem.num_frames; ++i) {
+    if (layout.pose_block(i) < 0) continue;
+    const CameraBlock& block = layout.blocks()[layout.pose_block(i)];
     const PoseRows rows = OfPose(cameras.pose(i), centre);
     for (int k = 0; k < block.size; ++k) {
       if (block.columns[k] >= kPoseSize) break;

@@ -11,9 +11,14 @@
 
 namespace bundle {
 
-/// Takes the seven degrees of freedom that no observation sees (rotation, translation, scale of the
-/// world) out of `free`, unless two images or three points that are fixed already hold them.
-/// Returns a sentence, to be shown to the user, where that could not be done as asked; else "".
+/// Degrees of freedom that no observation sees and that `free` leaves (gauge_count.cpp): at most
+/// seven, rotation, translation and scale of the world.
+int CountGaugeDegrees(const ProblemView& problem, const FreeParameters& free);
+
+/// Takes the degrees of freedom that no observation sees out of `free`. Without rigs these are
+/// seven, unless two images or three points that are fixed already hold them; with rigs they are
+/// counted. Returns a sentence, to be shown to the user, where that could not be done as asked;
+/// else "".
 std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free);
 
 /// Translations, rotations and the scale of the world.

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <set>
 #include <string>
 #include <unordered_map>
 #include <utility>
@@ -57,12 +58,68 @@ uint32_t FreeCameraParameters(const CameraModel& model, const SolveOptions& opti
   return free;
 }
 
+/// The pose of an image is its own, or that of its frame and sensor.
+void FreePoseOf(const ProblemView& problem, const SolveOptions& options, int image,
+                FreeParameters* free) {
+  const int frame = problem.FrameOf(image), sensor = problem.SensorOf(image);
+  if (options.refine_poses) {
+    (frame < 0 ? free->pose[image] : free->frame[frame]) = FreeParameters::kWholePose;
+  }
+  if (options.refine_sensor_from_rig && sensor >= 0) {
+    free->sensor[sensor] = FreeParameters::kWholePose;
+  }
+}
+
+std::vector<uint8_t> FindObservedImages(const ProblemView& problem) {
+  std::vector<uint8_t> observed(problem.num_images);
+  for (int64_t i = 0; i < problem.num_observations; ++i) observed[problem.observation_image[i]] = 1;
+  return observed;
+}
+
+void HoldSensorsWithoutReference(const ProblemView& problem, FreeParameters* free) {
+  if (problem.num_sensors == 0) return;
+  const std::vector<uint8_t> observed = FindObservedImages(problem);
+  std::set<int64_t> rigs;  // whose reference sensor observes something
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int frame = problem.FrameOf(i);
+    if (observed[i] && frame >= 0 && problem.SensorOf(i) < 0) {
+      rigs.insert(problem.frame_rig_ids[frame]);
+    }
+  }
+  for (int s = 0; s < problem.num_sensors; ++s) {
+    if (rigs.count(problem.sensor_rig_ids[s]) == 0) free->sensor[s] = 0;
+  }
+}
+
+void HoldSensors(const ProblemView& problem, const SolveOptions& options, FreeParameters* free) {
+  for (const SensorId& id : options.fixed_sensors) {
+    int found = 0;
+    while (found < problem.num_sensors && (problem.sensor_rig_ids[found] != id.first ||
+                                           problem.sensor_camera_ids[found] != id.second)) {
+      ++found;
+    }
+    if (found == problem.num_sensors) {
+      throw InputError("fixed_sensors: expected sensors with a sensor_from_rig, found rig " +
+                       std::to_string(id.first) + ", camera " + std::to_string(id.second));
+    }
+    free->sensor[found] = 0;
+  }
+}
+
 /// What factors touch may be seen by no observation.
 void FreeTouched(const ProblemView& problem, const SolveOptions& options, FreeParameters* free) {
   for (const ProblemVariable& variable : problem.factors->variables) {
     switch (variable.kind) {
       case ProblemVariable::Kind::kImage:
-        if (options.refine_poses) free->pose[variable.index] = FreeParameters::kWholePose;
+        FreePoseOf(problem, options, variable.index, free);
+        break;
+      case ProblemVariable::Kind::kFrame:
+        if (options.refine_poses) free->frame[variable.index] = FreeParameters::kWholePose;
+        break;
+      case ProblemVariable::Kind::kSensor:
+        if (options.refine_sensor_from_rig) {
+          free->sensor[variable.index] = FreeParameters::kWholePose;
+        }
         break;
       case ProblemVariable::Kind::kCamera:
         if (problem.camera_models[variable.index] == nullptr) break;
@@ -95,10 +152,10 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
   free.pose.resize(problem.num_images);
   free.camera.resize(problem.num_cameras);
   free.point.resize(problem.num_points);
+  free.frame.resize(problem.num_frames);
+  free.sensor.resize(problem.num_sensors);
   for (int64_t i = 0; i < problem.num_observations; ++i) {
-    if (options.refine_poses) {
-      free.pose[problem.observation_image[i]] = FreeParameters::kWholePose;
-    }
+    FreePoseOf(problem, options, problem.observation_image[i], &free);
     if (options.refine_points) free.point[problem.observation_point[i]] = 1;
     const int camera = problem.image_camera[problem.observation_image[i]];
     if (free.camera[camera] == 0) {
@@ -107,46 +164,72 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
   }
   if (problem.factors != nullptr) FreeTouched(problem, options, &free);
   HoldBetweenEqualBounds(problem, &free);
+  HoldSensorsWithoutReference(problem, &free);
+  HoldSensors(problem, options, &free);
   ForEachIndex("camera", options.fixed_camera_ids, problem.camera_ids, problem.num_cameras,
                [&](int index) { free.camera[index] = 0; });
   ForEachIndex("image", options.fixed_image_ids, problem.image_ids, problem.num_images,
-               [&](int index) { free.pose[index] = 0; });
+               [&](int index) {
+                 const int frame = problem.FrameOf(index);
+                 (frame < 0 ? free.pose[index] : free.frame[frame]) = 0;
+               });
   ForEachIndex("point", options.fixed_point_ids, problem.point_ids, problem.num_points,
                [&](int index) { free.point[index] = 0; });
   return free;
 }
 
-namespace {
-
-std::vector<uint8_t> FindObservedImages(const ProblemView& problem) {
-  std::vector<uint8_t> observed(problem.num_images);
-  for (int64_t i = 0; i < problem.num_observations; ++i) observed[problem.observation_image[i]] = 1;
-  return observed;
+const double* ValueOfPose(const ProblemView& problem, int pose) {
+  const double* values = problem.cam_from_world;
+  if (pose >= problem.num_images) {
+    pose -= problem.num_images;
+    values = problem.rig_from_world;
+    if (pose >= problem.num_frames) {
+      pose -= problem.num_frames;
+      values = problem.sensor_from_rig;
+    }
+  }
+  return values + 7 * static_cast<int64_t>(pose);
 }
-
-}  // namespace
 
 ParameterLayout::ParameterLayout(const ProblemView& problem, FreeParameters free)
     : free_(std::move(free)),
-      image_block_(problem.num_images, -1),
+      pose_block_(NumPoses(problem), -1),
       camera_block_(problem.num_cameras, -1),
       params_block_(problem.num_cameras, -1) {
   const std::vector<uint8_t> observed = FindObservedImages(problem);
   std::vector<int> users(problem.num_cameras);  // observed images of each camera
-  for (int i = 0; i < problem.num_images; ++i) users[problem.image_camera[i]] += observed[i];
+  for (int i = 0; i < problem.num_images; ++i) {
+    // Beside an image of a rig, a camera has its own block as if others used it.
+    const int weight = problem.FrameOf(i) < 0 ? 1 : 2;
+    users[problem.image_camera[i]] += weight * observed[i];
+  }
   for (int i = 0; i < problem.num_images; ++i) {
     const int camera = problem.image_camera[i];
     const bool own_camera = observed[i] && users[camera] == 1;
-    image_block_[i] = AddBlock(free_.pose[i], own_camera ? free_.camera[camera] : 0);
-    if (own_camera && free_.camera[camera] != 0) params_block_[camera] = image_block_[i];
+    pose_block_[i] = AddBlock(free_.pose[i], own_camera ? free_.camera[camera] : 0);
+    if (own_camera && free_.camera[camera] != 0) params_block_[camera] = pose_block_[i];
+  }
+  for (int f = 0; f < problem.num_frames; ++f) {
+    pose_block_[PoseOfFrame(problem, f)] = AddBlock(free_.frame[f], 0);
+  }
+  for (int s = 0; s < problem.num_sensors; ++s) {
+    pose_block_[PoseOfSensor(problem, s)] = AddBlock(free_.sensor[s], 0);
   }
   for (int c = 0; c < problem.num_cameras; ++c) {
     if (users[c] != 1) params_block_[c] = camera_block_[c] = AddBlock(0, free_.camera[c]);
   }
-  for (int i = 0; i < problem.num_images; ++i) {
-    has_shared_intrinsics_ |= image_block_[i] >= 0 && camera_block_[problem.image_camera[i]] >= 0;
-  }
+  FindImageBlocks(problem);
   num_free_points_ = static_cast<int>(std::count(free_.point.begin(), free_.point.end(), 1));
+}
+
+void ParameterLayout::FindImageBlocks(const ProblemView& problem) {
+  image_blocks_.resize(problem.num_images);
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int frame = problem.FrameOf(i), sensor = problem.SensorOf(i);
+    image_blocks_[i] = {pose_block_[frame < 0 ? i : PoseOfFrame(problem, frame)],
+                        sensor < 0 ? -1 : pose_block_[PoseOfSensor(problem, sensor)],
+                        camera_block_[problem.image_camera[i]]};
+  }
 }
 
 int ParameterLayout::AddBlock(uint8_t pose_bits, uint32_t camera_bits) {
@@ -173,22 +256,41 @@ void ParameterLayout::Reorder(const std::vector<int>& order) {
     offset += blocks.back().size;
   }
   blocks_ = std::move(blocks);
-  for (std::vector<int>* index : {&image_block_, &camera_block_, &params_block_}) {
-    for (int& block : *index) block = block < 0 ? -1 : position[block];
+  const auto renumber = [&](int& block) { block = block < 0 ? -1 : position[block]; };
+  for (std::vector<int>* index : {&pose_block_, &camera_block_, &params_block_}) {
+    std::for_each(index->begin(), index->end(), renumber);
   }
+  for (ImageBlocks& of : image_blocks_) std::for_each(of.begin(), of.end(), renumber);
 }
 
 bool ParameterLayout::IsRefined(const ProblemView& problem, int64_t observation) const {
-  const int image = problem.observation_image[observation];
-  return point_is_free(problem.observation_point[observation]) || image_block_[image] >= 0 ||
-         camera_block_[problem.image_camera[image]] >= 0;
+  const ImageBlocks& blocks = image_blocks_[problem.observation_image[observation]];
+  return point_is_free(problem.observation_point[observation]) ||
+         std::any_of(blocks.begin(), blocks.end(), [](int block) { return block >= 0; });
+}
+
+std::set<int> ParameterLayout::BlocksBesideFirst() const {
+  std::set<int> beside;
+  for (const ImageBlocks& blocks : image_blocks_) {
+    bool is_first = true;
+    for (const int block : blocks) {
+      if (block < 0) continue;
+      if (!is_first) beside.insert(block);
+      is_first = false;
+    }
+  }
+  if (beside.empty()) return beside;
+  for (const int block : camera_block_) {
+    if (block >= 0) beside.insert(block);
+  }
+  return beside;
 }
 
 template <typename Pose>
-std::vector<double> ParameterLayout::Gather(const ProblemView& problem, const Pose& pose,
+std::vector<double> ParameterLayout::Gather(const ProblemView& problem, const Pose& of_pose,
                                             const double* camera_params) const {
   std::vector<double> state(state_size_);
-  const auto fill = [&](int index, int image, int camera) {
+  const auto fill = [&](int index, int pose, int camera) {
     if (index < 0) return;
     const CameraBlock& block = blocks_[index];
     const double* const params =
@@ -196,20 +298,21 @@ std::vector<double> ParameterLayout::Gather(const ProblemView& problem, const Po
     for (int k = 0; k < block.size; ++k) {
       const int column = block.columns[k];
       state[block.offset + k] =
-          column < kPoseSize ? pose(image, column) : params[column - kPoseSize];
+          column < kPoseSize ? of_pose(pose, column) : params[column - kPoseSize];
     }
   };
-  for (int i = 0; i < problem.num_images; ++i) fill(image_block_[i], i, problem.image_camera[i]);
+  for (int p = 0; p < NumPoses(problem); ++p) {
+    fill(pose_block_[p], p, p < problem.num_images ? problem.image_camera[p] : 0);
+  }
   for (int c = 0; c < problem.num_cameras; ++c) fill(camera_block_[c], -1, c);
   return state;
 }
 
 std::vector<double> ParameterLayout::InitialState(const ProblemView& problem) const {
-  const auto pose = [&](int image, int column) {
-    const double* const translation = problem.cam_from_world + 7 * static_cast<int64_t>(image) + 4;
-    return column < 3 ? 0.0 : translation[column - 3];
+  const auto of_pose = [&](int pose, int column) {
+    return column < 3 ? 0.0 : ValueOfPose(problem, pose)[4 + column - 3];
   };
-  return Gather(problem, pose, problem.camera_params);
+  return Gather(problem, of_pose, problem.camera_params);
 }
 
 StateBounds ParameterLayout::Bounds(const ProblemView& problem) const {
@@ -237,9 +340,9 @@ void ParameterLayout::Scatter(const ProblemView& problem, const double* state, d
   const auto params_of = [&](int camera) {
     return camera_params + static_cast<int64_t>(camera) * problem.camera_params_stride;
   };
-  for (int i = 0; i < problem.num_images; ++i) {
-    write(image_block_[i], poses + static_cast<int64_t>(i) * kPoseSize,
-          params_of(problem.image_camera[i]));
+  for (int p = 0; p < NumPoses(problem); ++p) {
+    write(pose_block_[p], poses + static_cast<int64_t>(p) * kPoseSize,
+          p < problem.num_images ? params_of(problem.image_camera[p]) : nullptr);
   }
   for (int c = 0; c < problem.num_cameras; ++c) write(camera_block_[c], nullptr, params_of(c));
 }
@@ -251,89 +354,6 @@ ProblemShape ShapeOf(const ParameterLayout& layout, int64_t num_residuals) {
   shape.num_camera_columns = layout.state_size();
   shape.num_camera_blocks = static_cast<int>(layout.blocks().size());
   return shape;
-}
-
-CameraStates::CameraStates(const ProblemView& problem, const ParameterLayout& layout)
-    : problem_(problem),
-      layout_(layout),
-      stride_(problem.camera_params_stride),
-      charts_(static_cast<size_t>(problem.num_images) * kPoseSize),
-      poses_(problem.num_images) {
-  Reset();
-}
-
-void CameraStates::Reset() {
-  camera_params_.assign(
-      problem_.camera_params,
-      problem_.camera_params + static_cast<std::ptrdiff_t>(problem_.num_cameras) * stride_);
-  std::fill(charts_.begin(), charts_.end(), 0.0);
-  auto anchors = std::make_shared<PoseAnchors>(problem_.num_images);
-  for (int64_t i = 0; i < problem_.num_images; ++i) {
-    const double* pose = problem_.cam_from_world + 7 * i;
-    PoseAnchor& anchor = (*anchors)[i];
-    std::fill_n(anchor.w, 3, 0.0);
-    std::copy_n(pose, 4, anchor.quaternion);
-    QuaternionToRotation(pose, anchor.rotation);
-    std::copy(pose + 4, pose + 7, &charts_[kPoseSize * i + 3]);
-  }
-  anchors_ = std::move(anchors);
-  Update(layout_.InitialState(problem_).data());
-}
-
-void CameraStates::Update(const double* state) {
-  layout_.Scatter(problem_, state, charts_.data(), camera_params_.data());
-  for (int i = 0; i < problem_.num_images; ++i) Expand(i);
-}
-
-void CameraStates::Expand(int image) {
-  double chart[kPoseSize];
-  Chart(image, chart);
-  ExpandPose(anchor_rotation(image), chart, &poses_[image]);
-}
-
-bool CameraStates::MoveAnchors() {
-  std::shared_ptr<PoseAnchors> moved;
-  for (int i = 0; i < problem_.num_images; ++i) {
-    double v[kPoseSize], pose[7];
-    Chart(i, v);
-    if (!(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] > kMaxChartAngle * kMaxChartAngle)) continue;
-    if (moved == nullptr) moved = std::make_shared<PoseAnchors>(*anchors_);
-    CamFromWorld(i, pose);
-    PoseAnchor& anchor = (*moved)[i];
-    std::copy_n(&charts_[kPoseSize * int64_t{i}], 3, anchor.w);
-    std::copy_n(pose, 4, anchor.quaternion);
-    QuaternionToRotation(pose, anchor.rotation);
-  }
-  if (moved == nullptr) return false;
-  anchors_ = std::move(moved);
-  for (int i = 0; i < problem_.num_images; ++i) Expand(i);
-  return true;
-}
-
-void CameraStates::Chart(int image, double* chart) const {
-  std::copy_n(&charts_[kPoseSize * int64_t{image}], kPoseSize, chart);
-  for (int j = 0; j < 3; ++j) chart[j] -= (*anchors_)[image].w[j];
-}
-
-void CameraStates::CamFromWorld(int image, double pose[7]) const {
-  double chart[kPoseSize];
-  Chart(image, chart);
-  std::copy_n((*anchors_)[image].quaternion, 4, pose);
-  std::copy_n(chart + 3, 3, pose + 4);
-  if (chart[0] == 0 && chart[1] == 0 && chart[2] == 0) return;
-  double increment[4], rotated[4];
-  ExpQuaternion(chart, increment);
-  QuaternionProduct(increment, pose, rotated);
-  NormalizeQuaternion(rotated);
-  std::copy_n(rotated, 4, pose);
-}
-
-std::vector<double> CameraStates::CamFromWorld() const {
-  std::vector<double> cam_from_world(7 * poses_.size());
-  for (size_t i = 0; i < poses_.size(); ++i) {
-    CamFromWorld(static_cast<int>(i), &cam_from_world[7 * i]);
-  }
-  return cam_from_world;
 }
 
 }  // namespace bundle

@@ -3,14 +3,17 @@
 /// Which numbers of a problem a solve may change.
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <set>
 #include <utility>
 #include <vector>
 
 #include "core/cameras/camera_model.h"
 #include "core/factors/reprojection.h"
+#include "core/factors/rig_pose.h"
 #include "core/interface/options.h"
 #include "core/problem/problem_view.h"
 
@@ -20,24 +23,30 @@ namespace bundle {
 struct FreeParameters {
   static constexpr uint8_t kWholePose = 0b111111;
 
-  std::vector<uint8_t> pose;     ///< num_images
+  std::vector<uint8_t> pose;     ///< num_images; 0 for images of rigs, which have none of their own
   std::vector<uint32_t> camera;  ///< num_cameras
   std::vector<uint8_t> point;    ///< num_points: 0 or 1
+  std::vector<uint8_t> frame;    ///< num_frames: of rig_from_world
+  std::vector<uint8_t> sensor;   ///< num_sensors: of sensor_from_rig
 
   bool operator==(const FreeParameters& other) const {
-    return pose == other.pose && camera == other.camera && point == other.point;
+    return pose == other.pose && camera == other.camera && point == other.point &&
+           frame == other.frame && sensor == other.sensor;
   }
 };
 
 /// What the options leave free. Nothing is free that neither an observation nor a factor touches.
+/// An image that is fixed fixes its frame. The sensors of a rig whose reference sensor observes
+/// nothing are fixed: moving all of them on the rig is what moving its frames is.
 /// Throws InputError if an id to be fixed is not in the problem.
 FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptions& options);
 
 /// How the free parameters of a problem lie in one state vector.
 ///
 /// The state is [block 0 | block 1 | ...], each block the free numbers of one image (pose, then its
-/// camera's intrinsics if no other image uses that camera) or of one camera that several images
-/// share, or that a factor touches and no observation; points stay an array of their own. A block
+/// camera's intrinsics if no other image uses that camera), of one frame or one sensor of rigs, or
+/// of one camera that several images or an image of a rig have, or that a factor touches and no
+/// observation; points stay an array of their own. A block
 /// holds only what is refined, so nothing constant reaches a solver: no subset manifolds, no zero
 /// columns, and blocks of one size wherever the problem allows it, which is what fixed-size Schur
 /// kernels such as Ceres' (2,3,6) and (2,3,9) ask for.
@@ -45,6 +54,18 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
 /// Column j of a camera Jacobian row counts (w, t) of the pose as 0..5 and intrinsics from 6.
 
 inline constexpr int kPoseSize = 6;
+
+/// Poses are counted image by image, then frame by frame, then sensor by sensor. Those of rigs'
+/// images have a number but are no variables (factors/rig_pose.h).
+inline int NumPoses(const ProblemView& problem) {
+  return problem.num_images + problem.num_frames + problem.num_sensors;
+}
+inline int PoseOfFrame(const ProblemView& problem, int frame) { return problem.num_images + frame; }
+inline int PoseOfSensor(const ProblemView& problem, int sensor) {
+  return problem.num_images + problem.num_frames + sensor;
+}
+/// qx qy qz qw tx ty tz in the problem.
+const double* ValueOfPose(const ProblemView& problem, int pose);
 
 struct CameraBlock {
   int offset = 0;  ///< of its first number in the state
@@ -88,42 +109,53 @@ class ParameterLayout {
   int num_free_points() const { return num_free_points_; }
   bool point_is_free(int point) const { return free_.point[point] != 0; }
 
-  /// Index of the block with an image's pose, and its intrinsics where merged; -1 if all is fixed.
-  int image_block(int image) const { return image_block_[image]; }
-  /// Index of the block with a shared camera's intrinsics; -1 if merged or fixed.
+  /// The blocks that an image's observations depend on, -1 where there is none: that of its pose
+  /// (its own, with its intrinsics where merged, or its frame's), that of its sensor, and that of
+  /// its camera where it is not merged.
+  using ImageBlocks = std::array<int, 3>;
+  enum { kPoseBlock, kSensorBlock, kCameraBlock };
+  const ImageBlocks& blocks_of(int image) const { return image_blocks_[image]; }
+
+  /// Index of the block with a pose, and an image's intrinsics where merged; -1 if all is fixed.
+  int pose_block(int pose) const { return pose_block_[pose]; }
+  /// The same of an image's own pose.
+  int image_block(int image) const { return pose_block_[image]; }
+  /// Index of the block of a camera's intrinsics alone; -1 if merged or fixed.
   int camera_block(int camera) const { return camera_block_[camera]; }
   /// Index of the block with a camera's intrinsics, its own or an image's; -1 if all are fixed.
   int params_block(int camera) const { return params_block_[camera]; }
   /// True if an observation depends on something free.
   bool IsRefined(const ProblemView& problem, int64_t observation) const;
-  /// True if some image has both kinds of block.
-  bool has_shared_intrinsics() const { return has_shared_intrinsics_; }
+  /// The blocks that stand with another one in some residual, but for the first of each image: no
+  /// two of the others stand in the same one. Where there are any, shared cameras are among them.
+  std::set<int> BlocksBesideFirst() const;
 
   /// The state at the problem's own values: w = 0.
   std::vector<double> InitialState(const ProblemView& problem) const;
 
   StateBounds Bounds(const ProblemView& problem) const;
 
-  /// Writes a state into poses (num_images x 6) and camera parameters (as in ProblemView); what is
+  /// Writes a state into poses (NumPoses x 6) and camera parameters (as in ProblemView); what is
   /// not in the state is left alone.
   void Scatter(const ProblemView& problem, const double* state, double* poses,
                double* camera_params) const;
 
  private:
   int AddBlock(uint8_t pose_bits, uint32_t camera_bits);
-  /// A state: pose(image, column) of the poses, and camera parameters (as in ProblemView).
+  void FindImageBlocks(const ProblemView& problem);
+  /// A state: of_pose(pose, column), and camera parameters (as in ProblemView).
   template <typename Pose>
   std::vector<double> Gather(const ProblemView& problem, const Pose& pose,
                              const double* camera_params) const;
 
   FreeParameters free_;
   std::vector<CameraBlock> blocks_;
-  std::vector<int> image_block_;
+  std::vector<int> pose_block_;
   std::vector<int> camera_block_;
   std::vector<int> params_block_;
+  std::vector<ImageBlocks> image_blocks_;
   int state_size_ = 0;
   int num_free_points_ = 0;
-  bool has_shared_intrinsics_ = false;
 };
 
 /// The sizes that decide what a linear solver costs.
@@ -137,12 +169,13 @@ struct ProblemShape {
 /// `num_residuals` is the number of residuals that reach the solver.
 ProblemShape ShapeOf(const ParameterLayout& layout, int64_t num_residuals);
 
-/// One anchor per image (factors/reprojection.h).
+/// One anchor per pose (factors/reprojection.h).
 using PoseAnchors = std::vector<PoseAnchor>;
 
 /// The camera parameters of a problem at one state, expanded once per evaluation so that an
 /// observation only reads: rotation, translation and left Jacobian of each image, parameters of
-/// each camera.
+/// each camera. Images of rigs follow from their frames and sensors (factors/rig_pose.h); their
+/// coordinates here are the local ones.
 ///
 /// A state has a meaning about certain anchors only: a candidate needs those of the state that the
 /// step starts from.
@@ -156,36 +189,47 @@ class CameraStates {
 
   void Update(const double* state);
 
-  /// Gives each image that is too far from its anchor a new one, where it is. Same state, same
+  /// Gives each pose that is too far from its anchor a new one, where it is. Same state, same
   /// poses. True if there is any; others keep every bit.
   bool MoveAnchors();
   /// From the next Update on. They are never changed, but replaced.
   void SetAnchors(std::shared_ptr<const PoseAnchors> anchors) { anchors_ = std::move(anchors); }
   const std::shared_ptr<const PoseAnchors>& anchors() const { return anchors_; }
 
-  /// R_a of an image.
-  const double* anchor_rotation(int image) const { return (*anchors_)[image].rotation; }
-  /// (v, t) of an image, six numbers.
-  void Chart(int image, double* chart) const;
-  const PoseState& pose(int image) const { return poses_[image]; }
+  /// Of an image, a frame or a sensor, by its number (NumPoses).
+  const PoseState& pose(int pose) const { return poses_[pose]; }
+  /// What an image's pose follows from.
+  RigPose rig(int image) const;
   const double* params(int camera) const {
     return camera_params_.data() + static_cast<int64_t>(camera) * stride_;
   }
 
+  /// Where the chart of an image's observations is: the rotation that it is about, and (v, t), six
+  /// numbers. Of an image of a rig it is about the image's rotation.
+  const double* chart_rotation(int image) const;
+  void Chart(int image, double* chart) const;
+
   /// The refined poses as quaternion and translation (num_images x 7): Exp(v) q_a. A pose that did
   /// not move keeps every bit of what it was.
   std::vector<double> CamFromWorld() const;
-  void CamFromWorld(int image, double pose[7]) const;
+  /// The same of frames and of sensors.
+  std::vector<double> RigFromWorld() const;
+  std::vector<double> SensorFromRig() const;
+  /// The same of one image, frame or sensor, by its number.
+  void ValueOf(int pose, double value[7]) const;
   const std::vector<double>& camera_params() const { return camera_params_; }
 
  private:
-  void Expand(int image);
+  void Expand();
+  void ChartOf(int pose, double* chart) const;
+  bool HasMoved(int pose) const;
+  std::vector<double> Values(int first, int count) const;
 
   const ProblemView& problem_;
   const ParameterLayout& layout_;
   const int stride_;
   std::shared_ptr<const PoseAnchors> anchors_;
-  std::vector<double> charts_;  ///< (w, t) of each image
+  std::vector<double> charts_;  ///< (w, t) of each pose
   std::vector<PoseState> poses_;
   std::vector<double> camera_params_;
 };

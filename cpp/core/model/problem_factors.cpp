@@ -14,16 +14,45 @@ namespace {
 
 using Kind = ProblemVariable::Kind;
 
-constexpr int kImageSize = 7;  // numbers of an image's variable
+constexpr int kPoseNumbers = 7;  // of an image's variable, a frame's or a sensor's
 
 const ProblemVariable& VariableOf(const Factor& factor, const ProblemView& problem, size_t place) {
   return problem.factors->variables[factor.blocks()[place]];
 }
 
-/// The block of the layout that has unknowns of a camera variable; -1: it is held.
-int BlockOf(const ProblemVariable& variable, const ParameterLayout& layout) {
-  return variable.kind == Kind::kImage ? layout.image_block(variable.index)
-                                       : layout.params_block(variable.index);
+bool IsPose(Kind kind) { return kind != Kind::kCamera && kind != Kind::kPoint; }
+
+/// The number of a pose variable (NumPoses).
+int PoseNumber(Kind kind, int index, const ProblemView& problem) {
+  if (kind == Kind::kImage) return index;
+  return kind == Kind::kFrame ? PoseOfFrame(problem, index) : PoseOfSensor(problem, index);
+}
+
+/// A block of the layout that has unknowns of a variable, and whether they are those of its frame
+/// or sensor; rig_column: what the first of these is counted as.
+struct VariableBlock {
+  int block;
+  bool is_of_rig;
+  int rig_column;
+};
+
+/// The blocks that have unknowns of a variable beside points.
+std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable, const ProblemView& problem,
+                                    const ParameterLayout& layout) {
+  std::vector<VariableBlock> blocks;
+  const auto add = [&](int block, bool is_of_rig, int rig_column) {
+    if (block >= 0) blocks.push_back({block, is_of_rig, rig_column});
+  };
+  if (variable.kind == Kind::kCamera) {
+    add(layout.params_block(variable.index), false, 0);
+  } else if (variable.kind == Kind::kImage && problem.FrameOf(variable.index) >= 0) {
+    const ParameterLayout::ImageBlocks& of = layout.blocks_of(variable.index);
+    add(of[ParameterLayout::kPoseBlock], true, 0);
+    add(of[ParameterLayout::kSensorBlock], true, kPoseSize);
+  } else {
+    add(layout.pose_block(PoseNumber(variable.kind, variable.index, problem)), false, 0);
+  }
+  return blocks;
 }
 
 /// The free columns of a variable within its block: what each is in the block, and of the variable.
@@ -32,7 +61,7 @@ void ForFreeColumns(Kind kind, const CameraBlock& block, const Visit& visit) {
   for (int k = 0; k < block.size; ++k) {
     const int column = block.columns[k];
     const bool is_pose = column < kPoseSize;
-    if (is_pose == (kind == Kind::kImage)) visit(k, is_pose ? column : column - kPoseSize);
+    if (is_pose == IsPose(kind)) visit(k, is_pose ? column : column - kPoseSize);
   }
 }
 
@@ -45,11 +74,11 @@ FactorUnknowns UnknownsOf(const Factor& factor, const ProblemView& problem,
       if (layout.point_is_free(variable.index)) unknowns.points.push_back(variable.index);
       continue;
     }
-    const int block = BlockOf(variable, layout);
-    if (block < 0) continue;
-    bool is_free = false;
-    ForFreeColumns(variable.kind, layout.blocks()[block], [&](int, int) { is_free = true; });
-    if (is_free) unknowns.blocks.push_back(block);
+    for (const VariableBlock& of : BlocksOf(variable, problem, layout)) {
+      bool is_free = false;
+      ForFreeColumns(variable.kind, layout.blocks()[of.block], [&](int, int) { is_free = true; });
+      if (is_free) unknowns.blocks.push_back(of.block);
+    }
   }
   std::vector<int>& blocks = unknowns.blocks;
   std::sort(blocks.begin(), blocks.end());
@@ -62,12 +91,12 @@ FactorUnknowns UnknownsOf(const Factor& factor, const ProblemView& problem,
 const double* ValueOf(const ProblemVariable& variable, const ProblemView& problem) {
   const int64_t index = variable.index;
   switch (variable.kind) {
-    case Kind::kImage:
-      return problem.cam_from_world + kImageSize * index;
     case Kind::kCamera:
       return problem.ParamsOf(variable.index);
-    default:
+    case Kind::kPoint:
       return problem.points + 3 * index;
+    default:
+      return ValueOfPose(problem, PoseNumber(variable.kind, variable.index, problem));
   }
 }
 
@@ -107,13 +136,13 @@ std::vector<double> FactorCosts(const ProblemView& problem) {
   if (problem.factors == nullptr) return costs;
   for (const auto& factor : problem.factors->factors) {
     std::vector<const double*> values;
-    std::vector<double> poses(kImageSize * factor->blocks().size());
+    std::vector<double> poses(kPoseNumbers * factor->blocks().size());
     for (size_t v = 0; v < factor->blocks().size(); ++v) {
       const ProblemVariable& variable = VariableOf(*factor, problem, v);
       values.push_back(ValueOf(variable, problem));
-      if (variable.kind != Kind::kImage) continue;
-      double* const pose = poses.data() + kImageSize * v;
-      std::copy_n(values.back(), kImageSize, pose);
+      if (!IsPose(variable.kind)) continue;
+      double* const pose = poses.data() + kPoseNumbers * v;
+      std::copy_n(values.back(), kPoseNumbers, pose);
       NormalizeQuaternion(pose);
       values.back() = pose;
     }
@@ -152,12 +181,15 @@ ChartedFactor::ChartedFactor(const Factor& factor, const ProblemView& problem,
         }
         ++num_points;
       }
-    } else if (const int block = BlockOf(given, layout); block >= 0) {
+    }
+    for (const VariableBlock& of : BlocksOf(given, problem, layout)) {
       const auto& blocks = unknowns_.blocks;
-      const auto place = std::lower_bound(blocks.begin(), blocks.end(), block) - blocks.begin();
-      ForFreeColumns(given.kind, layout.blocks()[block], [&](int k, int column) {
-        variable.columns.push_back(static_cast<int8_t>(column));
-        variable.jacobian_column.push_back(column_begin_[unknowns_.points.size() + place] + k);
+      const auto place = std::lower_bound(blocks.begin(), blocks.end(), of.block) - blocks.begin();
+      ForFreeColumns(given.kind, layout.blocks()[of.block], [&](int k, int column) {
+        auto& columns = of.is_of_rig ? variable.rig_columns : variable.columns;
+        auto& to = of.is_of_rig ? variable.rig_jacobian_column : variable.jacobian_column;
+        columns.push_back(static_cast<int8_t>(of.rig_column + column));
+        to.push_back(column_begin_[unknowns_.points.size() + place] + k);
       });
     }
     variables_.push_back(std::move(variable));
@@ -176,14 +208,32 @@ void ToChart(const PoseState& pose, const double* origin, const double* row, dou
   MatrixVector3(pose.rotation, row + 3, out + 3);
 }
 
-/// An image's variable at a state, in the world of the factors.
-void PoseOf(const CameraStates& cameras, int image, const double* origin, double* value) {
-  cameras.CamFromWorld(image, value);
+/// A pose's variable at a state, in the world of the factors.
+void PoseOf(const CameraStates& cameras, int pose, const double* origin, double* value) {
+  cameras.ValueOf(pose, value);
   NormalizeQuaternion(value);
   double moved[3];
-  MatrixVector3(cameras.pose(image).rotation, origin, moved);
+  MatrixVector3(cameras.pose(pose).rotation, origin, moved);
   for (int j = 0; j < 3; ++j) value[4 + j] -= moved[j];
 }
+
+/// A row by local coordinates of an image to one by its frame's chart, then by its sensor's.
+void ToRig(const RigPose& rig, const double* row, double* out) {
+  double map[36];
+  const auto multiply = [&](double* to) {
+    for (int j = 0; j < kPoseSize; ++j) {
+      to[j] = 0;
+      for (int i = 0; i < kPoseSize; ++i) to[j] += row[i] * map[kPoseSize * i + j];
+    }
+  };
+  FrameMap(rig, map);
+  multiply(out);
+  if (rig.sensor == nullptr) return;
+  SensorMap(rig, map);
+  multiply(out + kPoseSize);
+}
+
+constexpr double kNoOrigin[3] = {};
 
 }  // namespace
 
@@ -201,18 +251,19 @@ bool ChartedFactor::Evaluate(const CameraStates& cameras, const double* const* p
   std::vector<const double*> values(count);
   std::vector<double*> jacobians(count, nullptr);
   // Values of images and points, then the Jacobians by the variables' own coordinates.
-  size_t num_doubles = kImageSize * count;
+  size_t num_doubles = kPoseNumbers * count;
   for (size_t v = 0; v < count && jacobian != nullptr; ++v) {
     num_doubles += static_cast<size_t>(rows) * factor_.retractions()[v].tangent_size();
   }
   std::vector<double> doubles(num_doubles);
-  double* next = doubles.data() + kImageSize * count;
+  double* next = doubles.data() + kPoseNumbers * count;
   for (size_t v = 0; v < count; ++v) {
     const Variable& variable = variables_[v];
-    double* const value = doubles.data() + kImageSize * v;
+    double* const value = doubles.data() + kPoseNumbers * v;
     values[v] = value;
-    if (variable.kind == Kind::kImage) {
-      PoseOf(cameras, variable.index, problem_.origin, value);
+    if (IsPose(variable.kind)) {
+      PoseOf(cameras, PoseNumber(variable.kind, variable.index, problem_),
+             variable.kind == Kind::kSensor ? kNoOrigin : problem_.origin, value);
     } else if (variable.kind == Kind::kCamera) {
       values[v] = cameras.params(variable.index);
     } else {
@@ -221,7 +272,7 @@ bool ChartedFactor::Evaluate(const CameraStates& cameras, const double* const* p
                                       : problem_.points + 3 * int64_t{variable.index};
       for (int j = 0; j < 3; ++j) value[j] = point[j] + problem_.origin[j];
     }
-    if (jacobian == nullptr || variable.columns.empty()) continue;
+    if (jacobian == nullptr || !variable.is_free()) continue;
     jacobians[v] = next;
     next += static_cast<size_t>(rows) * factor_.retractions()[v].tangent_size();
   }
@@ -238,14 +289,21 @@ bool ChartedFactor::Evaluate(const CameraStates& cameras, const double* const* p
     const int width = factor_.retractions()[v].tangent_size();
     for (int r = 0; r < rows; ++r) {
       const double* row = jacobians[v] + static_cast<size_t>(r) * width;
-      double by_chart[kPoseSize];
-      if (variable.kind == Kind::kImage) {
-        ToChart(cameras.pose(variable.index), problem_.origin, row, by_chart);
+      double* const out = jacobian + static_cast<size_t>(r) * num_columns_;
+      double by_chart[kPoseSize], by_rig[2 * kPoseSize];
+      if (IsPose(variable.kind)) {
+        ToChart(cameras.pose(PoseNumber(variable.kind, variable.index, problem_)),
+                variable.kind == Kind::kSensor ? kNoOrigin : problem_.origin, row, by_chart);
         row = by_chart;
       }
-      double* const out = jacobian + static_cast<size_t>(r) * num_columns_;
+      if (!variable.rig_columns.empty()) {
+        ToRig(cameras.rig(variable.index), row, by_rig);
+        for (size_t k = 0; k < variable.rig_columns.size(); ++k) {
+          out[variable.rig_jacobian_column[k]] += by_rig[variable.rig_columns[k]];
+        }
+      }
       for (size_t k = 0; k < variable.columns.size(); ++k) {
-        out[variable.jacobian_column[k]] = row[variable.columns[k]];
+        out[variable.jacobian_column[k]] += row[variable.columns[k]];
       }
     }
   }

@@ -20,6 +20,10 @@
 ///
 ///   by w: (R (a + b x c))^T J_l(v),        by t: (R b)^T.
 ///
+/// An image of a rig has no chart of its own. For the local coordinates of factors/rig_pose.h, J_l
+/// is the identity here, and the row goes on to those by its frame and its sensor through M_f and
+/// M_s. Frames and sensors are variables themselves, as images are; no origin moves a sensor.
+///
 /// Cameras and points are Euclidean: their coordinates are the unknowns themselves. Of all these a
 /// layout keeps the columns that are free (CameraBlock::columns).
 
@@ -34,9 +38,10 @@
 namespace bundle {
 
 /// A variable of a problem: an image's cam_from_world (qx qy qz qw tx ty tz, SE(3)), a camera's
-/// parameters in COLMAP's order, or a point's coordinates.
+/// parameters in COLMAP's order, a point's coordinates, a frame's rig_from_world or a sensor's
+/// sensor_from_rig.
 struct ProblemVariable {
-  enum class Kind { kImage, kCamera, kPoint };
+  enum class Kind { kImage, kCamera, kPoint, kFrame, kSensor };
   Kind kind = Kind::kImage;
   int index = 0;  ///< in the problem's arrays
 };
@@ -66,7 +71,7 @@ inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
   return unknowns.points.empty() || (unknowns.points.size() == 1 && unknowns.blocks.empty());
 }
 
-/// True if a factor touches an image or a point, and so may say where the world is.
+/// True if a factor touches anything but cameras, and so may say where the world is.
 bool MayFixGauge(const ProblemView& problem);
 
 /// 1/2 rho(||r||^2) of each factor at the problem's own values; NaN where it has none.
@@ -104,6 +109,11 @@ class ChartedFactor {
     int free_point = -1;               ///< place in unknowns().points
     std::vector<int8_t> columns;       ///< that are free: of the chart, or parameters
     std::vector<int> jacobian_column;  ///< and where they go
+    /// Columns of an image's frame and sensor, 6 + 6, and where these go.
+    std::vector<int8_t> rig_columns;
+    std::vector<int> rig_jacobian_column;
+
+    bool is_free() const { return !columns.empty() || !rig_columns.empty(); }
   };
 
   const Factor& factor_;

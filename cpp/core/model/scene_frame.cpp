@@ -96,28 +96,37 @@ bool SceneFrame::IsFarFromOrigin() const {
 CenteredProblem::CenteredProblem(const ProblemView& problem, const SceneFrame& frame)
     : problem_(problem), frame_(frame), centered_(problem) {
   if (!frame.IsFarFromOrigin()) return;
-  cam_from_world_.assign(problem.cam_from_world,
-                         problem.cam_from_world + 7 * static_cast<int64_t>(problem.num_images));
+  const auto move = [&](const double* poses, int count, std::vector<double>* moved) {
+    moved->assign(poses, poses + 7 * static_cast<int64_t>(count));
+    for (size_t i = 0; i < moved->size(); i += 7) {
+      MoveTranslation(poses + i, frame.origin, 1, &(*moved)[i + 4]);
+    }
+  };
+  move(problem.cam_from_world, problem.num_images, &cam_from_world_);
+  if (problem.num_frames > 0) move(problem.rig_from_world, problem.num_frames, &rig_from_world_);
   points_.assign(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points));
-  for (size_t i = 0; i < cam_from_world_.size(); i += 7) {
-    MoveTranslation(problem.cam_from_world + i, frame.origin, 1, &cam_from_world_[i + 4]);
-  }
   for (size_t k = 0; k < points_.size(); ++k) points_[k] -= frame.origin[k % 3];
   centered_.cam_from_world = cam_from_world_.data();
+  if (problem.num_frames > 0) centered_.rig_from_world = rig_from_world_.data();
   centered_.points = points_.data();
   for (int j = 0; j < 3; ++j) centered_.origin[j] = problem.origin[j] + frame.origin[j];
 }
 
 void CenteredProblem::MoveBack(SolveOutput* output) const {
   if (!is_moved()) return;
-  for (size_t i = 0; i < cam_from_world_.size(); i += 7) {
-    double* const pose = &output->cam_from_world[i];
-    if (std::equal(pose, pose + 7, &cam_from_world_[i])) {
-      std::copy_n(problem_.cam_from_world + i, 7, pose);
-    } else {
-      MoveTranslation(pose, frame_.origin, -1, pose + 4);
+  const auto move_back = [&](const std::vector<double>& start, const double* given,
+                             std::vector<double>* poses) {
+    for (size_t i = 0; i < start.size(); i += 7) {
+      double* const pose = &(*poses)[i];
+      if (std::equal(pose, pose + 7, &start[i])) {
+        std::copy_n(given + i, 7, pose);
+      } else {
+        MoveTranslation(pose, frame_.origin, -1, pose + 4);
+      }
     }
-  }
+  };
+  move_back(cam_from_world_, problem_.cam_from_world, &output->cam_from_world);
+  move_back(rig_from_world_, problem_.rig_from_world, &output->rig_from_world);
   for (size_t k = 0; k < points_.size(); k += 3) {
     double* const point = &output->points[k];
     if (std::equal(point, point + 3, &points_[k])) {

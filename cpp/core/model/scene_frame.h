@@ -71,6 +71,7 @@ class CenteredProblem {
   const ProblemView& problem_;
   const SceneFrame& frame_;
   std::vector<double> cam_from_world_;
+  std::vector<double> rig_from_world_;
   std::vector<double> points_;
   ProblemView centered_;
 };

@@ -32,7 +32,8 @@ std::string FindFactorForCeres(const ProblemView& problem, const ParameterLayout
 /// A gauge that takes degrees of freedom away although factors may hold them.
 std::string FindSuperfluousGauge(const ProblemView& problem, const FreeParameters& before,
                                  const FreeParameters& after) {
-  const bool is_held = before.pose != after.pose || before.point != after.point;
+  const bool is_held = before.pose != after.pose || before.point != after.point ||
+                       before.frame != after.frame || before.sensor != after.sensor;
   if (!is_held || !MayFixGauge(problem)) return "";
   return "The gauge is held although factors say where images or points are: what it holds does "
          "not follow them. Use gauge none to let the factors decide.";
@@ -133,7 +134,8 @@ void RefuseTooLarge(const ProblemView& problem) {
   }
   // Three parameters each, and up to so many per image and camera.
   const int64_t camera_state =
-      int64_t{kPoseSize} * problem.num_images +
+      int64_t{kPoseSize} *
+          (int64_t{problem.num_images} + problem.num_frames + problem.num_sensors) +
       int64_t{kMaxCameraParams} * (int64_t{problem.num_images} + problem.num_cameras);
   if (camera_state > kMost)
     refuse("cam_from_world", kMost / (kPoseSize + 2 * kMaxCameraParams), problem.num_images);

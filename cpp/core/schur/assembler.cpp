@@ -22,10 +22,45 @@ Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
       diagonal_begin_(DiagonalBlockOffsets(structure)) {
   for (int i = 0; i < problem.num_images; ++i) {
     const ModelGroup& group = groups[image_group[i]];
-    const int camera_block = layout.camera_block(problem.image_camera[i]);
-    AddBlock(layout.image_block(i), layout, group, /*is_shared=*/false, &images_[i]);
+    const auto [pose_block, sensor_block, camera_block] = layout.blocks_of(i);
+    images_[i].num_columns = group.num_columns;
+    AddBlock(pose_block, layout, group, /*is_shared=*/false, &images_[i]);
+    AddSensor(i, sensor_block, layout, group);
     AddBlock(camera_block, layout, group, /*is_shared=*/true, &images_[i]);
-    has_shared_cameras_ |= camera_block >= 0;
+    has_shared_blocks_ |= sensor_block >= 0 || camera_block >= 0;
+  }
+  // They stay where they are from now on.
+  for (const SensorMapOf& map : maps_) {
+    ImageBlocks& image = images_[map.image];
+    const auto is_mapped = [](const ImageBlock& of) { return of.num_local != 0 && of.is_shared; };
+    std::find_if(image.of, image.of + image.count, is_mapped)->map = map.values;
+  }
+}
+
+void Assembler::AddSensor(int image, int block, const ParameterLayout& layout,
+                          const ModelGroup& group) {
+  if (block < 0) return;
+  const CameraBlock& columns = layout.blocks()[block];
+  ImageBlock& added = images_[image].of[images_[image].count++];
+  added.block = block;
+  added.size = columns.size;
+  added.is_shared = true;
+  added.num_local = kPoseSize;
+  for (int k = 0; k < kPoseSize; ++k) {
+    const int8_t* const end = group.columns + group.num_columns;
+    added.local[k] = static_cast<int8_t>(std::find(group.columns, end, k) - group.columns);
+  }
+  maps_.push_back({image, {columns.columns, columns.columns + columns.size}, {}});
+}
+
+void Assembler::SetMaps(const CameraStates& cameras) {
+  for (SensorMapOf& map : maps_) {
+    double whole[kPoseSize * kPoseSize];
+    SensorByFrameMap(cameras.rig(map.image), whole);
+    double* to = map.values;
+    for (int i = 0; i < kPoseSize; ++i) {
+      for (const int8_t column : map.columns) *to++ = whole[kPoseSize * i + column];
+    }
   }
 }
 
@@ -35,7 +70,7 @@ void Assembler::AddBlock(int block, const ParameterLayout& layout, const ModelGr
   const CameraBlock& columns = layout.blocks()[block];
   ImageBlock& added = image->of[image->count++];
   added.block = block;
-  added.size = columns.size;
+  added.size = added.num_local = columns.size;
   added.is_shared = is_shared;
   for (int k = 0; k < columns.size; ++k) {
     const int8_t* const end = group.columns + group.num_columns;
@@ -74,10 +109,10 @@ void Assembler::AddImage(const EliminationInput& input, const Chunk& chunk, cons
     AddPair(input, chunk.images[chunk.pairs[pair].first], image, block(num_images + pair),
             PairPart::kSecond, values);
   }
-  AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, Part::kOwn,
-             sums);
+  AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, nullptr,
+             Part::kOwn, sums);
   AddDiagonal(input, image, block(slot), Part::kOwn, values);
-  if (sum.camera_diagonal != nullptr) {
+  if (!sums->system.camera_diagonal.empty()) {
     AddCameraDiagonal(input, image, sum.camera_diagonal + block_size * slot, Part::kOwn,
                       sums->system.camera_diagonal.data());
   }
@@ -88,8 +123,8 @@ void Assembler::AddImage(const EliminationInput& input, const Chunk& chunk, cons
   }
 }
 
-void Assembler::AddSharedCameras(const EliminationInput& input, const Chunk& chunk,
-                                 const ChunkSum& sum, CameraSums* sums) const {
+void Assembler::AddSharedBlocks(const EliminationInput& input, const Chunk& chunk,
+                                const ChunkSum& sum, CameraSums* sums) const {
   const int64_t block_size = static_cast<int64_t>(input.num_rows) * input.num_columns;
   double* const values = sums->system.values.data();
   const auto block = [&](int64_t b) {
@@ -100,16 +135,17 @@ void Assembler::AddSharedCameras(const EliminationInput& input, const Chunk& chu
   for (size_t i = 0; i < num_images; ++i) {
     const int image = chunk.images[i];
     const auto slot = static_cast<int64_t>(i);
-    AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot,
+    const double* const squares =
+        sum.camera_diagonal == nullptr ? nullptr : sum.camera_diagonal + block_size * slot;
+    AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, squares,
                Part::kShared, sums);
     AddDiagonal(input, image, block(slot), Part::kShared, values);
-    if (sum.camera_diagonal != nullptr) {
-      AddCameraDiagonal(input, image, sum.camera_diagonal + block_size * slot, Part::kShared,
-                        sums->system.camera_diagonal.data());
+    if (!sums->system.camera_diagonal.empty()) {
+      AddCameraDiagonal(input, image, squares, Part::kShared, sums->system.camera_diagonal.data());
     }
     for (; pair < chunk.pairs.size() && chunk.pairs[pair].first == i; ++pair) {
       AddPair(input, image, chunk.images[chunk.pairs[pair].second],
-              block(static_cast<int64_t>(num_images + pair)), PairPart::kCameras, values);
+              block(static_cast<int64_t>(num_images + pair)), PairPart::kShared, values);
     }
   }
 }
@@ -171,12 +207,26 @@ void Assembler::PrefetchPair(int first, int second, const double* values) const 
 }
 
 void Assembler::AddVectors(const EliminationInput& input, int image, const double* vectors,
-                           Part part, CameraSums* sums) const {
+                           const double* squares, Part part, CameraSums* sums) const {
   const int width = WidthOf(input, image);
   for (int s = 0; s < images_[image].count; ++s) {
     const ImageBlock& a = images_[image].of[s];
     if (a.is_shared != (part == Part::kShared)) continue;
     const int offset = structure_.offset[a.block];
+    if (a.map != nullptr) {
+      double full[kMaxMapped], mapped[kMaxMapped];
+      FillLower(squares, images_[image].num_columns, width, full);
+      MapBlock(a, a, full, width, mapped);
+      for (int k = 0; k < a.size; ++k) sums->squared_norms[offset + k] += mapped[k * (a.size + 1)];
+      for (int i = 0; i < a.num_local; ++i) {
+        const double* const at = vectors + a.local[i];
+        for (int k = 0; k < a.size; ++k) {
+          sums->gradient[offset + k] += a.map[i * a.size + k] * at[0];
+          sums->system.rhs[offset + k] -= a.map[i * a.size + k] * at[width];
+        }
+      }
+      continue;
+    }
     for (int k = 0; k < a.size; ++k) {
       const double* const at = vectors + a.local[k];
       sums->gradient[offset + k] += at[0];
@@ -197,6 +247,16 @@ void Assembler::AddDiagonal(const EliminationInput& input, int image, const doub
       if (a.block > b.block) continue;
       if ((a.is_shared && b.is_shared) != (part == Part::kShared)) continue;
       const int64_t entry = Entry(a.block, b.block);
+      if (a.map != nullptr || b.map != nullptr) {
+        double full[kMaxMapped], mapped[kMaxMapped];
+        FillLower(block, blocks.num_columns, width, full);
+        MapBlock(a, b, full, width, mapped);
+        for (int i = 0; i < a.size; ++i) {
+          double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
+          for (int j = s == t ? i : 0; j < b.size; ++j) column[j] += mapped[i * b.size + j];
+        }
+        continue;
+      }
       for (int i = 0; i < a.size; ++i) {
         double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
         for (int j = s == t ? i : 0; j < b.size; ++j) {
@@ -215,6 +275,15 @@ void Assembler::AddCameraDiagonal(const EliminationInput& input, int image, cons
     const ImageBlock& a = images_[image].of[s];
     if (a.is_shared != (part == Part::kShared)) continue;
     double* const target = values + diagonal_begin_[a.block];
+    if (a.map != nullptr) {
+      double full[kMaxMapped], mapped[kMaxMapped];
+      FillLower(block, images_[image].num_columns, width, full);
+      MapBlock(a, a, full, width, mapped);
+      for (int i = 0; i < a.size; ++i) {
+        for (int j = i; j < a.size; ++j) target[i * a.size + j] += mapped[i * a.size + j];
+      }
+      continue;
+    }
     for (int i = 0; i < a.size; ++i) {
       for (int j = i; j < a.size; ++j) {
         target[i * a.size + j] += block[a.local[i] * width + a.local[j]];
@@ -231,25 +300,36 @@ void Assembler::AddPair(const EliminationInput& input, int first, int second, co
     for (int t = 0; t < images_[second].count; ++t) {
       const ImageBlock &a = images_[first].of[s], &b = images_[second].of[t];
       if (a.is_shared != shared_first) continue;
-      if (shared_first && b.is_shared != (part == PairPart::kCameras)) continue;
-      const int64_t entry = Entry(std::min(a.block, b.block), std::max(a.block, b.block));
-      for (int i = 0; i < a.size; ++i) {
-        const double* const row = block + a.local[i] * width;
-        if (a.block < b.block) {
-          AddColumn(b, row, values + structure_.ValueIndex(a.block, entry, 0, i));
-          continue;
-        }
-        for (int j = 0; j < b.size; ++j) {
-          const double value = row[b.local[j]];
-          if (a.block > b.block) {
-            values[structure_.ValueIndex(b.block, entry, i, j)] += value;
-            continue;
-          }
-          // Into a diagonal block, with its transpose.
-          if (i >= j) values[structure_.ValueIndex(a.block, entry, i, j)] += value;
-          if (j >= i) values[structure_.ValueIndex(a.block, entry, j, i)] += value;
-        }
+      if (shared_first && b.is_shared != (part == PairPart::kShared)) continue;
+      if (a.map != nullptr || b.map != nullptr) {
+        double mapped[kMaxMapped];
+        MapBlock(a, b, block, width, mapped);
+        AddPairOf(a.WithoutMap(), b.WithoutMap(), mapped, b.size, values);
+      } else {
+        AddPairOf(a, b, block, width, values);
       }
+    }
+  }
+}
+
+void Assembler::AddPairOf(const ImageBlock& a, const ImageBlock& b, const double* block, int width,
+                          double* values) const {
+  const int64_t entry = Entry(std::min(a.block, b.block), std::max(a.block, b.block));
+  for (int i = 0; i < a.size; ++i) {
+    const double* const row = block + a.local[i] * width;
+    if (a.block < b.block) {
+      AddColumn(b, row, values + structure_.ValueIndex(a.block, entry, 0, i));
+      continue;
+    }
+    for (int j = 0; j < b.size; ++j) {
+      const double value = row[b.local[j]];
+      if (a.block > b.block) {
+        values[structure_.ValueIndex(b.block, entry, i, j)] += value;
+        continue;
+      }
+      // Into a diagonal block, with its transpose.
+      if (i >= j) values[structure_.ValueIndex(a.block, entry, i, j)] += value;
+      if (j >= i) values[structure_.ValueIndex(a.block, entry, j, i)] += value;
     }
   }
 }

@@ -8,11 +8,15 @@
 /// goes to up to four blocks of S. Where both have the same intrinsics block, it and its transpose
 /// go to the diagonal one.
 ///
+/// An image of a rig has the columns of its frame's pose, whose block it shares with the other
+/// images of the frame; a sensor that is refined is a third block, through a map (column_map.h).
+///
 /// Several threads add chunks at once, and no bit may depend on which is faster. So each block of S
-/// belongs to one queue, in which chunks take their turns: the blocks of an image's own columns
-/// with all others belong to that image, or to the first of two, and what two shared cameras have
-/// with each other belongs to the queue of all cameras. Only the latter is serial, and it is small:
-/// 9 products of a pair's 81 where a camera has three parameters.
+/// belongs to one queue, in which chunks take their turns: the blocks of a pose with all others
+/// belong to the image or frame that has it (ImageOrder::owner), or to the first of two, and what
+/// two shared cameras or sensors have with each other belongs to the queue of all of them. Only the
+/// latter is serial, and it is small: 9 products of a pair's 81 where a camera has three
+/// parameters.
 
 #include <algorithm>
 #include <atomic>
@@ -23,6 +27,7 @@
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
 #include "core/problem/problem_view.h"
+#include "core/schur/column_map.h"
 #include "core/schur/kernels/kernels.h"
 
 namespace bundle {
@@ -40,6 +45,13 @@ class Assembler {
   Assembler(const ProblemView& problem, const ParameterLayout& layout,
             const std::vector<ModelGroup>& groups, const std::vector<uint8_t>& image_group,
             const BlockStructure& structure);
+  Assembler(const Assembler&) = delete;
+  Assembler& operator=(const Assembler&) = delete;
+
+  /// Sets the maps of sensors at a state, before its chunks are added.
+  void SetMaps(const CameraStates& cameras);
+  /// True if there are any; chunks then need their camera_diagonal.
+  bool has_maps() const { return !maps_.empty(); }
 
   /// The pairs of a chunk that concern one of its images, ascending.
   struct PairsOfImage {
@@ -49,13 +61,13 @@ class Assembler {
   };
 
   /// Adds what a chunk has of image i of its images: its vectors, its diagonal block and its pairs,
-  /// all but the rows and columns of shared cameras among themselves.
+  /// all but the rows and columns of shared blocks among themselves.
   void AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum, size_t i,
                 const PairsOfImage& pairs, CameraSums* sums) const;
 
-  /// Adds what AddImage leaves of a chunk. Nothing without shared cameras.
-  void AddSharedCameras(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
-                        CameraSums* sums) const;
+  /// Adds what AddImage leaves of a chunk. Nothing without shared blocks.
+  void AddSharedBlocks(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
+                       CameraSums* sums) const;
 
   /// S += damping D^2, and the same for the block diagonal, whose upper triangles it completes.
   void AddDamping(double damping, const std::vector<double>& d_squared, CameraSums* sums) const;
@@ -63,42 +75,39 @@ class Assembler {
   /// Takes the marked columns of the Jacobian out of the sums: their rows and columns become zero.
   void ClearColumns(const std::vector<uint8_t>& which, CameraSums* sums) const;
 
-  /// True if some camera block of the layout belongs to several images.
-  bool has_shared_cameras() const { return has_shared_cameras_; }
+  /// True if some block of the layout belongs to images of several poses.
+  bool has_shared_blocks() const { return has_shared_blocks_; }
 
   /// Where block j of the layout begins in BlockSystem::camera_diagonal.
   const std::vector<int64_t>& diagonal_begin() const { return diagonal_begin_; }
 
  private:
-  /// Columns of an image that are in one block of the layout.
-  struct ImageBlock {
-    int block = -1;
-    int size = 0;
-    bool is_shared = false;                           ///< a camera's that several images have
-    bool is_contiguous = true;                        ///< local[k] = local[0] + k
-    int8_t local[kPoseSize + kMaxCameraParams] = {};  ///< entry k of the block by local column
-  };
   struct ImageBlocks {
-    ImageBlock of[2];
+    ImageBlock of[3];
     int count = 0;
+    int num_columns = 0;  ///< local ones
   };
 
   /// Which of an image's segments a sum is for.
   enum class Part { kOwn, kShared };
-  /// Which blocks of a pair: those of the first's own columns, those of the second's own columns
-  /// with the first's camera, or those of the two cameras.
-  enum class PairPart { kFirst, kSecond, kCameras };
+  /// Which blocks of a pair: those of the first's pose, those of the second's pose with what the
+  /// first shares, or those of what both share.
+  enum class PairPart { kFirst, kSecond, kShared };
 
   void AddBlock(int block, const ParameterLayout& layout, const ModelGroup& group, bool is_shared,
                 ImageBlocks* image) const;
-  void AddVectors(const EliminationInput& input, int image, const double* vectors, Part part,
-                  CameraSums* sums) const;
+  void AddSensor(int image, int block, const ParameterLayout& layout, const ModelGroup& group);
+  /// `squares`: A^T A of the image, for maps.
+  void AddVectors(const EliminationInput& input, int image, const double* vectors,
+                  const double* squares, Part part, CameraSums* sums) const;
   void AddDiagonal(const EliminationInput& input, int image, const double* block, Part part,
                    double* values) const;
   void AddCameraDiagonal(const EliminationInput& input, int image, const double* block, Part part,
                          double* values) const;
   void AddPair(const EliminationInput& input, int first, int second, const double* block,
                PairPart part, double* values) const;
+  void AddPairOf(const ImageBlock& a, const ImageBlock& b, const double* block, int width,
+                 double* values) const;
   static void AddColumn(const ImageBlock& rows, const double* from, double* column);
   void PrefetchPair(int first, int second, const double* values) const;
   int64_t Entry(int column, int row) const { return structure_.Entry(column, row); }
@@ -106,7 +115,15 @@ class Assembler {
   const BlockStructure& structure_;
   std::vector<ImageBlocks> images_;
   std::vector<int64_t> diagonal_begin_;
-  bool has_shared_cameras_ = false;
+  bool has_shared_blocks_ = false;
+
+  /// K of an image, the columns that its sensor's block has.
+  struct SensorMapOf {
+    int image;
+    std::vector<int8_t> columns;
+    double values[kPoseSize * kPoseSize];
+  };
+  std::vector<SensorMapOf> maps_;
 };
 
 /// Sums up chunks that several threads work on, in the order of the chunks, so that no bit of the
@@ -185,6 +202,7 @@ class OrderedSums {
   const BlockStructure& structure_;
   const Assembler& assembler_;
   const bool wants_camera_diagonal_;
+  const bool chunks_have_camera_diagonal_;
   CameraSums sums_;
   bool is_new_ = false;                       ///< S, and zero therefore
   std::vector<Waiting> waiting_;              ///< of each thread

@@ -246,11 +246,13 @@ class Planner {
   void LinkChunks() {
     std::vector<int> last_chunk(images_.rank.size(), -1);
     for (size_t c = 0; c < plan_.chunks.size(); ++c) {
-      for (const int image : plan_.chunks[c].images) {
-        plan_.chunks[c].previous_chunk.push_back(last_chunk[image]);
-        last_chunk[image] = static_cast<int>(c);
+      Chunk& chunk = plan_.chunks[c];
+      for (const int image : chunk.images) {
+        chunk.previous_chunk.push_back(last_chunk[images_.owner[image]]);
       }
+      for (const int image : chunk.images) last_chunk[images_.owner[image]] = static_cast<int>(c);
     }
+    plan_.image_owner = images_.owner;
   }
 
   static constexpr uint16_t kDiagonal = 0xffff;  ///< an image that sees a point twice

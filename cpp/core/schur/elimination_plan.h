@@ -85,7 +85,7 @@ struct Chunk {
   /// The images that occur, in the order of their blocks in the layout; block i of the chunk is the
   /// diagonal one of images[i].
   std::vector<int> images;
-  /// Of each image, the last chunk before this one in which it occurs; -1: none.
+  /// Of each image, the last chunk before this one in which one of its owner occurs; -1: none.
   std::vector<int> previous_chunk;
   /// Blocks images.size() and up: pairs of indices into `images`, the first the smaller.
   struct Pair {
@@ -110,6 +110,7 @@ struct EliminationPlan {
   /// refine: the chunk's block.
   std::vector<uint16_t> pair_block;
   std::vector<Chunk> chunks;
+  std::vector<int> image_owner;  ///< ImageOrder::owner
 
   int num_points() const { return static_cast<int>(point.size()); }
   int64_t num_observations() const { return static_cast<int64_t>(image.size()); }
@@ -141,6 +142,9 @@ struct ImageOrder {
   /// Place of each image: refined ones in the order of their blocks, which S likes best, then the
   /// others.
   std::vector<int> rank;
+  /// Of each image: the first of those whose poses are in the same block, which are next to each
+  /// other in the order. Itself, but for images of a rig.
+  std::vector<int> owner;
 };
 
 ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout);

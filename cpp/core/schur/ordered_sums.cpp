@@ -15,6 +15,7 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
       structure_(structure),
       assembler_(assembler),
       wants_camera_diagonal_(wants_camera_diagonal),
+      chunks_have_camera_diagonal_(wants_camera_diagonal || assembler.has_maps()),
       waiting_(num_threads),
       last_added_(num_images) {
   // All memory now, so that no pass ends half way.
@@ -30,7 +31,7 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
   }
   const size_t block_size = static_cast<size_t>(input.num_rows) * input.num_columns;
   for (Waiting& waiting : waiting_) {
-    if (assembler.has_shared_cameras()) {
+    if (assembler.has_shared_blocks()) {
       waiting.second_begin.reserve(images + 2);
       waiting.seconds.reserve(pairs);
     }
@@ -38,7 +39,7 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
       buffer.blocks.reserve(input.mixed ? mixed_doubles : blocks * block_size);
       if (input.mixed) buffer.block_begin.reserve(blocks);
       buffer.vectors.reserve(images * ChunkSum::kVectors * input.num_columns);
-      if (wants_camera_diagonal) buffer.camera_diagonal.reserve(images * block_size);
+      if (chunks_have_camera_diagonal_) buffer.camera_diagonal.reserve(images * block_size);
     }
   }
   MakeSystem();
@@ -106,7 +107,7 @@ ChunkSum& OrderedSums::Begin(int chunk, int thread) {
   buffer.sum.blocks = buffer.blocks.data();
   buffer.sum.block_begin = buffer.block_begin.data();
   buffer.sum.vectors = buffer.vectors.data();
-  if (wants_camera_diagonal_) {
+  if (chunks_have_camera_diagonal_) {
     buffer.camera_diagonal.assign(images * block_size, 0.0);
     buffer.sum.camera_diagonal = buffer.camera_diagonal.data();
   }
@@ -147,24 +148,27 @@ void OrderedSums::AddOldest(Waiting* waiting) {
   const Buffer& buffer = waiting->Oldest();
   const int c = buffer.chunk;
   const Chunk& chunk = input_.plan->chunks[c];
-  const bool has_shared_cameras = assembler_.has_shared_cameras();
-  if (has_shared_cameras) GroupBySecond(chunk, waiting);
+  const bool has_shared_blocks = assembler_.has_shared_blocks();
+  if (has_shared_blocks) GroupBySecond(chunk, waiting);
   Assembler::PairsOfImage pairs;
   for (size_t i = 0; i < chunk.images.size(); ++i) {
     pairs.first = pairs.last;
     while (pairs.last < chunk.pairs.size() && chunk.pairs[pairs.last].first == i) ++pairs.last;
-    if (has_shared_cameras) {
+    if (has_shared_blocks) {
       const int begin = waiting->second_begin[i], end = waiting->second_begin[i + 1];
       pairs.as_second = waiting->seconds.data() + begin;
       pairs.num_as_second = end - begin;
     }
-    std::atomic<int>& last_added = last_added_[chunk.images[i]];
-    WaitFor(last_added, chunk.previous_chunk[i]);
+    const std::vector<int>& owner_of = input_.plan->image_owner;
+    const int owner = owner_of[chunk.images[i]];
+    WaitFor(last_added_[owner], chunk.previous_chunk[i]);
     assembler_.AddImage(input_, chunk, buffer.sum, i, pairs, &sums_);
-    last_added.store(c, std::memory_order_release);
+    // Images of one owner are next to each other and keep their turn together.
+    const bool is_last = i + 1 == chunk.images.size() || owner_of[chunk.images[i + 1]] != owner;
+    if (is_last) last_added_[owner].store(c, std::memory_order_release);
   }
   WaitFor(num_added_, c);
-  if (has_shared_cameras) assembler_.AddSharedCameras(input_, chunk, buffer.sum, &sums_);
+  if (has_shared_blocks) assembler_.AddSharedBlocks(input_, chunk, buffer.sum, &sums_);
   num_added_.store(c + 1, std::memory_order_release);
   waiting->Pop();
 }

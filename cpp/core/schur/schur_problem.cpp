@@ -73,6 +73,7 @@ void SchurProblem::Reset(const SolveOptions& options) {
 Linearization SchurProblem::Linearize(double damping) {
   damping_ = damping;
   sums_.Clear(&pool_);
+  setup_.assembler.SetMaps(x_->cameras());
   const bool first = !scaled_;
   Linearization result;
   result.cost = factors_.Linearize(x_->cameras(), x_->points.data());

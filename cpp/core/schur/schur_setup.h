@@ -37,7 +37,7 @@ struct SchurSetup {
   const ModelGroups groups;
   EliminationPlan plan;
   EliminationInput input;
-  const Assembler assembler;
+  Assembler assembler;
 
  private:
   struct FixedObservations {

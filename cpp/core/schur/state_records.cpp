@@ -74,8 +74,10 @@ ModelGroups GroupImages(const ProblemView& problem, const ParameterLayout& layou
   for (int i = 0; i < problem.num_images; ++i) {
     const int camera = problem.image_camera[i];
     const CameraModel* const model = problem.camera_models[camera];
-    const uint32_t columns =
-        ColumnBits(layout, layout.image_block(i)) | ColumnBits(layout, layout.camera_block(camera));
+    const auto [pose_block, sensor_block, camera_block] = layout.blocks_of(i);
+    uint32_t columns = ColumnBits(layout, pose_block) | ColumnBits(layout, camera_block);
+    // What a sensor does is made of all that a frame does (column_map.h).
+    if (sensor_block >= 0) columns |= FreeParameters::kWholePose;
     result.image_refined.push_back(columns != 0 ? 1 : 0);
     if (model == nullptr) {
       result.image_group.push_back(0);
@@ -115,6 +117,13 @@ int RoundedParams(const ProblemView& problem) {
   return std::max(4, (std::min(problem.camera_params_stride, kMaxCameraParams) + 3) / 4 * 4);
 }
 
+constexpr int kTranslationJacobian = 12;  // its room in a record, in whole quads
+
+int RecordStride(const ProblemView& problem) {
+  return StateRecords::kParams + RoundedParams(problem) +
+         (problem.num_frames > 0 ? kTranslationJacobian : 0);
+}
+
 }  // namespace
 
 State::State(const ProblemView& problem, const ParameterLayout& layout, const EliminationPlan& plan)
@@ -122,9 +131,8 @@ State::State(const ProblemView& problem, const ParameterLayout& layout, const El
       held(plan.chunks.size()),
       problem_(problem),
       cameras_(problem, layout),
-      images_(static_cast<int64_t>(problem.num_images) *
-              (StateRecords::kParams + RoundedParams(problem))),
-      stride_(StateRecords::kParams + RoundedParams(problem)) {
+      images_(static_cast<int64_t>(problem.num_images) * RecordStride(problem)),
+      stride_(RecordStride(problem)) {
   Reset(layout, plan);
 }
 
@@ -142,6 +150,7 @@ StateRecords State::records() const {
   StateRecords records;
   records.images = images_.data();
   records.stride = stride_;
+  if (problem_.num_frames > 0) records.translation_jacobian = stride_ - kTranslationJacobian;
   records.points = points.data();
   records.held = held.all().data();
   records.num_held = static_cast<int64_t>(held.all().size());
@@ -166,10 +175,20 @@ void State::Update() {
     std::copy_n(pose.rotation, 9, record);
     std::copy_n(pose.translation, 3, record + StateRecords::kTranslation);
     std::copy_n(pose.left_jacobian, 9, record + StateRecords::kLeftJacobian);
+    if (problem_.num_frames > 0) PutFrameChart(cameras_.rig(i), record);
     if (problem_.camera_models[camera] == nullptr) continue;  // no image with observations has it
     std::copy_n(cameras_.params(camera), problem_.camera_models[camera]->num_params,
                 record + StateRecords::kParams);
   }
+}
+
+/// By the chart of the frame: R_s J_f and R_s; without a rig the translation is its own.
+void State::PutFrameChart(const RigPose& rig, double* record) const {
+  double* const translation = record + stride_ - kTranslationJacobian;
+  const bool turned = rig.frame != nullptr && rig.sensor != nullptr;
+  std::copy_n(turned ? rig.sensor->rotation : kIdentity3, 9, translation);
+  if (rig.frame == nullptr) return;
+  MatrixProduct3(translation, rig.frame->left_jacobian, record + StateRecords::kLeftJacobian);
 }
 
 void State::MoveAnchors() {
@@ -194,7 +213,7 @@ double State::FreePointsSquared(const EliminationPlan& plan) const {
 CameraStep::CameraStep(const ProblemView& problem, const ParameterLayout& layout)
     : problem_(problem),
       layout_(layout),
-      poses_(static_cast<int64_t>(problem.num_images) * kPoseSize),
+      poses_(static_cast<int64_t>(NumPoses(problem)) * kPoseSize),
       camera_params_(static_cast<int64_t>(problem.num_cameras) * problem.camera_params_stride),
       stride_(StepRecords::kParams + RoundedParams(problem)) {
   images_.resize(static_cast<int64_t>(problem.num_images) * stride_);
@@ -204,15 +223,35 @@ void CameraStep::Set(const std::vector<double>& camera_state, const CameraStates
   layout_.Scatter(problem_, camera_state.data(), poses_.data(), camera_params_.data());
   for (int i = 0; i < problem_.num_images; ++i) {
     double* const record = images_.data() + static_cast<int64_t>(i) * stride_;
-    const double* const pose = poses_.data() + static_cast<int64_t>(i) * kPoseSize;
+    const double* const pose = PoseStep(i);
     const int camera = problem_.image_camera[i];
-    MatrixVector3(at.pose(i).left_jacobian, pose, record);
-    std::copy_n(pose + 3, 3, record + StepRecords::kTranslation);
+    if (problem_.FrameOf(i) >= 0) {
+      SetOnRig(i, at.rig(i), record);
+    } else {
+      MatrixVector3(at.pose(i).left_jacobian, pose, record);
+      std::copy_n(pose + 3, 3, record + StepRecords::kTranslation);
+    }
     if (problem_.camera_models[camera] == nullptr) continue;
     std::copy_n(
         camera_params_.data() + static_cast<int64_t>(camera) * problem_.camera_params_stride,
         problem_.camera_models[camera]->num_params, record + StepRecords::kParams);
   }
+}
+
+/// (phi, tau) = M_f d_f + M_s d_s (factors/rig_pose.h).
+void CameraStep::SetOnRig(int image, const RigPose& rig, double* record) const {
+  double map[36];
+  const auto add = [&](const double* step) {
+    for (int i = 0; i < kPoseSize; ++i) {
+      for (int j = 0; j < kPoseSize; ++j) record[i] += map[kPoseSize * i + j] * step[j];
+    }
+  };
+  std::fill_n(record, kPoseSize, 0.0);
+  FrameMap(rig, map);
+  add(PoseStep(PoseOfFrame(problem_, problem_.FrameOf(image))));
+  if (rig.sensor == nullptr) return;
+  SensorMap(rig, map);
+  add(PoseStep(PoseOfSensor(problem_, problem_.SensorOf(image))));
 }
 
 }  // namespace bundle

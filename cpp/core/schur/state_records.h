@@ -60,6 +60,8 @@ class State {
   HeldResiduals held;
 
  private:
+  void PutFrameChart(const RigPose& rig, double* record) const;
+
   const ProblemView& problem_;
   CameraStates cameras_;
   std::vector<double> images_;
@@ -75,9 +77,14 @@ class CameraStep {
   StepRecords records() const { return {images_.data(), stride_}; }
 
  private:
+  void SetOnRig(int image, const RigPose& rig, double* record) const;
+  const double* PoseStep(int pose) const {
+    return poses_.data() + static_cast<int64_t>(pose) * kPoseSize;
+  }
+
   const ProblemView& problem_;
   const ParameterLayout& layout_;
-  std::vector<double> poses_;
+  std::vector<double> poses_;  ///< zero where a pose is not free
   std::vector<double> camera_params_;
   std::vector<double> images_;
   int stride_;

@@ -181,6 +181,8 @@ ProgressCallback FusedSolver::AddFixedCost(const ProgressCallback& progress) con
 void FusedSolver::CollectState(SolveOutput* output) {
   const CameraStates& cameras = schur_->cameras();
   output->cam_from_world = cameras.CamFromWorld();
+  output->rig_from_world = cameras.RigFromWorld();
+  output->sensor_from_rig = cameras.SensorFromRig();
   output->camera_params = cameras.camera_params();
   output->points = schur_->Points();
 }

@@ -221,6 +221,8 @@ class Solver::Impl {
 
   void TakeValues(const ProblemView& from) {
     problem_.cam_from_world = from.cam_from_world;
+    problem_.rig_from_world = from.rig_from_world;
+    problem_.sensor_from_rig = from.sensor_from_rig;
     problem_.camera_params = from.camera_params;
     problem_.points = from.points;
     problem_.observation_xy = from.observation_xy;

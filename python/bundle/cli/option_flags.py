@@ -23,6 +23,7 @@ __all__ = [
     "options_given",
     "parse_ids",
     "parse_images",
+    "parse_sensors",
     "with_named_images",
 ]
 
@@ -138,6 +139,24 @@ def parse_images(text: str) -> tuple[int, ...] | str:
     return parse_ids(text) if numeric or not all(parts) else text
 
 
+def parse_sensors(text: str) -> tuple[tuple[int, int], ...]:
+    """Return the pairs of ids that "1:2,1:3" names.
+
+    Raises:
+        argparse.ArgumentTypeError: anything else.
+    """
+    pairs = []
+    for part in text.split(","):
+        rig, _, camera = part.partition(":")
+        try:
+            pairs.append((int(rig), int(camera)))
+        except ValueError:
+            raise argparse.ArgumentTypeError(
+                f"expected sensors RIG:CAMERA such as 1:2,1:3, found {text!r}"
+            ) from None
+    return tuple(pairs)
+
+
 def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -> None:
     meta = field.metadata
     flag, default, values = meta["flag"], _shown(field.default), ""
@@ -152,6 +171,9 @@ def _add_option(group: argparse._ArgumentGroup, field: dataclasses.Field[Any]) -
     elif meta["metavar"] == "IMAGES":
         settings["type"] = parse_images
         values = "ids and names, such as 1,2,5-9,left/*.jpg; "
+    elif meta["metavar"] == "SENSORS":
+        settings["type"] = parse_sensors
+        values = "RIG:CAMERA by ids, such as 1:2,1:3; "
     elif isinstance(field.default, bool):
         settings = {"action": argparse.BooleanOptionalAction}
         default = flag if field.default else f"--no-{flag.lstrip('-')}"

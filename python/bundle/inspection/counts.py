@@ -115,14 +115,14 @@ class FactorCounter:
         """Return which free points some image sees together; None if that are too many pairs."""
         blocks = _core.parameter_blocks(self._problem, self._options)
         free, image = blocks["point_is_free"], blocks["image_block"]
-        seen_by_image = image[self._problem.observation_image] >= 0
-        wanted = free[self._problem.observation_point] & seen_by_image
-        observed = np.bincount(self._problem.observation_image[wanted], minlength=1).astype(float)
+        block = image[self._problem.observation_image]  # of the image, or of its frame
+        wanted = free[self._problem.observation_point] & (block >= 0)
+        observed = np.bincount(block[wanted], minlength=1).astype(float)
         if (observed * (observed + 1) / 2).sum() > MOST_POINT_PAIRS:
             return None
         number = np.cumsum(free) - 1
-        order = np.argsort(self._problem.observation_image[wanted], kind="stable")
-        images = self._problem.observation_image[wanted][order]
+        order = np.argsort(block[wanted], kind="stable")
+        images = block[wanted][order]
         points = number[self._problem.observation_point[wanted][order]]
         return _cliques(np.split(points, np.flatnonzero(np.diff(images)) + 1), int(free.sum()))
 

@@ -171,16 +171,18 @@ def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
         plan = PlanSize(**_core.elimination_plan(problem, given))
     is_free = blocks["point_is_free"]
     sizes = np.append(blocks["size"], 0).astype(np.int64)  # block -1 is none
-    image_block = blocks["image_block"]
-    camera_block = blocks["camera_block"][problem.image_camera]
-    width = (sizes[image_block] + sizes[camera_block])[problem.observation_image]
+    # Three blocks an image: of its pose or its frame's, of its sensor, of its camera.
+    of_image = np.stack(
+        [blocks["image_block"], blocks["sensor_block"], blocks["camera_block"][problem.image_camera]]
+    )
+    width = sizes[of_image].sum(axis=0)[problem.observation_image]
     free = is_free[problem.observation_point]
-    seen = _seen_blocks(problem, free, image_block, camera_block, len(sizes) - 1)
+    seen = _seen_blocks(problem, free, of_image, len(sizes) - 1)
     seen_point, seen_size = seen[0], sizes[seen[1]]
     num_seen = np.bincount(seen_point, minlength=problem.num_points).astype(float)
     columns = np.bincount(seen_point, seen_size, problem.num_points)
-    both = (image_block >= 0) & (camera_block >= 0)
-    within_images = np.unique(np.stack([image_block[both], camera_block[both]]), axis=1)
+    pairs = np.hstack([of_image[[0, 1]], of_image[[0, 2]], of_image[[1, 2]]])
+    within_images = np.unique(pairs[:, (pairs >= 0).all(axis=0)], axis=1)
     camera_parameters = int((sizes**2).sum() + 2 * sizes[within_images].prod(0).sum())
     return ProblemPattern(
         num_observations=int(np.count_nonzero(free | (width > 0))),
@@ -191,7 +193,7 @@ def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
         block_pairs=int((num_seen * (num_seen + 1) / 2).sum()),
         pair_entries=float((columns**2).sum() / 2),
         longest_track=longest_track,
-        has_equal_blocks=not both.any() and len(np.unique(blocks["size"])) == 1,
+        has_equal_blocks=not within_images.size and len(np.unique(blocks["size"])) == 1,
         plan=plan,
     )
 
@@ -199,8 +201,7 @@ def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
 def _seen_blocks(
     problem: Problem,
     free: NDArray[np.bool_],
-    image_block: Sizes,
-    camera_block: Sizes,
+    of_image: Sizes,
     num_blocks: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return (point, block) of each free point and each camera block that sees it, once."""
@@ -208,7 +209,7 @@ def _seen_blocks(
     image = problem.observation_image[free]
     codes = [
         point[block >= 0] * num_blocks + block[block >= 0]
-        for block in (image_block[image], camera_block[image])
+        for block in (blocks[image] for blocks in of_image)
     ]
     code = np.sort(np.concatenate(codes))
     code = code[np.diff(code, prepend=-1) != 0]

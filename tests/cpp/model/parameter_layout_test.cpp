@@ -163,7 +163,7 @@ TEST(ParameterLayout, HoldsWhatTheOptionsLeave) {
 TEST(ParameterLayout, MergesWhatOneImageUsesAndSharesTheRest) {
   const Scene merged = SceneWith("SIMPLE_RADIAL", 3, 1);
   const ParameterLayout own(merged.View(), SelectFreeParameters(merged.View(), SolveOptions()));
-  EXPECT_FALSE(own.has_shared_intrinsics());
+  EXPECT_TRUE(own.BlocksBesideFirst().empty());
   ASSERT_EQ(own.blocks().size(), 3u);
   for (int c = 0; c < 3; ++c) EXPECT_EQ(own.camera_block(c), -1);
   for (const CameraBlock& block : own.blocks()) EXPECT_EQ(block.size, 8);  // pose, f, k
@@ -171,7 +171,7 @@ TEST(ParameterLayout, MergesWhatOneImageUsesAndSharesTheRest) {
   const Scene one_camera = SceneWith("SIMPLE_RADIAL", 3, 3);
   const ParameterLayout shared(one_camera.View(),
                                SelectFreeParameters(one_camera.View(), SolveOptions()));
-  EXPECT_TRUE(shared.has_shared_intrinsics());
+  EXPECT_FALSE(shared.BlocksBesideFirst().empty());
   ASSERT_EQ(shared.blocks().size(), 4u);
   EXPECT_EQ(shared.camera_block(0), 3);
   EXPECT_EQ(shared.blocks()[3].size, 2);
@@ -231,8 +231,8 @@ TEST_F(MovedAnchors, KeepTheStateAndThePoses) {
     SCOPED_TRACE(i);
     const PoseState &a = before.pose(i), &b = after.pose(i);
     double pose[7], moved[7], chart[kPoseSize];
-    before.CamFromWorld(i, pose);
-    after.CamFromWorld(i, moved);
+    before.ValueOf(i, pose);
+    after.ValueOf(i, moved);
     after.Chart(i, chart);
     if (!moves_[i]) {
       EXPECT_EQ(Distance(a.rotation, b.rotation, 9), 0);

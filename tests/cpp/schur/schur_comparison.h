@@ -180,10 +180,14 @@ class Comparison {
   /// ||x|| over all that is refined.
   Real StateNorm() const {
     Real sum = 0;
-    const std::vector<double> quaternions = schur_.cameras().CamFromWorld();
+    std::vector<double> quaternions = schur_.cameras().CamFromWorld();
+    for (const auto& more : {schur_.cameras().RigFromWorld(), schur_.cameras().SensorFromRig()}) {
+      quaternions.insert(quaternions.end(), more.begin(), more.end());
+    }
     const std::vector<double> points = schur_.Points();
-    for (int i = 0; i < problem_.num_images; ++i) {
-      AddSquares(layout().image_block(i), i, problem_.image_camera[i], quaternions, &sum);
+    for (int p = 0; p < NumPoses(problem_); ++p) {
+      const int camera = p < problem_.num_images ? problem_.image_camera[p] : 0;
+      AddSquares(layout().pose_block(p), p, camera, quaternions, &sum);
     }
     for (int c = 0; c < problem_.num_cameras; ++c) {
       AddSquares(layout().camera_block(c), -1, c, quaternions, &sum);
@@ -214,7 +218,7 @@ class Comparison {
 
   /// w of Exp(w) q0 = q.
   RealVector RotationVector(int image, const std::vector<double>& quaternions) const {
-    const double* start = problem_.cam_from_world + 7 * static_cast<int64_t>(image);
+    const double* start = ValueOfPose(problem_, image);
     const double inverse[4] = {-start[0], -start[1], -start[2], start[3]};
     double w[4];
     QuaternionProduct(&quaternions[7 * static_cast<size_t>(image)], inverse, w);

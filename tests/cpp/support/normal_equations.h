@@ -145,6 +145,17 @@ class LinearizedProblem {
     }
   }
 
+  /// A row by an image's own pose, or by its frame's or sensor's (rig_pose_test.cpp has
+  /// differences).
+  static Real ByPose(const RigPose& rig, bool is_sensor, const double* row, int column) {
+    if (rig.frame == nullptr) return row[column];
+    double map[36];
+    is_sensor ? SensorMap(rig, map) : FrameMap(rig, map);
+    Real sum = 0;
+    for (int i = 0; i < 6; ++i) sum += Real(row[i]) * map[6 * i + column];
+    return sum;
+  }
+
   template <typename Model>
   void AddObservation(const ProblemView& problem, const ParameterLayout& layout,
                       const SolveOptions& options, const CameraStates& cameras,
@@ -167,14 +178,16 @@ class LinearizedProblem {
         pair[r].columns.push_back(column);
         pair[r].values.push_back(weight * value);
       };
-      for (const int index : {layout.image_block(image), layout.camera_block(camera)}) {
+      for (const int index : layout.blocks_of(image)) {
         if (index < 0) continue;
         const CameraBlock& block = layout.blocks()[index];
+        const bool is_sensor = index == layout.blocks_of(image)[ParameterLayout::kSensorBlock];
         for (int k = 0; k < block.size; ++k) {
           const int column = block.columns[k];
-          add(block.offset + k, column < kPoseSize
-                                    ? jacobian.pose[6 * r + column]
-                                    : jacobian.params[kParams * r + column - kPoseSize]);
+          add(block.offset + k,
+              column < kPoseSize
+                  ? ByPose(cameras.rig(image), is_sensor, &jacobian.pose[6 * r], column)
+                  : jacobian.params[kParams * r + column - kPoseSize]);
         }
       }
       for (int k = 0; k < 3 && point_column_[point] >= 0; ++k) {

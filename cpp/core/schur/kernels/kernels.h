@@ -54,6 +54,9 @@ struct EliminationInput {
 /// parameters from 24 on), and the points in the order of the plan.
 struct StateRecords {
   static constexpr int kTranslation = 9, kLeftJacobian = 12, kParams = 24;
+  /// Where a record has the derivative of the translation by that of the chart (9); 0: it is the
+  /// identity. Of an image of a rig, this and the left Jacobian are by the chart of its frame.
+  int translation_jacobian = 0;
   const double* images = nullptr;
   int stride = 0;  ///< of `images`; a multiple of 4
   const double* points = nullptr;
@@ -82,8 +85,8 @@ struct ChunkSum {
   double gradient_max = 0;      ///< of the points
 };
 
-/// A step of the camera parameters, as the passes read it, a record per image: J_l dw (3), dt (3),
-/// 2 unused, dparams from 8 on.
+/// A step of the camera parameters, as the passes read it, a record per image: J_l dw (3), dt (3)
+/// of cam_from_world, 2 unused, dparams from 8 on.
 struct StepRecords {
   static constexpr int kTranslation = 3, kParams = 8;
   const double* images = nullptr;

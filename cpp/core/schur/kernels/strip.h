@@ -90,13 +90,16 @@ inline void VisitLanes(const EliminationInput& input, const Strip& strip, const 
 struct LaneState {
   Pack pose[24];  ///< rotation, translation, left Jacobian and padding, as in StateRecords
   Pack params[kMaxCameraParams];
+  Pack translation_jacobian[12];  ///< and padding; where there is one
+  bool has_translation_jacobian;
   Pack point[3];
   Pack rotated[3];       ///< R X
   Pack camera_point[3];  ///< R X + t
 
-  /// Without the left Jacobian unless `for_derivatives`.
+  /// Without the Jacobians of the chart unless `for_derivatives`.
   LaneState(const EliminationInput& input, const StateRecords& x, const Lanes& lanes,
-            bool for_derivatives) {
+            bool for_derivatives)
+      : has_translation_jacobian(for_derivatives && x.translation_jacobian > 0) {
     const int32_t* const image = input.plan->image.data();
     const double* records[kLanes];
     for (int lane = 0; lane < kLanes; ++lane) {
@@ -105,6 +108,11 @@ struct LaneState {
       for (int i = 0; i < 3; ++i) point[i].v[lane] = at[i];
     }
     GatherRecords(records, for_derivatives ? 24 : 12, pose);
+    if (has_translation_jacobian) {
+      const double* more[kLanes];
+      for (int lane = 0; lane < kLanes; ++lane) more[lane] = records[lane] + x.translation_jacobian;
+      GatherRecords(more, 12, translation_jacobian);
+    }
     for (int lane = 0; lane < kLanes; ++lane) records[lane] += StateRecords::kParams;
     GatherRecords(records, (lanes.group->num_params + 3) / 4 * 4, params);
     for (int i = 0; i < 3; ++i) {
@@ -194,7 +202,8 @@ struct LaneResiduals {
     }
   }
 
-  /// Row of the derivative by the pose's chart: (q x a)^T J_l, a^T (factors/reprojection.h).
+  /// Row of the derivative by the pose's chart: (q x a)^T J_l, a^T (factors/reprojection.h), or
+  /// (q x a)^T R_s J_f, a^T R_s (factors/rig_pose.h).
   void ChainPose(const LaneState& state, int row, Pack* d_pose) const {
     const Pack* a = d_camera_point + 3 * row;
     const Pack* q = state.rotated;
@@ -204,6 +213,11 @@ struct LaneResiduals {
     for (int j = 0; j < 3; ++j) {
       d_pose[j] = torque[0] * left[j] + torque[1] * left[3 + j] + torque[2] * left[6 + j];
       d_pose[3 + j] = a[j];
+    }
+    if (!state.has_translation_jacobian) return;
+    const Pack* turn = state.translation_jacobian;
+    for (int j = 0; j < 3; ++j) {
+      d_pose[3 + j] = a[0] * turn[j] + a[1] * turn[3 + j] + a[2] * turn[6 + j];
     }
   }
 

@@ -1,0 +1,238 @@
+/// Degrees of freedom of the gauge: how many similarities of the world change no image, up to its
+/// scale, and can be made by what is free.
+///
+/// A similarity is d = (a, b, s): X' = X + a + b x X + s X about the centre of the cameras. It has
+/// to move every image with observations by local coordinates (factors/rig_pose.h)
+///
+///   phi = -R b,    tau = -R a + s t,
+///
+/// and no point that is held. Let u_f be the free unknowns of a frame (or of an image with a pose
+/// of its own) and u_s those of all sensors that are refined. For all images i of a frame f,
+///
+///   M_f u_f = delta_i(d) - M_s u_s
+///
+/// has to have a solution. With W = P [delta_i, -M_s], P the projection onto what M_f does not
+/// reach, those (d, u_s) that are possible are the null space of N = sum of W^T W over the frames.
+/// Some may have d = 0: they move sensors on a rig against its frames. So the gauge has
+///
+///   nullity(N) - nullity(N without the columns of d)
+///
+/// degrees: 7 without rigs and nothing held, 6 where a fixed baseline gives the scale, 0 where two
+/// images are held. Lengths are in units of the scene. Columns of N are scaled to norm 1, but for
+/// those that are nothing but rounding.
+
+#include <Eigen/Core>
+#include <Eigen/Eigenvalues>
+#include <Eigen/QR>
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <vector>
+
+#include "core/factors/rig_pose.h"
+#include "core/geometry/rotation.h"
+#include "core/model/gauge.h"
+
+namespace bundle {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::Vector3d;
+using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+using Map6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+
+/// Shares of a column's squared norm that are rounding, and eigenvalues that are zero.
+constexpr double kRounding = 1e-22, kZero = 1e-7;
+
+class Count {
+ public:
+  Count(const ProblemView& problem, const FreeParameters& free)
+      : problem_(problem), free_(free), first_column_(problem.num_sensors) {
+    for (int s = 0; s < problem.num_sensors; ++s) {
+      first_column_[s] = num_sensor_columns_;
+      num_sensor_columns_ += __builtin_popcount(free.sensor[s]);
+    }
+    const int n = kNumGaugeDirections + num_sensor_columns_;
+    n_ = MatrixXd::Zero(n, n);
+    squares_ = Eigen::VectorXd::Zero(n);
+    for (int64_t i = 0; i < problem.num_observations; ++i) {
+      images_.push_back(problem.observation_image[i]);
+    }
+    std::sort(images_.begin(), images_.end());
+    images_.erase(std::unique(images_.begin(), images_.end()), images_.end());
+    FindScene();
+  }
+
+  int Degrees() {
+    std::map<int, std::vector<int>> by_pose;  // images of each frame, or an image alone
+    for (const int i : images_) {
+      const int frame = problem_.FrameOf(i);
+      by_pose[frame < 0 ? i : PoseOfFrame(problem_, frame)].push_back(i);
+    }
+    for (const auto& [pose, images] : by_pose) AddImages(pose, images);
+    for (int64_t i = 0; i < problem_.num_observations; ++i) {
+      const int point = problem_.observation_point[i];
+      if (free_.point[point] == 0) AddPoint(problem_.points + 3 * int64_t{point});
+    }
+    const int n = num_sensor_columns_;
+    return Nullity(0) - (n == 0 ? 0 : Nullity(kNumGaugeDirections));
+  }
+
+ private:
+  void FindScene() {
+    std::vector<Vector3d> centres;
+    centre_.setZero();
+    for (const int i : images_) {
+      const PoseState pose = StartOf(i);
+      centres.emplace_back(-Eigen::Map<const Matrix3>(pose.rotation).transpose() *
+                           Eigen::Map<const Vector3d>(pose.translation));
+      centre_ += centres.back() / static_cast<double>(images_.size());
+    }
+    double squared = 0;
+    for (const Vector3d& centre : centres) squared += (centre - centre_).squaredNorm();
+    for (int64_t i = 0; i < problem_.num_observations && squared == 0; ++i) {
+      const double* const point = problem_.points + 3 * int64_t{problem_.observation_point[i]};
+      squared = (Eigen::Map<const Vector3d>(point) - centre_).squaredNorm();
+    }
+    size_ = squared > 0 ? std::sqrt(squared / static_cast<double>(images_.size())) : 1;
+  }
+
+  /// A pose at the start, about the origin of the world.
+  PoseState StartOf(int pose) const {
+    const double* const value = ValueOfPose(problem_, pose);
+    PoseState state;
+    QuaternionToRotation(value, state.rotation);
+    std::copy_n(value + 4, 3, state.translation);
+    std::copy_n(kIdentity3, 9, state.left_jacobian);
+    return state;
+  }
+
+  /// A pose of the world about the centre of the cameras.
+  PoseState Centred(int pose) const {
+    PoseState state = StartOf(pose);
+    double moved[3];
+    MatrixVector3(state.rotation, centre_.data(), moved);
+    for (int j = 0; j < 3; ++j) state.translation[j] += moved[j];
+    return state;
+  }
+
+  /// The columns of a map that are free, with lengths in units of the scene.
+  MatrixXd FreeColumns(Map6 map, uint8_t bits) const {
+    map.bottomRows<3>() /= size_;
+    map.rightCols<3>() *= size_;
+    MatrixXd columns(6, __builtin_popcount(bits));
+    int next = 0;
+    for (int j = 0; j < kPoseSize; ++j) {
+      if (bits >> j & 1u) columns.col(next++) = map.col(j);
+    }
+    return columns;
+  }
+
+  void AddImages(int pose, const std::vector<int>& images) {
+    const bool is_frame = pose >= problem_.num_images;
+    const uint8_t bits = is_frame ? free_.frame[pose - problem_.num_images] : free_.pose[pose];
+    const PoseState own = Centred(pose);
+    std::vector<int> columns;  // of n_
+    for (int k = 0; k < kNumGaugeDirections; ++k) columns.push_back(k);
+    std::vector<int> sensors;
+    for (const int i : images) {
+      const int sensor = problem_.SensorOf(i);
+      if (sensor < 0 || std::count(sensors.begin(), sensors.end(), sensor) > 0) continue;
+      sensors.push_back(sensor);
+      for (int k = 0; k < __builtin_popcount(free_.sensor[sensor]); ++k) {
+        columns.push_back(kNumGaugeDirections + first_column_[sensor] + k);
+      }
+    }
+    const auto rows = static_cast<Eigen::Index>(6 * images.size());
+    MatrixXd wanted = MatrixXd::Zero(rows, static_cast<Eigen::Index>(columns.size()));
+    MatrixXd reached(rows, __builtin_popcount(bits));
+    for (size_t k = 0; k < images.size(); ++k) {
+      const auto row = static_cast<Eigen::Index>(6 * k);
+      const int sensor = problem_.SensorOf(images[k]);
+      PoseState on_rig, image = own;
+      Map6 map = Map6::Identity();
+      if (is_frame) {
+        RigPose rig = {&own, nullptr};
+        if (sensor >= 0) {
+          on_rig = StartOf(PoseOfSensor(problem_, sensor));
+          rig.sensor = &on_rig;
+          SensorMap(rig, map.data());
+          const uint8_t free = free_.sensor[sensor];
+          const auto at = std::find(columns.begin(), columns.end(),
+                                    kNumGaugeDirections + first_column_[sensor]);
+          if (free != 0) {
+            wanted.block(row, at - columns.begin(), 6, __builtin_popcount(free)) =
+                -FreeColumns(map, free);
+          }
+        }
+        ComposePose(rig, &image);
+        FrameMap(rig, map.data());
+      }
+      reached.middleRows<6>(row) = FreeColumns(map, bits);
+      const Matrix3 rotation = Eigen::Map<const Matrix3>(image.rotation);
+      wanted.block<3, 3>(row + 3, 0) = -rotation;
+      wanted.block<3, 3>(row, 3) = -rotation;
+      wanted.block<3, 1>(row + 3, 6) = Eigen::Map<const Vector3d>(image.translation) / size_;
+    }
+    Add(std::move(wanted), reached, columns);
+  }
+
+  void AddPoint(const double* point) {
+    const Vector3d x = (Eigen::Map<const Vector3d>(point) - centre_) / size_;
+    MatrixXd moves(3, kNumGaugeDirections);
+    moves.leftCols<3>().setIdentity();
+    for (int k = 0; k < 3; ++k) moves.col(3 + k) = Vector3d::Unit(k).cross(x);
+    moves.col(6) = x;
+    Add(std::move(moves), MatrixXd(3, 0), {0, 1, 2, 3, 4, 5, 6});
+  }
+
+  void Add(MatrixXd wanted, const MatrixXd& reached, const std::vector<int>& columns) {
+    for (size_t j = 0; j < columns.size(); ++j) {
+      squares_[columns[j]] += wanted.col(static_cast<Eigen::Index>(j)).squaredNorm();
+    }
+    if (reached.cols() > 0) {
+      const MatrixXd q = Eigen::HouseholderQR<MatrixXd>(reached).householderQ() *
+                         MatrixXd::Identity(reached.rows(), reached.cols());
+      for (int twice = 0; twice < 2; ++twice) wanted -= q * (q.transpose() * wanted);
+    }
+    const MatrixXd product = wanted.transpose() * wanted;
+    for (size_t i = 0; i < columns.size(); ++i) {
+      for (size_t j = 0; j < columns.size(); ++j) {
+        n_(columns[i], columns[j]) +=
+            product(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
+      }
+    }
+  }
+
+  /// Of the columns from `first` on.
+  int Nullity(int first) const {
+    const Eigen::Index size = n_.cols() - first;
+    MatrixXd scaled = n_.bottomRightCorner(size, size);
+    Eigen::VectorXd scale(size);
+    for (Eigen::Index j = 0; j < size; ++j) {
+      const double squared = std::max(scaled(j, j), kRounding * squares_[first + j]);
+      scale[j] = squared > 0 ? 1 / std::sqrt(squared) : 1;
+    }
+    scaled = scale.asDiagonal() * scaled * scale.asDiagonal();
+    const Eigen::SelfAdjointEigenSolver<MatrixXd> solver(scaled, Eigen::EigenvaluesOnly);
+    return static_cast<int>((solver.eigenvalues().array() < kZero).count());
+  }
+
+  const ProblemView& problem_;
+  const FreeParameters& free_;
+  std::vector<int> images_;  ///< with observations
+  Vector3d centre_;
+  double size_ = 1;
+  std::vector<int> first_column_;  ///< of each sensor, behind those of d
+  int num_sensor_columns_ = 0;
+  MatrixXd n_;
+  Eigen::VectorXd squares_;  ///< of the columns before they are projected
+};
+
+}  // namespace
+
+int CountGaugeDegrees(const ProblemView& problem, const FreeParameters& free) {
+  return Count(problem, free).Degrees();
+}
+
+}  // namespace bundle

@@ -1,0 +1,98 @@
+#pragma once
+
+/// How the unknowns of a block move the columns of an image.
+///
+/// The passes sum by image: blocks S_ab, and vectors g, by the columns of its observations'
+/// Jacobians A_a, its *local columns*. Most unknowns are such columns, and their sums only have to
+/// be picked. Where a step u of some unknowns moves the local columns by M_a u, their Jacobian is
+/// A_a M_a, and so
+///
+///   S_ab goes to M_a^T S_ab M_b,    g_a to M_a^T g_a,    ||J e_j||^2 is (M_a^T A_a^T A_a M_a)_jj,
+///
+/// where the last needs the image's A^T A in full. All this is done once per block of a chunk, not
+/// once per pair of observations.
+///
+/// A sensor on a rig moves its image as the frame would by K (factors/rig_pose.h), 6 x 6 and
+/// different at every state. A map that stays the same, such as that of one focal length into fx
+/// and fy, or of a rotation about a fixed centre into all of a pose, is another way to fill an
+/// ImageBlock in (assembler.cpp, AddSensor), beside the layout of its block and the same map for
+/// steps (state_records.cpp, CameraStep), factors (model/problem_factors.h) and Ceres
+/// (ceres/reprojection_cost.h).
+
+#include <cstdint>
+
+#include "core/model/parameter_layout.h"
+
+namespace bundle {
+
+/// Local columns of an image that one block of the layout moves, and how.
+struct ImageBlock {
+  int block = -1;
+  int size = 0;               ///< unknowns of the block
+  bool is_shared = false;     ///< with images of other poses
+  bool is_contiguous = true;  ///< local[k] = local[0] + k
+  int num_local = 0;          ///< as many as unknowns, where there is no map
+  int8_t local[kPoseSize + kMaxCameraParams] = {};
+  /// M without the rows that are zero, num_local x size; nullptr: unknown k is local column k.
+  const double* map = nullptr;
+
+  /// As if the unknowns themselves were the local columns.
+  ImageBlock WithoutMap() const {
+    ImageBlock plain = *this;
+    plain.map = nullptr;
+    plain.num_local = size;
+    for (int k = 0; k < size; ++k) plain.local[k] = static_cast<int8_t>(k);
+    plain.is_contiguous = true;
+    return plain;
+  }
+};
+
+/// Numbers of two images' columns in whole quads, at most, and so of two blocks' unknowns.
+inline constexpr int kMaxMapped =
+    (kPoseSize + kMaxCameraParams + 3) / 4 * 4 * (kPoseSize + kMaxCameraParams);
+
+/// to += factor * from
+inline void AddMultiple(double factor, const double* from, int size, double* to) {
+  if (size == kPoseSize) {
+    for (int k = 0; k < kPoseSize; ++k) to[k] += factor * from[k];
+  } else {
+    for (int k = 0; k < size; ++k) to[k] += factor * from[k];
+  }
+}
+
+/// out = M_a^T B M_b, a.size x b.size, of a block B with rows of a's local columns and a row's
+/// `width`.
+inline void MapBlock(const ImageBlock& a, const ImageBlock& b, const double* block, int width,
+                     double* out) {
+  double right[kMaxMapped];  // B M_b
+  double* const by_rows = a.map == nullptr ? out : right;
+  for (int i = 0; i < a.num_local; ++i) {
+    const double* const row = block + a.local[i] * width;
+    double* const to = by_rows + i * b.size;
+    if (b.map == nullptr) {
+      for (int j = 0; j < b.size; ++j) to[j] = row[b.local[j]];
+      continue;
+    }
+    for (int j = 0; j < b.size; ++j) to[j] = 0;
+    for (int k = 0; k < b.num_local; ++k) {
+      AddMultiple(row[b.local[k]], b.map + k * b.size, b.size, to);
+    }
+  }
+  if (a.map == nullptr) return;
+  for (int k = 0; k < a.size * b.size; ++k) out[k] = 0;
+  for (int i = 0; i < a.num_local; ++i) {
+    for (int u = 0; u < a.size; ++u) {
+      AddMultiple(a.map[i * a.size + u], right + i * b.size, b.size, out + u * b.size);
+    }
+  }
+}
+
+/// A symmetric block in full, of which only the upper triangle means anything; `size` local
+/// columns.
+inline void FillLower(const double* upper, int size, int width, double* full) {
+  for (int i = 0; i < size; ++i) {
+    for (int j = i; j < size; ++j) full[i * width + j] = full[j * width + i] = upper[i * width + j];
+  }
+}
+
+}  // namespace bundle
