@@ -104,6 +104,17 @@ PYTHON_MAY_IMPORT = {
     "round_record": set(),
     "camera_changes": {"cameras", "result"},
     "sensor_changes": {"result", "rotations"},
+    "free_degrees": {
+        "components",
+        "display",
+        "georeference",
+        "graph",
+        "io",
+        "options",
+        "problem",
+        "rotations",
+        "words",
+    },
     "rig_config": {"arguments", "cameras", "errors", "problem", "rig_arrays", "rotations"},
     "camera_edits": {
         "arguments",

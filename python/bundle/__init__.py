@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.errors import InputError
+    from bundle.free_degrees import GaugeFreedom, gauge_freedom
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
         BetweenFactor,
@@ -61,6 +62,7 @@ __all__ = [
     "FactorGraph",
     "Filtered",
     "FunctionFactor",
+    "GaugeFreedom",
     "GradientReport",
     "GraphInspection",
     "GraphResult",
@@ -92,6 +94,7 @@ __all__ = [
     "compare",
     "describe",
     "filter_observations",
+    "gauge_freedom",
     "georeference",
     "get_include",
     "html",
@@ -136,6 +139,7 @@ _DEFERRED = {
         "RelativePoseFactor",
         "ReprojectionFactor",
     ),
+    "free_degrees": ("GaugeFreedom", "gauge_freedom"),
     "headers": ("get_include",),
     "inspection": (
         "GraphInspection",

@@ -173,7 +173,11 @@ def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
     sizes = np.append(blocks["size"], 0).astype(np.int64)  # block -1 is none
     # Three blocks an image: of its pose or its frame's, of its sensor, of its camera.
     of_image = np.stack(
-        [blocks["image_block"], blocks["sensor_block"], blocks["camera_block"][problem.image_camera]]
+        [
+            blocks["image_block"],
+            blocks["sensor_block"],
+            blocks["camera_block"][problem.image_camera],
+        ]
     )
     width = sizes[of_image].sum(axis=0)[problem.observation_image]
     free = is_free[problem.observation_point]
