@@ -92,6 +92,9 @@ bundle::ProblemView ViewProblem(const py::handle& problem) {
   view.observation_image = Data<int32_t>(problem, "observation_image", {view.num_observations});
   view.observation_point = Data<int32_t>(problem, "observation_point", {view.num_observations});
   view.observation_xy = Data<double>(problem, "observation_xy", {-1, 2});
+  if (!problem.attr("observation_sigma").is_none()) {
+    view.observation_sigma = Data<double>(problem, "observation_sigma", {view.num_observations});
+  }
   Data<int32_t>(problem, "observation_keypoint", {view.num_observations});
 
   if (Count(problem, "image_names") != view.num_images) {

@@ -193,8 +193,8 @@ class SolveOptions(Options):
     refine_sensor_from_rig: bool = option(
         False,
         "--refine-sensor-from-rig",
-        "refine where sensors are on their rigs, but for reference sensors and those of a rig whose "
-        "reference sensor observes nothing",
+        "refine where sensors are on their rigs, unless the reference sensor of a rig observes "
+        "nothing",
     )
     fixed_sensors: tuple[tuple[int, int], ...] = option(
         (),

@@ -111,6 +111,10 @@ class Problem(Displayed):
             left corner of the upper left pixel (BAL: in the principal point), x right, y down.
         observation_keypoint: (num_observations,) index of the observation among the keypoints of
             its image in the source; -1 (the default) where it is none of them.
+        observation_sigma: (num_observations,) standard deviation of each measured position, in
+            pixels, or None (the default): 1 each. A solve divides the residual r by it, before the
+            loss: its cost is 1/2 sum rho(||r / sigma||^2), and ``loss_scale`` counts in sigmas.
+            Statistics of reprojection errors stay in pixels. No file format keeps it.
         format: "bal", "colmap" or "memory" (the default): where it came from. Decides the defaults
             of ``gauge`` and ``cheirality`` and what ``bundle.save`` writes when the path does not
             say.
@@ -140,6 +144,7 @@ class Problem(Displayed):
     observation_point: NDArray[np.int32]
     observation_xy: NDArray[np.float64]
     observation_keypoint: NDArray[np.int32] = field(default_factory=_by_default)
+    observation_sigma: NDArray[np.float64] | None = None
     rig_from_world: NDArray[np.float64] = field(default_factory=_by_default)
     frame_ids: NDArray[np.int64] = field(default_factory=_by_default)
     frame_rig_ids: NDArray[np.int64] = field(default_factory=_by_default)
@@ -157,6 +162,7 @@ class Problem(Displayed):
             value = getattr(self, name)
             array = _default(self, name) if value is None else immutable(name, value, dtype)
             object.__setattr__(self, name, array)
+        object.__setattr__(self, "observation_sigma", _sigmas(self.observation_sigma))
         names = ("",) * self.num_images if self.image_names is None else self.image_names
         object.__setattr__(self, "image_names", _names("image_names", names))
         models = _names("camera_models", self.camera_models)
@@ -281,8 +287,9 @@ class Problem(Displayed):
     def to_pycolmap(self) -> pycolmap.Reconstruction:
         """Return a reconstruction: a copy of the source with the numbers of this problem in it.
 
-        Per-point errors are recomputed. A problem that did not come from COLMAP gives a new
-        reconstruction with one trivial rig and frame an image where it has no rigs.
+        Per-point errors are recomputed; ``observation_sigma`` has no place in it. A problem that
+        did not come from COLMAP gives a new reconstruction with one trivial rig and frame an image
+        where it has no rigs.
         """
         from bundle.io import colmap
 
@@ -344,6 +351,14 @@ def _default(problem: Problem, name: str) -> NDArray[Any]:
             )
         return filled((count,), 0, dtype)
     return freeze(np.arange(count, dtype=dtype))
+
+
+def _sigmas(given: Any) -> NDArray[np.float64] | None:
+    """Return the sigmas of observations; None where none are given."""
+    if given is None:
+        return None
+    sigmas = immutable("observation_sigma", given, np.float64)
+    return sigmas if sigmas.size else None
 
 
 def _names(field_name: str, names: Any) -> tuple[str, ...]:

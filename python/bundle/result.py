@@ -19,7 +19,7 @@ from bundle.words import change, contents, pixels, plural, seconds
 from bundle.worst_images import ImageError, worst_images
 
 if TYPE_CHECKING:
-    from bundle.georeference import Similarity
+    from bundle.georeference import ControlPointError, Similarity
 
 __all__ = ["Result"]
 
@@ -43,6 +43,8 @@ class Result(SolveRecord):
             parameter, "lower" or "upper".
         similarity: by which the input was moved to where priors of positions say that it is, before
             the solve; None where it was not. ``initial_problem`` is the input as it was.
+        control_points: ground control and check points, in the order given: the model minus the
+            survey where the refined cameras see them.
         rounds: of :func:`bundle.solve_rounds`; options, summary, iterations and times are those of
             the last round's adjustment, and ``problem`` is what its filter has left.
         part: which part of the problem took part, where only some images were refined; the costs
@@ -55,6 +57,7 @@ class Result(SolveRecord):
     factor_costs_after: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     active_bounds: tuple[ActiveBound, ...] = ()
     similarity: Similarity | None = None
+    control_points: tuple[ControlPointError, ...] = ()
     rounds: tuple[Round, ...] = ()
     part: PartRecord | None = None
 

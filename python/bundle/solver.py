@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -9,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
-from bundle.arguments import as_flag, check_function
+from bundle.arguments import check_function
 from bundle.camera_bounds import CameraBounds
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief, first_line
 from bundle.io import Source, as_problem
 from bundle.options import CHANGEABLE, SolveOptions
+from bundle.placement import Start, place_at_priors
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.result import Result
@@ -22,11 +24,19 @@ from bundle.solve_record import Progress, record_fields
 from bundle.words import contents, plural
 
 if TYPE_CHECKING:
-    from bundle.georeference import PositionPrior, Similarity
     from bundle.graph import Factor
     from bundle.graph.problem_factors import ProblemFactors
+    from bundle.placement import Prior
 
-__all__ = ["STATE", "Progress", "Solver", "place_at_priors", "resolve_defaults", "settle", "solve"]
+__all__ = [
+    "STATE",
+    "Progress",
+    "Solver",
+    "resolve_defaults",
+    "settle",
+    "solve",
+    "with_priors",
+]
 
 # What a solve gives back of a problem; the poses of rigs only where there are some.
 STATE = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
@@ -37,7 +47,7 @@ def solve(
     options: SolveOptions | None = None,
     *,
     factors: Iterable[Factor] = (),
-    priors: Iterable[PositionPrior] = (),
+    priors: Iterable[Prior] = (),
     align: bool | None = None,
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     progress: Progress | None = None,
@@ -78,13 +88,23 @@ def solve(
         priors = [bundle.PositionPrior(name, enu, (2, 5)) for name, enu in gps.items()]
         bundle.solve(problem, priors=priors)
 
+    Ground control points (:class:`bundle.GroundControlPoint`, coordinates in the same metres) are
+    priors as well. Each becomes a point of the solve, with its surveyed position as a prior of its
+    own sigma and its pixels as observations with theirs; it decides where the problem is moved to
+    as positions do, and is not among the points of the result. Check points have no influence.
+    ``control_points`` of the result says how far all of them are from the survey::
+
+        known = bundle.georeference.gcp_priors(problem, "gcp_list.txt")
+        bundle.solve(problem, priors=known.priors).control_points
+
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
         factors: beside the observations, such as :class:`bundle.PriorFactor`.
-        priors: measured positions of images. Their costs come after those of the factors.
+        priors: measured positions of images, and control points. Their costs come after those of
+            the factors, those of control points last.
         align: whether the problem is first moved to where the priors are. None: if there are no
-            factors, and at least three positions that do not lie on one line.
+            factors, and at least three positions and control points that do not lie on one line.
         bounds: ``{("camera", camera_id): (lower, upper)}``, a number for each parameter in COLMAP's
             order, infinite where there is no bound. The parameter starts between its bounds and
             stays there; bounds that are equal hold it. ``active_bounds`` of the result has those
@@ -101,18 +121,19 @@ def solve(
             that does not exist, options that exclude each other or the backend asked for, dense
             matrices beyond the memory of this machine, bounds of no camera, of another number of
             parameters, or that exclude the start, or a factor with an unknown key, numbers that do
-            not fit its variables, or no finite value at the start; a prior of no image, or priors
-            that do not determine where the problem is although ``align`` is True.
+            not fit its variables, or no finite value at the start; a prior of no image, control
+            points that are measured in no two images, or priors that do not determine where the
+            problem is although ``align`` is True.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
-    start, factors, similarity = place_at_priors(problem, factors, priors, align)
-    options, known, limits = settle(start, options, factors, bounds)
+    start = place_at_priors(problem, factors, priors, align)
+    options, known, limits = settle(start.problem, options, start.factors, bounds)
     given = None if known is None else known.core()
-    output = _core.solve(start, options.asdict(), progress, limits, given)
-    return _result(problem, options, output, limits, similarity)
+    output = _core.solve(start.problem, options.asdict(), progress, limits, given)
+    return with_priors(_result(start.problem, options, output, limits), start, problem)
 
 
 class Solver(Displayed):
@@ -271,7 +292,6 @@ def _result(
     options: SolveOptions,
     output: dict[str, Any],
     limits: CameraBounds | None = None,
-    similarity: Similarity | None = None,
 ) -> Result:
     refined = problem._moved(**{name: output[name] for name in STATE if name in output})
     return Result(
@@ -281,37 +301,22 @@ def _result(
         factor_costs_before=output["factor_costs_before"],
         factor_costs_after=output["factor_costs_after"],
         active_bounds=() if limits is None else limits.active(refined),
-        similarity=similarity,
         **record_fields(output),
     )
 
 
-def place_at_priors(
-    problem: Problem,
-    factors: Iterable[Factor],
-    priors: Iterable[PositionPrior],
-    align: bool | None,
-) -> tuple[Problem, Iterable[Factor], Similarity | None]:
-    """Return the start of a solve with priors, all factors, and the similarity to that start."""
-    if align is not None:
-        align = as_flag("align", align)
-    if isinstance(priors, tuple | list) and not priors:
-        if align:
-            raise InputError("align: expected priors to align the problem to, found none")
-        return problem, factors, None
-    from bundle.georeference.prior_alignment import ProblemPriors
-    from bundle.graph.variables import as_list
-
-    known = ProblemPriors.make(problem, priors)
-    factors = as_list("factors", "factors", factors)
-    similarity = None
-    if align or (align is None and not factors):
-        try:
-            problem, similarity = known.aligned(problem)
-        except InputError as error:
-            if align:
-                raise InputError(f"priors: {error}") from None
-    return problem, [*factors, *known.factors()], similarity
+def with_priors(result: Result, start: Start, given: Problem) -> Result:
+    """Return the result of a solve of a start as one of the problem given."""
+    if start.problem is given and start.targets is None:
+        return result
+    refined = start.result(result.problem)
+    return dataclasses.replace(
+        result,
+        problem=refined,
+        initial_problem=given,
+        similarity=start.similarity,
+        control_points=start.control_points(refined),
+    )
 
 
 def settle(
@@ -321,12 +326,6 @@ def settle(
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None,
 ) -> tuple[SolveOptions, ProblemFactors | None, CameraBounds | None]:
     """Check factors and bounds, and fill in the options."""
-    if problem.num_frames:
-        raise InputError(
-            "problem: expected images with poses of their own, "
-            f"found {plural(problem.num_frames, 'frame')} of rigs of several sensors, "
-            "which cannot be refined yet; Problem.without_rigs() takes the rigs apart"
-        )
     known = _problem_factors(problem, factors)
     if known is not None and known.locate and options.gauge == "auto":
         options = options.replace(gauge="none")

@@ -55,12 +55,13 @@ ROWS = {
 @functools.cache
 def solves(name):
     scene, solver, options = ROWS[name]
-    problem = rig_problem(**SCENES[scene])
+    problem = rig_problem(perturbation=4e-2, **SCENES[scene])
     options = {
         "gauge": "none",
         "linear_solver_type": solver,
         "preconditioner_type": "schur_jacobi" if solver == "iterative_schur" else "auto",
         "max_num_iterations": 6,
+        "function_tolerance": 1e-12,
         "num_threads": 2,
         **options,
     }
@@ -180,7 +181,7 @@ def test_a_solver_is_used_again():
     problem = rig_problem(rigs=(THREE,))
     options = {"refine_sensor_from_rig": True, "gauge": "two_cameras", "max_num_iterations": 4}
     solver = bundle.Solver(problem, **options)
-    moved = problem.replace(rig_from_world=problem.rig_from_world + [[0] * 4 + [0.01] * 3])
+    moved = problem.replace(rig_from_world=problem.rig_from_world + np.repeat([0, 0.01], [4, 3]))
     for start in (moved, problem):
         again, once = solver.solve(start), bundle.solve(start, **options)
         np.testing.assert_array_equal(again.iterations["cost"], once.iterations["cost"])

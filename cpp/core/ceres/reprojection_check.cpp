@@ -102,7 +102,9 @@ class SingleObservation final : public ceres::CostFunction {
     const std::vector<const double*> at_start = start();
     Evaluate(at_start.data(), residual, nullptr);
     const double* measured = problem_.observation_xy;
-    return {steps, std::hypot(residual[0], residual[1]) + std::hypot(measured[0], measured[1])};
+    const double sigma = problem_.observation_sigma == nullptr ? 1 : *problem_.observation_sigma;
+    return {steps,
+            std::hypot(residual[0], residual[1]) + std::hypot(measured[0], measured[1]) / sigma};
   }
 
  private:
@@ -138,6 +140,9 @@ class SingleObservation final : public ceres::CostFunction {
     one.point_ids = problem.point_ids + point;
     one.observation_image = one.observation_point = &kFirst;
     one.observation_xy = problem.observation_xy + 2 * observation;
+    if (problem.observation_sigma != nullptr) {
+      one.observation_sigma = problem.observation_sigma + observation;
+    }
     return one;
   }
 

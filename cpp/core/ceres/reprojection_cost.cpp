@@ -1,6 +1,9 @@
 #include "core/ceres/reprojection_cost.h"
 
 #include <algorithm>
+#include <cstddef>
+#include <utility>
+#include <vector>
 
 #include "core/cameras/registry.h"
 #include "core/factors/reprojection.h"
@@ -142,6 +145,36 @@ class ReprojectionCost final : public ceres::CostFunction {
   const std::atomic<bool>* abandoned_ = nullptr;
 };
 
+/// A reprojection cost divided by the observation's sigma. What an observation holds is in pixels
+/// below this, and compared with nothing but its own residual.
+class DividedBySigma final : public ceres::CostFunction {
+ public:
+  DividedBySigma(std::unique_ptr<ceres::CostFunction> pixels, double sigma)
+      : pixels_(std::move(pixels)), weight_(1 / sigma) {
+    set_num_residuals(pixels_->num_residuals());
+    *mutable_parameter_block_sizes() = pixels_->parameter_block_sizes();
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
+    if (!pixels_->Evaluate(parameters, residuals, jacobians)) return false;
+    Scale(num_residuals(), residuals);
+    const std::vector<int>& sizes = parameter_block_sizes();
+    for (size_t b = 0; jacobians != nullptr && b < sizes.size(); ++b) {
+      if (jacobians[b] != nullptr) Scale(num_residuals() * sizes[b], jacobians[b]);
+    }
+    return true;
+  }
+
+ private:
+  void Scale(int size, double* values) const {
+    for (int i = 0; i < size; ++i) values[i] *= weight_;
+  }
+
+  const std::unique_ptr<ceres::CostFunction> pixels_;
+  const double weight_;
+};
+
 }  // namespace
 
 std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
@@ -152,7 +185,8 @@ std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionCont
   VisitCameraModel(*problem.camera_models[camera], [&](auto model) {
     cost = std::make_unique<ReprojectionCost<decltype(model)>>(context, observation);
   });
-  return cost;
+  if (problem.observation_sigma == nullptr) return cost;
+  return std::make_unique<DividedBySigma>(std::move(cost), problem.observation_sigma[observation]);
 }
 
 }  // namespace bundle

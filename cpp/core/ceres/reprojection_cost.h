@@ -32,10 +32,10 @@ struct ReprojectionContext {
   const std::atomic<bool>* abandoned = nullptr;
 };
 
-/// The residual of one observation as Ceres sees it. Its parameter blocks are, in this order and as
-/// far as they are free: the point, then the image's blocks (ParameterLayout::blocks_of). The
-/// derivatives by an image's own pose, if that is a rig's, are multiplied with the maps to its
-/// frame and its sensor (factors/rig_pose.h).
+/// The residual of one observation, divided by its sigma, as Ceres sees it. Its parameter blocks
+/// are, in this order and as far as they are free: the point, then the image's blocks
+/// (ParameterLayout::blocks_of). The derivatives by an image's own pose, if that is a rig's, are
+/// multiplied with the maps to its frame and its sensor (factors/rig_pose.h).
 ///
 /// Camera parameters are read from `context.states`, not from the parameters: an EvaluationCallback
 /// keeps the two equal. The model is one of the registry's and known.

@@ -113,7 +113,8 @@ std::string FindOverflow(const ProblemView& problem, Cheirality cheirality) {
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     const bool counts =
         !std::isnan(errors[i]) && (!behind[i] || cheirality == Cheirality::kAlgebraic);
-    if (!counts || std::isfinite(errors[i] * errors[i])) continue;
+    const double sigma = problem.observation_sigma == nullptr ? 1 : problem.observation_sigma[i];
+    if (!counts || std::isfinite(errors[i] / sigma * (errors[i] / sigma))) continue;
     std::ostringstream sentence;
     sentence << "The squared residual of image " << problem.image_ids[problem.observation_image[i]]
              << ", point " << problem.point_ids[problem.observation_point[i]]

@@ -36,13 +36,14 @@ struct VariableBlock {
   int rig_column;
 };
 
-/// The blocks that have unknowns of a variable beside points.
+/// The blocks that have unknowns of a variable; none of points.
 std::vector<VariableBlock> BlocksOf(const ProblemVariable& variable, const ProblemView& problem,
                                     const ParameterLayout& layout) {
   std::vector<VariableBlock> blocks;
   const auto add = [&](int block, bool is_of_rig, int rig_column) {
     if (block >= 0) blocks.push_back({block, is_of_rig, rig_column});
   };
+  if (variable.kind == Kind::kPoint) return blocks;
   if (variable.kind == Kind::kCamera) {
     add(layout.params_block(variable.index), false, 0);
   } else if (variable.kind == Kind::kImage && problem.FrameOf(variable.index) >= 0) {

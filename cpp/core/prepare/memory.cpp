@@ -118,10 +118,10 @@ double AvailableMemoryFor(double bytes) {
 }
 
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
-                                const std::vector<int64_t>& track_lengths, int num_threads,
-                                double buffer_bytes) {
+                                const std::vector<int64_t>& track_lengths, bool has_sigmas,
+                                int num_threads, double buffer_bytes) {
   // Image, measurement and place in the chunk; while they are sorted, where they come from.
-  constexpr double kBytesPerObservation = 22 + 8;
+  const double bytes_per_observation = 22 + 8 + (has_sigmas ? 8 : 0);
   // Two states, the scale of the columns, the solution, and where the point is in the plan.
   constexpr double kBytesPerPoint = 4 * 24 + 3 * 8;
   constexpr double kBytesPerPair = 2;
@@ -133,8 +133,8 @@ double PredictFusedWorkingBytes(const ParameterLayout& layout,
     observations += length;
     if (layout.point_is_free(p)) pairs += length * (length - 1) / 2;
   }
-  return kBytesPerObservation * observations + kBytesPerPoint * num_points + kBytesPerPair * pairs +
-         kBuffersPerThread * num_threads * buffer_bytes;
+  return bytes_per_observation * observations + kBytesPerPoint * num_points +
+         kBytesPerPair * pairs + kBuffersPerThread * num_threads * buffer_bytes;
 }
 
 double PredictCeresWorkingBytes(const ProblemShape& shape) {

@@ -72,10 +72,10 @@ bool HasMemoryLimit();
 
 /// Bytes of what the fused backend keeps beside S or its factor: the sorted observations, the
 /// numbers of their pairs, two states with what belongs to each, and chunk buffers of
-/// `num_threads` threads of at most `buffer_bytes`.
+/// `num_threads` threads of at most `buffer_bytes`. `has_sigmas`: observations have them.
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
-                                const std::vector<int64_t>& track_lengths, int num_threads,
-                                double buffer_bytes);
+                                const std::vector<int64_t>& track_lengths, bool has_sigmas,
+                                int num_threads, double buffer_bytes);
 
 /// Bytes of Ceres' objects for observations and points, and of the Jacobian, as measured
 /// (bundle/inspection/peak_memory.py).

@@ -170,6 +170,13 @@ void CheckObservations(const ProblemView& problem) {
       Fail("observation ", i, " (image ", problem.image_ids[image], ", point ",
            problem.point_ids[point], "): expected finite pixels, found ", xy[0], " ", xy[1]);
     }
+    if (problem.observation_sigma == nullptr) continue;
+    const double sigma = problem.observation_sigma[i];
+    if (!(sigma > 0) || !std::isfinite(sigma) || !std::isfinite(1 / sigma)) {
+      Fail("observation_sigma: observation ", i, " (image ", problem.image_ids[image], ", point ",
+           problem.point_ids[point], "): expected a finite sigma above 0, in pixels, found ",
+           sigma);
+    }
   }
 }
 

@@ -57,6 +57,8 @@ struct ProblemView {
   const int32_t* observation_image = nullptr;  ///< num_observations
   const int32_t* observation_point = nullptr;  ///< num_observations
   const double* observation_xy = nullptr;      ///< num_observations x 2
+  /// num_observations, pixels: what a solve divides residuals by before the loss; nullptr: 1 each.
+  const double* observation_sigma = nullptr;
 
   const ProblemFactors* factors = nullptr;  ///< beside the observations; nullptr: none
   /// The origin of these arrays' world in that of the factors.

@@ -288,6 +288,11 @@ void TakeMeasurements(const ProblemView& problem, EliminationPlan* plan) {
   for (size_t k = 0; k < plan->observation.size(); ++k) {
     std::copy_n(problem.observation_xy + 2 * int64_t{plan->observation[k]}, 2, &plan->xy[2 * k]);
   }
+  const bool has_sigmas = problem.observation_sigma != nullptr;
+  plan->inverse_sigma.resize(has_sigmas ? plan->observation.size() : 0);
+  for (size_t k = 0; k < plan->inverse_sigma.size(); ++k) {
+    plan->inverse_sigma[k] = 1 / problem.observation_sigma[plan->observation[k]];
+  }
 }
 
 PlanSize MeasurePlan(const ProblemView& problem, const ParameterLayout& layout) {

@@ -70,8 +70,8 @@ class PairNumbers {
 /// results therefore do not depend on the number of threads.
 ///
 /// Memory: 20 bytes an observation (image and measurement, copied into this order, so that every
-/// pass reads forwards), 2 bytes for its place in the chunk and 2 bytes for every pair of
-/// observations of a point.
+/// pass reads forwards), 8 more where observations have sigmas, 2 bytes for its place in the chunk
+/// and 2 bytes for every pair of observations of a point.
 
 /// Points [first_point, last_point) of the plan. A point that so many images see that its blocks
 /// alone are too many is spread over several chunks, each of which adds the rows of some images.
@@ -103,8 +103,9 @@ struct EliminationPlan {
   /// Of each observation; within a point in the order of the images' blocks in the layout, then
   /// images with nothing to refine.
   std::vector<int32_t> image;
-  std::vector<double> xy;            ///< two of each observation
-  std::vector<int32_t> observation;  ///< of each: its index in the problem; empty unless asked for
+  std::vector<double> xy;             ///< two of each observation
+  std::vector<double> inverse_sigma;  ///< one of each observation; empty where the problem has none
+  std::vector<int32_t> observation;   ///< of each: its index in the problem; empty unless asked for
   std::vector<uint16_t> image_in_chunk;  ///< of each observation: index into Chunk::images
   /// Of each pair of observations i < j of a free point, i slowest, whose images have something to
   /// refine: the chunk's block.

@@ -5,6 +5,14 @@
 
 namespace bundle {
 
+namespace {
+
+const double* SigmasOf(const EliminationPlan& plan) {
+  return plan.inverse_sigma.empty() ? nullptr : plan.inverse_sigma.data();
+}
+
+}  // namespace
+
 SchurSetup::SchurSetup(const ProblemView& of_problem, const ParameterLayout& of_layout,
                        const SolveOptions& options, BlockStructure of_structure, bool is_reused)
     : problem(of_problem),
@@ -34,6 +42,7 @@ EliminationInput SchurSetup::MakeInput(const SolveOptions& options,
   result.cheirality = options.cheirality;
   result.loss = options.loss;
   result.loss_scale = options.loss_scale;
+  result.inverse_sigma = SigmasOf(points);
   for (int p = 0; p < points.num_points(); ++p) {
     result.longest_track = std::max(result.longest_track, points.first[p + 1] - points.first[p]);
   }
@@ -45,6 +54,7 @@ void SchurSetup::Reset(const SolveOptions& options) {
     TakeMeasurements(problem, points);
     with->loss = options.loss;
     with->loss_scale = options.loss_scale;
+    with->inverse_sigma = SigmasOf(*points);
   };
   reset(&plan, &input);
   if (fixed_ == nullptr) return;

@@ -171,6 +171,7 @@ class PointSorter {
     ReserveHugePages(2 * by_point_.size(), &plan_.xy);
     plan_.image.resize(by_point_.size());
     plan_.xy.resize(2 * by_point_.size());
+    if (problem_.observation_sigma != nullptr) plan_.inverse_sigma.resize(by_point_.size());
     if (keep_order_) plan_.observation.resize(by_point_.size());
   }
 
@@ -182,6 +183,9 @@ class PointSorter {
         plan_.image[to] = problem_.observation_image[i];
         plan_.xy[2 * to] = problem_.observation_xy[2 * i];
         plan_.xy[2 * to + 1] = problem_.observation_xy[2 * i + 1];
+        if (problem_.observation_sigma != nullptr) {
+          plan_.inverse_sigma[to] = 1 / problem_.observation_sigma[i];
+        }
         if (keep_order_) plan_.observation[to] = static_cast<int32_t>(i);
       }
     }

@@ -226,6 +226,7 @@ class Solver::Impl {
     problem_.camera_params = from.camera_params;
     problem_.points = from.points;
     problem_.observation_xy = from.observation_xy;
+    problem_.observation_sigma = from.observation_sigma;
     std::copy_n(from.origin, 3, problem_.origin);
   }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.gcp_flags import GCP_FLAGS, add_gcp_flags, check_point_names
 from bundle.cli.gps_flags import GPS_FLAGS, add_loss_flags, add_position_flags
 from bundle.cli.option_flags import naming_flags
 from bundle.cli.parser import a_path, add_input, add_output
@@ -15,10 +16,7 @@ NAME = "align"
 HELP = "puts a reconstruction where GPS, control points or another model say it is"
 
 FLAGS = {
-    "gcps": "--gcp",
-    "gcp_sigma": "--gcp-sigma",
-    "gcp_pixel_sigma": "--gcp-pixel-sigma",
-    "check_points": "--check-points",
+    **GCP_FLAGS,
     **GPS_FLAGS,
     "to": "--reference",
     "align": "expected --gcp, --gps or --reference",
@@ -31,30 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "bundle align INPUT -o OUTPUT [--gcp FILE] [--gps exif|FILE] [options]"
     add_input(parser)
     add_output(parser, "-o", "--output", required=True)
-    group = parser.add_argument_group("ground control points")
-    group.add_argument(
-        "--gcp", metavar="FILE", type=a_path, help="OpenDroneMap's gcp_list.txt (default: none)"
-    )
-    group.add_argument(
-        "--gcp-sigma",
-        metavar="H[/V]",
-        help="standard deviation of control points, horizontal and vertical, in metres, where the "
-        "file has none (default: 0.02)",
-    )
-    group.add_argument(
-        "--gcp-pixel-sigma",
-        metavar="PX",
-        type=float,
-        help="standard deviation of their measurements in pixels, where the file has none "
-        "(default: 0.5)",
-    )
-    group.add_argument(
-        "--check-points",
-        metavar="NAMES",
-        default="",
-        help="control points that are compared and have no influence, such as gcp02,gcp07 "
-        "(default: those that the file marks so)",
-    )
+    add_gcp_flags(parser.add_argument_group("ground control points"))
     add_position_flags(parser.add_argument_group("positions of images"))
     group = parser.add_argument_group("another model")
     group.add_argument(
@@ -95,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
             "images": arguments.images,
             "gcp_sigma": arguments.gcp_sigma,
             "gcp_pixel_sigma": arguments.gcp_pixel_sigma,
-            "check_points": [name for name in arguments.check_points.split(",") if name],
+            "check_points": check_point_names(arguments.check_points),
             "gps_sigma": arguments.gps_sigma,
             "antenna": None if arguments.antenna is None else antenna(arguments.antenna),
             "prior_loss": arguments.prior_loss,

@@ -1,4 +1,4 @@
-"""Flags of measured positions of images, and where what became of them is written."""
+"""Flags of what is known of the place of a model, and where what became of it is written."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bundle.cli.gcp_flags import GCP_FLAGS, add_gcp_flags, check_point_names
 from bundle.cli.option_flags import choice_word, naming_flags
 from bundle.cli.parser import a_path
 from bundle.errors import InputError, brief
 from bundle.options import LOSSES, SolveOptions
 
 if TYPE_CHECKING:
-    from bundle.georeference import Alignment, Georeference, GpsPriors
+    from bundle.georeference import Alignment, GcpPriors, Georeference, GpsPriors
     from bundle.problem import Problem
 
 __all__ = [
@@ -38,19 +39,29 @@ GPS_FLAGS = {
 }
 
 
-NAMED = {**GPS_FLAGS, "priors": "--gps"}
-"""Of the arguments of ``gps_priors``, and of a solve's priors, which `refine` made of positions."""
+OF_BOTH = ("prior_loss", "prior_loss_scale")
+
+NAMED = {**GCP_FLAGS, **GPS_FLAGS}
+"""Of the arguments of ``gps_priors`` and ``gcp_priors``."""
 
 
 def add_gps_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of ``bundle.georeference.gps_priors``."""
+    """Add the flags of ``bundle.georeference.gps_priors`` and ``gcp_priors``."""
     group = parser.add_argument_group(
         "positions of images",
-        "The model is first moved into metres east, north, up about the middle of the positions, "
-        f"and stays there. {FILE} in OUTPUT, or beside it if it is a file, says where that is.",
+        "The model is first moved into metres east, north, up about the middle of the control "
+        "points, or of the positions where there are none, and stays there. "
+        f"{FILE} in OUTPUT, or beside it if it is a file, says where that is.",
     )
     add_position_flags(group)
-    add_loss_flags(group, "the positions")
+    add_gcp_flags(
+        parser.add_argument_group(
+            "ground control points",
+            "They are adjusted with the model, and not written among its points.",
+        )
+    )
+    loss = parser.add_argument_group("robustness of positions and control points")
+    add_loss_flags(loss, "positions and control points")
 
 
 def add_position_flags(group: argparse._ArgumentGroup) -> None:
@@ -108,43 +119,58 @@ def check_gps_flags(arguments: argparse.Namespace, options: SolveOptions) -> Non
     Raises:
         InputError: a flag that needs another one.
     """
-    for name, flag in GPS_FLAGS.items():
-        if arguments.gps is None and getattr(arguments, name) is not None:
-            raise InputError(f"{flag}: expected with --gps only, found without")
-    if arguments.gps is None:
+    for flags, needed in ((GPS_FLAGS, "gps"), (GCP_FLAGS, "gcp")):
+        for name, flag in flags.items():
+            given = name in OF_BOTH and arguments.gcp is not None
+            if given or getattr(arguments, needed) is not None or name == "gcps":
+                continue
+            if getattr(arguments, name) is not None:
+                others = "--gcp or --gps" if name in OF_BOTH else f"--{needed}"
+                raise InputError(f"{flag}: expected with {others} only, found without")
+    if arguments.gps is None and arguments.gcp is None:
         return
     if arguments.gps == "exif" and arguments.images is None:
         raise InputError("--gps: expected --images DIR beside exif, found none")
-    if arguments.gps != "exif" and arguments.images is not None:
+    if arguments.gps not in (None, "exif") and arguments.images is not None:
         raise InputError("--images: expected with --gps exif only, found with a file")
     if arguments.prior_loss_scale is not None and arguments.prior_loss in (None, "trivial"):
         raise InputError("--prior-loss-scale: expected with a --prior-loss other than trivial")
+    flag = main_flag(arguments)
     if arguments.only_images is not None:
-        raise InputError("--gps: expected without --only-images, which leaves the rest in place")
+        raise InputError(f"{flag}: expected without --only-images, which leaves the rest in place")
     if "poses" not in options.refine:
-        raise InputError("--gps: expected poses among those of --refine, found them held")
+        raise InputError(f"{flag}: expected poses among those of --refine, found them held")
 
 
-def priors_given(arguments: argparse.Namespace, problem: Problem) -> GpsPriors | None:
-    """Return the priors of the images; None without --gps.
+def main_flag(arguments: argparse.Namespace) -> str:
+    """Return the flag to which what is said of all priors belongs."""
+    return "--gps" if arguments.gcp is None else "--gcp"
+
+
+def priors_given(arguments: argparse.Namespace, problem: Problem) -> GcpPriors | GpsPriors | None:
+    """Return the priors of images and control points; None without --gps and --gcp.
 
     Raises:
         InputError: a file or a flag is wrong; the message names the flag.
         OSError: a file cannot be read.
     """
-    if arguments.gps is None:
+    if arguments.gps is None and arguments.gcp is None:
         return None
-    from bundle.georeference import gps_priors
+    from bundle.georeference import gcp_priors, gps_priors
 
+    names = ["images", "gps_sigma", "prior_loss", "prior_loss_scale"]
+    if arguments.gcp is not None:
+        names += ["gps", "gcp_sigma", "gcp_pixel_sigma"]
     settings: dict[str, Any] = {
-        name: getattr(arguments, name)
-        for name in ("images", "gps_sigma", "prior_loss", "prior_loss_scale")
-        if getattr(arguments, name) is not None
+        name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None
     }
     if arguments.antenna is not None:
         settings["antenna"] = antenna(arguments.antenna)
     with naming_flags(**NAMED):
-        return gps_priors(problem, arguments.gps, **settings)
+        if arguments.gcp is None:
+            return gps_priors(problem, arguments.gps, **settings)
+        names = check_point_names(arguments.check_points) or []
+        return gcp_priors(problem, arguments.gcp, check_points=names, **settings)
 
 
 def georeference_path(path: str, format: str) -> Path:

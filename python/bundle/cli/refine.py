@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
-from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags
+from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
 from bundle.cli.lens_flags import add_lens_flags, cameras_edited
 from bundle.cli.option_flags import (
     add_options,
@@ -128,29 +128,30 @@ def run(arguments: argparse.Namespace) -> int:
         check_target(
             problem, **output, refined=options.refine, fixed_camera_ids=options.fixed_camera_ids
         )
-        gps = None
-        if arguments.gps is not None:
-            check_georeference(**output, json=arguments.json)
-            progress.stage(f"reading positions: {shown(arguments.gps)}")
-            gps = priors_given(arguments, problem)
+        for what, path in (("control points", arguments.gcp), ("positions", arguments.gps)):
+            if path is not None:
+                check_georeference(**output, json=arguments.json)
+                progress.stage(f"reading {what}: {shown(path)}")
+        known = priors_given(arguments, problem)
         if arguments.check_gradients:
             progress.stage("checking the Jacobians")
             wrong = _wrong_jacobians(arguments, problem, options)
             if wrong:
                 return EXIT_NO_SOLUTION
         progress.stage("building the problem")
-        with naming_flags(SolveOptions, RoundOptions, **ARGUMENTS, **NAMED):
+        flags = {**ARGUMENTS, **NAMED, "priors": main_flag(arguments)}
+        with naming_flags(SolveOptions, RoundOptions, **flags):
             solved = solve_rounds(
                 problem,
                 options,
                 **rounds.asdict(),
                 only_images=arguments.only_images,
-                priors=() if gps is None else gps.priors,
-                align=None if gps is None else True,
+                priors=() if known is None else known.priors,
+                align=None if known is None else True,
                 **checkpoints,
                 progress=progress.iteration,
             )
-        georeference = None if gps is None else gps.georeference(solved)
+        georeference = None if known is None else known.georeference(solved)
         begun = perf_counter()
         lost: tuple[str, ...] = ()
         saved = solved.summary.is_solution_usable or solved.summary.interrupted

@@ -5,9 +5,11 @@ from bundle.georeference.alignment_result import Alignment, ControlPointError, I
 from bundle.georeference.control_point import GroundControlPoint, Measurement
 from bundle.georeference.exif_gps import read_exif_gps
 from bundle.georeference.gcp_list import read_gcp_list
+from bundle.georeference.gcp_priors import GcpPriors, gcp_priors
 from bundle.georeference.geo_file import read_geo_file
+from bundle.georeference.georeferenced import Georeference
 from bundle.georeference.gps_positions import GpsPositions
-from bundle.georeference.gps_priors import Georeference, GpsPriors, gps_priors
+from bundle.georeference.gps_priors import GpsPriors, gps_priors
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.position_prior import PositionPrior
 from bundle.georeference.reference_system import ReferenceSystem
@@ -16,6 +18,7 @@ from bundle.georeference.similarity import Similarity
 __all__ = [
     "Alignment",
     "ControlPointError",
+    "GcpPriors",
     "Georeference",
     "GpsPositions",
     "GpsPriors",
@@ -27,6 +30,7 @@ __all__ = [
     "ReferenceSystem",
     "Similarity",
     "align",
+    "gcp_priors",
     "gps_priors",
     "read_exif_gps",
     "read_gcp_list",

@@ -12,14 +12,14 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bundle.arguments import as_array
 from bundle.errors import InputError, brief
-from bundle.georeference.alignment_result import Alignment, ControlPointError, ImageError
+from bundle.georeference.alignment_result import Alignment, ImageError, as_triple
 from bundle.georeference.control_point import (
+    GCP_PIXEL_SIGMA,
+    GCP_SIGMA,
     GroundControlPoint,
-    Sigma,
     parse_pixel_sigma,
     parse_sigma,
 )
@@ -37,21 +37,14 @@ from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.position_prior import ROBUST_SCALE
 from bundle.georeference.similar_problem import moved
 from bundle.georeference.similarity_fit import fit_similarity
-from bundle.georeference.triangulated_targets import Triangulated, triangulate
+from bundle.georeference.survey import Survey, control_point_error
 from bundle.io import Source, as_problem
 from bundle.option_fields import choice, number
 from bundle.options import LOSSES
 from bundle.problem import Problem
-from bundle.rotations import rotation_matrices
-from bundle.words import plural
 
-__all__ = ["GCP_PIXEL_SIGMA", "GCP_SIGMA", "align"]
+__all__ = ["align"]
 
-Array = NDArray[np.float64]
-
-GCP_SIGMA = Sigma(0.02, 0.02)
-"""Equal: where sigmas are far too small, a smaller horizontal one would tilt the model to fit."""
-GCP_PIXEL_SIGMA = 0.5
 FEWEST = 3
 LARGEST_SIGMA0 = 3.0
 """Beyond, the sigmas are too small or something is wrong: a note says so."""
@@ -124,37 +117,40 @@ def align(
     if gcps is None and gps is None:
         raise InputError("align: expected control points (gcps), positions (gps) or a model (to)")
 
-    index = ImageIndex(given)
     points = with_check_points(given_control_points(gcps), check_points)
     positions = given_gps(gps, images, given)
     frame = Frame(points, positions)
-    targets = triangulate(given, points, index, pixel_sigma=pixel_sigma)
-    used = np.array([not target.reason for target in targets], dtype=bool)
-    roles = np.array([point.role == "control" for point in points], dtype=bool)
-    surveyed = _surveyed(targets, frame.control_points, sigma)
-    cameras, rows = _cameras(given, index, positions, frame, gps_default, lever)
-    _check_count(targets, used & roles, positions, len(cameras))
-
-    measured = Correspondences.joined(surveyed.rows(used), cameras)
-    decisive = np.concatenate([roles[used], np.ones(len(cameras), dtype=bool)])
-    tested = np.arange(len(measured)) < used.sum()
-    what = _named(bool((used & roles).any()), bool(len(cameras)))
-    fit = fit_similarity(measured.rows(decisive), loss=loss, loss_scale=loss_scale, what=what)
-    residual, _ = fit.predict(surveyed)
-    others = leave_one_out(measured, decisive, tested)
-    unknown = np.full(3, np.nan)
-    place = np.cumsum(used) - 1
+    survey = Survey(
+        given,
+        points,
+        positions,
+        frame,
+        gcp_sigma=sigma,
+        pixel_sigma=pixel_sigma,
+        gps_sigma=gps_default,
+        antenna=lever,
+    )
+    decisive = survey.decisive
+    fit = fit_similarity(
+        survey.measured.rows(decisive), loss=loss, loss_scale=loss_scale, what=survey.what
+    )
+    residual, _ = fit.predict(survey.surveyed)
+    others = leave_one_out(survey.measured, decisive, survey.tested)
+    left_out = survey.of_targets(others.residual, np.nan)
+    suspect = survey.of_targets(others.suspect, False)
     errors = tuple(
-        _control_point_error(
+        control_point_error(
             target,
             residual[row],
-            others.residual[place[row]] if used[row] else unknown,
-            np.where(np.isnan(surveyed.target[row]), np.nan, _sigmas(surveyed, row)),
-            bool(used[row] and others.suspect[place[row]]),
+            survey.surveyed.target_covariance[row],
+            left_out[row],
+            bool(suspect[row]),
         )
-        for row, target in enumerate(targets)
+        for row, target in enumerate(survey.targets)
     )
-    weight = fit.weight[decisive[: used.sum()].sum() :]
+    weight = fit.weight[decisive[: survey.used.sum()].sum() :]
+    names = positions.names if positions is not None else ()
+    cameras = fit.predict(survey.cameras)[0]
     return Alignment(
         moved(given, fit.similarity),
         fit.similarity,
@@ -162,142 +158,13 @@ def align(
         frame.origin,
         errors,
         tuple(
-            ImageError(positions.names[row], _triple(error), bool(share > NO_WEIGHT))
-            for row, error, share in zip(rows, fit.predict(cameras)[0], weight, strict=True)
-        )
-        if positions is not None
-        else (),
+            ImageError(names[row], as_triple(error), bool(share > NO_WEIGHT))
+            for row, error, share in zip(survey.rows, cameras, weight, strict=True)
+        ),
         (),
-        (*frame.notes, *_notes(targets, positions, len(cameras)), *_sigma_notes(fit.sigma0)),
+        (*frame.notes, *survey.notes(), *_sigma_notes(fit.sigma0)),
         fit.sigma0,
     )
-
-
-def _named(controls: bool, cameras: bool) -> str:
-    if controls and cameras:
-        return "control points and positions of images"
-    return "control points" if controls else "positions of images"
-
-
-def _surveyed(targets: tuple[Triangulated, ...], target: Array, sigma: Sigma) -> Correspondences:
-    """Return the targets, used or not."""
-    sigmas = np.array([entry.point.sigma or sigma for entry in targets]).reshape(-1, 2)
-    return Correspondences(
-        np.array([entry.position for entry in targets]).reshape(-1, 3),
-        target,
-        sigmas[:, [0, 0, 1], None] ** 2 * np.eye(3),
-        np.array([entry.covariance for entry in targets]).reshape(-1, 3, 3),
-    )
-
-
-def _cameras(
-    problem: Problem,
-    index: ImageIndex,
-    positions: GpsPositions | None,
-    frame: Frame,
-    sigma: Sigma,
-    antenna: Array,
-) -> tuple[Correspondences, list[int]]:
-    """Return the positions of images of the model, and which of those given they are."""
-    names = positions.names if positions is not None else ()
-    found = [
-        (row, image) for row, name in enumerate(names) if (image := index.find(name)) is not None
-    ]
-    rows = [row for row, _ in found]
-    images = np.array([image for _, image in found], dtype=np.int64)
-    sigmas = np.tile(np.array(sigma), (len(rows), 1))
-    if positions is not None and rows:
-        own = positions.accuracy[rows]
-        sigmas = np.where(own > 0, own, sigmas)
-    turns = rotation_matrices(problem.cam_from_world[images, :4].reshape(-1, 4))
-    return (
-        Correspondences(
-            problem.projection_centers[images].reshape(-1, 3),
-            frame.positions[rows].reshape(-1, 3),
-            sigmas[:, [0, 0, 1], None] ** 2 * np.eye(3),
-            offset=np.einsum("nji,j->ni", turns, antenna),
-        ),
-        rows,
-    )
-
-
-def _check_count(
-    targets: tuple[Triangulated, ...],
-    control: NDArray[np.bool_],
-    positions: GpsPositions | None,
-    num_cameras: int,
-) -> None:
-    if positions is not None:
-        if num_cameras == 0:
-            raise InputError(
-                f"gps: expected positions of images of the model, found none among "
-                f"{len(positions)} of {positions.source}"
-            )
-        if control.sum() + num_cameras >= FEWEST:
-            return
-        raise InputError(
-            f"expected at least {FEWEST} control points and positions of images, "
-            f"found {control.sum()} and {num_cameras}"
-        )
-    if control.sum() >= FEWEST:
-        return
-    reasons = [
-        f"{entry.point.name}: {entry.reason}"
-        for entry in targets
-        if entry.reason and entry.point.role == "control"
-    ]
-    more = f" ({len(reasons)} cannot be used; {reasons[0]})" if reasons else ""
-    raise InputError(
-        f"gcps: expected at least {FEWEST} control points that 2 images of the model see, "
-        f"found {control.sum()}{more}"
-    )
-
-
-def _control_point_error(
-    target: Triangulated, residual: Array, left_out: Array, sigma: Array, suspect: bool
-) -> ControlPointError:
-    squares = (target.residual**2).sum(axis=1)
-    return ControlPointError(
-        name=target.point.name,
-        role="unused" if target.reason else target.point.role,
-        num_images=len(target.images),
-        residual=_triple(residual),
-        leave_one_out=_triple(left_out),
-        sigma=_triple(sigma),
-        pixels=float(np.sqrt(squares.mean())) if len(squares) else float("nan"),
-        images=tuple(
-            (entry.image, float(x), float(y))
-            for entry, (x, y) in zip(target.measurements, target.residual, strict=True)
-        ),
-        suspect=suspect,
-        reason=target.reason,
-    )
-
-
-def _sigmas(points: Correspondences, row: int) -> Array:
-    sigmas: Array = np.sqrt(np.diag(points.target_covariance[row]))
-    return sigmas
-
-
-def _notes(
-    targets: tuple[Triangulated, ...], positions: GpsPositions | None, num_cameras: int
-) -> tuple[str, ...]:
-    notes = [
-        f"{entry.point.name} is not used: {entry.reason}." for entry in targets if entry.reason
-    ]
-    measured = sum(len(entry.point.measurements) for entry in targets)
-    seen = sum(len(entry.images) for entry in targets)
-    if seen < measured:
-        notes.append(
-            f"{plural(measured - seen, 'measurement')} of {measured} are in images that the model "
-            "does not have."
-        )
-    if positions is not None and num_cameras < len(positions):
-        notes.append(
-            f"{plural(len(positions) - num_cameras, 'position')} of {len(positions)} are of images "
-            "that the model does not have."
-        )
-    return tuple(notes)
 
 
 def _sigma_notes(sigma0: float) -> tuple[str, ...]:
@@ -332,12 +199,7 @@ def _aligned_to(problem: Problem, other: Problem) -> Alignment:
     fit = fit_similarity(shared, what="shared images")
     residual, _ = fit.predict(shared)
     images = tuple(
-        ImageError(problem.image_names[row], _triple(error), used=True)
+        ImageError(problem.image_names[row], as_triple(error), used=True)
         for row, error in zip(here, residual, strict=True)
     )
     return Alignment(moved(problem, fit.similarity), fit.similarity, None, None, (), (), images, ())
-
-
-def _triple(values: Array) -> tuple[float, float, float]:
-    east, north, up = values.tolist()
-    return east, north, up

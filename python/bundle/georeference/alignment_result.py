@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bundle.display import Display, Displayed
 from bundle.georeference.local_frame import LocalFrame
@@ -14,7 +15,7 @@ from bundle.georeference.similarity import Similarity
 from bundle.problem import Problem
 from bundle.words import number, pixels, plural
 
-__all__ = ["Alignment", "ControlPointError", "ImageError", "root_mean_square"]
+__all__ = ["Alignment", "ControlPointError", "ImageError", "as_triple", "root_mean_square"]
 
 Triple = tuple[float, float, float]
 
@@ -47,6 +48,19 @@ class ControlPointError:
     images: tuple[tuple[str, float, float], ...]
     suspect: bool
     reason: str = ""
+
+    def asdict(self) -> dict[str, Any]:
+        """Return its entry in ``georeference.json``."""
+        return {
+            "name": self.name,
+            "role": self.role,
+            "residual_enu": list(self.residual),
+            "residual_leave_one_out_enu": list(self.leave_one_out),
+            "residual_px": self.pixels,
+            "sigma": list(self.sigma),
+            "suspect": self.suspect,
+            "images": [{"image": name, "residual_px": [x, y]} for name, x, y in self.images],
+        }
 
 
 @dataclass(frozen=True)
@@ -124,21 +138,7 @@ class Alignment(Displayed):
             "pipeline": self.origin.pipeline if self.origin else None,
             "similarity": self.similarity.asdict(),
             "gps": [_image(image) for image in self.positions],
-            "gcps": [
-                {
-                    "name": point.name,
-                    "role": point.role,
-                    "residual_enu": list(point.residual),
-                    "residual_leave_one_out_enu": list(point.leave_one_out),
-                    "residual_px": point.pixels,
-                    "sigma": list(point.sigma),
-                    "suspect": point.suspect,
-                    "images": [
-                        {"image": name, "residual_px": [x, y]} for name, x, y in point.images
-                    ],
-                }
-                for point in self.control_points
-            ],
+            "gcps": [point.asdict() for point in self.control_points],
             "shared_images": [_image(image) for image in self.shared_images],
             "rms_enu": list(self.rms(counted[0])) if counted else None,
             "rms_enu_check": list(self.rms("check")),
@@ -176,6 +176,12 @@ class Alignment(Displayed):
 def metres(value: float) -> str:
     """Return metres to the millimetre, with their sign; "-" where there are none."""
     return "-" if np.isnan(value) else f"{value:+.3f}"
+
+
+def as_triple(values: NDArray[np.float64]) -> Triple:
+    """Return three numbers of an array."""
+    east, north, up = values.tolist()
+    return east, north, up
 
 
 def root_mean_square(residuals: Iterable[Triple]) -> Triple:

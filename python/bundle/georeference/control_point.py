@@ -8,9 +8,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from bundle.errors import InputError, brief
+from bundle.georeference.position_prior import ROBUST_SCALE
 from bundle.option_fields import choice, number
+from bundle.options import LOSSES
 
 __all__ = [
+    "GCP_PIXEL_SIGMA",
+    "GCP_SIGMA",
     "ROLES",
     "GroundControlPoint",
     "Measurement",
@@ -33,6 +37,13 @@ class Sigma(NamedTuple):
     vertical: float
 
 
+GCP_SIGMA = Sigma(0.02, 0.02)
+"""Of points without their own. Equal: where sigmas are far too small, a smaller horizontal one
+would tilt the model to fit."""
+GCP_PIXEL_SIGMA = 0.5
+"""Of measurements without their own."""
+
+
 class Measurement(NamedTuple):
     """A target in an image.
 
@@ -40,7 +51,8 @@ class Measurement(NamedTuple):
         image: name of the image.
         x: pixels, from the left edge of the image: the centre of the first pixel is (0.5, 0.5).
         y: pixels, from the upper edge.
-        sigma: standard deviation of x and of y, pixels; None: that of the alignment.
+        sigma: standard deviation of x and of y, pixels; None: that of the alignment, 0.5 in a
+            solve.
     """
 
     image: str
@@ -60,10 +72,13 @@ class GroundControlPoint:
         measurements: where images see it: (image, x, y) or (image, x, y, sigma) each, see
             :class:`Measurement`. Images that are not in the model do not count.
         sigma: of each coordinate in metres: one number, or horizontal and vertical; None: that of
-            the alignment.
+            the alignment, 0.02 m in a solve.
         role: "control", or "check": it is compared with the model and never moves it.
         reference_system: "EPSG:32632", a PROJ string or "WGS84 UTM 32N"; None: a Cartesian frame in
             metres, which becomes that of the model.
+        loss: a robust loss of the distance from ``position`` in a solve, out of
+            :class:`bundle.SolveOptions`; an alignment has a loss of its own.
+        loss_scale: the length of the residual in sigmas at which it bends.
 
     Raises:
         InputError: a value is of the wrong type or out of range; the message names the target.
@@ -75,6 +90,8 @@ class GroundControlPoint:
     sigma: Sigma | None = None
     role: str = "control"
     reference_system: str | None = None
+    loss: str = "trivial"
+    loss_scale: float = ROBUST_SCALE
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
@@ -83,6 +100,9 @@ class GroundControlPoint:
         object.__setattr__(self, "position", _position(here, self.position))
         object.__setattr__(self, "measurements", _measurements(here, self.measurements))
         object.__setattr__(self, "role", choice(f"{here}: role", self.role, ROLES))
+        object.__setattr__(self, "loss", choice(f"{here}: loss", self.loss, LOSSES))
+        scale = number(f"{here}: loss_scale", self.loss_scale, above=0)
+        object.__setattr__(self, "loss_scale", scale)
         if self.sigma is not None:
             object.__setattr__(self, "sigma", parse_sigma(f"{here}: sigma", self.sigma))
         if self.reference_system is not None and not isinstance(self.reference_system, str):

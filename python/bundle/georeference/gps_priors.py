@@ -1,141 +1,33 @@
-"""Priors of a solve from measured positions on the earth, and what became of them."""
+"""Priors of a solve from measured positions on the earth."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief, shown
-from bundle.georeference.alignment_result import metres, root_mean_square
 from bundle.georeference.control_point import parse_sigma
+from bundle.georeference.georeferenced import Georeference, PositionError, Solved, origin_text
 from bundle.georeference.given_positions import given_gps
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
 from bundle.georeference.prior_alignment import ProblemPriors
-from bundle.georeference.similarity import Similarity
 from bundle.problem import Problem
 from bundle.words import plural
 
-__all__ = ["GPS_SIGMA", "Georeference", "GpsPriors", "PositionError", "gps_priors"]
+__all__ = ["GPS_SIGMA", "GpsPriors", "check_settings", "gps_priors"]
 
 GPS_SIGMA = (2.0, 5.0)
 """Metres, horizontal and vertical: a receiver without corrections, under open sky."""
 FEWEST = 3
-LARGE = 3.0
-"""Sigmas that three of a hundred good positions exceed."""
-
-
-class Solved(Protocol):
-    """A result of :func:`bundle.solve`."""
-
-    @property
-    def problem(self) -> Problem:
-        """The refined problem."""
-
-    @property
-    def similarity(self) -> Similarity | None:
-        """The map that took the input to the start of the solve."""
-
-
-@dataclass(frozen=True)
-class PositionError:
-    """An image of the model and its measured position.
-
-    Attributes:
-        name: of the image.
-        residual: (3,) position in the model minus measured one, east, north, up [m]; nan where the
-            measurement has none.
-        sigmas: length of the residual in standard deviations; nan for an image without a position.
-        used: whether it has a prior.
-    """
-
-    name: str
-    residual: tuple[float, float, float]
-    sigmas: float
-    used: bool
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Georeference(Displayed):
-    """Where a refined model is on the earth, and how well the positions fit.
-
-    Attributes:
-        reference_system: the positions came in it.
-        origin: of the frame east, north, up [m] in which the refined model is.
-        similarity: moved the input there before the solve refined it.
-        images: every image of the model.
-        notes: sentences on what was ignored or is inexact.
-    """
-
-    reference_system: str
-    origin: LocalFrame
-    similarity: Similarity
-    images: tuple[PositionError, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def rms(self) -> tuple[float, float, float]:
-        """Root mean square of the residuals that are used, east, north, up [m]."""
-        return root_mean_square(image.residual for image in self.images if image.used)
-
-    @property
-    def suspects(self) -> tuple[PositionError, ...]:
-        """Images whose residual exceeds three sigmas, the largest first."""
-        large = [image for image in self.images if image.used and image.sigmas > LARGE]
-        return tuple(sorted(large, key=lambda image: -image.sigmas))
-
-    def asdict(self) -> dict[str, Any]:
-        """Return what ``georeference.json`` holds.
-
-        ``similarity`` maps a point x of the input to scale * rotation @ x + translation, metres
-        east, north, up of ``origin``; ``pipeline`` is PROJ's operation from longitude, latitude and
-        height on WGS84 to these.
-        """
-        return {
-            "reference_system": self.reference_system,
-            "origin": self.origin.asdict(),
-            "pipeline": self.origin.pipeline,
-            "similarity": self.similarity.asdict(),
-            "gps": [
-                {
-                    "image": image.name,
-                    "residual_enu": list(image.residual),
-                    "sigmas": image.sigmas,
-                    "used": image.used,
-                }
-                for image in self.images
-            ],
-            "gcps": [],
-            "rms_enu": list(self.rms),
-            "notes": list(self.notes),
-        }
-
-    def _display(self) -> Display:
-        used = sum(image.used for image in self.images)
-        origin = self.origin
-        rms = ", ".join(f"{value:.4f}" for value in self.rms)
-        facts = [
-            ("origin", f"{origin.latitude:.7f}, {origin.longitude:.7f}, {origin.height:.3f} m"),
-            ("positions", f"of {used} of {plural(len(self.images), 'image')}"),
-            ("rms", f"{rms} m east, north, up"),
-            *(("note", note) for note in self.notes),
-        ]
-        rows = tuple(
-            (image.name, *map(metres, image.residual), f"{image.sigmas:.1f}")
-            for image in self.suspects[:5]
-        )
-        head = ("above 3 sigmas", "east [m]", "north", "up", "sigmas")
-        return Display(
-            title="Georeference", facts=tuple(facts), head=head if rows else (), rows=rows
-        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -177,11 +69,7 @@ class GpsPriors(Displayed):
         )
 
     def _display(self) -> Display:
-        origin = self.origin
-        facts = (
-            ("origin", f"{origin.latitude:.7f}, {origin.longitude:.7f}, {origin.height:.3f} m"),
-            *(("note", note) for note in self.notes),
-        )
+        facts = (("origin", origin_text(self.origin)), *(("note", note) for note in self.notes))
         return Display(title=f"GpsPriors of {plural(len(self.priors), 'image')}", facts=facts)
 
 
@@ -195,6 +83,7 @@ def gps_priors(
     prior_loss: str = "trivial",
     prior_loss_scale: float = ROBUST_SCALE,
     origin: LocalFrame | None = None,
+    fewest: int = FEWEST,
 ) -> GpsPriors:
     """Make priors of a problem's images from positions on the earth.
 
@@ -213,24 +102,25 @@ def gps_priors(
         prior_loss: a robust loss of each position's residual.
         prior_loss_scale: sigmas at which it bends.
         origin: of the frame; by default the middle of the positions that count.
+        fewest: how many positions there have to be.
 
     Raises:
-        InputError: a file or an argument is wrong, the images have no names, or fewer than three of
-            them have a position.
+        InputError: a file or an argument is wrong, the images have no names, or fewer than
+            ``fewest`` of them have a position.
         OSError: a path cannot be read.
     """
     default = parse_sigma("gps_sigma", gps_sigma)
     # Refuse these now, whatever the positions are.
     settings: dict[str, Any] = {"loss": prior_loss, "loss_scale": prior_loss_scale}
-    _check_settings(antenna, settings)
+    check_settings(antenna, settings)
     index = ImageIndex(problem, "gps: ")
     positions = given_gps(gps, images, problem)
     if positions is None:
         raise InputError('gps: expected "exif", a path or GpsPositions, found None')
     rows = _rows(index, positions)
     chosen = sorted(rows)
-    if len(chosen) < FEWEST:
-        raise InputError(_too_few(problem, positions, len(chosen)))
+    if len(chosen) < fewest:
+        raise InputError(_too_few(problem, positions, len(chosen), fewest))
     places = positions.geodetic[[rows[row] for row in chosen]]
     frame = LocalFrame.about(places) if origin is None else origin
     priors = []
@@ -250,7 +140,7 @@ def gps_priors(
     )
 
 
-def _check_settings(antenna: ArrayLike, settings: dict[str, Any]) -> None:
+def check_settings(antenna: ArrayLike, settings: dict[str, Any]) -> None:
     """Refuse what no prior takes, under the names of the arguments."""
     try:
         PositionPrior(0, (0.0, 0.0, 0.0), 1.0, lever_arm=antenna, **settings)
@@ -277,13 +167,14 @@ def _rows(index: ImageIndex, positions: GpsPositions) -> dict[int, int]:
     return rows
 
 
-def _too_few(problem: Problem, positions: GpsPositions, found: int) -> str:
+def _too_few(problem: Problem, positions: GpsPositions, found: int, fewest: int) -> str:
     hint = ""
     if not found and len(positions):
         here, there = shown(problem.image_names[0]), shown(positions.names[0])
         hint = f": the model has images such as {here}, the positions {there}"
     return (
-        f"gps: expected positions of at least {FEWEST} images of the model, found {found} in "
+        f"gps: expected positions of at least {plural(fewest, 'image')} of the model, "
+        f"found {found} in "
         f"{positions.source}{hint}"
     )
 

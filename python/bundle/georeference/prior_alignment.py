@@ -8,6 +8,7 @@ does not depend on it.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -27,7 +28,7 @@ from bundle.graph.variables import as_list
 from bundle.problem import Problem
 from bundle.rotations import rotation_matrices
 
-__all__ = ["ProblemPriors"]
+__all__ = ["ProblemPriors", "robust_similarity"]
 
 Array = NDArray[np.float64]
 
@@ -108,8 +109,7 @@ class ProblemPriors:
     def align(self, problem: Problem) -> Similarity:
         """Return the similarity to where the priors say that the problem is.
 
-        Positions that contradict the majority do not count. With fewer than three known heights, or
-        heights that leave the tilt open, the cameras are taken to be at one height.
+        See :func:`robust_similarity`.
 
         Raises:
             InputError: fewer than three positions, or they lie on one line.
@@ -119,24 +119,23 @@ class ProblemPriors:
                 "expected positions of at least 3 images to place the model, found "
                 f"{len(self.priors)}"
             )
-        source, target = problem.projection_centers[self.rows], self._positions()
+        return robust_similarity(self.correspondences(problem), "positions of images")
+
+    def correspondences(self, problem: Problem) -> Correspondences:
+        """Return where images are in the problem and by the priors; up is nan where unknown."""
+        if not self.priors:
+            return Correspondences(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+        target = self._positions()
         covariance = np.array([prior.full_covariance for prior in self.priors])
         unknown = np.isnan(target[:, 2]) | (covariance[:, 2, 2] >= NOT_COUNTING**2)
         target[unknown, 2] = np.nan
-        known_heights = target[~unknown, 2]
-        level = target.copy()
-        level[unknown, 2] = np.median(known_heights) if len(known_heights) else 0.0
-        scales = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-        chosen = agreeing(source, level, scales)
-        points = Correspondences(source, target, covariance, offset=self._levers(problem))
-        if unknown.any():
-            try:
-                return _fit(points.rows(chosen))
-            except InputError:
-                horizontal = covariance[:, 0, 0]
-                covariance[unknown] = horizontal[unknown, None, None] * np.eye(3)
-                points = Correspondences(source, level, covariance, offset=points.offset)
-        return _fit(points.rows(chosen))
+        source = problem.projection_centers[self.rows]
+        return Correspondences(source, target, covariance, offset=self._levers(problem))
+
+    @staticmethod
+    def moved(problem: Problem, similarity: Similarity) -> Problem:
+        """Return the problem where the similarity puts it."""
+        return moved(problem, similarity)
 
     def aligned(self, problem: Problem) -> tuple[Problem, Similarity]:
         """Return the problem in its place, and the similarity; see :meth:`align`."""
@@ -154,9 +153,38 @@ class ProblemPriors:
         return along
 
 
-def _fit(points: Correspondences) -> Similarity:
-    fit = fit_similarity(points, loss="cauchy", loss_scale=ROBUST_SCALE, what="positions of images")
-    return fit.similarity
+def robust_similarity(points: Correspondences, what: str) -> Similarity:
+    """Return the similarity that most of the points agree on.
+
+    Points that contradict the majority do not count. With fewer than three known heights, or
+    heights that leave the tilt open, all are taken to be at one height.
+
+    Args:
+        points: at least three.
+        what: they are, for messages.
+
+    Raises:
+        InputError: they lie on one line.
+    """
+    target, covariance = points.target, points.target_covariance.copy()
+    unknown = np.isnan(target[:, 2])
+    known_heights = target[~unknown, 2]
+    level = target.copy()
+    level[unknown, 2] = np.median(known_heights) if len(known_heights) else 0.0
+    scales = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    chosen = agreeing(points.source, level, scales)
+    if unknown.any():
+        try:
+            return _fit(points.rows(chosen), what)
+        except InputError:
+            horizontal = covariance[:, 0, 0]
+            covariance[unknown] = horizontal[unknown, None, None] * np.eye(3)
+            points = dataclasses.replace(points, target=level, target_covariance=covariance)
+    return _fit(points.rows(chosen), what)
+
+
+def _fit(points: Correspondences, what: str) -> Similarity:
+    return fit_similarity(points, loss="cauchy", loss_scale=ROBUST_SCALE, what=what).similarity
 
 
 def _listed(priors: Any) -> tuple[PositionPrior, ...]:

@@ -172,13 +172,8 @@ def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
     is_free = blocks["point_is_free"]
     sizes = np.append(blocks["size"], 0).astype(np.int64)  # block -1 is none
     # Three blocks an image: of its pose or its frame's, of its sensor, of its camera.
-    of_image = np.stack(
-        [
-            blocks["image_block"],
-            blocks["sensor_block"],
-            blocks["camera_block"][problem.image_camera],
-        ]
-    )
+    camera_block = blocks["camera_block"][problem.image_camera]
+    of_image = np.stack([blocks["image_block"], blocks["sensor_block"], camera_block])
     width = sizes[of_image].sum(axis=0)[problem.observation_image]
     free = is_free[problem.observation_point]
     seen = _seen_blocks(problem, free, of_image, len(sizes) - 1)

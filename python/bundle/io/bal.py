@@ -22,7 +22,7 @@ from bundle import _core
 from bundle.cameras import param_kinds
 from bundle.errors import InputError, shown
 from bundle.io import problem_source
-from bundle.io.problem_source import BalSource
+from bundle.io.problem_source import LOST_SIGMAS, BalSource
 from bundle.problem import Problem
 
 __all__ = ["check_refined", "load", "losses", "radial_params", "save"]
@@ -207,6 +207,7 @@ def losses(problem: Problem) -> tuple[str, ...]:
             (problem.observation_keypoint >= 0).any(),
             "Keypoint indices, and keypoints without a point, are left out.",
         ),
+        (problem.observation_sigma is not None, LOST_SIGMAS),
         (beside, f"{_listed(beside)} are left out.".capitalize()),
     )
     return tuple(sentence for applies, sentence in found if applies)

@@ -17,7 +17,7 @@ import pycolmap
 from bundle import _core
 from bundle.errors import InputError, first_line
 from bundle.io import written
-from bundle.io.colmap_files import load, lost_in_text
+from bundle.io.colmap_files import load, lost
 from bundle.io.model_files import missing_model_files
 from bundle.io.observation_edits import ObservationEdits
 from bundle.io.reconstruction import baseline_of, from_pycolmap
@@ -118,4 +118,4 @@ def _losses(problem: Problem, edits: ObservationEdits, binary: bool) -> tuple[st
             f"{edits.num_renumbered} keypoints get another index: of images that are not in a "
             "source, only the observed keypoints are known."
         )
-    return (*losses, *(() if binary else lost_in_text(problem)))
+    return (*losses, *lost(problem, binary=binary))

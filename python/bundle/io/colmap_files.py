@@ -22,12 +22,13 @@ from bundle import _core, address_space, rig_arrays
 from bundle.deferred_source import DeferredSource
 from bundle.errors import InputError, first_line
 from bundle.io.interrupts import interrupts_deferred
+from bundle.io.problem_source import LOST_SIGMAS
 from bundle.problem import Problem
 
 if TYPE_CHECKING:
     import pycolmap
 
-__all__ = ["can_rewrite", "load", "lost_in_text", "rewrite"]
+__all__ = ["can_rewrite", "load", "lost", "rewrite"]
 
 # What a problem shares with its source where only numbers that a solve changes are other ones.
 _SHARED_ARRAYS = (
@@ -135,7 +136,13 @@ def rewrite(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
         problem.rig_from_world,
         problem.sensor_from_rig,
     )
-    return () if binary else lost_in_text(problem)
+    return lost(problem, binary=binary)
+
+
+def lost(problem: Problem, *, binary: bool) -> tuple[str, ...]:
+    """Return what no COLMAP model of this format keeps of a problem, one sentence each."""
+    sigmas = () if problem.observation_sigma is None else (LOST_SIGMAS,)
+    return (*sigmas, *(() if binary else lost_in_text(problem)))
 
 
 def lost_in_text(problem: Problem) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pycolmap
 
 __all__ = [
+    "LOST_SIGMAS",
     "BalSource",
     "beside_the_problem",
     "is_reconstruction",
@@ -25,6 +26,9 @@ __all__ = [
     "packed",
     "unpacked",
 ]
+
+LOST_SIGMAS = "Sigmas of observations are left out."
+"""Of what is lost when a problem is written: no format has a place for them."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ from bundle.georeference import Alignment, ImageError
 from bundle.georeference.alignment_result import metres
 from bundle.problem import Problem
 from bundle.report import json
-from bundle.tables import columns, facts, format_name, notes, pixels, plural
+from bundle.report.control_points import control_point_table, plain_metres, suspicions
+from bundle.tables import columns, facts, format_name, notes, plural
 from bundle.words import contents, number
 
 __all__ = ["alignment", "as_json"]
@@ -46,15 +47,10 @@ def alignment(
     if not np.isnan(aligned.sigma0):
         rows.append(("residuals", f"{number(aligned.sigma0)} sigmas"))
     rows.append(("output", f"{shown(output['path'])} ({format_name(output['format'])})"))
-    suspects = [
-        f"{point.name} is probably wrong: the other points place it "
-        f"{', '.join(_offsets(point.leave_one_out))} of its coordinates."
-        for point in aligned.control_points
-        if point.suspect
-    ]
+    suspects = suspicions(aligned.control_points)
     return [
         facts(rows),
-        *_control_points(aligned),
+        *control_point_table(aligned.control_points),
         *_images("GPS", "used", aligned.positions, aligned.rms("gps"), "m"),
         *_images("image", "used", aligned.shared_images, aligned.rms("shared_images"), "units"),
         *([""] if suspects else []),
@@ -62,32 +58,6 @@ def alignment(
         *([""] if aligned.notes or lost else []),
         *notes((*aligned.notes, *lost)),
     ]
-
-
-def _control_points(aligned: Alignment) -> list[RenderableType]:
-    points = aligned.control_points
-    if not points:
-        return []
-    cells = [
-        (
-            point.name,
-            "suspect" if point.suspect else point.role,
-            str(point.num_images),
-            *map(metres, point.residual),
-            *map(metres, point.leave_one_out),
-            pixels(point.pixels),
-        )
-        for point in points
-    ]
-    for kind in ("control", "check"):
-        chosen = [point for point in points if point.role == kind]
-        if chosen:
-            px = np.sqrt(np.mean([point.pixels**2 for point in chosen]))
-            rms = (_plain(value) for value in aligned.rms(kind))
-            label = f"total rms {kind}"
-            cells.append((label, plural(len(chosen), "point"), "", *rms, "", "", "", pixels(px)))
-    head = ("control point", "role", "images", "east [m]", "north", "up")
-    return ["", columns((*head, "without: east", "north", "up", "[px]"), cells, left=2)]
 
 
 def _images(
@@ -102,21 +72,11 @@ def _images(
         (image.name, used if image.used else "not used", *map(metres, image.residual))
         for image in order[:MOST_IMAGES]
     ]
-    cells.append(("total rms", plural(len(found), "image"), *map(_plain, rms)))
+    cells.append(("total rms", plural(len(found), "image"), *map(plain_metres, rms)))
     head = (f"worst {title}", "role", f"east [{unit}]", "north", "up")
     if unit != "m":
         head = (f"worst {title}", "role", f"x [{unit}]", "y", "z")
     return ["", columns(head, cells, left=2)]
-
-
-def _plain(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:.3f}"
-
-
-def _offsets(residual: Iterable[float]) -> list[str]:
-    """Return "-4.081 m east" and so on."""
-    named = zip(residual, ("east", "north", "up"), strict=True)
-    return [f"{metres(value)} m {axis}" for value, axis in named if not np.isnan(value)]
 
 
 def as_json(

@@ -1,12 +1,14 @@
-"""What `bundle refine` says of measured positions."""
+"""What `bundle refine` says of measured positions and control points."""
 
 from __future__ import annotations
 
+import numpy as np
 from rich.console import RenderableType
 
 from bundle.errors import shown
 from bundle.georeference import Georeference
 from bundle.georeference.alignment_result import metres
+from bundle.report.control_points import control_point_table, suspicions
 from bundle.tables import columns, facts, notes, number, plural
 
 __all__ = ["gps_report"]
@@ -17,20 +19,36 @@ MOST_IMAGES = 5
 
 def gps_report(georeference: Georeference) -> list[RenderableType]:
     """Return where the model is, how well the positions fit, and which images they do not fit."""
+    rows = []
+    if georeference.images:
+        used = sum(image.used for image in georeference.images)
+        rows.append(("positions", f"of {used} of {plural(len(georeference.images), 'image')}"))
+    points = georeference.control_points
+    if points:
+        controls = sum(point.role == "control" for point in points)
+        checks = sum(point.role == "check" for point in points)
+        rows.append(
+            ("control points", f"{controls} of {len(points)}, {plural(checks, 'check point')}")
+        )
+    read = georeference.reference_system
+    frame = f"metres east, north, up; read in {shown(read)}" if read else "metres, as given"
+    rows.append(("coordinates", frame))
     origin = georeference.origin
-    used = sum(image.used for image in georeference.images)
-    east, north, up = (f"{value:.4f}" for value in georeference.rms)
-    rows = [
-        ("positions", f"of {used} of {plural(len(georeference.images), 'image')}"),
-        ("coordinates", f"metres east, north, up; read in {shown(georeference.reference_system)}"),
-        (
-            "origin",
-            f"latitude {origin.latitude:.8f}, longitude {origin.longitude:.8f}, "
-            f"height {origin.height:.3f} m",
-        ),
-        ("scale", f"{number(georeference.similarity.scale)} m per length unit of the input"),
-        ("rms", f"{east} m east, {north} m north, {up} m up"),
-    ]
+    if origin is not None:
+        rows.append(
+            (
+                "origin",
+                f"latitude {origin.latitude:.8f}, longitude {origin.longitude:.8f}, "
+                f"height {origin.height:.3f} m",
+            )
+        )
+    rows.append(
+        ("scale", f"{number(georeference.similarity.scale)} m per length unit of the input")
+    )
+    for kind, title in (("control", "rms control"), ("check", "rms check"), ("gps", "rms")):
+        east, north, up = georeference.rms_of(kind)
+        if not np.isnan(east):
+            rows.append((title, f"{east:.4f} m east, {north:.4f} m north, {_plain(up)} m up"))
     report: list[RenderableType] = [facts(rows), *notes(georeference.notes)]
     suspects = georeference.suspects
     if suspects:
@@ -43,4 +61,10 @@ def gps_report(georeference: Georeference) -> list[RenderableType]:
         if len(suspects) > MOST_IMAGES:
             others = plural(len(suspects) - MOST_IMAGES, "other image")
             report += notes([f"{others} as well; --json FILE lists all"])
-    return [*report, ""]
+    wrong = suspicions(points)
+    report += control_point_table(points, adjusted=True)
+    return [*report, *([""] if wrong else []), *notes(wrong, style="yellow"), ""]
+
+
+def _plain(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.4f}"

@@ -9,12 +9,12 @@ import pickle
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from bundle import solver
 from bundle.errors import InputError, first_line
 from bundle.image_selection import ImageSelection, find_images
 from bundle.io import Source, as_path, as_problem
 from bundle.option_fields import number
 from bundle.options import SolveOptions
+from bundle.placement import place_at_priors
 from bundle.result import Result
 from bundle.rounds.checkpoint import digest, fingerprint_of_options
 from bundle.rounds.local_part import LocalPart
@@ -24,8 +24,8 @@ from bundle.solve_record import Progress
 from bundle.words import plural
 
 if TYPE_CHECKING:
-    from bundle.georeference import PositionPrior
     from bundle.graph import Factor
+    from bundle.placement import Prior
 
 __all__ = ["solve_rounds"]
 
@@ -40,7 +40,7 @@ def solve_rounds(
     min_track_length: int = 2,
     only_images: ImageSelection | None = None,
     factors: Iterable[Factor] = (),
-    priors: Iterable[PositionPrior] = (),
+    priors: Iterable[Prior] = (),
     align: bool | None = None,
     bounds: Bounds | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
@@ -73,7 +73,9 @@ def solve_rounds(
             solver and the filter. A camera that also took other images is refined, too, unless it
             is in ``fixed_camera_ids`` (``part`` of the result names it).
         factors: beside the observations, as in :func:`bundle.solve`.
-        priors: measured positions of images, as in :func:`bundle.solve`.
+        priors: measured positions of images and control points, as in :func:`bundle.solve`. No
+            filter removes a measurement of a control point; counts of points and observations in
+            ``rounds`` include control points.
         align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
         bounds: of camera parameters, as in :func:`bundle.solve`.
         checkpoint: file that is replaced, whole or not at all, after each round and each
@@ -113,15 +115,20 @@ def solve_rounds(
         if align:
             raise InputError("align: expected without only_images, which leave the rest in place")
         align = False
-    start, factors, similarity = solver.place_at_priors(given, factors, priors, align)
-    factors = _listed(factors)
+    placed = place_at_priors(given, factors, priors, align)
+    start, factors = placed.problem, _listed(placed.factors)
     used = options
     part = None
     if only_images is not None:
+        if placed.control_point_ids:
+            raise InputError(
+                "priors: expected no control points beside only_images, which leave the rest in "
+                "place"
+            )
         part = LocalPart(given, find_images("only_images", given, only_images), factors)
         start, used, bounds = part.problem, part.options(options), part.bounds(bounds)
         check_observed(part)
-    run = RoundRun(start, used, limits, factors, bounds, progress)
+    run = RoundRun(start, used, limits, factors, bounds, progress, placed.control_point_ids)
     if checkpoint is not None or resume is not None:
         fingerprint = {
             "input": digest(given),
@@ -129,21 +136,23 @@ def solve_rounds(
             **limits.asdict(),
             "checkpoint_interval": interval,
             "only_images": None if part is None else part.named_ids,
-            "factors and bounds": digest_of_pickle((factors, bounds)),
+            "factors and bounds": digest_of_pickle(
+                (factors, bounds) if placed.targets is None else (factors, bounds, placed.targets)
+            ),
         }
         run.keep(checkpoint, resume, fingerprint, interval)
     state, result = run.to_the_end()
+    refined = placed.result(state.problem)
     return dataclasses.replace(
         result,
         problem=(
-            state.problem
-            if part is None
-            else part.merge(state.problem, state.observations, state.points)
+            refined if part is None else part.merge(state.problem, state.observations, state.points)
         ),
         initial_problem=given,
         options=result.options if part is None else restored(result.options, options),
         rounds=state.rounds,
-        similarity=similarity,
+        similarity=placed.similarity,
+        control_points=placed.control_points(refined) if part is None else (),
         part=None if part is None else part.record,
     )
 

@@ -67,9 +67,9 @@ def digest(problem: Problem) -> str:
     """Return what tells a problem from others: all its arrays and names, not where it came from."""
     digest = hashlib.sha256()
     for field in dataclasses.fields(problem):
-        if field.name == "source":
+        value = None if field.name == "source" else getattr(problem, field.name)
+        if value is None:
             continue
-        value = getattr(problem, field.name)
         if isinstance(value, np.ndarray):
             digest.update(f"{field.name} {value.dtype} {value.shape}".encode())
             digest.update(np.ascontiguousarray(value).data)

@@ -81,6 +81,7 @@ def filter_observations(
     min_track_length: int = 2,
     *,
     kept_point_ids: Iterable[int] = (),
+    kept_track_ids: Iterable[int] = (),
     num_threads: int = 0,
 ) -> Filtered:
     """Remove observations with large errors, and points with short tracks or small angles.
@@ -99,6 +100,7 @@ def filter_observations(
         min_track_length: smallest number of observations of a point.
         kept_point_ids: ids of points that stay whatever their track and angle are, such as surveyed
             ones; their observations are held to ``max_error``.
+        kept_track_ids: ids of points that stay with all of their observations.
         num_threads: 0: all cores.
 
     Raises:
@@ -114,9 +116,12 @@ def filter_observations(
     limits = RoundOptions(
         max_error=max_error, min_angle=min_angle, min_track_length=min_track_length
     )
-    always = _mask_of(problem, kept_point_ids)
+    tracks = _mask_of("kept_track_ids", problem, kept_track_ids)
+    always = tracks | _mask_of("kept_point_ids", problem, kept_point_ids)
     errors, behind = reprojection_errors(problem, num_threads=num_threads)
     good = (errors <= limits.max_error) & ~behind  # false for nan
+    if tracks.any():
+        good |= tracks[problem.observation_point]
     return _filtered(problem, good, limits, always)
 
 
@@ -149,6 +154,7 @@ def subset(problem: Problem, observations: _Mask, points: _Mask) -> Problem:
         return problem
     left = np.flatnonzero(observations)
     rows = np.cumsum(points, dtype=np.int32) - np.int32(1)
+    sigma = problem.observation_sigma
     return problem.replace(
         points=problem.points[points],
         point_ids=problem.point_ids[points],
@@ -156,12 +162,13 @@ def subset(problem: Problem, observations: _Mask, points: _Mask) -> Problem:
         observation_point=rows.take(problem.observation_point.take(left)),
         observation_xy=problem.observation_xy.take(left, axis=0),
         observation_keypoint=problem.observation_keypoint.take(left),
+        observation_sigma=None if sigma is None else sigma.take(left),
     )
 
 
-def _mask_of(problem: Problem, point_ids: Iterable[int]) -> _Mask:
-    ids = as_integers("kept_point_ids", point_ids)
+def _mask_of(name: str, problem: Problem, point_ids: Iterable[int]) -> _Mask:
+    ids = as_integers(name, point_ids)
     found = np.isin(ids, problem.point_ids)
     if not found.all():
-        raise InputError(f"kept_point_ids: there is no point {ids[~found].flat[0]} in the problem")
+        raise InputError(f"{name}: there is no point {ids[~found].flat[0]} in the problem")
     return np.isin(problem.point_ids, ids) if ids.size else np.zeros(problem.num_points, bool)

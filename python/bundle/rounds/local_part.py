@@ -143,7 +143,7 @@ class LocalPart:
         camera_row[self._cameras] = np.arange(len(self._cameras))
         point_row = np.zeros(whole.num_points, np.int32)
         point_row[self._points] = np.arange(len(self._points))
-        seen = self._observations
+        seen, sigma = self._observations, whole.observation_sigma
         return Problem(
             cam_from_world=whole.cam_from_world[self._images],
             image_ids=whole.image_ids[self._images],
@@ -158,6 +158,7 @@ class LocalPart:
             observation_image=image_row[whole.observation_image[seen]],
             observation_point=point_row[whole.observation_point[seen]],
             observation_xy=whole.observation_xy[seen],
+            observation_sigma=None if sigma is None else sigma[seen],
             format=whole.format,
             **self._extract_rigs(),
         )

@@ -46,8 +46,10 @@ class RoundRun:
         factors: tuple[Factor, ...],
         bounds: Bounds | None,
         progress: Progress | None,
+        control_point_ids: tuple[int, ...] = (),
     ) -> None:
         self._start, self._options, self._limits = start, options, limits
+        self._control_point_ids = control_point_ids
         self._factors, self._bounds, self._progress = factors, bounds, progress
         self._path: Path | None = None
         self._fingerprint: dict[str, Any] = {}
@@ -115,7 +117,9 @@ class RoundRun:
         )
 
     def _filter(self, state: State, result: Result) -> State:
-        filtered = _filter_adjusted(result.problem, self._limits, self._options, self._factors)
+        filtered = _filter_adjusted(
+            result.problem, self._limits, self._options, self._factors, self._control_point_ids
+        )
         done = _round_of(len(state.rounds) + 1, result, filtered)
         _check_left(filtered, done, self._limits)
         return State(
@@ -131,9 +135,16 @@ class RoundRun:
 
 
 def _filter_adjusted(
-    problem: Problem, limits: RoundOptions, options: SolveOptions, factors: Iterable[Factor]
+    problem: Problem,
+    limits: RoundOptions,
+    options: SolveOptions,
+    factors: Iterable[Factor],
+    control_point_ids: tuple[int, ...],
 ) -> Filtered:
-    """Filter what a round has adjusted; points that are known otherwise stay."""
+    """Filter what a round has adjusted.
+
+    Points that are known otherwise stay, and control points with all of their observations.
+    """
     known = touched_ids(factors)["point"]
     return filter_observations(
         problem,
@@ -141,6 +152,7 @@ def _filter_adjusted(
         limits.min_angle,
         limits.min_track_length,
         kept_point_ids=sorted({*known, *options.fixed_point_ids}),
+        kept_track_ids=control_point_ids,
         num_threads=options.num_threads,
     )
 

@@ -121,9 +121,10 @@ TEST(WorkingMemory, CountsPairsBuffersAndBothStates) {
   const ProblemView problem = scene.View();
   const PreparedSolve prepared = PrepareSolve(problem, SolveOptions());
   const double observations = 2000, pairs = 100 * 190;
-  const double one = PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, 1, 0);
+  const double one = PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, false, 1, 0);
   EXPECT_EQ(one, 30 * observations + 120 * 100 + 2 * pairs);
-  EXPECT_EQ(PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, 4, 1e6), one + 12e6);
+  EXPECT_EQ(PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, false, 4, 1e6),
+            one + 12e6);
 
   ProblemShape shape = ShapeOf(prepared.layout, 4000);
   const double ceres = PredictCeresWorkingBytes(shape);

@@ -37,6 +37,7 @@ struct EliminationInput {
   Cheirality cheirality = Cheirality::kZero;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
+  const double* inverse_sigma = nullptr;  ///< of each observation of the plan; nullptr: 1 each
   int64_t longest_track = 0;
   /// Of each point of the plan: its place in `prior_sums`, or -1. nullptr: no factor is of a point.
   const int32_t* point_prior = nullptr;

@@ -3,8 +3,9 @@
 /// The robust losses, lane by lane; kernels.cpp says how to include this.
 ///
 /// rho(s) and rho'(s) at s = ||r||^2, as Ceres defines them (loss_function.h) with `scale` in
-/// pixels. Every loss that a solve offers has rho'' <= 0, where Ceres leaves the second-order term
-/// out (factors/loss.h): what is left of Triggs' correction is the factor sqrt(rho') on r and J.
+/// pixels, or in sigmas where observations have them. Every loss that a solve offers has rho'' <=
+/// 0, where Ceres leaves the second-order term out (factors/loss.h): what is left of Triggs'
+/// correction is the factor sqrt(rho') on r and J.
 
 #include <type_traits>
 

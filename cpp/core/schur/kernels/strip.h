@@ -138,7 +138,8 @@ inline bool FindHeld(const StateRecords& x, int64_t observation, HeldResidual* h
   return true;
 }
 
-/// Residuals of observations in lanes and how they change, corrected for the loss.
+/// Residuals of observations in lanes, divided by their sigmas, and how they change, corrected for
+/// the loss.
 struct LaneResiduals {
   Pack r[2];
   Pack rho;
@@ -159,6 +160,7 @@ struct LaneResiduals {
     kProjectLanes[model](AllCameraModels()[model], state.params, state.camera_point, measurement,
                          input.cheirality, r, derive ? d_camera_point : nullptr,
                          derive ? d_params : nullptr, &counts, lanes.count);
+    if (input.inverse_sigma != nullptr) DivideBySigmas(input, lanes, derive);
     if (!All(counts) || x.num_held > 0) Hold(input, x, lanes, counts, derive);
     const LossLanes loss = EvaluateLoss(input.loss, input.loss_scale, r[0] * r[0] + r[1] * r[1]);
     rho = loss.rho;
@@ -166,6 +168,19 @@ struct LaneResiduals {
     for (Pack& value : r) value *= loss.weight;
     for (Pack& value : d_camera_point) value *= loss.weight;
     for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= loss.weight;
+  }
+
+  /// Out of line, so that problems without sigmas keep the code that they had.
+  __attribute__((noinline)) void DivideBySigmas(const EliminationInput& input, const Lanes& lanes,
+                                                bool derive) {
+    Pack weight;
+    for (int lane = 0; lane < kLanes; ++lane) {
+      weight.v[lane] = input.inverse_sigma[lanes.observation[lane]];
+    }
+    for (Pack& value : r) value *= weight;
+    if (!derive) return;
+    for (Pack& value : d_camera_point) value *= weight;
+    for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= weight;
   }
 
   /// Gives lanes that hold a residual (factors/reprojection.h) that residual and no derivatives.

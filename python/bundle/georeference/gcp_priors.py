@@ -1,0 +1,212 @@
+"""Priors of a solve from ground control points, and GPS beside them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle.display import Display, Displayed
+from bundle.errors import InputError
+from bundle.georeference.alignment_result import ControlPointError
+from bundle.georeference.control_point import (
+    GCP_PIXEL_SIGMA,
+    GCP_SIGMA,
+    GroundControlPoint,
+    parse_pixel_sigma,
+    parse_sigma,
+)
+from bundle.georeference.georeferenced import Georeference, Solved
+from bundle.georeference.given_positions import (
+    Frame,
+    given_control_points,
+    given_gps,
+    with_check_points,
+)
+from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.gps_priors import GPS_SIGMA, GpsPriors, check_settings, gps_priors
+from bundle.georeference.leave_one_out import leave_one_out
+from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
+from bundle.georeference.similarity_fit import fit_similarity
+from bundle.georeference.survey import Survey
+from bundle.problem import Problem
+from bundle.words import plural
+
+__all__ = ["GcpPriors", "gcp_priors"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GcpPriors(Displayed):
+    """Priors of a problem's control points, and of its images, in a local frame.
+
+    Attributes:
+        priors: for ``bundle.solve(problem, priors=...)``: positions of images, then all control and
+            check points.
+        origin: of the frame east, north, up [m] in which they are; None where the coordinates were
+            Cartesian.
+        reference_system: the coordinates came in it; None where they were Cartesian.
+        left_out: by name, how far the problem as it was given is from the survey of each point if
+            all others place it, (3,) east, north, up [m]; nan where they cannot.
+        suspects: names of the points for which that is too far.
+        notes: sentences on what was ignored, is inexact or looks wrong.
+        gps: the positions of images; None without.
+    """
+
+    priors: tuple[PositionPrior | GroundControlPoint, ...]
+    origin: LocalFrame | None
+    reference_system: str | None
+    left_out: dict[str, tuple[float, float, float]]
+    suspects: tuple[str, ...]
+    notes: tuple[str, ...]
+    gps: GpsPriors | None = None
+
+    @property
+    def control_points(self) -> tuple[GroundControlPoint, ...]:
+        """All control and check points."""
+        return tuple(prior for prior in self.priors if isinstance(prior, GroundControlPoint))
+
+    def georeference(self, result: Solved) -> Georeference:
+        """Return where a solve with these priors has put the model.
+
+        Raises:
+            InputError: the result is of another problem, or of a solve without alignment.
+        """
+        if result.similarity is None:
+            raise InputError("result: expected one of a solve that aligned the problem")
+        names = [point.name for point in self.control_points]
+        if [point.name for point in result.control_points] != names:
+            raise InputError("result: expected one of a solve with these control points")
+        images = () if self.gps is None else self.gps.georeference(result).images
+        return Georeference(
+            self.reference_system,
+            self.origin,
+            result.similarity,
+            images,
+            self.notes,
+            tuple(self._judged(point) for point in result.control_points),
+        )
+
+    def _judged(self, point: ControlPointError) -> ControlPointError:
+        return replace(
+            point,
+            leave_one_out=self.left_out[point.name],
+            suspect=point.name in self.suspects,
+        )
+
+    def _display(self) -> Display:
+        points = self.control_points
+        controls = sum(point.role == "control" for point in points)
+        facts = [("control points", f"{controls} of {len(points)}")]
+        if self.gps is not None:
+            facts.append(("positions", f"of {plural(len(self.gps.priors), 'image')}"))
+        facts += [("suspects", ", ".join(self.suspects) or "none")]
+        facts += [("note", note) for note in self.notes]
+        return Display(title="GcpPriors", facts=tuple(facts))
+
+
+def gcp_priors(
+    problem: Problem,
+    gcps: str | os.PathLike[str] | Iterable[GroundControlPoint],
+    *,
+    gps: str | os.PathLike[str] | GpsPositions | None = None,
+    images: str | os.PathLike[str] | None = None,
+    gcp_sigma: Any = GCP_SIGMA,
+    gcp_pixel_sigma: float = GCP_PIXEL_SIGMA,
+    check_points: Iterable[str] = (),
+    gps_sigma: Any = GPS_SIGMA,
+    antenna: ArrayLike = (0.0, 0.0, 0.0),
+    prior_loss: str = "trivial",
+    prior_loss_scale: float = ROBUST_SCALE,
+) -> GcpPriors:
+    """Make priors of ground control points, and of images' positions, in one local frame.
+
+    The frame is east, north, up in metres about the middle of the control points. Those that two
+    images of the problem see count; notes tell of the others.
+
+    Args:
+        problem: whose images see them.
+        gcps: control points, or the path of OpenDroneMap's gcp_list.txt.
+        gps: as in :func:`gps_priors`; None: control points alone.
+        images: folder of the images, for ``gps="exif"``.
+        gcp_sigma: metres, a number or (horizontal, vertical), of points without their own.
+        gcp_pixel_sigma: pixels, of measurements without their own.
+        check_points: names of points that must not influence the solve, besides those that are
+            marked so.
+        gps_sigma: metres, likewise, of positions without their own.
+        antenna: (3,) place of the receiver in the frame of the camera, metres.
+        prior_loss: a robust loss of each control point's and each position's residual.
+        prior_loss_scale: sigmas at which it bends.
+
+    Raises:
+        InputError: a file or an argument is wrong, or the points do not determine the place, the
+            size and the attitude of the problem: fewer than three, or on one line.
+        OSError: a path cannot be read.
+
+    Example:
+        >>> known = bundle.georeference.gcp_priors(problem, "gcp_list.txt", check_points=["gcp07"])
+        >>> result = bundle.solve(problem, priors=known.priors)
+        >>> known.georeference(result).rms_of("check")
+    """
+    sigma = parse_sigma("gcp_sigma", gcp_sigma)
+    pixel_sigma = parse_pixel_sigma("gcp_pixel_sigma", gcp_pixel_sigma)
+    settings: dict[str, Any] = {"loss": prior_loss, "loss_scale": prior_loss_scale}
+    check_settings(antenna, settings)
+    points = with_check_points(given_control_points(gcps), check_points)
+    positions = given_gps(gps, images, problem)
+    frame = Frame(points, positions)
+    survey = Survey(
+        problem,
+        points,
+        positions,
+        frame,
+        gcp_sigma=sigma,
+        pixel_sigma=pixel_sigma,
+        gps_sigma=parse_sigma("gps_sigma", gps_sigma),
+        antenna=np.asarray(antenna, dtype=np.float64),
+    )
+    fit_similarity(survey.measured.rows(survey.decisive), what=survey.what)  # are they enough?
+    others = leave_one_out(survey.measured, survey.decisive, survey.tested)
+    left_out = survey.of_targets(others.residual, np.nan)
+    suspect = survey.of_targets(others.suspect, False)
+    local = tuple(
+        replace(
+            point,
+            position=tuple(place.tolist()),
+            reference_system=None,
+            sigma=point.sigma or sigma,
+            measurements=tuple(
+                entry if entry.sigma is not None else entry._replace(sigma=pixel_sigma)
+                for entry in point.measurements
+            ),
+            **settings,
+        )
+        for point, place in zip(points, frame.control_points, strict=True)
+    )
+    known = None
+    if positions is not None:
+        known = gps_priors(
+            problem,
+            positions,
+            gps_sigma=gps_sigma,
+            antenna=antenna,
+            prior_loss=prior_loss,
+            prior_loss_scale=prior_loss_scale,
+            origin=frame.origin,
+            fewest=1,
+        )
+    return GcpPriors(
+        (*(() if known is None else known.priors), *local),
+        frame.origin,
+        frame.reference_system,
+        {point.name: tuple(row) for point, row in zip(points, left_out.tolist(), strict=True)},
+        tuple(point.name for point, is_one in zip(points, suspect, strict=True) if is_one),
+        tuple(dict.fromkeys((*frame.notes, *survey.notes()))),
+        known,
+    )

@@ -1,0 +1,157 @@
+"""Where a refined model is on the earth, and how well it fits what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from bundle.display import Display, Displayed
+from bundle.georeference.alignment_result import ControlPointError, metres, root_mean_square
+from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.similarity import Similarity
+from bundle.problem import Problem
+from bundle.words import plural
+
+__all__ = ["Georeference", "PositionError", "Solved", "origin_text"]
+
+LARGE = 3.0
+"""Sigmas that three of a hundred good positions exceed."""
+
+
+class Solved(Protocol):
+    """A result of :func:`bundle.solve`."""
+
+    @property
+    def problem(self) -> Problem:
+        """The refined problem."""
+
+    @property
+    def similarity(self) -> Similarity | None:
+        """The map that took the input to the start of the solve."""
+
+    @property
+    def control_points(self) -> tuple[ControlPointError, ...]:
+        """How far control and check points are from the survey."""
+
+
+@dataclass(frozen=True)
+class PositionError:
+    """An image of the model and its measured position.
+
+    Attributes:
+        name: of the image.
+        residual: (3,) position in the model minus measured one, east, north, up [m]; nan where the
+            measurement has none.
+        sigmas: length of the residual in standard deviations; nan for an image without a position.
+        used: whether it has a prior.
+    """
+
+    name: str
+    residual: tuple[float, float, float]
+    sigmas: float
+    used: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Georeference(Displayed):
+    """Where a refined model is on the earth, and how well the positions fit.
+
+    Attributes:
+        reference_system: the coordinates came in it; None where they were Cartesian.
+        origin: of the frame east, north, up [m] in which the refined model is; None where it is
+            that of Cartesian control points.
+        similarity: moved the input there before the solve refined it.
+        images: every image of the model, where positions of images were given.
+        notes: sentences on what was ignored or is inexact.
+        control_points: every control and check point.
+    """
+
+    reference_system: str | None
+    origin: LocalFrame | None
+    similarity: Similarity
+    images: tuple[PositionError, ...]
+    notes: tuple[str, ...]
+    control_points: tuple[ControlPointError, ...] = ()
+
+    @property
+    def rms(self) -> tuple[float, float, float]:
+        """Root mean square of the residuals that count, east, north, up [m].
+
+        Those of the control points, of positions of images that are used where there are none.
+        """
+        return self.rms_of("control" if self.control_points else "gps")
+
+    def rms_of(self, kind: str) -> tuple[float, float, float]:
+        """Return the root mean square of residuals east, north, up [m]; nan where there is none.
+
+        Args:
+            kind: "control", "check" or "gps".
+        """
+        if kind == "gps":
+            return root_mean_square(image.residual for image in self.images if image.used)
+        return root_mean_square(p.residual for p in self.control_points if p.role == kind)
+
+    @property
+    def suspect_points(self) -> tuple[str, ...]:
+        """Names of the control and check points that probably have a gross error."""
+        return tuple(point.name for point in self.control_points if point.suspect)
+
+    @property
+    def suspects(self) -> tuple[PositionError, ...]:
+        """Images whose residual exceeds three sigmas, the largest first."""
+        large = [image for image in self.images if image.used and image.sigmas > LARGE]
+        return tuple(sorted(large, key=lambda image: -image.sigmas))
+
+    def asdict(self) -> dict[str, Any]:
+        """Return what ``georeference.json`` holds.
+
+        ``similarity`` maps a point x of the input to scale * rotation @ x + translation, metres
+        east, north, up of ``origin``; ``pipeline`` is PROJ's operation from longitude, latitude and
+        height on WGS84 to these.
+        """
+        return {
+            "reference_system": self.reference_system,
+            "origin": self.origin.asdict() if self.origin else None,
+            "pipeline": self.origin.pipeline if self.origin else None,
+            "similarity": self.similarity.asdict(),
+            "gps": [
+                {
+                    "image": image.name,
+                    "residual_enu": list(image.residual),
+                    "sigmas": image.sigmas,
+                    "used": image.used,
+                }
+                for image in self.images
+            ],
+            "gcps": [point.asdict() for point in self.control_points],
+            "rms_enu": list(self.rms),
+            "rms_enu_check": list(self.rms_of("check")),
+            "notes": list(self.notes),
+        }
+
+    def _display(self) -> Display:
+        used = sum(image.used for image in self.images)
+        rms = ", ".join(f"{value:.4f}" for value in self.rms)
+        facts = []
+        if self.origin is not None:
+            facts.append(("origin", origin_text(self.origin)))
+        if self.images:
+            facts.append(("positions", f"of {used} of {plural(len(self.images), 'image')}"))
+        if self.control_points:
+            controls = sum(point.role == "control" for point in self.control_points)
+            facts.append(("control points", f"{controls} of {len(self.control_points)}"))
+            facts.append(("suspects", ", ".join(self.suspect_points) or "none"))
+        facts += [("rms", f"{rms} m east, north, up"), *(("note", note) for note in self.notes)]
+        rows = tuple(
+            (image.name, *map(metres, image.residual), f"{image.sigmas:.1f}")
+            for image in self.suspects[:5]
+        )
+        head = ("above 3 sigmas", "east [m]", "north", "up", "sigmas")
+        return Display(
+            title="Georeference", facts=tuple(facts), head=head if rows else (), rows=rows
+        )
+
+
+def origin_text(origin: LocalFrame) -> str:
+    """Return latitude, longitude and height as reports have them."""
+    return f"{origin.latitude:.7f}, {origin.longitude:.7f}, {origin.height:.3f} m"

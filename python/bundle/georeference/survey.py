@@ -1,0 +1,257 @@
+"""Control points and positions of images beside a model: what a similarity is fitted to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.georeference.alignment_result import ControlPointError, as_triple
+from bundle.georeference.control_point import GroundControlPoint, Sigma
+from bundle.georeference.correspondences import Correspondences
+from bundle.georeference.given_positions import Frame
+from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.triangulated_targets import Triangulated, triangulate
+from bundle.problem import Problem
+from bundle.rotations import rotation_matrices
+from bundle.words import plural
+
+__all__ = ["Survey", "control_point_error", "notes_on_targets", "surveyed"]
+
+Array = NDArray[np.float64]
+
+FEWEST = 3
+
+
+class Survey:
+    """What was measured in the field, and where the model has it.
+
+    Args:
+        problem: the model.
+        points: control and check points.
+        positions: of images, or None.
+        frame: of both.
+        gcp_sigma: of targets without their own, metres.
+        pixel_sigma: of measurements without their own, pixels.
+        gps_sigma: of positions without their own, metres.
+        antenna: (3,) in the frame of the camera, metres.
+
+    Attributes:
+        targets: the points, triangulated in the model.
+        used: (n,) which of them are somewhere in the model.
+        control: (n,) which of these are control points.
+        surveyed: the targets, used or not.
+        cameras: the positions of images of the model.
+        rows: which of the positions given these are.
+        measured: the used targets, then the cameras.
+        decisive: which of ``measured`` may have an influence: all but check points.
+
+    Raises:
+        InputError: these are fewer than three.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        points: tuple[GroundControlPoint, ...],
+        positions: GpsPositions | None,
+        frame: Frame,
+        *,
+        gcp_sigma: Sigma,
+        pixel_sigma: float,
+        gps_sigma: Sigma,
+        antenna: Array,
+    ) -> None:
+        index = ImageIndex(problem)
+        self.problem, self.positions = problem, positions
+        self.targets = triangulate(problem, points, index, pixel_sigma=pixel_sigma)
+        self.used = np.array([not target.reason for target in self.targets], dtype=bool)
+        roles = np.array([point.role == "control" for point in points], dtype=bool)
+        self.control: NDArray[np.bool_] = self.used & roles
+        self.surveyed = surveyed(self.targets, frame.control_points, gcp_sigma)
+        self.cameras, self.rows = _cameras(problem, index, positions, frame, gps_sigma, antenna)
+        _check_count(self.targets, self.control, positions, len(self.cameras))
+        self.measured = Correspondences.joined(self.surveyed.rows(self.used), self.cameras)
+        some = np.ones(len(self.cameras), dtype=bool)
+        self.decisive: NDArray[np.bool_] = np.concatenate([roles[self.used], some])
+
+    @property
+    def tested(self) -> NDArray[np.bool_]:
+        """Which of ``measured`` are targets."""
+        tested: NDArray[np.bool_] = np.arange(len(self.measured)) < self.used.sum()
+        return tested
+
+    @property
+    def what(self) -> str:
+        """What is measured, for messages."""
+        if self.control.any() and len(self.cameras):
+            return "control points and positions of images"
+        return "control points" if self.control.any() else "positions of images"
+
+    def of_targets(self, values: NDArray[Any], otherwise: Any) -> NDArray[Any]:
+        """Return a value for each target, given those of ``measured``."""
+        shape = (len(self.targets), *values.shape[1:])
+        found = np.full(shape, otherwise, dtype=values.dtype)
+        found[self.used] = values[: self.used.sum()]
+        return found
+
+    def notes(self) -> tuple[str, ...]:
+        """Return sentences on what is not used, or looks wrong."""
+        found = list(notes_on_targets(self.problem, self.targets))
+        positions, num_cameras = self.positions, len(self.cameras)
+        if positions is not None and num_cameras < len(positions):
+            found.append(
+                f"{plural(len(positions) - num_cameras, 'position')} of {len(positions)} are of "
+                "images that the model does not have."
+            )
+        return tuple(found)
+
+
+def surveyed(targets: tuple[Triangulated, ...], target: Array, sigma: Sigma) -> Correspondences:
+    """Return targets in the model and where they were surveyed.
+
+    Args:
+        targets: n of them, triangulated or not.
+        target: (n, 3) where they are; up is nan where unknown.
+        sigma: of those without their own.
+    """
+    sigmas = np.array([entry.point.sigma or sigma for entry in targets]).reshape(-1, 2)
+    return Correspondences(
+        np.array([entry.position for entry in targets]).reshape(-1, 3),
+        target,
+        sigmas[:, [0, 0, 1], None] ** 2 * np.eye(3),
+        np.array([entry.covariance for entry in targets]).reshape(-1, 3, 3),
+    )
+
+
+def control_point_error(
+    target: Triangulated,
+    residual: Array,
+    covariance: Array,
+    left_out: Array | None = None,
+    suspect: bool = False,
+) -> ControlPointError:
+    """Return what there is to say of a target.
+
+    Args:
+        target: in the model.
+        residual: (3,) model minus survey.
+        covariance: (3, 3) of the survey.
+        left_out: (3,) the residual of a model without the target, if that is known.
+        suspect: whether a gross error is likely.
+    """
+    squares = (target.residual**2).sum(axis=1)
+    unknown = np.full(3, np.nan)
+    height = target.point.position[2]
+    sigma = np.where([False, False, np.isnan(height)], np.nan, np.sqrt(np.diag(covariance)))
+    return ControlPointError(
+        name=target.point.name,
+        role="unused" if target.reason else target.point.role,
+        num_images=len(target.images),
+        residual=as_triple(residual),
+        leave_one_out=as_triple(unknown if left_out is None else left_out),
+        sigma=as_triple(sigma),
+        pixels=float(np.sqrt(squares.mean())) if len(squares) else float("nan"),
+        images=tuple(
+            (entry.image, float(x), float(y))
+            for entry, (x, y) in zip(target.measurements, target.residual, strict=True)
+        ),
+        suspect=suspect,
+        reason=target.reason,
+    )
+
+
+def notes_on_targets(problem: Problem, targets: tuple[Triangulated, ...]) -> tuple[str, ...]:
+    """Return sentences on targets that are not used, or measured in strange places."""
+    notes = [
+        f"{entry.point.name} is not used: {entry.reason}." for entry in targets if entry.reason
+    ]
+    measured = sum(len(entry.point.measurements) for entry in targets)
+    seen = sum(len(entry.images) for entry in targets)
+    if seen < measured:
+        notes.append(
+            f"{plural(measured - seen, 'measurement')} of {measured} are in images that the model "
+            "does not have."
+        )
+    return (*notes, *_outside(problem, targets))
+
+
+def _outside(problem: Problem, targets: tuple[Triangulated, ...]) -> list[str]:
+    """Return a sentence for each pixel that its image does not have."""
+    notes = []
+    for entry in targets:
+        for image, measurement in zip(entry.images.tolist(), entry.measurements, strict=True):
+            width, height = problem.camera_sizes[problem.image_camera[image]].tolist()
+            x, y = measurement.x, measurement.y
+            if width * height and not (0 <= x <= width and 0 <= y <= height):
+                notes.append(
+                    f"{entry.point.name} is measured outside of {measurement.image} "
+                    f"({width} x {height} px), at {x:g} {y:g}."
+                )
+    return notes
+
+
+def _cameras(
+    problem: Problem,
+    index: ImageIndex,
+    positions: GpsPositions | None,
+    frame: Frame,
+    sigma: Sigma,
+    antenna: Array,
+) -> tuple[Correspondences, list[int]]:
+    """Return the positions of images of the model, and which of those given they are."""
+    names = positions.names if positions is not None else ()
+    found = [
+        (row, image) for row, name in enumerate(names) if (image := index.find(name)) is not None
+    ]
+    rows = [row for row, _ in found]
+    images = np.array([image for _, image in found], dtype=np.int64)
+    sigmas = np.tile(np.array(sigma), (len(rows), 1))
+    if positions is not None and rows:
+        own = positions.accuracy[rows]
+        sigmas = np.where(own > 0, own, sigmas)
+    turns = rotation_matrices(problem.cam_from_world[images, :4].reshape(-1, 4))
+    return (
+        Correspondences(
+            problem.projection_centers[images].reshape(-1, 3),
+            frame.positions[rows].reshape(-1, 3),
+            sigmas[:, [0, 0, 1], None] ** 2 * np.eye(3),
+            offset=np.einsum("nji,j->ni", turns, antenna),
+        ),
+        rows,
+    )
+
+
+def _check_count(
+    targets: tuple[Triangulated, ...],
+    control: NDArray[np.bool_],
+    positions: GpsPositions | None,
+    num_cameras: int,
+) -> None:
+    if positions is not None:
+        if num_cameras == 0:
+            raise InputError(
+                f"gps: expected positions of images of the model, found none among "
+                f"{len(positions)} of {positions.source}"
+            )
+        if control.sum() + num_cameras >= FEWEST:
+            return
+        raise InputError(
+            f"expected at least {FEWEST} control points and positions of images, "
+            f"found {control.sum()} and {num_cameras}"
+        )
+    if control.sum() >= FEWEST:
+        return
+    reasons = [
+        f"{entry.point.name}: {entry.reason}"
+        for entry in targets
+        if entry.reason and entry.point.role == "control"
+    ]
+    more = f" ({len(reasons)} cannot be used; {reasons[0]})" if reasons else ""
+    raise InputError(
+        f"gcps: expected at least {FEWEST} control points that 2 images of the model see, "
+        f"found {control.sum()}{more}"
+    )

@@ -1,0 +1,192 @@
+"""Ground control points among the points of a solve.
+
+A control point is a point of the problem like any other, X, with two kinds of residual: those of
+its pixels, divided by their sigma, and its distance from the survey,
+
+    1/2 rho(r^T r),  r = L^-1 (X - X0),  Sigma = L L^T = diag(h^2, h^2, v^2),
+
+where an unknown height has a variance so large that its share is zero in double precision. It
+starts where the rays of its images meet. Check points are no part of the solve: afterwards they are
+triangulated with the cameras that it found, and so are the control points, whose adjusted positions
+would only tell how tightly the survey holds them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.georeference.alignment_result import ControlPointError
+from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, GroundControlPoint
+from bundle.georeference.correspondences import Correspondences
+from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.position_prior import UNKNOWN
+from bundle.georeference.similarity import Similarity
+from bundle.georeference.survey import control_point_error, surveyed
+from bundle.georeference.triangulated_targets import Triangulated, triangulate
+from bundle.graph import PriorFactor
+from bundle.problem import Problem
+
+__all__ = ["TargetPriors"]
+
+Array = NDArray[np.float64]
+
+LARGEST_ID = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class TargetPriors:
+    """Control points of a solve, in the frame of its priors.
+
+    Attributes:
+        points: all that were given, check points too.
+        used: those among them that are points of the solve, triangulated in the problem.
+        point_ids: the ids that these have in the solve.
+        had_sigmas: whether the observations of the problem had sigmas.
+    """
+
+    points: tuple[GroundControlPoint, ...]
+    used: tuple[Triangulated, ...]
+    point_ids: tuple[int, ...]
+    had_sigmas: bool
+
+    @staticmethod
+    def make(problem: Problem, points: Iterable[GroundControlPoint]) -> TargetPriors:
+        """Triangulate the control points in a problem.
+
+        Raises:
+            InputError: the images have no names, coordinates are not in the frame of a solve, names
+                repeat, or no control point is in two images.
+        """
+        given = tuple(points)
+        names: set[str] = set()
+        for point in given:
+            if point.reference_system is not None:
+                raise InputError(
+                    f"priors: control point {point.name}: expected coordinates in metres, such as "
+                    "those of bundle.georeference.gcp_priors, found some in "
+                    f"{point.reference_system}"
+                )
+            if point.name in names:
+                raise InputError(
+                    f"priors: expected each control point once, found {point.name} twice"
+                )
+            names.add(point.name)
+        control = [point for point in given if point.role == "control"]
+        index = ImageIndex(problem, "priors: ")
+        found = triangulate(problem, control, index, pixel_sigma=GCP_PIXEL_SIGMA)
+        used = tuple(target for target in found if not target.reason)
+        if control and not used:
+            raise InputError(
+                "priors: expected control points that 2 images of the problem see, found none "
+                f"({found[0].point.name}: {found[0].reason})"
+            )
+        had_sigmas = problem.observation_sigma is not None
+        return TargetPriors(given, used, _free_ids(problem, len(used)), had_sigmas)
+
+    def correspondences(self) -> Correspondences:
+        """Return where the used ones are in the problem that they were made for, and should be."""
+        target = np.array([entry.point.position for entry in self.used]).reshape(-1, 3)
+        return surveyed(self.used, target, GCP_SIGMA)
+
+    def factors(self) -> list[PriorFactor]:
+        """Return a factor for each of the used ones, in order."""
+        return [
+            PriorFactor(
+                ("point", point_id),
+                np.nan_to_num(np.array(entry.point.position)),
+                np.diag(1 / _sigmas(entry.point) ** 2),
+                loss=entry.point.loss,
+                loss_scale=entry.point.loss_scale,
+            )
+            for point_id, entry in zip(self.point_ids, self.used, strict=True)
+        ]
+
+    def added_to(self, problem: Problem, moved: Similarity | None) -> Problem:
+        """Return the problem with the used ones as its last points and observations.
+
+        Args:
+            problem: the one they were made for, or that one moved.
+            moved: by what.
+        """
+        if not self.used:
+            return problem
+        positions = np.array([entry.position for entry in self.used])
+        if moved is not None:
+            positions = moved.apply(positions)
+        counts = [len(entry.images) for entry in self.used]
+        pixels = [entry for target in self.used for entry in target.measurements]
+        sigma = problem.observation_sigma
+        if sigma is None:
+            sigma = np.ones(problem.num_observations)
+        return problem.replace(
+            points=np.concatenate([problem.points, positions]),
+            point_ids=np.concatenate([problem.point_ids, self.point_ids]),
+            observation_image=np.concatenate(
+                [problem.observation_image, *(entry.images for entry in self.used)]
+            ),
+            observation_point=np.concatenate(
+                [
+                    problem.observation_point,
+                    np.repeat(problem.num_points + np.arange(len(counts)), counts),
+                ]
+            ),
+            observation_xy=np.concatenate(
+                [problem.observation_xy, [(entry.x, entry.y) for entry in pixels]]
+            ),
+            observation_keypoint=np.concatenate(
+                [problem.observation_keypoint, np.full(len(pixels), -1)]
+            ),
+            observation_sigma=np.concatenate(
+                [sigma, [entry.sigma or GCP_PIXEL_SIGMA for entry in pixels]]
+            ),
+        )
+
+    def taken_from(self, problem: Problem) -> Problem:
+        """Return a problem that :meth:`added_to` made, solved or filtered, without them."""
+        if not self.used:
+            return problem
+        points = problem.num_points - len(self.used)
+        left = problem.num_observations - sum(len(entry.images) for entry in self.used)
+        sigma = problem.observation_sigma
+        return problem.replace(
+            points=problem.points[:points],
+            point_ids=problem.point_ids[:points],
+            observation_image=problem.observation_image[:left],
+            observation_point=problem.observation_point[:left],
+            observation_xy=problem.observation_xy[:left],
+            observation_keypoint=problem.observation_keypoint[:left],
+            observation_sigma=sigma[:left] if self.had_sigmas and sigma is not None else None,
+        )
+
+    def errors(self, problem: Problem) -> tuple[ControlPointError, ...]:
+        """Return how far all points are from the survey in a problem in the frame of the priors."""
+        targets = triangulate(
+            problem, self.points, ImageIndex(problem), pixel_sigma=GCP_PIXEL_SIGMA
+        )
+        survey = np.array([point.position for point in self.points]).reshape(-1, 3)
+        covariance = surveyed(targets, survey, GCP_SIGMA).target_covariance
+        return tuple(
+            control_point_error(target, target.position - place, matrix)
+            for target, place, matrix in zip(targets, survey, covariance, strict=True)
+        )
+
+
+def _free_ids(problem: Problem, count: int) -> tuple[int, ...]:
+    """Return ids that no point has: the next ones, or where there are none the first gaps."""
+    last = int(problem.point_ids.max(initial=0))
+    if last < LARGEST_ID - count:
+        return tuple(range(last + 1, last + 1 + count))
+    among = np.arange(problem.num_points + count)
+    return tuple(np.setdiff1d(among, problem.point_ids)[:count].tolist())
+
+
+def _sigmas(point: GroundControlPoint) -> Array:
+    horizontal, vertical = point.sigma or GCP_SIGMA
+    if np.isnan(point.position[2]):
+        vertical = UNKNOWN
+    return np.array([horizontal, horizontal, vertical])

@@ -1,0 +1,253 @@
+"""`bundle refine --gcp` from the outside."""
+
+import json
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.georeference import LocalFrame
+from tests.cli.test_align import written
+from tests.figures import table
+from tests.georeference.flights import flight
+
+TARGETS = [
+    (-22, -20, 0.5), (21, -22, -0.4), (-20, 23, 0.2), (22, 21, -0.6), (0, 2, 0.8), (-2, -15, -0.9)
+]  # fmt: skip
+
+
+@pytest.fixture
+def made(tmp_path):
+    """A COLMAP model in a frame of its own, and control points in UTM zone 32."""
+    scene = flight(TARGETS, num_images=9, num_points=60, start_noise=0.05)
+    bundle.save(scene.elsewhere(), f"{tmp_path}/model/")
+    written(tmp_path / "gcp_list.txt", scene.gcps)
+    return tmp_path, scene
+
+
+def refine(run, folder, *words):
+    return run(
+        "refine", folder / "model", "-o", f"{folder}/out/", "--json", folder / "r.json", *words
+    )
+
+
+def place_of(folder):
+    return json.loads((folder / "out" / "georeference.json").read_text())
+
+
+def test_a_model_is_adjusted_to_its_control_points(run, made, backend):
+    folder, scene = made
+    gcps = folder / "gcp_list.txt"
+    words = ("--gcp", gcps, "--gcp-sigma", "0.03/0.05", "--check-points", "t4,t5")
+    code, out, _ = refine(run, folder, *words, "--gcp-pixel-sigma", "0.7", "--backend", backend)
+    assert code == 0
+    place, report = place_of(folder), json.loads((folder / "r.json").read_text())
+    assert report["georeference"] == place
+    assert report["options"]["gauge"] == "NONE"
+    problem, refined = bundle.load(folder / "model"), bundle.load(folder / "out")
+    np.testing.assert_array_equal(refined.point_ids, problem.point_ids)
+    assert refined.num_observations == problem.num_observations
+    known = bundle.georeference.gcp_priors(
+        problem, gcps, gcp_sigma=(0.03, 0.05), gcp_pixel_sigma=0.7, check_points=["t4", "t5"]
+    )
+    expected = bundle.solve(problem, priors=known.priors, backend=backend)
+    np.testing.assert_allclose(refined.points, expected.problem.points, atol=1e-6)
+    assert place["similarity"]["scale"] == pytest.approx(expected.similarity.scale)
+    assert place["notes"] == list(known.notes)
+    roles = [point["role"] for point in place["gcps"]]
+    assert roles == ["control"] * 4 + ["check"] * 2
+    assert place["gps"] == []
+    assert place["origin"]["longitude"] == pytest.approx(9, abs=1e-3)
+    # The coordinates that the file speaks of are those of the model.
+    system = bundle.georeference.ReferenceSystem("EPSG:32632")
+    survey = [np.add(gcp.position, (500000, 5000000, 100)) for gcp in scene.gcps]
+    enu = LocalFrame(**place["origin"]).to_enu(system.to_geodetic(np.array(survey)))
+    placed = [gcp.position for gcp in known.control_points]
+    np.testing.assert_allclose(placed, enu, atol=1e-6)
+    for point, there in zip(place["gcps"], expected.control_points, strict=True):
+        np.testing.assert_allclose(point["residual_enu"], there.residual, atol=1e-6)
+        assert point["residual_px"] == pytest.approx(there.pixels, rel=1e-6)
+        assert point["sigma"] == [0.03, 0.03, 0.05]
+        assert len(point["images"]) == there.num_images
+        assert not point["suspect"]
+        assert np.abs(point["residual_enu"]).max() < 0.2
+    for kind, key in (("control", "rms_enu"), ("check", "rms_enu_check")):
+        rows = [p["residual_enu"] for p in place["gcps"] if p["role"] == kind]
+        np.testing.assert_allclose(place[key], np.sqrt(np.mean(np.square(rows), axis=0)))
+    rows = table(out)
+    for point in place["gcps"]:
+        assert rows[point["name"]][0] == point["role"]
+        assert rows[point["name"]][2:5] == [f"{value:+.3f}" for value in point["residual_enu"]]
+        assert rows[point["name"]][5] == "0.03/0.05"
+        assert rows[point["name"]][-1] == f"{point['residual_px']:.4f}"
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_beside_positions_of_images(run, made):
+    folder, scene = made
+    centers = np.add(scene.truth.projection_centers, (500000, 5000000, 100))
+    rows = [
+        f"{name} {x!r} {y!r} {z!r}"
+        for name, (x, y, z) in zip(scene.truth.image_names, centers.tolist(), strict=True)
+    ]
+    (folder / "geo.txt").write_text("\n".join(["EPSG:32632", *rows]))
+    words = ("--gps", folder / "geo.txt", "--gps-sigma", "1", "--check-points", "t0,t1,t2,t3,t4")
+    code, out, _ = refine(run, folder, "--gcp", folder / "gcp_list.txt", *words)
+    assert code == 0
+    place = place_of(folder)
+    assert len(place["gps"]) == 9 and all(entry["used"] for entry in place["gps"])
+    assert [point["role"] for point in place["gcps"]] == ["check"] * 5 + ["control"]
+    assert np.abs([entry["residual_enu"] for entry in place["gps"]]).max() < 1
+    assert np.abs(place["gcps"][0]["residual_enu"]).max() < 1
+    shown = table(out)
+    assert shown["positions"][0].startswith("of 9 of 9 images")
+    assert {"rms control", "rms check", "rms"} <= set(shown)
+
+
+@pytest.mark.parametrize("loss", ["trivial", "tukey"])
+def test_a_gross_error_is_named(run, made, loss):
+    folder, scene = made
+    x, y, z = scene.gcps[2].position
+    object.__setattr__(scene.gcps[2], "position", (x + 3.5, y, z))
+    wrong = written(folder / "wrong.txt", scene.gcps)
+    code, out, _ = refine(run, folder, "--gcp", wrong, "--prior-loss", loss)
+    assert code == 0
+    place = place_of(folder)
+    assert [point["name"] for point in place["gcps"] if point["suspect"]] == ["t2"]
+    assert place["gcps"][2]["residual_leave_one_out_enu"][0] == pytest.approx(-3.5, abs=0.4)
+    assert table(out)["t2"][0] == "suspect"
+    assert any(line.startswith("- t2 is probably wrong") for line in out.splitlines())
+    if loss == "tukey":
+        assert place["gcps"][2]["residual_enu"][0] == pytest.approx(-3.5, abs=0.2)
+        others = [point["residual_enu"] for point in place["gcps"] if point["name"] != "t2"]
+        assert np.abs(others).max() < 0.2
+
+
+def test_a_real_list(run, bundle_data, tmp_path):
+    folder = bundle_data / "georeferenced" / "copr_gcp"
+    words = ("-o", f"{tmp_path}/out/", "--gcp", folder / "gcp_list.txt", "--gcp-sigma", "0.5")
+    code, _, _ = run("refine", folder / "model", *words, "--prior-loss", "tukey", "--quiet")
+    assert code == 0
+    place = place_of(tmp_path)
+    gcps = {point["name"]: point for point in place["gcps"]}
+    assert [name for name, point in gcps.items() if point["suspect"]] == ["gcp06"]
+    assert gcps["gcp06"]["residual_enu"][0] < -2.5
+    assert {name for name, point in gcps.items() if point["role"] == "unused"} == {"gcp00", "gcp01"}
+    assert place["reference_system"].startswith("+proj=utm")
+
+
+def test_what_is_odd_is_noted(run, made):
+    folder, _ = made
+    text = (folder / "gcp_list.txt").read_text()
+    lines = text.splitlines()
+    words = lines[1].split()
+    words[3] = "2105.5"  # beyond the 2000 pixels of the image
+    lines[1] = "\t".join(words)
+    lines.append(f"500100\t5000100\t100\t5\t5\t{words[5]}\tlonely")
+    lines.append(f"{words[0]}\t{words[1]}\t{words[2]}\t5\t5\tnowhere.jpg\tt0")
+    lines = [line.replace(line.split()[2], "nan") if "t3" in line else line for line in lines]
+    (folder / "odd.txt").write_bytes(b"\xef\xbb\xbf" + "\r\n".join(lines).encode())
+    code, out, _ = refine(run, folder, "--gcp", folder / "odd.txt")
+    assert code == 0
+    place = place_of(folder)
+    notes = "\n".join(place["notes"])
+    assert f"t0 is measured outside of {words[5]} (2000 x 1500 px), at 2106 " in notes
+    assert "lonely is not used: measured in 1 " in notes
+    assert "1 measurement of" in notes
+    gcps = {point["name"]: point for point in place["gcps"]}
+    assert gcps["lonely"]["role"] == "unused"
+    assert gcps["t3"]["residual_enu"][2] is None and gcps["t3"]["sigma"][2] is None
+    assert "0.02/-" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--gcp-sigma", "1"], ["--gcp-sigma", "--gcp only"]),
+        (["--gcp-pixel-sigma", "1"], ["--gcp-pixel-sigma", "--gcp only"]),
+        (["--check-points", "t1"], ["--check-points", "--gcp only"]),
+        (["--gcp", "GCPS", "--gcp-sigma", "a"], ["--gcp-sigma", "metres"]),
+        (["--gcp", "GCPS", "--gcp-pixel-sigma", "0"], ["--gcp-pixel-sigma"]),
+        (["--gcp", "GCPS", "--gps-sigma", "2"], ["--gps-sigma", "--gps only"]),
+        (["--gcp", "GCPS", "--images", "."], ["--images", "--gps only"]),
+        (["--gcp", "GCPS", "--check-points", "t99"], ["--check-points", "t99"]),
+        (["--gcp", "GCPS", "--check-points", "t0,t1,t2,t3"], ["--gcp", "at least 3", "found 2"]),
+        (["--gcp", "GCPS", "--prior-loss-scale", "2"], ["--prior-loss-scale", "trivial"]),
+        (["--gcp", "GCPS", "--refine", "points"], ["--gcp", "poses"]),
+        (["--gcp", "GCPS", "--only-images", "1"], ["--gcp", "--only-images"]),
+        (["--gcp", "nowhere.txt"], ["nowhere.txt"]),
+    ],
+)
+def test_wrong_flags_are_one_line_and_nothing_is_written(run, made, words, expected):
+    folder, _ = made
+    named = [str(folder / "gcp_list.txt") if word == "GCPS" else word for word in words]
+    code, out, err = refine(run, folder, *named)
+    assert (code, out) == (2, "")
+    line = err.splitlines()[-1]
+    assert line.startswith("error: ") and all(word in line for word in expected), line
+    assert {path.name for path in folder.iterdir()} == {"model", "gcp_list.txt"}
+
+
+def on_a_line(lines):
+    """Every target on one northing and one height."""
+    rows = [line.split() for line in lines]
+    return ["\t".join([x, "5000000", "100", *rest]) for x, _, _, *rest in rows]
+
+
+def two_targets(lines):
+    return [line for line in lines if line.endswith(("t0", "t1"))]
+
+
+def one_image_each(lines):
+    return list({line.split()[-1]: line for line in lines}.values())
+
+
+def of_other_images(lines):
+    return [line.replace(".jpg", ".tif") for line in lines]
+
+
+@pytest.mark.parametrize(
+    ("change", "header", "expected"),
+    [
+        (on_a_line, "EPSG:32632", ["control points", "line"]),
+        (two_targets, "EPSG:32632", ["--gcp", "at least 3", "found 2"]),
+        (one_image_each, "EPSG:32632", ["--gcp", "at least 3", "found 0", "measured in 1"]),
+        (of_other_images, "EPSG:32632", ["--gcp", "at least 3", "found 0"]),
+        (list, "EPSG:99999999", ["line 1", "EPSG:99999999"]),
+    ],
+)
+def test_wrong_lists_are_one_line_and_nothing_is_written(run, made, change, header, expected):
+    folder, _ = made
+    lines = (folder / "gcp_list.txt").read_text().splitlines()[1:]
+    (folder / "gcp_list.txt").write_text("\n".join([header, *change(lines)]))
+    code, out, err = refine(run, folder, "--gcp", folder / "gcp_list.txt")
+    assert (code, out) == (2, "")
+    line = err.splitlines()[-1]
+    assert line.startswith("error: ") and all(word in line for word in expected), line
+    assert {path.name for path in folder.iterdir()} == {"model", "gcp_list.txt"}
+
+
+def test_a_gauge_beside_control_points_is_held_and_warned_of(run, made):
+    folder, _ = made
+    code, _, _ = refine(run, folder, "--gcp", folder / "gcp_list.txt", "--gauge", "two-cameras")
+    assert code == 0
+    summary = json.loads((folder / "r.json").read_text())["summary"]
+    assert "gauge_beside_factors" in summary["warning_kinds"]
+
+
+def test_a_resumed_run_ends_as_the_uninterrupted_one(run, made):
+    folder, _ = made
+    words = ("--gcp", folder / "gcp_list.txt", "--deterministic", "--threads", "1", "--rounds", "2")
+    checkpoint = folder / "run.npz"
+    every = ("--checkpoint-interval", "2")
+    code, _, _ = refine(run, folder, *words, "--checkpoint", checkpoint, *every)
+    assert code == 0
+    expected, place = bundle.load(folder / "out"), place_of(folder)
+    # A run that has ended is resumed at its end, another one from its last checkpoint.
+    code, _, _ = refine(run, folder, *words, "--resume", checkpoint, *every)
+    assert code == 0
+    np.testing.assert_array_equal(bundle.load(folder / "out").points, expected.points)
+    assert place_of(folder) == place
+    words = (*words[:2], "--gcp-sigma", "0.5", *words[2:])
+    code, _, err = refine(run, folder, *words, "--resume", checkpoint, *every)
+    assert code == 2 and "run.npz" in err
