@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks import flops, scaling, table, targets, whole
+from benchmarks import flops, practitioners, scaling, table, targets, whole
 from benchmarks.results import Results
 from benchmarks.solvers import REFERENCE
 
@@ -30,6 +30,10 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
         ("Threads: time per step, 1 thread over all", scaling.threads_table(results)),
         ("Share of the limit of arithmetic", _share(results)),
         ("Time to 1e-8 of the best known cost, tight stopping rule", _tight(results)),
+        (
+            "Practitioners' inputs: priors, rigs, filters",
+            practitioners.as_table(results.practitioners),
+        ),
         ("Whole processes: start, load, solve, save", _whole_table(results)),
     ):
         if text:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from benchmarks import rows
@@ -21,6 +21,7 @@ class Results:
         kinds: "bal", "colmap" or "synthetic" for each problem, in the order of the tables.
         runs: every single run.
         whole: problem -> process -> runs.
+        practitioners: title -> whose -> runs, of ``benchmarks.practitioners``.
     """
 
     machine: dict[str, str]
@@ -29,6 +30,7 @@ class Results:
     kinds: dict[str, str]
     runs: list[Run]
     whole: dict[str, dict[str, list[dict[str, Any]]]]
+    practitioners: dict[str, dict[str, list[dict[str, Any]]]] = field(default_factory=dict)
 
     def of(self, problem: str, rule: str = "default", threads: int = 0) -> list[Run]:
         """Return the runs of a problem under a rule; threads 0 are the ones of the settings."""

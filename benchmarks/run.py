@@ -19,6 +19,7 @@ from benchmarks import (
     details,
     machine,
     measure,
+    practitioners,
     problems,
     report,
     scaling,
@@ -144,6 +145,9 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
     real = [] if options.quick else [problem for problem in chosen if not problem.is_synthetic]
     with tempfile.TemporaryDirectory() as folder:
         processes = run_whole(real, options, Path(folder))
+    further = {}
+    if not (options.quick or options.synthetic or options.only):
+        further = practitioners.measured(options.repeat, options.threads, options.timeout)
     return Results(
         machine=described,
         command=shlex.join(["python", "benchmarks/run.py", *sys.argv[1:]]),
@@ -159,6 +163,7 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
         },
         runs=runs,
         whole=processes,
+        practitioners=further,
     )
 
 

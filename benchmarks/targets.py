@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks import agreement, scaling, table, whole
+from benchmarks import agreement, practitioners, scaling, table, whole
 from benchmarks.measure import Spread
 from benchmarks.results import Results
 from benchmarks.rows import Row
@@ -52,6 +52,7 @@ def of(results: Results) -> list[Target]:
         *_main_problem(results),
         *_other_real(results),
         *_whole_models(results),
+        *_practitioners(results),
         *_large_synthetic(results),
         *_growth(results),
         *_choice(results),
@@ -139,6 +140,20 @@ def _whole_models(results: Results) -> list[Target]:
         )
         for what, of in (("wall time", _wall), ("CPU time", whole.cpu))
     ]
+
+
+def _practitioners(results: Results) -> list[Target]:
+    lines = []
+    for title, runs in results.practitioners.items():
+        step = practitioners.spread(runs[practitioners.OURS], "step")
+        if practitioners.THEIRS in runs:
+            peer = practitioners.spread(runs[practitioners.THEIRS], "step")
+            what = f"{title}, time per step: pycolmap / bundle"
+            lines.append(Target(what, quotient(peer, step), 8.0))
+        else:
+            filtering = practitioners.spread(runs[practitioners.OURS], "filter")
+            lines.append(Target(title, quotient(filtering, step), 2.0, is_least=False))
+    return lines
 
 
 def _wall(runs: Sequence[Mapping[str, Any]]) -> Spread | None:

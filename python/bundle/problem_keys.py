@@ -1,4 +1,7 @@
-"""Keys of a problem's variables: ``("image", id)``, ``("camera", id)`` and ``("point", id)``."""
+"""Keys of a problem's variables: ``("image", id)``, ``("camera", id)`` and the like.
+
+A sensor of a rig has two ids, ``("sensor", (rig_id, camera_id))``.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ class ProblemKeys:
         self._problem = problem
         self._kinds = kinds
         self._what = what
-        self._indices: dict[str, dict[int, int]] = {}
+        self._indices: dict[str, dict[Any, int]] = {}
 
     def find(self, argument: str, key: Any) -> tuple[str, int]:
         """Return the kind and the index in the problem's arrays.
@@ -38,22 +41,41 @@ class ProblemKeys:
             not isinstance(key, tuple)
             or len(key) != 2
             or key[0] not in self._kinds
-            or isinstance(key[1], bool)
-            or not isinstance(key[1], int | np.integer)
+            or not _is_id(key[0], key[1])
         ):
-            *others, last = (f"({kind!r}, id)" for kind in self._kinds)
+            *others, last = (f"({kind!r}, {_ID.get(kind, 'id')})" for kind in self._kinds)
             expected = f"{', '.join(others)} or {last}" if others else last
             raise InputError(
                 f"{argument}: expected {expected} for a {self._what}, found {brief(key)}"
             )
         kind, number = key
         if kind not in self._indices:
-            ids = getattr(self._problem, f"{kind}_ids").tolist()
-            self._indices[kind] = {known: index for index, known in enumerate(ids)}
-        index = self._indices[kind].get(int(number))
+            self._indices[kind] = {known: index for index, known in enumerate(self._ids(kind))}
+        index = self._indices[kind].get(number)
         if index is None:
             raise InputError(f"{argument}: there is no {kind} {number} in the problem")
         return kind, index
+
+    def _ids(self, kind: str) -> list[Any]:
+        problem = self._problem
+        if kind != "sensor":
+            ids: list[Any] = getattr(problem, f"{kind}_ids").tolist()
+            return ids
+        rigs, cameras = problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist()
+        return list(zip(rigs, cameras, strict=True))
+
+
+_ID = {"sensor": "(rig id, camera id)"}
+
+
+def _is_id(kind: str, found: Any) -> bool:
+    if kind in _ID:
+        return isinstance(found, tuple) and len(found) == 2 and all(map(_is_whole, found))
+    return _is_whole(found)
+
+
+def _is_whole(found: Any) -> bool:
+    return isinstance(found, int | np.integer) and not isinstance(found, bool)
 
 
 def parameter_names(argument: str, problem: Problem, camera: int) -> tuple[str, ...]:

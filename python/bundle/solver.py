@@ -64,8 +64,10 @@ def solve(
     variables of the problem: ``("image", image_id)`` is cam_from_world on se3 (qx qy qz qw tx ty
     tz; its tangent coordinates are rotation, then translation, in the frame of cam_from_world, as
     :class:`bundle.FactorGraph` has them), ``("camera", camera_id)`` the camera's parameters in
-    COLMAP's order and ``("point", point_id)`` the coordinates, both Euclidean. For instance
-    measured positions of the images' centres, to 2 cm::
+    COLMAP's order and ``("point", point_id)`` the coordinates, both Euclidean. Of rigs,
+    ``("frame", frame_id)`` is rig_from_world and ``("sensor", (rig_id, camera_id))``
+    sensor_from_rig, on se3 as images are. For instance measured positions of the images' centres,
+    to 2 cm::
 
         factors = [bundle.PositionFactor(("image", i), xyz, 1 / 0.02**2) for i, xyz in gps.items()]
         bundle.solve(problem, factors=factors)
@@ -74,8 +76,8 @@ def solve(
     :class:`bundle.RelativePoseFactor`. What a factor touches is refined even if no observation sees
     it. What is held stays, and the cost of its factors counts.
 
-    Both backends take factors of images and cameras, and of one point; those that couple a point
-    with something else that is refined, and functions in Python, are for Ceres. With factors of
+    Both backends take factors of images, rigs and cameras, and of one point; those that couple a
+    point with something else that is refined, and functions in Python, are for Ceres. With factors of
     images or points gauge "auto" holds nothing: they say where the world is, as far as they do, and
     the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what they
     always do, and warn (``gauge_beside_factors``). The world of the factors is that of the problem,

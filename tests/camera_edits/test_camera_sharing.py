@@ -7,6 +7,7 @@ import pytest
 import bundle
 from bundle import InputError
 from tests.io.colmap_models import fields, synthesize
+from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem, scene
 
 
@@ -146,6 +147,17 @@ def test_spheres_of_one_size_are_shared():
     params = problem.camera_params[[0, 0]]
     shared = bundle.share_cameras(problem.replace(camera_params=params))
     np.testing.assert_array_equal(shared.camera_params, params[:1])
+
+
+def test_sensors_of_rigs_keep_their_cameras():
+    problem = rig_problem()
+    with pytest.raises(InputError, match=r"image \d+: .*frame"):
+        bundle.split_cameras(problem)
+    with pytest.raises(InputError, match=r"image \d+: .*frame"):
+        bundle.share_cameras(problem)
+    changed = bundle.change_camera_model(problem, "FULL_OPENCV")
+    assert set(changed.problem.camera_models) == {"FULL_OPENCV"}
+    np.testing.assert_array_equal(changed.problem.sensor_from_rig, problem.sensor_from_rig)
 
 
 def test_misuse():

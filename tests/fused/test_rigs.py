@@ -157,9 +157,14 @@ def factors_of(problem):
     keys = [("image", int(problem.image_ids[image])) for image in (0, 1)]  # of one frame
     yield bundle.RelativePoseFactor(*keys, measured, 1e5 * np.eye(6))
 
+    frame = ("frame", int(problem.frame_ids[2]))
+    yield bundle.PriorFactor(frame, problem.rig_from_world[2] + 0.01, 1e4 * np.eye(6))
+    sensor = ("sensor", (1, 2))
+    yield bundle.PriorFactor(sensor, problem.sensor_from_rig[0] + 0.02, 1e4 * np.eye(6))
+
 
 @pytest.mark.parametrize("refined", [False, True])
-def test_factors_of_images_move_frames_and_sensors(refined):
+def test_factors_move_frames_and_sensors(refined):
     problem = rig_problem()
     expected, found = (
         bundle.solve(

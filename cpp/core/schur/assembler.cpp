@@ -29,6 +29,8 @@ Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
     AddBlock(camera_block, layout, group, /*is_shared=*/true, &images_[i]);
     has_shared_blocks_ |= sensor_block >= 0 || camera_block >= 0;
   }
+  image_is_mapped_.resize(problem.num_images);
+  for (const SensorMapOf& map : maps_) image_is_mapped_[map.image] = 1;
   // They stay where they are from now on.
   for (const SensorMapOf& map : maps_) {
     ImageBlocks& image = images_[map.image];

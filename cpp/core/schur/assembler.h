@@ -50,8 +50,9 @@ class Assembler {
 
   /// Sets the maps of sensors at a state, before its chunks are added.
   void SetMaps(const CameraStates& cameras);
-  /// True if there are any; chunks then need their camera_diagonal.
+  /// True if there are any; chunks then need the camera_diagonal of the images that have them.
   bool has_maps() const { return !maps_.empty(); }
+  const uint8_t* image_is_mapped() const { return image_is_mapped_.data(); }
 
   /// The pairs of a chunk that concern one of its images, ascending.
   struct PairsOfImage {
@@ -124,6 +125,7 @@ class Assembler {
     double values[kPoseSize * kPoseSize];
   };
   std::vector<SensorMapOf> maps_;
+  std::vector<uint8_t> image_is_mapped_;
 };
 
 /// Sums up chunks that several threads work on, in the order of the chunks, so that no bit of the

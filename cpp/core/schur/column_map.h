@@ -51,12 +51,27 @@ struct ImageBlock {
 inline constexpr int kMaxMapped =
     (kPoseSize + kMaxCameraParams + 3) / 4 * 4 * (kPoseSize + kMaxCameraParams);
 
-/// to += factor * from
-inline void AddMultiple(double factor, const double* from, int size, double* to) {
+/// to = sum of factor[index[k] * stride] times row k of a matrix with `size` columns, which kSize
+/// is where it is not 0.
+template <int kSize>
+inline void CombineRows(const double* factor, const int8_t* index, int stride, int count,
+                        const double* rows, int size, double* to) {
+  constexpr int kMax = kSize > 0 ? kSize : kPoseSize + kMaxCameraParams;
+  const int columns = kSize > 0 ? kSize : size;
+  double sum[kMax] = {};
+  for (int k = 0; k < count; ++k) {
+    const double f = factor[index[k] * stride];
+    for (int j = 0; j < columns; ++j) sum[j] += f * rows[k * columns + j];
+  }
+  for (int j = 0; j < columns; ++j) to[j] = sum[j];
+}
+
+inline void CombineRows(const double* factor, const int8_t* index, int stride, int count,
+                        const double* rows, int size, double* to) {
   if (size == kPoseSize) {
-    for (int k = 0; k < kPoseSize; ++k) to[k] += factor * from[k];
+    CombineRows<kPoseSize>(factor, index, stride, count, rows, size, to);
   } else {
-    for (int k = 0; k < size; ++k) to[k] += factor * from[k];
+    CombineRows<0>(factor, index, stride, count, rows, size, to);
   }
 }
 
@@ -73,17 +88,14 @@ inline void MapBlock(const ImageBlock& a, const ImageBlock& b, const double* blo
       for (int j = 0; j < b.size; ++j) to[j] = row[b.local[j]];
       continue;
     }
-    for (int j = 0; j < b.size; ++j) to[j] = 0;
-    for (int k = 0; k < b.num_local; ++k) {
-      AddMultiple(row[b.local[k]], b.map + k * b.size, b.size, to);
-    }
+    CombineRows(row, b.local, 1, b.num_local, b.map, b.size, to);
   }
   if (a.map == nullptr) return;
-  for (int k = 0; k < a.size * b.size; ++k) out[k] = 0;
-  for (int i = 0; i < a.num_local; ++i) {
-    for (int u = 0; u < a.size; ++u) {
-      AddMultiple(a.map[i * a.size + u], right + i * b.size, b.size, out + u * b.size);
-    }
+  constexpr int8_t kInTurn[] = {0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10,
+                                11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21};
+  static_assert(sizeof kInTurn == kPoseSize + kMaxCameraParams);
+  for (int u = 0; u < a.size; ++u) {
+    CombineRows(a.map + u, kInTurn, a.size, a.num_local, right, b.size, out + u * b.size);
   }
 }
 

@@ -221,6 +221,7 @@ void SchurProblem::Accept() {
 EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
   input.point_prior = factors_.point_prior();
   input.prior_sums = factors_.prior_sums();
+  if (!solver_->NeedsCameraDiagonal()) input.image_is_mapped = assembler_.image_is_mapped();
   return input;
 }
 

@@ -32,14 +32,15 @@ def share_cameras(problem: Source, camera_ids: Iterable[int] | None = None) -> P
         camera_ids: at least two; None: all.
 
     Raises:
-        InputError: there is no such camera, they differ in model or image size, or there are fewer
-            than two.
+        InputError: there is no such camera, they differ in model or image size, there are fewer
+            than two, or one is a sensor of a rig of several.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
     cameras = _chosen(problem, camera_ids)
     first = int(cameras[0])
     _check_alike(problem, cameras)
+    _check_rigs(problem, np.flatnonzero(np.isin(problem.image_camera, cameras)))
     params = problem.camera_params.copy()
     params[first] = _mean(problem, cameras)
     stays = np.ones(problem.num_cameras, bool)
@@ -63,6 +64,7 @@ def split_cameras(problem: Source) -> Problem:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
 
     Raises:
+        InputError: a rig of several sensors took an image: its sensors are cameras.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
@@ -70,6 +72,7 @@ def split_cameras(problem: Source) -> Problem:
     copies = np.setdiff1d(np.arange(problem.num_images), owners)
     if not len(copies):
         return problem
+    _check_rigs(problem, copies)
     image_camera = problem.image_camera.copy()
     image_camera[copies] = problem.num_cameras + np.arange(len(copies))
     rows = np.concatenate([np.arange(problem.num_cameras), problem.image_camera[copies]])
@@ -103,6 +106,19 @@ def _chosen(problem: Problem, camera_ids: Iterable[int] | None) -> NDArray[np.in
         raise InputError(f"camera_ids: expected at least two cameras to share, found {len(ids)}")
     order = np.argsort(problem.camera_ids)
     return order[np.isin(problem.camera_ids[order], ids)]
+
+
+def _check_rigs(problem: Problem, images: NDArray[np.int64]) -> None:
+    """Refuse images whose camera a rig says."""
+    if not len(problem.image_frame):
+        return
+    framed = images[problem.image_frame[images] >= 0]
+    if len(framed):
+        raise InputError(
+            f"image {problem.image_ids[framed[0]]}: expected an image of no rig of several "
+            f"sensors to get another camera, found one of frame "
+            f"{problem.frame_ids[problem.image_frame[framed[0]]]}"
+        )
 
 
 def _check_alike(problem: Problem, cameras: NDArray[np.int64]) -> None:

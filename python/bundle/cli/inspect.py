@@ -32,6 +32,8 @@ OPTIONS = (
     "fixed_camera_ids",
     "fixed_image_ids",
     "fixed_point_ids",
+    "refine_sensor_from_rig",
+    "fixed_sensors",
     "gauge",
 )
 

@@ -40,6 +40,8 @@ _OF_OTHERS = (
     "fixed_camera_ids",
     "fixed_image_ids",
     "fixed_point_ids",
+    "refine_sensor_from_rig",
+    "fixed_sensors",
     "gauge",
     "cheirality",
 )

@@ -1,12 +1,16 @@
-"""Factors beside the observations of a reconstruction: their keys name its images, cameras, points.
+"""Factors beside the observations of a reconstruction: their keys name what it consists of.
 
-========================  =========  ===========================================
-key                       manifold   value
-========================  =========  ===========================================
-``("image", image_id)``   se3        cam_from_world: qx qy qz qw tx ty tz
-``("camera", camera_id)`` euclidean  the camera's parameters, in COLMAP's order
-``("point", point_id)``   euclidean  x y z
-========================  =========  ===========================================
+=====================================  =========  ===========================================
+key                                    manifold   value
+=====================================  =========  ===========================================
+``("image", image_id)``                se3        cam_from_world: qx qy qz qw tx ty tz
+``("frame", frame_id)``                se3        rig_from_world, the same numbers
+``("sensor", (rig_id, camera_id))``    se3        sensor_from_rig, the same numbers
+``("camera", camera_id)``              euclidean  the camera's parameters, in COLMAP's order
+``("point", point_id)``                euclidean  x y z
+=====================================  =========  ===========================================
+
+A factor of an image of a rig moves its frame, and its sensor where that is refined.
 """
 
 from __future__ import annotations
@@ -23,6 +27,9 @@ from bundle.problem_keys import ProblemKeys, parameter_names
 
 __all__ = ["ProblemFactors"]
 
+KINDS = ("image", "camera", "point", "frame", "sensor")
+_POSES = {"image": "cam_from_world", "frame": "rig_from_world", "sensor": "sensor_from_rig"}
+
 
 class ProblemFactors:
     """Factors whose variables are those of a problem, checked.
@@ -34,7 +41,7 @@ class ProblemFactors:
 
     def __init__(self, problem: Problem, factors: Iterable[Factor]) -> None:
         self._problem = problem
-        self._keys = ProblemKeys(problem, ("image", "camera", "point"), "variable")
+        self._keys = ProblemKeys(problem, KINDS, "variable")
         self._graph = FactorGraph()
         self._places: list[tuple[str, int]] = []
         for position, factor in enumerate(as_list("factors", "factors", factors)):
@@ -86,8 +93,9 @@ class ProblemFactors:
 
     def _value(self, name: str, kind: str, index: int) -> tuple[Array, str]:
         problem = self._problem
-        if kind == "image":
-            return problem.cam_from_world[index], "se3"
+        if kind in _POSES:
+            pose: Array = getattr(problem, _POSES[kind])[index]
+            return pose, "se3"
         if kind == "point":
             return problem.points[index], "euclidean"
         parameters = parameter_names(name, problem, index)

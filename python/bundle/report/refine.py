@@ -187,7 +187,9 @@ def outcome(solved: Result) -> str:
 
 
 def _refined(options: SolveOptions) -> str:
-    refined = ", ".join(name.replace("_", " ") for name in options.refine) or "nothing"
+    names = [name.replace("_", " ") for name in options.refine]
+    names += ["sensors on rigs"] * options.refine_sensor_from_rig
+    refined = ", ".join(names) or "nothing"
     words = [refined, f"gauge {options.gauge.replace('_', '-')}"]
     if options.loss != "trivial":
         words.append(f"{options.loss.replace('_', '-')} loss at {options.loss_scale:g} px")
@@ -195,6 +197,7 @@ def _refined(options: SolveOptions) -> str:
         (options.fixed_camera_ids, "camera"),
         (options.fixed_image_ids, "image"),
         (options.fixed_point_ids, "point"),
+        (options.fixed_sensors, "sensor"),
     )
     words += [f"{plural(len(ids), noun)} fixed" for ids, noun in fixed if ids]
     return "; ".join(words)

@@ -186,6 +186,8 @@ def restored(used: SolveOptions, given: SolveOptions) -> SolveOptions:
         fixed_image_ids=given.fixed_image_ids,
         fixed_camera_ids=given.fixed_camera_ids,
         fixed_point_ids=given.fixed_point_ids,
+        refine_sensor_from_rig=given.refine_sensor_from_rig,
+        fixed_sensors=given.fixed_sensors,
     )
 
 

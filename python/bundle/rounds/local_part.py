@@ -92,6 +92,9 @@ class LocalPart:
             fixed_point_ids=_held(
                 "fixed_point_ids", options, whole.point_ids, part.point_ids, self._seen
             ),
+            # To move a sensor on its rig is to move images of every frame.
+            refine_sensor_from_rig=False,
+            fixed_sensors=(),
         )
 
     def bounds(self, bounds: Mapping[Any, Any] | None) -> Mapping[Any, Any] | None:

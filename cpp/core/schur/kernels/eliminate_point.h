@@ -153,6 +153,12 @@ class Elimination {
     const double middle[4] = {Dot3(y_0, y_0) - 1, cross, cross, Dot3(y_1, y_1) - 1};
     Subtract(rows, middle, rows, num_rows, true, Block(image_[i]));
     if (sum_.camera_diagonal == nullptr) return;
+    if (input_.image_is_mapped != nullptr) {
+      const EliminationPlan& plan = *input_.plan;
+      const int image = plan.image.data()[image_ - plan.image_in_chunk.data() + i];
+      if (input_.image_is_mapped[image] == 0) return;
+      num_rows = kPoseSize;
+    }
     constexpr double kMinusIdentity[4] = {-1, 0, 0, -1};
     Subtract(rows, kMinusIdentity, rows, num_rows, true,
              sum_.camera_diagonal + image_[i] * block_size_);

@@ -45,6 +45,10 @@ struct EliminationInput {
   /// by its entry of J^T r. They are those of the last linearisation.
   const double* prior_sums = nullptr;
 
+  /// Of each image 1, if the pose's rows of its ChunkSum::camera_diagonal are wanted; nullptr: all
+  /// rows of all images are.
+  const uint8_t* image_is_mapped = nullptr;
+
   const double* PriorOf(int point) const {
     const int place = point_prior == nullptr ? -1 : point_prior[point];
     return place < 0 ? nullptr : prior_sums + 12 * static_cast<int64_t>(place);
