@@ -284,21 +284,43 @@ class _Count:
         return np.asarray(both, np.float64)
 
     def _motion(self, kind: str, index: int, size: int) -> _Matrix:
-        """Return (size, width) by which the pieces move a variable, in its tangent coordinates."""
-        motion = np.zeros((size, self._width))
+        """Return (size, width) by which the columns move a variable, in its tangent coordinates."""
+        problem = self._problem
         if kind == "image" and self._piece[index] >= 0:
-            # X Exp(d): rotation and translation in the frame of the pose.
-            columns = slice(7 * self._piece[index], 7 * self._piece[index] + 7)
-            back = self._rotations[index].T
-            motion[:3, columns][:, 3:6] = -np.eye(3)
-            motion[3:, columns][:, :3] = -np.eye(3) * self._size
-            motion[3:, columns][:, 6] = back @ self._translations[index] * self._size
+            rows = self._image_rows(index)
+            rows[:, 7 * self._num_pieces :] = 0  # the pieces alone say where images go
+            return self._in_frame_of(problem.cam_from_world[index], rows, self._middle)
+        if kind == "frame":
+            images = np.flatnonzero(self._observed & (problem.image_frame == index)).tolist()
+            if images and self._image_is_free[images[0]]:
+                wanted = np.vstack([self._image_rows(image) for image in images])
+                reached = np.vstack([self._frame_map(image, True) for image in images])
+                rows = np.asarray(np.linalg.lstsq(reached, wanted, rcond=None)[0], np.float64)
+                return self._in_frame_of(problem.rig_from_world[index], rows, self._middle)
+        if kind == "sensor" and self._sensor_is_free[index]:
+            column = self._sensor_column[index]
+            rows = np.zeros((6, self._width))
+            rows[:, column : column + 6] = np.eye(6)
+            return self._in_frame_of(problem.sensor_from_rig[index], rows, np.zeros(3))
+        motion = np.zeros((size, self._width))
         if kind == "point" and self._point_is_free[index] and self._piece_of_point[index] >= 0:
             piece = self._piece_of_point[index]
             motion[:, 7 * piece : 7 * piece + 7] = (
                 self._point_motion(self._points[index]) * self._size
             )
         return motion
+
+    def _in_frame_of(self, pose: _Matrix, rows: _Matrix, middle: _Matrix) -> _Matrix:
+        """Return local coordinates about the middle as those of X Exp(d), in the problem's unit.
+
+        With t_m = t + R m the translation about the middle, tau = tau_m - phi x R m; and
+        d = (R^T phi, R^T tau).
+        """
+        rotation = rotation_matrices(pose[None, :4])[0]
+        turn, shift = rows[:3], self._size * rows[3:]
+        shift = shift + _cross(rotation @ middle) @ turn
+        moved = np.vstack([rotation.T @ turn, rotation.T @ shift])
+        return np.asarray(moved, np.float64)
 
     def _point_motion(self, point: _Matrix) -> _Matrix:
         return np.hstack([np.eye(3), -_cross(point), point[:, None]])

@@ -20,6 +20,7 @@ from bundle.placement import Start, place_at_priors
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.result import Result
+from bundle.sensor_changes import weak_baseline
 from bundle.solve_record import Progress, record_fields
 from bundle.words import contents, plural
 
@@ -77,11 +78,11 @@ def solve(
     it. What is held stays, and the cost of its factors counts.
 
     Both backends take factors of images, rigs and cameras, and of one point; those that couple a
-    point with something else that is refined, and functions in Python, are for Ceres. With factors of
-    images or points gauge "auto" holds nothing: they say where the world is, as far as they do, and
-    the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what they
-    always do, and warn (``gauge_beside_factors``). The world of the factors is that of the problem,
-    also where a far scene is solved about its centre.
+    point with something else that is refined, and functions in Python, are for Ceres. With factors
+    of images or points gauge "auto" holds nothing: they say where the world is, as far as they do,
+    and the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what
+    they always do, and warn (``gauge_beside_factors``). The world of the factors is that of the
+    problem, also where a far scene is solved about its centre.
 
     Priors of positions are factors, too. As a reconstruction stands in a frame of its own, the
     problem is first moved by the similarity that they determine, robustly (``similarity`` of the
@@ -296,7 +297,7 @@ def _result(
     limits: CameraBounds | None = None,
 ) -> Result:
     refined = problem._moved(**{name: output[name] for name in STATE if name in output})
-    return Result(
+    result = Result(
         problem=refined,
         initial_problem=problem,
         options=options,
@@ -304,6 +305,18 @@ def _result(
         factor_costs_after=output["factor_costs_after"],
         active_bounds=() if limits is None else limits.active(refined),
         **record_fields(output),
+    )
+    sentence = weak_baseline(result)
+    if sentence is None:
+        return result
+    summary = result.summary
+    return dataclasses.replace(
+        result,
+        summary=dataclasses.replace(
+            summary,
+            warnings=(*summary.warnings, sentence),
+            warning_kinds=(*summary.warning_kinds, "weak_baseline"),
+        ),
     )
 
 

@@ -72,7 +72,7 @@ class ProblemFactors:
         """
         values = self._graph.values
         variables = [
-            (kind, index, 6 if kind == "image" else len(values[key]))
+            (kind, index, 6 if kind in _POSES else len(values[key]))
             for (kind, index), key in zip(self._places, self._graph.keys, strict=True)
         ]
         return variables, self._graph.information()[0]
