@@ -82,6 +82,7 @@ def refinement(
         "",
         *_positions(georeference),
         *_cameras(camera_changes(solved)),
+        *_constraints(solved),
         *sensor_table(sensor_changes(solved)),
         *worst_table(solved.worst_images, "worst images, after"),
         facts([("outcome", outcome(solved))]),
@@ -100,6 +101,14 @@ def _positions(georeference: Georeference | None) -> list[RenderableType]:
     from bundle.report.gps import gps_report
 
     return gps_report(georeference)
+
+
+def _constraints(solved: Result) -> list[RenderableType]:
+    if not solved.constraints:
+        return []
+    from bundle.report.constraint_tables import constraint_report
+
+    return constraint_report(solved.constraints)
 
 
 def _part(solved: Result) -> list[tuple[str, str]]:

@@ -97,6 +97,16 @@ class LocalPart:
             fixed_sensors=(),
         )
 
+    @property
+    def refined_ids(self) -> dict[str, set[int]]:
+        """Ids of the cameras, images and points that are refined."""
+        part = self.problem
+        return {
+            "camera": set(part.camera_ids[self._refined_cameras].tolist()),
+            "image": set(part.image_ids[self._named].tolist()),
+            "point": set(part.point_ids[self._seen].tolist()),
+        }
+
     def bounds(self, bounds: Mapping[Any, Any] | None) -> Mapping[Any, Any] | None:
         """Return the bounds without those of cameras that are not in the part."""
         if bounds is None:
