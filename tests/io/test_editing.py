@@ -241,6 +241,9 @@ EDITS: dict[str, dict[str, Edit]] = {
         "new": lambda p: {"observation_keypoint": np.full(p.num_observations, -1)},
         "one new": changed("observation_keypoint", 3, -1),
     },
+    "observation_sigma": {
+        "two pixels": lambda p: {"observation_sigma": np.full(p.num_observations, 2.0)},
+    },
     "format": {
         "bal": lambda _: {"format": "bal"},
         "colmap": lambda _: {"format": "colmap"},
