@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from bundle.comparison import Comparison, compare
     from bundle.constraints import Constraints
     from bundle.errors import InputError
+    from bundle.free_degrees import GaugeFreedom, gauge_freedom
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
         BetweenFactor,
@@ -64,6 +65,7 @@ __all__ = [
     "FactorGraph",
     "Filtered",
     "FunctionFactor",
+    "GaugeFreedom",
     "GradientReport",
     "GraphInspection",
     "GraphResult",
@@ -97,6 +99,7 @@ __all__ = [
     "constraints",
     "describe",
     "filter_observations",
+    "gauge_freedom",
     "georeference",
     "get_include",
     "html",
@@ -143,6 +146,7 @@ _DEFERRED = {
         "ReprojectionFactor",
         "ScalarPriorFactor",
     ),
+    "free_degrees": ("GaugeFreedom", "gauge_freedom"),
     "headers": ("get_include",),
     "inspection": (
         "GraphInspection",

@@ -20,6 +20,7 @@ from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.restrictions import Restrictions
 from bundle.result import Result
+from bundle.sensor_changes import weak_baseline
 from bundle.solve_record import Progress, record_fields
 from bundle.words import contents, plural
 
@@ -334,7 +335,7 @@ def _result(
     limits: Restrictions | None = None,
 ) -> Result:
     refined = problem._moved(**{name: output[name] for name in STATE if name in output})
-    return Result(
+    result = Result(
         problem=refined,
         initial_problem=problem,
         options=options,
@@ -343,6 +344,18 @@ def _result(
         active_bounds=() if limits is None else limits.active(refined),
         constraints=() if limits is None else limits.ends(problem, refined),
         **record_fields(output),
+    )
+    sentence = weak_baseline(result)
+    if sentence is None:
+        return result
+    summary = result.summary
+    return dataclasses.replace(
+        result,
+        summary=dataclasses.replace(
+            summary,
+            warnings=(*summary.warnings, sentence),
+            warning_kinds=(*summary.warning_kinds, "weak_baseline"),
+        ),
     )
 
 
