@@ -52,7 +52,11 @@ class Assembler {
   void SetMaps(const CameraStates& cameras);
   /// True if there are any; chunks then need the camera_diagonal of the images that have them.
   bool has_maps() const { return !sensor_maps_.empty() || !maps_.empty(); }
-  const uint8_t* image_is_mapped() const { return image_is_mapped_.data(); }
+  /// Where only poses have maps: whether an image has one. nullptr: others have, too, which need
+  /// all of the camera_diagonal.
+  const uint8_t* image_is_mapped() const {
+    return maps_.empty() ? image_is_mapped_.data() : nullptr;
+  }
 
   /// The pairs of a chunk that concern one of its images, ascending.
   struct PairsOfImage {
