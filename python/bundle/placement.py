@@ -138,7 +138,7 @@ def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | 
         )
     joined = Correspondences.joined(targets.correspondences(), known.correspondences(problem))
     what = "control points and positions of images"
-    losses = {prior.loss for prior in (*(entry.point for entry in targets.used), *known.priors)}
+    losses = {entry.point.loss for entry in targets.used} | {prior.loss for prior in known.priors}
     if losses == {"trivial"}:
         # Beside thousands of pixels a few priors move the model slowly: a solve that begins where
         # their squares are least need not move it.
