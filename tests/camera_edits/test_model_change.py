@@ -192,3 +192,28 @@ def test_misuse():
         bundle.change_camera_model(problem, "OPENC")
     with pytest.raises(InputError, match="camera_ids: there is no camera 77"):
         bundle.change_camera_model(problem, "OPENCV", camera_ids=[0, 77])
+
+
+def test_a_pixel_far_outside_the_image_does_not_spoil_the_fit():
+    problem = make_problem(model="OPENCV_FISHEYE", shared=True, noise=0)
+    xy = problem.observation_xy.copy()
+    xy[0] = 1e3, 2e3
+    spoilt = problem.replace(observation_xy=xy)
+    clean, outlier = (
+        bundle.change_camera_model(given, "RADIAL_FISHEYE").problem.camera_params[0]
+        for given in (problem, spoilt)
+    )
+    np.testing.assert_allclose(outlier, clean, rtol=1e-3, atol=1e-3)
+
+
+def test_an_image_whose_origin_is_its_middle():
+    """As after BAL, with a size: most pixels are not between 0 and it."""
+    problem = make_problem(model="RADIAL", shared=True, noise=0)
+    moved = problem.replace(
+        camera_params=problem.camera_params - [0, 400, 300, 0, 0],
+        observation_xy=problem.observation_xy - [400, 300],
+    )
+    here, there = (
+        bundle.change_camera_model(given, "SIMPLE_RADIAL").changes[0] for given in (problem, moved)
+    )
+    assert there.max < 2 * here.max
