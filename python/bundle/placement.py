@@ -81,6 +81,7 @@ def place_at_priors(
             raise InputError("align: expected priors to align the problem to, found none")
         return Start(problem, factors)
     from bundle.georeference.prior_alignment import ProblemPriors
+    from bundle.georeference.similar_problem import moved
     from bundle.georeference.target_priors import TargetPriors
     from bundle.graph.variables import as_list
 
@@ -95,7 +96,7 @@ def place_at_priors(
         except InputError as error:
             if align:
                 raise InputError(f"priors: {error}") from None
-    start = problem if similarity is None else known.moved(problem, similarity)
+    start = problem if similarity is None else moved(problem, similarity)
     of_priors: list[Factor] = [*known.factors()]
     if targets is not None:
         start = targets.added_to(start, similarity)

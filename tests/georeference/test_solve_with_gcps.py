@@ -13,6 +13,7 @@ from bundle.reprojection import linearize
 from tests.georeference.flights import flight
 
 CORNERS = [(-22, -20, 0.5), (21, -22, -0.4), (-20, 23, 0.2), (22, 21, -0.6)]
+LINE = [(-20, 0, 0), (0, 0, 0), (20, 0, 0)]
 SPREAD = [*CORNERS, (0, 2, 0.8), (-2, -15, -0.9)]
 TIGHT = {"function_tolerance": 1e-15, "gradient_tolerance": 1e-14, "parameter_tolerance": 1e-14}
 
@@ -160,7 +161,7 @@ def test_pixels_of_a_large_sigma_say_nothing():
 
 def test_what_control_points_leave_open_is_counted_and_not_held(backend):
     made = small()
-    line = flight([(-20, 0, 0), (0, 0, 0), (20, 0, 0)], num_images=9, num_points=60)
+    line = flight(LINE, num_images=9, num_points=60, survey_noise=0.0)
     sets = {
         1: (made, made.gcps[:1], 4),
         2: (made, made.gcps[:2], 1),
@@ -281,6 +282,23 @@ def test_a_robust_loss_keeps_a_gross_error_out():
     assert max(residuals.values()) < 0.15
 
 
+def test_a_gross_error_below_the_bowl_is_a_suspect_after_the_solve():
+    made = bowl(sigma=0.02)
+    x, y, z = made.gcps[4].position
+    wrong = [
+        dataclasses.replace(gcp, position=(x, y, z + 0.4)) if gcp.name == "t4" else gcp
+        for gcp in made.gcps
+    ]
+    bent = bundle.solve(made.elsewhere(), refine="poses,points").problem
+    for gcps, expected in ((wrong, ("t4",)), (made.gcps, ())):
+        known = bundle.georeference.gcp_priors(bent, gcps, prior_loss="tukey")
+        assert known.suspects == ()
+        found = known.georeference(bundle.solve(bent, priors=known.priors))
+        assert found.suspect_points == expected
+        if expected:
+            assert found.control_points[4].leave_one_out[2] == pytest.approx(-0.4, abs=0.1)
+
+
 def test_no_filter_removes_a_measurement():
     made = small()
     first, *others = made.gcps
@@ -385,7 +403,7 @@ def test_too_few_are_refused_or_leave_the_problem_in_place():
     with pytest.raises(bundle.InputError, match=r"^priors: expected at least 3 .*found 2$"):
         bundle.solve(made.problem, priors=made.gcps[:2], align=True)
     assert bundle.solve(made.problem, priors=made.gcps[:2]).similarity is None
-    line = flight([(-20, 0, 0), (0, 0, 0), (20, 0, 0)], num_images=9, num_points=60)
+    line = flight(LINE, num_images=9, num_points=60, survey_noise=0.0)
     with pytest.raises(bundle.InputError, match=r"^priors: .*lie on one line"):
         bundle.solve(line.problem, priors=line.gcps, align=True)
     single = [dataclasses.replace(gcp, measurements=gcp.measurements[:1]) for gcp in made.gcps]

@@ -213,9 +213,9 @@ def test_a_wrong_position_moves_nothing(brighton, loss):
 def test_rounds_align_before_the_first(backend, monkeypatch):
     problem, goal = problem_and_goal(noise=0.5)
     calls = []
-    aligned = ProblemPriors.aligned
+    align = ProblemPriors.align
     monkeypatch.setattr(
-        ProblemPriors, "aligned", lambda self, given: calls.append(given) or aligned(self, given)
+        ProblemPriors, "align", lambda self, given: calls.append(given) or align(self, given)
     )
     made = priors(noisy(goal, 0.1), 0.1)
     result = bundle.solve_rounds(

@@ -1,4 +1,10 @@
-"""Priors of a solve from ground control points, and GPS beside them."""
+"""Priors of a solve from ground control points, and GPS beside them.
+
+Gross errors are looked for twice, each time by what the others say of a point through a similarity
+(``leave_one_out``): in the model as it was given, which no control point has bent yet; and, where
+that finds none, in the adjusted one, where the bends that the model had itself are gone. A gross
+error bends the adjusted model, so that its neighbours would look bad there, too.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
-from bundle.georeference.alignment_result import ControlPointError
+from bundle.georeference.alignment_result import ControlPointError, as_triple
 from bundle.georeference.control_point import (
     GCP_PIXEL_SIGMA,
     GCP_SIGMA,
@@ -29,17 +35,23 @@ from bundle.georeference.given_positions import (
 )
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.gps_priors import GPS_SIGMA, GpsPriors, check_settings, gps_priors
+from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
 from bundle.georeference.similarity_fit import fit_similarity
-from bundle.georeference.survey import Survey
+from bundle.georeference.survey import Survey, surveyed
+from bundle.georeference.triangulated_targets import triangulate
 from bundle.problem import Problem
 from bundle.words import plural
 
 __all__ = ["GcpPriors", "gcp_priors"]
 
 Array = NDArray[np.float64]
+
+LEVEL_AFTER = 1e-3
+"""Of the test of the adjusted model: that cameras err together, which bends a model between and
+beyond its control points, is not in the covariances."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,15 +102,45 @@ class GcpPriors(Displayed):
             result.similarity,
             images,
             self.notes,
-            tuple(self._judged(point) for point in result.control_points),
+            tuple(
+                self._judged(point, left_out)
+                for point, left_out in zip(
+                    result.control_points, self._found_after(result.problem), strict=True
+                )
+            ),
         )
 
-    def _judged(self, point: ControlPointError) -> ControlPointError:
-        return replace(
-            point,
-            leave_one_out=self.left_out[point.name],
-            suspect=point.name in self.suspects,
-        )
+    def _judged(self, point: ControlPointError, after: Array | None) -> ControlPointError:
+        """Return a point with what the others say of it.
+
+        Args:
+            point: after the solve.
+            after: where the others place it in the adjusted model, if that makes it a suspect.
+        """
+        if after is not None:
+            return replace(point, leave_one_out=as_triple(after), suspect=True)
+        suspect = point.name in self.suspects
+        return replace(point, leave_one_out=self.left_out[point.name], suspect=suspect)
+
+    def _found_after(self, problem: Problem) -> list[Array | None]:
+        """Return for each suspect of the adjusted model where the others place it; else None."""
+        points = self.control_points
+        if self.suspects:
+            return [None] * len(points)
+        targets = triangulate(problem, points, ImageIndex(problem), pixel_sigma=GCP_PIXEL_SIGMA)
+        used = np.array([not target.reason for target in targets], dtype=bool)
+        control = np.array([point.role == "control" for point in points], dtype=bool)[used]
+        place = np.array([point.position for point in points]).reshape(-1, 3)
+        measured = surveyed(targets, place, GCP_SIGMA).rows(used)
+        all_of_them = np.ones(len(measured), dtype=bool)
+        found = leave_one_out(measured, control, all_of_them, LEVEL_AFTER)
+        rows: list[Array | None] = [None] * len(points)
+        for row, residual, suspect in zip(
+            np.flatnonzero(used), found.residual, found.suspect, strict=True
+        ):
+            if suspect:
+                rows[row] = residual
+        return rows
 
     def _display(self) -> Display:
         points = self.control_points

@@ -63,7 +63,10 @@ class LeaveOneOut:
 
 
 def leave_one_out(
-    points: Correspondences, control: NDArray[np.bool_], tested: NDArray[np.bool_]
+    points: Correspondences,
+    control: NDArray[np.bool_],
+    tested: NDArray[np.bool_],
+    level: float = LEVEL,
 ) -> LeaveOneOut:
     """Predict each tested point from the control points without it.
 
@@ -71,6 +74,7 @@ def leave_one_out(
         points: all of them.
         control: (n,) which of them determine the similarity.
         tested: (n,) which of them are predicted.
+        level: chance of a suspect where there is no gross error.
     """
     count = len(points)
     residual, sigma = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
@@ -88,7 +92,7 @@ def leave_one_out(
             statistics += len(tests.chances)
         first = False
         worst = int(np.argmin(chances))
-        if statistics == 0 or chances[worst] * statistics >= LEVEL:
+        if statistics == 0 or chances[worst] * statistics >= level:
             return LeaveOneOut(residual, sigma, suspect)
         suspect[worst] = True
 

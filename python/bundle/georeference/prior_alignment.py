@@ -132,11 +132,6 @@ class ProblemPriors:
         source = problem.projection_centers[self.rows]
         return Correspondences(source, target, covariance, offset=self._levers(problem))
 
-    @staticmethod
-    def moved(problem: Problem, similarity: Similarity) -> Problem:
-        """Return the problem where the similarity puts it."""
-        return moved(problem, similarity)
-
     def aligned(self, problem: Problem) -> tuple[Problem, Similarity]:
         """Return the problem in its place, and the similarity; see :meth:`align`."""
         similarity = self.align(problem)
