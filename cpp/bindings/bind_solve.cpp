@@ -99,9 +99,9 @@ py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
 }
 
 py::dict Solve(const py::object& problem, const py::dict& options, const py::object& progress,
-               const py::object& camera_bounds, const py::object& given_factors) {
+               const py::object& restrictions, const py::object& given_factors) {
   bundle::ProblemView view = ViewProblem(problem);
-  PutCameraBounds(camera_bounds, &view);
+  PutRestrictions(restrictions, &view);
   GivenFactors factors(given_factors);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   PythonProgress report(progress);
@@ -113,18 +113,18 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   return ToPython(view, std::move(output));
 }
 
-/// A solver, the problem it was made for and its bounds, whose arrays nothing in Python can change,
-/// and its factors, which it all keeps alive.
+/// A solver, the problem it was made for and its restrictions, whose arrays nothing in Python can
+/// change, and its factors, which it all keeps alive.
 class PythonSolver {
  public:
-  PythonSolver(py::object problem, const py::dict& options, py::object camera_bounds,
+  PythonSolver(py::object problem, const py::dict& options, py::object restrictions,
                const py::object& given_factors)
       : problem_(std::move(problem)),
-        camera_bounds_(std::move(camera_bounds)),
+        restrictions_(std::move(restrictions)),
         factors_(given_factors),
         options_(OptionsFromPython(options)) {
     bundle::ProblemView view = ViewProblem(problem_);
-    PutCameraBounds(camera_bounds_, &view);
+    PutRestrictions(restrictions_, &view);
     PythonProgress watch{py::none()};
     solver_ = RunWatched(&watch, [&] {
       view.factors = factors_.Check();
@@ -156,7 +156,7 @@ class PythonSolver {
 
  private:
   const py::object problem_;
-  const py::object camera_bounds_;
+  const py::object restrictions_;
   GivenFactors factors_;
   const bundle::SolveOptions options_;
   std::unique_ptr<bundle::Solver> solver_;
@@ -171,10 +171,10 @@ void BindSolve(py::module_& m) {
   m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });
   m.def("watch_convergence", &WatchConvergence, py::arg("iterations"));
   m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"),
-        py::arg("camera_bounds") = py::none(), py::arg("factors") = py::none());
+        py::arg("restrictions") = py::none(), py::arg("factors") = py::none());
   py::class_<PythonSolver>(m, "Solver")
       .def(py::init<py::object, const py::dict&, py::object, const py::object&>(),
-           py::arg("problem"), py::arg("options"), py::arg("camera_bounds") = py::none(),
+           py::arg("problem"), py::arg("options"), py::arg("restrictions") = py::none(),
            py::arg("factors") = py::none())
       .def("check_structure", &PythonSolver::CheckStructure, py::arg("problem"))
       .def("solve", &PythonSolver::Solve, py::arg("problem"), py::arg("options"),

@@ -46,6 +46,11 @@ class FactorReader {
     if (kind_ == "prior") {
       return std::make_unique<bundle::PriorFactor>(head_, retractions_.at(0), At(0), At(1));
     }
+    if (kind_ == "scalar_prior") {
+      return std::make_unique<bundle::ScalarPriorFactor>(
+          head_, retractions_.at(0), py::cast<int>(arguments_[0]), py::cast<double>(arguments_[1]),
+          py::cast<double>(arguments_[2]), py::cast<bool>(arguments_[3]));
+    }
     if (kind_ == "between") {
       return std::make_unique<bundle::BetweenFactor>(head_, retractions_.at(0), At(0), At(1));
     }

@@ -8,6 +8,6 @@
 /// is wrong; values are not looked at.
 bundle::ProblemView ViewProblem(const pybind11::handle& problem);
 
-/// Adds the arrays `lower` and `upper` of a bundle.bounds.CameraBounds, which must outlive the
-/// view, unless it is None.
-void PutCameraBounds(const pybind11::object& bounds, bundle::ProblemView* view);
+/// Adds the arrays of a bundle.restrictions.Restrictions, which must outlive the view, unless it is
+/// None.
+void PutRestrictions(const pybind11::object& restrictions, bundle::ProblemView* view);

@@ -6,7 +6,7 @@ TYPE_CHECKING = False  # as of typing, whose import takes longer than all that i
 if TYPE_CHECKING:
     from typing import Any
 
-    from bundle import georeference, html, losses, pictures, warning_kinds
+    from bundle import constraints, georeference, html, losses, pictures, warning_kinds
     from bundle._core import __version__
     from bundle.camera_edits import (
         CameraModelChange,
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from bundle.cameras import camera_models, project
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
+    from bundle.constraints import Constraints
     from bundle.errors import InputError
+    from bundle.free_degrees import GaugeFreedom, gauge_freedom
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
         BetweenFactor,
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
         PriorFactor,
         RelativePoseFactor,
         ReprojectionFactor,
+        ScalarPriorFactor,
     )
     from bundle.headers import get_include
     from bundle.inspection import (
@@ -57,10 +60,12 @@ __all__ = [
     "CameraModelChange",
     "ChangedModels",
     "Comparison",
+    "Constraints",
     "Description",
     "FactorGraph",
     "Filtered",
     "FunctionFactor",
+    "GaugeFreedom",
     "GradientReport",
     "GraphInspection",
     "GraphResult",
@@ -77,6 +82,7 @@ __all__ = [
     "ReprojectionError",
     "ReprojectionFactor",
     "Result",
+    "ScalarPriorFactor",
     "SceneOptions",
     "SolveOptions",
     "Solver",
@@ -90,8 +96,10 @@ __all__ = [
     "check_gradients",
     "check_jacobians",
     "compare",
+    "constraints",
     "describe",
     "filter_observations",
+    "gauge_freedom",
     "georeference",
     "get_include",
     "html",
@@ -123,6 +131,7 @@ _DEFERRED = {
     "cameras": ("camera_models", "project"),
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
+    "constraints": ("Constraints",),
     "errors": ("InputError",),
     "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (
@@ -135,7 +144,9 @@ _DEFERRED = {
         "PriorFactor",
         "RelativePoseFactor",
         "ReprojectionFactor",
+        "ScalarPriorFactor",
     ),
+    "free_degrees": ("GaugeFreedom", "gauge_freedom"),
     "headers": ("get_include",),
     "inspection": (
         "GraphInspection",

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.camera_bounds import CameraBounds
 from bundle.problem import Problem
+from bundle.restrictions import Restrictions
 
 __version__: str
 
@@ -113,7 +113,7 @@ def solve(
     problem: Problem,
     options: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
-    camera_bounds: CameraBounds | None = None,
+    restrictions: Restrictions | None = None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
 ) -> dict[str, Any]: ...
 
@@ -122,7 +122,7 @@ class Solver:
         self,
         problem: Problem,
         options: dict[str, Any],
-        camera_bounds: CameraBounds | None = None,
+        restrictions: Restrictions | None = None,
         factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
     ) -> None: ...
     def check_structure(self, problem: Problem) -> None: ...

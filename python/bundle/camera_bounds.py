@@ -83,6 +83,13 @@ class CameraBounds:
             f"[{lower:g}, {upper:g}], found {params[camera, j]:.10g}"
         )
 
+    def tightened(self, more: Mapping[tuple[int, int], tuple[float, float]]) -> CameraBounds:
+        """Return bounds with more of them, by index of the camera and column; the closer counts."""
+        lower, upper = self.lower.copy(), self.upper.copy()
+        for place, (least, most) in more.items():
+            lower[place], upper[place] = max(lower[place], least), min(upper[place], most)
+        return CameraBounds(freeze(lower), freeze(upper))
+
     def given(self, problem: Problem) -> dict[tuple[str, int], tuple[Any, Any]]:
         """Return what :meth:`make` takes, of the cameras that have a bound."""
         bounded = np.isfinite(self.lower) | np.isfinite(self.upper)

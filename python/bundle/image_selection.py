@@ -11,7 +11,7 @@ import numpy as np
 from bundle.errors import InputError, brief
 from bundle.problem import Problem
 
-__all__ = ["MOST_IDS", "ImageSelection", "find_images", "id_range"]
+__all__ = ["MOST_IDS", "ImageSelection", "find_images", "id_range", "named_images"]
 
 MOST_IDS = 10_000_000
 """Ids that a list may hold: a slip in a range must not fill the memory."""
@@ -47,7 +47,7 @@ def find_images(argument: str, problem: Problem, selection: Any) -> tuple[int, .
     for entry in entries:
         ids = _ids(argument, entry)
         if ids is None:
-            found.update(_named(argument, problem, entry))
+            found.update(named_images(argument, problem, entry))
             continue
         for image_id in ids:
             if image_id not in known:
@@ -90,8 +90,12 @@ def _is_id(text: str) -> bool:
     return text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 2**63
 
 
-def _named(argument: str, problem: Problem, pattern: str) -> list[int]:
-    """Return the ids of the images with a name, or with names like a pattern."""
+def named_images(argument: str, problem: Problem, pattern: str) -> list[int]:
+    """Return the ids of the images with a name, or with names like a pattern.
+
+    Raises:
+        InputError: there are none; the message begins with the argument.
+    """
     names, ids = problem.image_names, problem.image_ids.tolist()
     found = [key for key, name in zip(ids, names, strict=True) if name == pattern]
     if not found:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import operator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,6 +56,8 @@ AUTO_PRECONDITIONER = {
 }
 TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
 LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
+SENSORS = "sensor_from_rig"
+"""What ``refine`` takes beside these: it stands for ``refine_sensor_from_rig``."""
 REFINABLE = ("poses", "points", "focal", "principal_point", "extra")
 GAUGES = ("auto", "none", "two_cameras", "three_points")
 CHEIRALITIES = ("auto", "algebraic", "zero")
@@ -178,7 +181,9 @@ class SolveOptions(Options):
     refine: tuple[str, ...] = option(
         ("poses", "points", "focal", "extra"),
         "--refine",
-        "parameters to refine, out of " + ",".join(REFINABLE).replace("_", "-"),
+        "parameters to refine, out of "
+        + ",".join((*REFINABLE, SENSORS)).replace("_", "-")
+        + "; the last, where sensors are on their rigs, is --refine-sensor-from-rig",
         metavar="LIST",
     )
     fixed_camera_ids: tuple[int, ...] = option(
@@ -205,7 +210,9 @@ class SolveOptions(Options):
     gauge: str = option(
         "auto",
         "--gauge",
-        "how the gauge (7 degrees of freedom) is fixed; auto: two-cameras for COLMAP, none for BAL",
+        "how the gauge is fixed: position, rotation and scale of the world (7 degrees of freedom), "
+        "or what is left where a fixed baseline of a rig gives the scale (6); auto: none for BAL "
+        "and beside positions and other factors, else two-cameras, which holds what is free",
         choices=GAUGES,
     )
     cheirality: str = option(
@@ -223,6 +230,13 @@ class SolveOptions(Options):
         "information matrix; a result that is no reconstruction is found out in any case",
     )
 
+    def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
+        super()._check(fields)
+        if SENSORS in self.refine:
+            refine = tuple(name for name in self.refine if name != SENSORS)
+            object.__setattr__(self, "refine", refine)
+            object.__setattr__(self, f"refine_{SENSORS}", True)
+
     def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
         if field.name == "refine":
             return _names(value)
@@ -238,12 +252,14 @@ def _names(value: Any) -> tuple[str, ...]:
         given = value.split(",") if isinstance(value, str) else list(value)
     except TypeError:
         raise InputError(
-            f"refine: expected names out of {', '.join(REFINABLE)}, found {brief(value)}"
+            f"refine: expected names out of {', '.join((*REFINABLE, SENSORS))}, "
+            f"found {brief(value)}"
         ) from None
     words = (name.strip() if isinstance(name, str) else name for name in given)
     named = (word for word in words if not isinstance(word, str) or word)
-    chosen = {choice("refine", word, REFINABLE) for word in named}
-    return tuple(name for name in REFINABLE if name in chosen)
+    every = (*REFINABLE, SENSORS)
+    chosen = {choice("refine", word, every) for word in named}
+    return tuple(name for name in every if name in chosen)
 
 
 def _sensors(value: Any) -> tuple[tuple[int, int], ...]:

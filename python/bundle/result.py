@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.camera_bounds import ActiveBound
+from bundle.constraint_record import RuleEnd
 from bundle.display import Display
 from bundle.problem import Problem
 from bundle.reprojection import ReprojectionError, reprojection_error
@@ -41,6 +42,7 @@ class Result(SolveRecord):
         factor_costs_after: the same at the output.
         active_bounds: the bounds on which camera parameters end: key of the camera, name of the
             parameter, "lower" or "upper".
+        constraints: what became of each rule: pulls of priors in sigmas, active bounds, ties.
         similarity: by which the input was moved to where priors of positions say that it is, before
             the solve; None where it was not. ``initial_problem`` is the input as it was.
         control_points: ground control and check points, in the order given: the model minus the
@@ -56,6 +58,7 @@ class Result(SolveRecord):
     factor_costs_before: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     factor_costs_after: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     active_bounds: tuple[ActiveBound, ...] = ()
+    constraints: tuple[RuleEnd, ...] = ()
     similarity: Similarity | None = None
     control_points: tuple[ControlPointError, ...] = ()
     rounds: tuple[Round, ...] = ()
@@ -100,6 +103,19 @@ class Result(SolveRecord):
         more = f" and {len(bounds) - 3} more" if len(bounds) > 3 else ""
         return (("at bounds", ", ".join(bounds[:3]) + more),)
 
+    def _rule_facts(self) -> tuple[tuple[str, str], ...]:
+        if not self.constraints:
+            return ()
+        pulls = [prior for rule in self.constraints for prior in rule.priors]
+        words = plural(len(self.constraints), "rule")
+        if pulls:
+            most = max(pulls, key=lambda prior: abs(prior.pull))
+            words += (
+                f", {plural(len(pulls), 'prior')}; the largest pull is {most.pull:+.3g} sigmas, "
+                f"{most.parameter} of {most.subject} {most.id}"
+            )
+        return (("constraints", words),)
+
     def _round_facts(self) -> tuple[tuple[str, str], ...]:
         if not self.rounds:
             return ()
@@ -134,6 +150,7 @@ class Result(SolveRecord):
             *self._factor_facts(),
             *self._place_facts(),
             *self._bound_facts(),
+            *self._rule_facts(),
             *(("warning", warning) for warning in summary.warnings),
         ]
         return Display(title=f"Result: {self.outcome}", facts=tuple(facts))

@@ -6,10 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bundle.cameras import param_kinds
 from bundle.result import Result
 from bundle.rotations import rotation_matrices
 
-__all__ = ["SensorChange", "sensor_changes"]
+__all__ = ["SensorChange", "sensor_changes", "weak_baseline"]
+
+WEAK_CHANGE = 0.02
+"""Share by which a focal length and a baseline change together that is said to be weak."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,3 +58,40 @@ def sensor_changes(solved: Result) -> list[SensorChange]:
         for k, row in enumerate(moved)
     ]
     return sorted(changes, key=lambda change: -abs(change.baseline_after - change.baseline_before))
+
+
+def weak_baseline(solved: Result) -> str | None:
+    """Return a warning where a focal length and a baseline changed together, None elsewhere.
+
+    A longer baseline before longer lenses is nearly the same picture: images determine both
+    together only by how perspective changes within them, and a solve wanders far for little cost.
+    """
+    options = solved.options
+    if not options.refine_sensor_from_rig or "focal" not in options.refine:
+        return None
+    first, last = solved.initial_problem, solved.problem
+    framed = last.image_frame >= 0 if last.num_frames else np.zeros(last.num_images, bool)
+    focal = (0.0, "")
+    for camera in np.unique(last.image_camera[framed]).tolist():
+        for column, kind in enumerate(param_kinds(last.camera_models[camera])):
+            if kind == "focal":
+                before, after = (p.camera_params[camera, column] for p in (first, last))
+                lens = f"(camera {last.camera_ids[camera]})"
+                words = f"focal length {before:.6g} -> {after:.6g} px {lens}"
+                focal = max(focal, (abs(after / before - 1), words))
+    arm = (0.0, "")
+    for change in sensor_changes(solved):
+        if change.baseline_before > 0:
+            words = (
+                f"baseline {change.baseline_before:.4g} -> {change.baseline_after:.4g} "
+                f"(sensor {change.rig_id}:{change.camera_id})"
+            )
+            arm = max(arm, (abs(change.baseline_after / change.baseline_before - 1), words))
+    if min(focal[0], arm[0]) < WEAK_CHANGE:
+        return None
+    before, after = solved.summary.initial_cost, solved.summary.final_cost
+    return (
+        f"Weakly determined: {focal[1]} and {arm[1]} changed together, while the cost went from "
+        f"{before:.6g} to {after:.6g}; hold one of them (--fix-sensors, --fix-cameras) unless the "
+        "images determine both."
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
 from bundle.arguments import check_function
-from bundle.camera_bounds import CameraBounds
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief, first_line
 from bundle.io import Source, as_problem
@@ -19,11 +18,15 @@ from bundle.options import CHANGEABLE, SolveOptions
 from bundle.placement import Start, place_at_priors
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
+from bundle.restrictions import Restrictions
 from bundle.result import Result
+from bundle.sensor_changes import weak_baseline
 from bundle.solve_record import Progress, record_fields
 from bundle.words import contents, plural
 
 if TYPE_CHECKING:
+    from bundle.constraints import Constraints, Rule
+    from bundle.constraints.applied import Applied
     from bundle.graph import Factor
     from bundle.graph.problem_factors import ProblemFactors
     from bundle.placement import Prior
@@ -32,6 +35,7 @@ __all__ = [
     "STATE",
     "Progress",
     "Solver",
+    "constrained",
     "resolve_defaults",
     "settle",
     "solve",
@@ -50,6 +54,7 @@ def solve(
     priors: Iterable[Prior] = (),
     align: bool | None = None,
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] | Applied = (),
     progress: Progress | None = None,
     **changes: Any,
 ) -> Result:
@@ -107,6 +112,10 @@ def solve(
             the factors, those of control points last.
         align: whether the problem is first moved to where the priors are. None: if there are no
             factors, and at least three positions and control points that do not lie on one line.
+        constraints: rules of what is held, bounded, shared or known, such as ``"cameras *: f prior
+            2 %"`` (:class:`bundle.Constraints`). They speak of the problem after it was moved to
+            the priors, and the costs of their priors come last. ``constraints`` of the result says
+            what became of each. With rules about positions or rotations gauge "auto" holds nothing.
         bounds: ``{("camera", camera_id): (lower, upper)}``, a number for each parameter in COLMAP's
             order, infinite where there is no bound. The parameter starts between its bounds and
             stays there; bounds that are equal hold it. ``active_bounds`` of the result has those
@@ -125,17 +134,19 @@ def solve(
             parameters, or that exclude the start, or a factor with an unknown key, numbers that do
             not fit its variables, or no finite value at the start; a prior of no image, control
             points that are measured in no two images, or priors that do not determine where the
-            problem is although ``align`` is True.
+            problem is although ``align`` is True; a rule that names nothing of the problem,
+            contradicts another one or the options, or excludes the start.
         OSError: the path cannot be read.
     """
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
-    start = place_at_priors(problem, factors, priors, align)
-    options, known, limits = settle(start.problem, options, start.factors, bounds)
+    placed = place_at_priors(problem, factors, priors, align)
+    start, options, applied = constrained(placed.problem, options, constraints)
+    options, known, limits = settle(start, options, placed.factors, bounds, applied)
     given = None if known is None else known.core()
-    output = _core.solve(start.problem, options.asdict(), progress, limits, given)
-    return with_priors(_result(start.problem, options, output, limits), start, problem)
+    output = _core.solve(start, options.asdict(), progress, limits, given)
+    return with_priors(_result(placed.problem, options, output, limits), placed, problem)
 
 
 class Solver(Displayed):
@@ -163,6 +174,8 @@ class Solver(Displayed):
         factors: beside the observations, as in :func:`bundle.solve`. What they measured stays as it
             is, in the world of the problem, whatever values a solve starts from.
         bounds: of camera parameters, as in :func:`bundle.solve`. Every solve starts within them.
+        constraints: rules, as in :func:`bundle.solve`. What they say of the start they say of the
+            values of this problem; parameters that are one number start as one.
         **changes: options by name, in place of those in ``options``.
 
     Raises:
@@ -176,13 +189,16 @@ class Solver(Displayed):
         *,
         factors: Iterable[Factor] = (),
         bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+        constraints: Constraints | Iterable[str | Rule] | Applied = (),
         **changes: Any,
     ) -> None:
         problem = as_problem(problem)
         options = SolveOptions.of(options, changes, "Solver")
-        self._problem = problem
-        self._options, known, self._limits = settle(problem, options, factors, bounds)
-        self._factors = () if known is None else known.factors
+        problem, options, applied = constrained(problem, options, constraints)
+        self._problem, self._bounds = problem, bounds
+        factors = _listed(factors)
+        self._options, known, self._limits = settle(problem, options, factors, bounds, applied)
+        self._factors = factors if known is None else known.factors[: len(factors)]
         given = None if known is None else known.core()
         self._core = _core.Solver(problem, self._options.asdict(), self._limits, given)
 
@@ -204,7 +220,20 @@ class Solver(Displayed):
     @property
     def bounds(self) -> dict[tuple[str, int], tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """Of the cameras with a bound: {("camera", camera_id): (lower, upper)}."""
-        return {} if self._limits is None else self._limits.given(self._problem)
+        if self._limits is None or self._limits.bounds is None:
+            return {}
+        return self._limits.bounds.given(self._problem)
+
+    @property
+    def constraints(self) -> Constraints:
+        """The rules."""
+        from bundle.constraints import Constraints
+
+        return Constraints(() if self._applied is None else self._applied.rules)
+
+    @property
+    def _applied(self) -> Applied | None:
+        return None if self._limits is None else self._limits.applied
 
     def solve(
         self, problem: Source | None = None, *, progress: Progress | None = None, **changes: Any
@@ -247,7 +276,7 @@ class Solver(Displayed):
         return _result(problem, options, output, self._limits)
 
     def __copy__(self) -> Solver:
-        return _make_solver(self._problem, self._options, self._factors, self.bounds)
+        return _make_solver(*self._parts())
 
     def __deepcopy__(self, _memo: Any) -> Solver:
         return self.__copy__()  # nothing of it ever changes
@@ -255,7 +284,11 @@ class Solver(Displayed):
     def __reduce__(self) -> tuple[Any, ...]:
         for position, factor in enumerate(self._factors):
             _check_pickles(f"factor {position}, {factor.name}", factor)
-        return _make_solver, (self._problem, self._options, self._factors, self.bounds)
+        return _make_solver, self._parts()
+
+    def _parts(self) -> tuple[Any, ...]:
+        applied = () if self._applied is None else self._applied
+        return self._problem, self._options, self._factors, self.bounds, applied
 
     def _display(self) -> Display:
         changed = repr(self._options).partition("(")[2].rstrip(")")
@@ -264,13 +297,19 @@ class Solver(Displayed):
             facts.append(("factors", f"{len(self._factors)}"))
         if self.bounds:
             facts.append(("bounds", f"of {plural(len(self.bounds), 'camera')}"))
+        if self._applied is not None:
+            facts.append(("constraints", plural(len(self._applied.rules), "rule")))
         return Display(title="Solver", facts=tuple(facts))
 
 
 def _make_solver(
-    problem: Problem, options: SolveOptions, factors: Iterable[Factor], bounds: Any
+    problem: Problem,
+    options: SolveOptions,
+    factors: Iterable[Factor],
+    bounds: Any,
+    constraints: Any = (),
 ) -> Solver:
-    return Solver(problem, options, factors=factors, bounds=bounds)
+    return Solver(problem, options, factors=factors, bounds=bounds, constraints=constraints)
 
 
 def _check_pickles(name: str, factor: Factor) -> None:
@@ -293,17 +332,30 @@ def _result(
     problem: Problem,
     options: SolveOptions,
     output: dict[str, Any],
-    limits: CameraBounds | None = None,
+    limits: Restrictions | None = None,
 ) -> Result:
     refined = problem._moved(**{name: output[name] for name in STATE if name in output})
-    return Result(
+    result = Result(
         problem=refined,
         initial_problem=problem,
         options=options,
         factor_costs_before=output["factor_costs_before"],
         factor_costs_after=output["factor_costs_after"],
         active_bounds=() if limits is None else limits.active(refined),
+        constraints=() if limits is None else limits.ends(problem, refined),
         **record_fields(output),
+    )
+    sentence = weak_baseline(result)
+    if sentence is None:
+        return result
+    summary = result.summary
+    return dataclasses.replace(
+        result,
+        summary=dataclasses.replace(
+            summary,
+            warnings=(*summary.warnings, sentence),
+            warning_kinds=(*summary.warning_kinds, "weak_baseline"),
+        ),
     )
 
 
@@ -326,13 +378,49 @@ def settle(
     options: SolveOptions,
     factors: Iterable[Factor],
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None,
-) -> tuple[SolveOptions, ProblemFactors | None, CameraBounds | None]:
-    """Check factors and bounds, and fill in the options."""
+    applied: Applied | None = None,
+) -> tuple[SolveOptions, ProblemFactors | None, Restrictions | None]:
+    """Check factors and bounds, add what the rules say, and fill in the options."""
+    if applied is not None and applied.factors:
+        factors = [*_listed(factors), *applied.factors]
     known = _problem_factors(problem, factors)
-    if known is not None and known.locate and options.gauge == "auto":
+    locate = (known is not None and known.locate) or (applied is not None and applied.locate)
+    if locate and options.gauge == "auto":
         options = options.replace(gauge="none")
-    limits = None if bounds is None else CameraBounds.make(problem, bounds)
+    limits = Restrictions.make(problem, bounds, applied)
     return resolve_defaults(problem, options), known, limits
+
+
+def constrained(
+    problem: Problem,
+    options: SolveOptions,
+    constraints: Constraints | Iterable[str | Rule] | Applied,
+    part: Mapping[str, Set[int]] | None = None,
+) -> tuple[Problem, SolveOptions, Applied | None]:
+    """Return the start, the options and what the rules mean there; None without rules.
+
+    ``part``: ids of the cameras, images and points that are refined, where these are not all.
+    """
+    if isinstance(constraints, tuple | list) and not constraints:
+        return problem, options, None
+    from bundle.constraints.applied import Applied
+    from bundle.constraints.resolve import apply
+
+    if isinstance(constraints, Applied):  # by the caller, for another start
+        return problem, options, constraints
+    start, applied = apply(constraints, problem, options, part)
+    if applied is not None and applied.fixed_point_ids:
+        held = (*options.fixed_point_ids, *applied.fixed_point_ids)
+        options = options.replace(fixed_point_ids=held)
+    return start, options, applied
+
+
+def _listed(factors: Iterable[Factor]) -> tuple[Factor, ...]:
+    if isinstance(factors, tuple | list):
+        return tuple(factors)
+    from bundle.graph.variables import as_list
+
+    return tuple(as_list("factors", "factors", factors))
 
 
 def _problem_factors(problem: Problem, factors: Iterable[Factor]) -> ProblemFactors | None:

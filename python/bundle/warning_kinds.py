@@ -28,5 +28,6 @@ WARNING_KINDS = {
     "observations_behind": "more observations are behind their cameras than at the start",
     "too_many_behind": "more than 1 % of the observations went behind: not usable",
     "observations_left_out": "observations that were behind before are in front at the end",
+    "weak_baseline": "focal lengths and baselines of rigs changed together, which is weak",
 }
 """Each kind with what it means."""

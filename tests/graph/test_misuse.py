@@ -91,6 +91,21 @@ ARGUMENTS = {
         "PriorFactor('a'): information",
         set(),
     ),
+    "scalar": (
+        lambda v: add(bundle.ScalarPriorFactor, "a", 0, v, 1.0),
+        "ScalarPriorFactor('a'): value",
+        set(),
+    ),
+    "index": (
+        lambda v: add(bundle.ScalarPriorFactor, "a", v, 1.0, 1.0),
+        "ScalarPriorFactor('a'): index",
+        set(),
+    ),
+    "sigma": (
+        lambda v: add(bundle.ScalarPriorFactor, "a", 0, 1.0, v),
+        "ScalarPriorFactor('a'): sigma",
+        set(),
+    ),
     "measurement": (
         lambda v: add(bundle.BetweenFactor, "a", "b", v, 1.0),
         "BetweenFactor('a', 'b')",

@@ -40,6 +40,7 @@ def everything():
         bundle.ReprojectionFactor("pose", "camera", ("point", 7), [300, 200], "SIMPLE_PINHOLE"),
         bundle.PriorFactor("camera", [500, 320, 240], 1.0),
         bundle.PriorFactor(("point", 7), [0, 0, 3], 1.0),
+        bundle.ScalarPriorFactor("camera", 0, 510, 0.02, relative=True),
         bundle.PriorFactor("angle", [0.1], 1.0),
         bundle.PriorFactor("turn", EYE, 1.0),
         bundle.PriorFactor("place", [0, 0, 0], 1.0),

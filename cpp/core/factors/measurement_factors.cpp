@@ -1,6 +1,8 @@
 #include "core/factors/measurement_factors.h"
 
 #include <algorithm>
+#include <cmath>
+#include <string>
 #include <utility>
 
 #include "core/cameras/registry.h"
@@ -24,6 +26,43 @@ bool PriorFactor::Evaluate(const double* const* values, double* residual,
     retraction.InverseRightJacobian(residual, jacobians[0]);
   }
   whitening_.Apply(residual, jacobians, {retraction.tangent_size()});
+  return true;
+}
+
+ScalarPriorFactor::ScalarPriorFactor(FactorHead head, const Retraction& retraction, int index,
+                                     double value, double sigma, bool relative)
+    : Factor(std::move(head), {retraction}, 1),
+      index_(index),
+      value_(value),
+      sigma_(sigma),
+      relative_(relative) {
+  if (retraction.manifold() != Manifold::kEuclidean) {
+    throw InputError(name() + ": expected a Euclidean variable, found " + retraction.name());
+  }
+  if (index < 0 || index >= retraction.tangent_size()) {
+    throw InputError(name() + ": index: expected one of 0 to " +
+                     std::to_string(retraction.tangent_size() - 1) + ", found " +
+                     std::to_string(index));
+  }
+  if (!std::isfinite(value) || (relative && value == 0)) {
+    throw InputError(name() + ": value: expected a finite number" +
+                     (relative ? " other than 0" : "") + ", found " + ShortNumber(value));
+  }
+  if (!(sigma > 0) || !std::isfinite(sigma)) {
+    throw InputError(name() + ": sigma: expected a finite number above 0, found " +
+                     ShortNumber(sigma));
+  }
+}
+
+bool ScalarPriorFactor::Evaluate(const double* const* values, double* residual,
+                                 double* const* jacobians) const {
+  const double x = values[0][index_], error = x - value_;
+  if (relative_ && !(error / value_ > -1)) return false;
+  residual[0] = (relative_ ? std::log1p(error / value_) : error) / sigma_;
+  if (jacobians != nullptr && jacobians[0] != nullptr) {
+    std::fill_n(jacobians[0], retractions()[0].tangent_size(), 0.0);
+    jacobians[0][index_] = 1 / (relative_ ? sigma_ * x : sigma_);
+  }
   return true;
 }
 

@@ -30,6 +30,33 @@ class PriorFactor final : public Factor {
   Whitening whitening_;
 };
 
+/// What is known of one number x of a Euclidean variable, such as a parameter of a camera:
+///
+///   r = (x - z) / sigma,            dr/dx = 1 / sigma,
+///
+/// or, relative, of its logarithm, so that half and twice the value are as far from it and sigma is
+/// a share (0.02: two percent):
+///
+///   r = (log x - log z) / sigma,    dr/dx = 1 / (sigma x).
+///
+/// The second has a value where x is on the side of zero that z is on.
+class ScalarPriorFactor final : public Factor {
+ public:
+  /// Throws InputError unless `index` is one of the variable's coordinates, the variable Euclidean,
+  /// value and sigma finite, sigma above 0, and, if relative, the value other than 0.
+  ScalarPriorFactor(FactorHead head, const Retraction& retraction, int index, double value,
+                    double sigma, bool relative);
+
+  bool Evaluate(const double* const* values, double* residual,
+                double* const* jacobians) const override;
+
+ private:
+  int index_;
+  double value_;
+  double sigma_;
+  bool relative_;
+};
+
 /// A measured position of an antenna on a camera: r = W (R^T (a - t) - z).
 ///
 /// (R, t) is the pose cam_from_world, a the lever arm, which is the antenna's place in the frame of

@@ -145,6 +145,18 @@ void HoldBetweenEqualBounds(const ProblemView& problem, FreeParameters* free) {
   }
 }
 
+void HoldParts(const ProblemView& problem, FreeParameters* free) {
+  constexpr uint8_t kRotation = 0b000111;
+  for (int c = 0; problem.held_camera_params != nullptr && c < problem.num_cameras; ++c) {
+    free->camera[c] &= ~problem.held_camera_params[c];
+  }
+  for (int i = 0; problem.held_pose_parts != nullptr && i < problem.num_images; ++i) {
+    const uint8_t parts = problem.held_pose_parts[i];
+    if (parts == (kHeldRotation | kHeldPosition)) free->pose[i] = 0;
+    if (parts == kHeldRotation) free->pose[i] = static_cast<uint8_t>(free->pose[i] & ~kRotation);
+  }
+}
+
 }  // namespace
 
 FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptions& options) {
@@ -164,6 +176,7 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
   }
   if (problem.factors != nullptr) FreeTouched(problem, options, &free);
   HoldBetweenEqualBounds(problem, &free);
+  HoldParts(problem, &free);
   HoldSensorsWithoutReference(problem, &free);
   HoldSensors(problem, options, &free);
   ForEachIndex("camera", options.fixed_camera_ids, problem.camera_ids, problem.num_cameras,

@@ -11,6 +11,10 @@ namespace bundle {
 struct CameraModel;
 struct ProblemFactors;  // model/problem_factors.h
 
+/// Parts of a pose that ProblemView::held_pose_parts holds.
+inline constexpr uint8_t kHeldRotation = 1;
+inline constexpr uint8_t kHeldPosition = 2;
+
 /// The arrays of a bundle adjustment problem, owned by the caller (NumPy, a test), row-major.
 /// Units are pixels for everything in an image and the reconstruction's length unit elsewhere.
 ///
@@ -50,6 +54,17 @@ struct ProblemView {
   /// Infinite where a parameter has none; a parameter with equal bounds is held.
   const double* camera_lower = nullptr;
   const double* camera_upper = nullptr;
+  /// Bit j of a camera: parameter j is held; num_cameras, or nullptr: none is.
+  const uint32_t* held_camera_params = nullptr;
+  /// What of an image's pose is held: kHeldRotation, kHeldPosition (of the camera's centre) or
+  /// both; num_images, or nullptr: nothing.
+  const uint8_t* held_pose_parts = nullptr;
+  /// Camera parameters that are multiples of one number: which number each is a multiple of, -1 for
+  /// none, and how many times, as many entries as camera_params; nullptr: no such parameters. The
+  /// camera_params themselves are such multiples.
+  const int32_t* camera_tie = nullptr;
+  const double* camera_tie_scale = nullptr;
+  int num_ties = 0;
 
   const double* points = nullptr;      ///< num_points x 3
   const int64_t* point_ids = nullptr;  ///< num_points, for messages

@@ -8,6 +8,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from bundle.cli.constraint_flags import add_constraint_flags, as_options, constraints_given
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
 from bundle.cli.lens_flags import add_lens_flags, cameras_edited
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rig_config(parser)
     add_options(parser, SolveOptions, "options of the solve")
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
+    add_constraint_flags(parser)
     add_gps_flags(parser)
     add_lens_flags(parser)
     parser.add_argument(
@@ -107,8 +109,9 @@ def run(arguments: argparse.Namespace) -> int:
     options = options_given(arguments, SolveOptions, names_follow=True)
     rounds = _rounds_given(arguments)
     check_gps_flags(arguments, options)
+    constraints = constraints_given(arguments)
     source, target = arguments.input, arguments.output
-    check_json(arguments.json, source, target)
+    check_json(arguments.json, source, target, *filter(None, [arguments.constraints]))
     checkpoints = _checkpoints_given(arguments)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
@@ -148,6 +151,7 @@ def run(arguments: argparse.Namespace) -> int:
                 only_images=arguments.only_images,
                 priors=() if known is None else known.priors,
                 align=None if known is None else True,
+                constraints=constraints,
                 **checkpoints,
                 progress=progress.iteration,
             )
@@ -173,7 +177,7 @@ def run(arguments: argparse.Namespace) -> int:
     more = rounds.asdict() if rounds.num_rounds else {}
     if arguments.only_images is not None:
         more["only_images"] = arguments.only_images
-    more |= checkpoints
+    more |= checkpoints | as_options(arguments)
     if arguments.json != "-":
         show(*refinement(source, loaded, solved, wall, written, lost, georeference, edits))
     report = json.refinement(source, loaded, solved, wall, written, more, georeference, edits)

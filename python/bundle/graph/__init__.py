@@ -9,6 +9,7 @@ from bundle.graph.factors import (
     PriorFactor,
     RelativePoseFactor,
     ReprojectionFactor,
+    ScalarPriorFactor,
 )
 from bundle.graph.function_factor import FunctionFactor
 from bundle.graph.graph_result import GraphResult
@@ -26,4 +27,5 @@ __all__ = [
     "PriorFactor",
     "RelativePoseFactor",
     "ReprojectionFactor",
+    "ScalarPriorFactor",
 ]

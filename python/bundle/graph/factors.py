@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.arguments import as_array
+from bundle.arguments import as_array, as_flag
 from bundle.arrays import freeze, refrozen
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief
@@ -29,6 +29,7 @@ __all__ = [
     "PriorFactor",
     "RelativePoseFactor",
     "ReprojectionFactor",
+    "ScalarPriorFactor",
 ]
 
 
@@ -146,6 +147,53 @@ class PriorFactor(Factor):
     def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
         """See :meth:`Factor.core_arguments`."""
         return self.value, as_information(name, np.asarray(self.information), sizes[0])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ScalarPriorFactor(Factor):
+    """What is known of one number x of a Euclidean variable, such as a camera's parameter.
+
+    The residual is (x - value) / sigma, or (log x - log value) / sigma where relative.
+
+    Attributes:
+        key: the variable.
+        index: of the number in the variable.
+        value: that was measured.
+        sigma: its standard deviation; where relative a share of the value: 0.02 is two percent.
+        relative: whether it is the logarithm that is known, as of a focal length: half and twice
+            the value are as far from it. The number then stays on its side of zero.
+
+    Raises:
+        InputError: these are no numbers, sigma is not above 0, or a relative value is 0; an index
+            that the variable does not have is refused by :meth:`bundle.FactorGraph.add_factor`.
+    """
+
+    key: Key
+    index: int
+    value: float
+    sigma: float
+    relative: bool = field(default=False, kw_only=True)
+
+    kind = "scalar_prior"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        index = number(f"{self.name}: index", self.index, whole=True, minimum=0)
+        self._set("index", index)
+        self._set("value", number(f"{self.name}: value", self.value))
+        self._set("sigma", number(f"{self.name}: sigma", self.sigma, above=0))
+        self._set("relative", as_flag(f"{self.name}: relative", self.relative))
+        if self.relative and self.value == 0:
+            raise InputError(f"{self.name}: value: expected another number than 0 where relative")
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The variables, in the order of the Jacobians."""
+        return (self.key,)
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return self.index, self.value, self.sigma, self.relative
 
 
 @dataclass(frozen=True, eq=False, repr=False)

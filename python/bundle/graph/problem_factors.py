@@ -64,6 +64,19 @@ class ProblemFactors:
         """Whether some of them say where images or points are."""
         return any(kind != "camera" for kind, _ in self._places)
 
+    def information(self) -> tuple[list[tuple[str, int, int]], Array]:
+        """Return kind, index and tangent size of the variables, and what factors know of them.
+
+        The information matrix (n, n) is in the variables' tangent coordinates, n the sum of their
+        sizes; see :meth:`bundle.FactorGraph.information`.
+        """
+        values = self._graph.values
+        variables = [
+            (kind, index, 6 if kind in _POSES else len(values[key]))
+            for (kind, index), key in zip(self._places, self._graph.keys, strict=True)
+        ]
+        return variables, self._graph.information()[0]
+
     def core(self) -> tuple[list[Any], list[Any], list[tuple[str, int]]] | None:
         """Return what ``_core.solve`` takes: variables, factors and what the variables are."""
         if not self._graph.factors:

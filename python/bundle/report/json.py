@@ -114,6 +114,11 @@ def refinement(
         **about,
         **(plain(rounds) if solved.rounds else {}),
         **({"part": plain(dataclasses.asdict(solved.part))} if solved.part else {}),
+        **(
+            {"constraints": plain([dataclasses.asdict(rule) for rule in solved.constraints])}
+            if solved.constraints
+            else {}
+        ),
         "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
         **({"sensors": _sensors(solved)} if problem.num_frames else {}),
         "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),

@@ -9,6 +9,7 @@ from rich.console import RenderableType
 
 from bundle.camera_changes import CameraChange, camera_changes
 from bundle.errors import shown
+from bundle.free_degrees import gauge_freedom
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.report.camera_edit_rows import edit_rows
@@ -59,6 +60,7 @@ def refinement(
         *edit_rows(edits),
         *rig_fact(problem),
         ("refined", _refined(solved.options)),
+        *_gauge(solved),
         *_part(solved),
         ("backend", _backend(summary)),
         *((("", summary.backend_choice),) if summary.backend_choice else ()),
@@ -80,6 +82,7 @@ def refinement(
         "",
         *_positions(georeference),
         *_cameras(camera_changes(solved)),
+        *_constraints(solved),
         *sensor_table(sensor_changes(solved)),
         *worst_table(solved.worst_images, "worst images, after"),
         facts([("outcome", outcome(solved))]),
@@ -98,6 +101,14 @@ def _positions(georeference: Georeference | None) -> list[RenderableType]:
     from bundle.report.gps import gps_report
 
     return gps_report(georeference)
+
+
+def _constraints(solved: Result) -> list[RenderableType]:
+    if not solved.constraints:
+        return []
+    from bundle.report.constraint_tables import constraint_report
+
+    return constraint_report(solved.constraints)
 
 
 def _part(solved: Result) -> list[tuple[str, str]]:
@@ -201,6 +212,14 @@ def _refined(options: SolveOptions) -> str:
     )
     words += [f"{plural(len(ids), noun)} fixed" for ids, noun in fixed if ids]
     return "; ".join(words)
+
+
+def _gauge(solved: Result) -> list[tuple[str, str]]:
+    """Return what the gauge of rigs takes away; nothing where there are no rigs."""
+    if not solved.problem.num_frames or solved.options.gauge == "none":
+        return []
+    freedom = gauge_freedom(solved.initial_problem, solved.options)
+    return [("gauge", f"{freedom.sentence}: held")]
 
 
 def _backend(summary: Summary) -> str:

@@ -9,6 +9,7 @@ import pickle
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from bundle import solver
 from bundle.errors import InputError, first_line
 from bundle.image_selection import ImageSelection, find_images
 from bundle.io import Source, as_path, as_problem
@@ -24,8 +25,12 @@ from bundle.solve_record import Progress
 from bundle.words import plural
 
 if TYPE_CHECKING:
+    from bundle.constraint_record import RuleEnd
+    from bundle.constraints import Constraints, Rule
+    from bundle.constraints.applied import Applied
     from bundle.graph import Factor
     from bundle.placement import Prior
+    from bundle.problem import Problem
 
 __all__ = ["solve_rounds"]
 
@@ -43,6 +48,7 @@ def solve_rounds(
     priors: Iterable[Prior] = (),
     align: bool | None = None,
     bounds: Bounds | None = None,
+    constraints: Constraints | Iterable[str | Rule] = (),
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_interval: int = CHECKPOINT_INTERVAL,
     resume: str | os.PathLike[str] | None = None,
@@ -78,6 +84,9 @@ def solve_rounds(
             ``rounds`` include control points.
         align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
         bounds: of camera parameters, as in :func:`bundle.solve`.
+        constraints: rules, as in :func:`bundle.solve`. What they say of the start they say of the
+            start of the first round. With ``only_images`` a parameter that is shared with a camera
+            outside of the part is held.
         checkpoint: file that is replaced, whole or not at all, after each round and each
             ``checkpoint_interval`` iterations, so that a run that was killed can go on. The solver
             starts anew from what the file holds, whether the run is killed or not: with the option
@@ -116,8 +125,7 @@ def solve_rounds(
             raise InputError("align: expected without only_images, which leave the rest in place")
         align = False
     placed = place_at_priors(given, factors, priors, align)
-    start, factors = placed.problem, _listed(placed.factors)
-    used = options
+    factors = _listed(placed.factors)
     part = None
     if only_images is not None:
         if placed.control_point_ids:
@@ -125,10 +133,20 @@ def solve_rounds(
                 "priors: expected no control points beside only_images, which leave the rest in "
                 "place"
             )
-        part = LocalPart(given, find_images("only_images", given, only_images), factors)
-        start, used, bounds = part.problem, part.options(options), part.bounds(bounds)
+        named = find_images("only_images", given, only_images)
+        part = LocalPart(given, named, factors)
+    start, used, applied = solver.constrained(
+        placed.problem, options, constraints, None if part is None else part.refined_ids
+    )
+    if part is not None:
+        if start is not given:
+            part = LocalPart(start, named, factors)
+        start, used, bounds = part.problem, part.options(used), part.bounds(bounds)
+        applied = None if applied is None else applied.restricted(start)
         check_observed(part)
-    run = RoundRun(start, used, limits, factors, bounds, progress, placed.control_point_ids)
+    run = RoundRun(
+        start, used, limits, factors, bounds, progress, placed.control_point_ids, applied
+    )
     if checkpoint is not None or resume is not None:
         fingerprint = {
             "input": digest(given),
@@ -137,7 +155,7 @@ def solve_rounds(
             "checkpoint_interval": interval,
             "only_images": None if part is None else part.named_ids,
             "factors and bounds": digest_of_pickle(
-                (factors, bounds) if placed.targets is None else (factors, bounds, placed.targets)
+                _without_places(factors, bounds, placed.targets, applied)
             ),
         }
         run.keep(checkpoint, resume, fingerprint, interval)
@@ -153,8 +171,22 @@ def solve_rounds(
         rounds=state.rounds,
         similarity=placed.similarity,
         control_points=placed.control_points(refined) if part is None else (),
+        constraints=() if applied is None else _rule_ends(applied, placed.problem, state.problem),
         part=None if part is None else part.record,
     )
+
+
+def _without_places(factors: Any, bounds: Any, targets: Any, applied: Applied | None) -> Any:
+    """Return what decides a run, without where its rules stood."""
+    rules = None if applied is None else dataclasses.replace(applied, rules=())
+    given = [factors, bounds, *(part for part in (targets, rules) if part is not None)]
+    return tuple(given)
+
+
+def _rule_ends(applied: Applied, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
+    from bundle.constraints.ends import rule_ends
+
+    return rule_ends(applied, before, after)
 
 
 def digest_of_pickle(value: Any) -> str:

@@ -97,6 +97,16 @@ class LocalPart:
             fixed_sensors=(),
         )
 
+    @property
+    def refined_ids(self) -> dict[str, set[int]]:
+        """Ids of the cameras, images and points that are refined."""
+        part = self.problem
+        return {
+            "camera": set(part.camera_ids[self._refined_cameras].tolist()),
+            "image": set(part.image_ids[self._named].tolist()),
+            "point": set(part.point_ids[self._seen].tolist()),
+        }
+
     def bounds(self, bounds: Mapping[Any, Any] | None) -> Mapping[Any, Any] | None:
         """Return the bounds without those of cameras that are not in the part."""
         if bounds is None:
@@ -170,17 +180,12 @@ class LocalPart:
         """Find frames and sensors of the part; sensors of rigs that have a frame in it."""
         whole = self._whole
         self._frames = self._sensors = np.empty(0, np.int64)
-        self._refined_sensors = np.empty(0, bool)
         if not whole.num_frames:
             return
         frames = whole.image_frame[self._images]
         self._frames = np.unique(frames[frames >= 0])
         rigs = whole.frame_rig_ids[self._frames]
         self._sensors = np.flatnonzero(np.isin(whole.sensor_rig_ids, rigs))
-        named = whole.image_frame[self._images[self._named]]
-        outside = np.setdiff1d(np.arange(whole.num_frames), named)
-        held = np.isin(whole.sensor_rig_ids[self._sensors], whole.frame_rig_ids[outside])
-        self._refined_sensors = ~held
 
     def _extract_rigs(self) -> dict[str, Any]:
         whole = self._whole

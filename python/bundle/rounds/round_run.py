@@ -24,6 +24,7 @@ from bundle.rounds.segments import num_steps, solve_in_segments
 from bundle.solve_record import Progress
 
 if TYPE_CHECKING:
+    from bundle.constraints.applied import Applied
     from bundle.graph import Factor
 
 __all__ = ["Bounds", "RoundRun"]
@@ -47,7 +48,9 @@ class RoundRun:
         bounds: Bounds | None,
         progress: Progress | None,
         control_point_ids: tuple[int, ...] = (),
+        applied: Applied | None = None,
     ) -> None:
+        self._applied = applied
         self._start, self._options, self._limits = start, options, limits
         self._control_point_ids = control_point_ids
         self._factors, self._bounds, self._progress = factors, bounds, progress
@@ -73,7 +76,9 @@ class RoundRun:
         check_target(path)
         self._path, self._fingerprint, self._interval = path, fingerprint, interval
         if resume is not None and resume.exists():
-            used, _, _ = solver.settle(self._start, self._options, self._factors, self._bounds)
+            used, _, _ = solver.settle(
+                self._start, self._options, self._factors, self._bounds, self._applied
+            )
             self._state = read(resume, self._start, used, fingerprint)
 
     def to_the_end(self) -> tuple[State, Result]:
@@ -113,12 +118,18 @@ class RoundRun:
 
     def _solve(self, problem: Problem, options: SolveOptions, progress: Progress | None) -> Result:
         return solver.solve(
-            problem, options, factors=self._factors, bounds=self._bounds, progress=progress
+            problem,
+            options,
+            factors=self._factors,
+            bounds=self._bounds,
+            constraints=() if self._applied is None else self._applied,
+            progress=progress,
         )
 
     def _filter(self, state: State, result: Result) -> State:
+        factors = self._factors + (() if self._applied is None else self._applied.factors)
         filtered = _filter_adjusted(
-            result.problem, self._limits, self._options, self._factors, self._control_point_ids
+            result.problem, self._limits, self._options, factors, self._control_point_ids
         )
         done = _round_of(len(state.rounds) + 1, result, filtered)
         _check_left(filtered, done, self._limits)

@@ -131,6 +131,37 @@ TEST(PriorFactor, JacobianOnEveryManifold) {
   }
 }
 
+TEST(ScalarPriorFactor, IsOfOneNumberOrOfItsLogarithm) {
+  const Retraction camera(Manifold::kEuclidean, 3);
+  const Values at = {{800, 300, -0.2}};
+  const ScalarPriorFactor linear(Head({0}), camera, 0, 1000, 50, false);
+  EXPECT_DOUBLE_EQ(Evaluate(linear, at, nullptr)[0], -4);
+  ExpectJacobiansAreDerivatives(linear, at);
+  const ScalarPriorFactor relative(Head({0}), camera, 0, 1000, 0.02, true);
+  EXPECT_NEAR(Evaluate(relative, at, nullptr)[0], std::log(0.8) / 0.02, 1e-13);
+  ExpectJacobiansAreDerivatives(relative, at);
+  // Of a negative number: its share of the value is what counts.
+  const ScalarPriorFactor negative(Head({0}), camera, 2, -0.1, 0.5, true);
+  EXPECT_NEAR(Evaluate(negative, at, nullptr)[0], std::log(2) / 0.5, 1e-14);
+  ExpectJacobiansAreDerivatives(negative, at);
+  const double beyond[] = {800, 300, 0.2};
+  const double* const values[] = {beyond};
+  double residual = 0;
+  EXPECT_FALSE(negative.Evaluate(values, &residual, nullptr));
+}
+
+TEST(ScalarPriorFactor, RefusesWhatIsNone) {
+  const Retraction camera(Manifold::kEuclidean, 3);
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THROW(ScalarPriorFactor(Head({0}), {Manifold::kSe3, 7}, 0, 1, 1, false), InputError);
+  EXPECT_THROW(ScalarPriorFactor(Head({0}), camera, 3, 1, 1, false), InputError);
+  EXPECT_THROW(ScalarPriorFactor(Head({0}), camera, -1, 1, 1, false), InputError);
+  EXPECT_THROW(ScalarPriorFactor(Head({0}), camera, 0, nan, 1, false), InputError);
+  EXPECT_THROW(ScalarPriorFactor(Head({0}), camera, 0, 0, 1, true), InputError);
+  EXPECT_THROW(ScalarPriorFactor(Head({0}), camera, 0, 1, 0, false), InputError);
+  EXPECT_THROW(ScalarPriorFactor(Head({0}), camera, 0, 1, nan, false), InputError);
+}
+
 TEST(BetweenFactor, JacobiansOnEveryManifold) {
   std::mt19937_64 random(2);
   for (const Retraction& retraction : kAll) {

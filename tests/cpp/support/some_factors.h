@@ -38,6 +38,14 @@ class FactorMaker {
         head, retraction, Moved(kind, index), Information(retraction.tangent_size(), kind)));
   }
 
+  /// Of a focal length.
+  void Scalar(int camera, LossType loss) {
+    const double value = 1.01 * problem_.ParamsOf(camera)[0];
+    made_.factors.push_back(std::make_unique<ScalarPriorFactor>(
+        Head({{Kind::kCamera, camera}}, loss), RetractionOf(Kind::kCamera, camera), 0, value, 0.02,
+        /*relative=*/true));
+  }
+
   void Position(int image, LossType loss) {
     made_.factors.push_back(std::make_unique<PositionFactor>(
         Head({{Kind::kImage, image}}, loss), std::vector<double>{0.3, -0.2, 1.1},
@@ -89,6 +97,7 @@ class FactorMaker {
     Prior(Kind::kCamera, num_cameras - 1, loss);
     if (num_cameras > 1) Between(Kind::kCamera, 1, 0, loss);
     Linear(3, 0, 1, loss);
+    Scalar(0, loss);
     for (const int point : {0, 5, 5, 9}) Prior(Kind::kPoint, point, loss);
   }
 

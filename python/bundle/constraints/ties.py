@@ -1,0 +1,150 @@
+"""Parameters that move together: each is a multiple of one number.
+
+``share`` makes parameters of several cameras equal, a ratio makes one parameter of a camera a
+multiple of another; together they make groups. With x_i = s_i u for the members of a group and one
+number u, ratios x_i / x_j = s_i / s_j hold by construction, and a solver has one unknown for the
+group: columns are eliminated, nothing is penalised.
+
+At the start u is what the members say on average, weighted alike, or what the held one of them
+says, which holds all. Where members already agree, but for rounding, u is the first one's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from bundle.errors import InputError
+
+__all__ = ["MOST_SHARED", "Group", "Groups", "check_components"]
+
+Member = tuple[int, int]
+"""Index of a camera and column of a parameter."""
+
+ROUNDING = 1e-12
+MOST_SHARED = 16
+"""Numbers that cameras may share which are tied to each other, directly or by others."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Members with their multiples, and the rules that tie them, in order."""
+
+    members: tuple[tuple[Member, float], ...]
+    rules: tuple[int, ...]
+
+    def start(
+        self,
+        value: Callable[[Member], float],
+        held: Callable[[Member], bool],
+        describe: Callable[[Member], str],
+    ) -> tuple[float, bool]:
+        """Return u, and whether a held member holds it.
+
+        Args:
+            value: of a member at the start.
+            held: whether a member is.
+            describe: a member, for messages.
+
+        Raises:
+            InputError: two members are held at values that do not agree.
+        """
+        said = [(member, value(member) / times) for member, times in self.members]
+        fixed = [(member, u) for member, u in said if held(member)]
+        if fixed:
+            (first, u), *others = fixed
+            for other, found in others:
+                if not _agree(u, found):
+                    raise InputError(
+                        f"expected values that agree where both are held, found "
+                        f"{describe(first)} at {value(first):.10g} and {describe(other)} at "
+                        f"{value(other):.10g}"
+                    )
+            return u, True
+        u = said[0][1]
+        if all(_agree(u, found) for _, found in said):
+            return u, False
+        return sum(found for _, found in said) / len(said), False
+
+
+def check_components(groups: Iterable[Group]) -> Group | None:
+    """Return a group of more than MOST_SHARED that cameras share which others tie to each other.
+
+    The core has one block for all that such cameras share. None: there is no such group.
+    """
+    parent: dict[int, int] = {}
+
+    def root(camera: int) -> int:
+        while parent.setdefault(camera, camera) != camera:
+            camera = parent[camera]
+        return camera
+
+    of_several = [group for group in groups if group.members[0][0][0] != group.members[-1][0][0]]
+    for group in of_several:
+        for (camera, _), _ in group.members:
+            parent[root(camera)] = root(group.members[0][0][0])
+    sizes: dict[int, int] = {}
+    for group in of_several:
+        at = root(group.members[0][0][0])
+        sizes[at] = sizes.get(at, 0) + 1
+        if sizes[at] > MOST_SHARED:
+            return group
+    return None
+
+
+def _agree(a: float, b: float) -> bool:
+    return abs(a - b) <= ROUNDING * max(abs(a), abs(b))
+
+
+class Groups:
+    """Groups as they grow (union-find with multiples)."""
+
+    def __init__(self) -> None:
+        # Each member's parent and how many times the parent's value its own is.
+        self._parent: dict[Member, tuple[Member, float]] = {}
+        self._rules: dict[Member, set[int]] = {}
+
+    def tie(self, a: Member, b: Member, times: float, rule: int) -> bool:
+        """Make the value of a so many times that of b; False if it already is another multiple."""
+        (root_a, of_a), (root_b, of_b) = self._find(a), self._find(b)
+        if root_a == root_b:
+            self._rules[root_a].add(rule)
+            return _agree(of_a, times * of_b)
+        # x_a = of_a u_a = times of_b u_b; the earlier root stays.
+        if root_a <= root_b:
+            self._parent[root_b] = root_a, of_a / (times * of_b)
+            self._rules[root_a] |= self._rules.pop(root_b) | {rule}
+        else:
+            self._parent[root_a] = root_b, times * of_b / of_a
+            self._rules[root_b] |= self._rules.pop(root_a) | {rule}
+        return True
+
+    def all(self) -> list[Group]:
+        """Return the groups of more than one member, members ascending."""
+        members: dict[Member, list[tuple[Member, float]]] = {}
+        for member in sorted(self._parent):
+            root, times = self._find(member)
+            members.setdefault(root, []).append((member, times))
+        return [
+            Group(tuple(found), tuple(sorted(self._rules[root])))
+            for root, found in members.items()
+            if len(found) > 1
+        ]
+
+    def of(self) -> Mapping[Member, Member]:
+        """Return the root of each member."""
+        return {member: self._find(member)[0] for member in self._parent}
+
+    def _find(self, member: Member) -> tuple[Member, float]:
+        if member not in self._parent:
+            self._parent[member] = member, 1.0
+            self._rules[member] = set()
+        path, at = [], member
+        while self._parent[at][0] != at:
+            path.append(at)
+            at = self._parent[at][0]
+        times = 1.0
+        for step in reversed(path):  # from the root downwards
+            times = self._parent[step][1] * times
+            self._parent[step] = at, times
+        return at, times
