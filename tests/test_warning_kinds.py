@@ -15,8 +15,12 @@ DECLARED = re.findall(
 )
 
 
+IN_PYTHON = ["weak_baseline"]
+"""Kinds that the core does not know, after its own."""
+
+
 def test_names_agree() -> None:
-    assert [name for name, _ in DECLARED] == list(WARNING_KINDS)
+    assert [name for name, _ in DECLARED] + IN_PYTHON == list(WARNING_KINDS)
     assert all(kind == "k" + name.title().replace("_", "") for name, kind in DECLARED)
 
 

@@ -11,7 +11,6 @@ WARNING_KINDS = {
     "gauge_not_held": "the problem has too little to hold the gauge that was asked for",
     "gauge_beside_factors": "the gauge is held although factors say where the world is",
     "points_seen_once": "free points with one observation have no depth of their own",
-    "weak_baseline": "focal lengths and baselines of rigs changed together, which is weak",
     "far_origin": "the scene is far from its origin and was solved about its centre",
     "far_points": "points lie more than 1000 times the size of the scene away",
     "far_points_dominate": "far points bent the solution to fit them: not usable",
@@ -29,5 +28,6 @@ WARNING_KINDS = {
     "observations_behind": "more observations are behind their cameras than at the start",
     "too_many_behind": "more than 1 % of the observations went behind: not usable",
     "observations_left_out": "observations that were behind before are in front at the end",
+    "weak_baseline": "focal lengths and baselines of rigs changed together, which is weak",
 }
 """Each kind with what it means."""
