@@ -230,3 +230,26 @@ def test_counts_are_nullities(case):
     counted = bundle.gauge_freedom(problem, options(problem, what), priors=priors)
     assert counted.degrees == found
     assert counted.degrees == degrees
+
+
+def test_priors_of_frames_sensors_and_points_count():
+    problem = rigs(STEREO)
+    shift = np.array([100.0, -50, 20])  # a world whose origin is elsewhere
+    frames = problem.rig_from_world.copy()
+    frames[:, 4:] -= Rotation.from_quat(frames[:, :4]).apply(shift)
+    problem = problem.replace(rig_from_world=frames, points=problem.points + shift)
+    frame = bundle.PriorFactor(("frame", 2), frames[1], np.eye(6))
+    arm = bundle.PriorFactor(("sensor", (1, 2)), problem.sensor_from_rig[0], np.eye(6))
+    points = [bundle.PriorFactor(("point", k), problem.points[k - 1], np.eye(3)) for k in (4, 9)]
+
+    def degrees(*factors, **options):
+        return bundle.gauge_freedom(problem, factors=factors, **options).degrees
+
+    assert degrees(frame) == 0
+    assert degrees(*points) == 1
+    assert degrees(points[0]) == 3
+    assert degrees(arm) == 6
+    assert degrees(refine_sensor_from_rig=True) == 7
+    assert degrees(arm, refine_sensor_from_rig=True) == 6
+    assert degrees(frame, refine_sensor_from_rig=True) == 1
+    assert degrees(frame, arm, refine_sensor_from_rig=True) == 0

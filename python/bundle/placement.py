@@ -128,6 +128,7 @@ def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | 
         return known.align(problem)
     from bundle.georeference.correspondences import Correspondences
     from bundle.georeference.prior_alignment import robust_similarity
+    from bundle.georeference.similarity_fit import fit_similarity
 
     count = len(targets.used) + len(known.priors)
     if count < FEWEST:
@@ -136,4 +137,13 @@ def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | 
             f"model, found {count}"
         )
     joined = Correspondences.joined(targets.correspondences(), known.correspondences(problem))
-    return robust_similarity(joined, "control points and positions of images")
+    what = "control points and positions of images"
+    losses = {entry.point.loss for entry in targets.used} | {prior.loss for prior in known.priors}
+    if losses == {"trivial"}:
+        # Beside thousands of pixels a few priors move the model slowly: a solve that begins where
+        # their squares are least need not move it.
+        try:
+            return fit_similarity(joined, what=what).similarity
+        except InputError:
+            pass
+    return robust_similarity(joined, what)

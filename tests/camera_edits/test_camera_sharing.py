@@ -58,6 +58,16 @@ def test_cameras_without_observations_count_alike():
     np.testing.assert_allclose(shared.camera_params[0], problem.camera_params.mean(axis=0))
 
 
+def test_equal_parameters_stay_bit_for_bit():
+    problem = make_problem(num_images=3, model="OPENCV")
+    same = np.tile(problem.camera_params[0] * np.pi, (3, 1))
+    keep = (problem.observation_image != 2) | (problem.observation_point < 7)
+    names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
+    uneven = problem.replace(**{name: getattr(problem, name)[keep] for name in names})
+    shared = bundle.share_cameras(uneven.replace(camera_params=same))
+    np.testing.assert_array_equal(shared.camera_params, same[:1])
+
+
 def test_split_and_shared_again_is_as_before(tmp_path):
     source = synthesize(31)
     problem = bundle.Problem.from_pycolmap(source)

@@ -192,3 +192,83 @@ def test_misuse():
         bundle.change_camera_model(problem, "OPENC")
     with pytest.raises(InputError, match="camera_ids: there is no camera 77"):
         bundle.change_camera_model(problem, "OPENCV", camera_ids=[0, 77])
+
+
+def test_a_pixel_far_outside_the_image_does_not_spoil_the_fit():
+    problem = make_problem(model="OPENCV_FISHEYE", shared=True, noise=0)
+    xy = problem.observation_xy.copy()
+    xy[0] = 1e3, 2e3
+    spoilt = problem.replace(observation_xy=xy)
+    clean, outlier = (
+        bundle.change_camera_model(given, "RADIAL_FISHEYE").problem.camera_params[0]
+        for given in (problem, spoilt)
+    )
+    np.testing.assert_allclose(outlier, clean, rtol=1e-3, atol=1e-3)
+
+
+def test_an_image_whose_origin_is_its_middle():
+    """As after BAL, with a size: most pixels are not between 0 and it."""
+    problem = make_problem(model="RADIAL", shared=True, noise=0)
+    moved = problem.replace(
+        camera_params=problem.camera_params - [0, 400, 300, 0, 0],
+        observation_xy=problem.observation_xy - [400, 300],
+    )
+    here, there = (
+        bundle.change_camera_model(given, "SIMPLE_RADIAL").changes[0] for given in (problem, moved)
+    )
+    assert there.max < 2 * here.max
+
+
+def fisheye(xy, params=(300, 550, 550), model="SIMPLE_FISHEYE"):
+    """One wide image, 1100 pixels square, with observations at some pixels."""
+    return bundle.Problem(
+        cam_from_world=[[0, 0, 0, 1, 0, 0, 0]],
+        camera_models=[model],
+        camera_params=[params],
+        camera_sizes=[[1100, 1100]],
+        points=np.ones((len(xy), 3)),
+        observation_image=[0] * len(xy),
+        observation_point=range(len(xy)),
+        observation_xy=xy,
+    )
+
+
+def test_a_lens_is_fitted_as_far_out_as_there_are_observations():
+    rng = np.random.default_rng(8)
+    near = 550 + rng.uniform(-100, 100, (50, 2))
+    params = [300, 300, 550, 550, 0.1, -0.05, 0.02, -0.004]
+    changed = bundle.change_camera_model(fisheye(near, params, "OPENCV_FISHEYE"), "RADIAL_FISHEYE")
+    assert changed.changes[0].max < 1e-2
+    few = bundle.change_camera_model(fisheye(near[:9], params, "OPENCV_FISHEYE"), "RADIAL_FISHEYE")
+    assert few.changes[0].max > 0.1  # the whole image counts
+    # To 100 degrees the image goes, where no perspective lens has one.
+    assert bundle.change_camera_model(fisheye(near), "OPENCV").changes[0].max < 1e-2
+    unseen = bundle.change_camera_model(fisheye(np.empty((0, 2))), "OPENCV")
+    assert unseen.changes[0].converged
+    assert unseen.changes[0].max < 50
+
+
+def test_a_symmetric_lens_keeps_its_principal_point():
+    rng = np.random.default_rng(9)
+    corner = rng.uniform((560, 500), (900, 700), (200, 2))
+    problem = fisheye(corner, [300, 550.25, 549.5, 0.1], "SIMPLE_RADIAL_FISHEYE")
+    changed = bundle.change_camera_model(problem, "THIN_PRISM_FISHEYE").problem
+    assert changed.camera_params[0, 2:4].tolist() == [550.25, 549.5]
+    fitted = bundle.change_camera_model(problem, "FISHEYE").problem
+    assert fitted.camera_params[0, 2:4].tolist() == [550.25, 549.5]
+
+
+def test_the_worst_fit_comes_first_and_padding_goes():
+    params = np.array([[800.0, 700, 400, 300, 0, 0], [800.0, 500, 400, 300, 0, 0]])
+    problem = make_problem(num_images=2, model="PINHOLE").replace(
+        camera_params=np.hstack([params, [[0, 0], [0, 0]]]), camera_models=["PINHOLE", "PINHOLE"]
+    )
+    changed = bundle.change_camera_model(problem, "RADIAL")
+    assert [warning.split(":")[0] for warning in changed.warnings] == ["Camera 2", "Camera 1"]
+    larger = problem.replace(
+        camera_models=["OPENCV", "OPENCV"],
+        camera_params=np.hstack([params[:, :4], np.full((2, 4), 0.01)]),
+    )
+    one = bundle.change_camera_model(larger, "PINHOLE", camera_ids=[1]).problem
+    assert one.camera_models == ("PINHOLE", "OPENCV")
+    one.check_padding()

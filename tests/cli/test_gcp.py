@@ -136,6 +136,17 @@ def test_a_real_list(run, bundle_data, tmp_path):
     assert place["reference_system"].startswith("+proj=utm")
 
 
+def test_squares_begin_where_an_alignment_ends(run, bundle_data, tmp_path):
+    folder = bundle_data / "georeferenced" / "copr_gcp"
+    words = ("-o", f"{tmp_path}/out/", "--gcp", folder / "gcp_list.txt", "--gcp-sigma", "0.5")
+    code, _, _ = run("refine", folder / "model", *words, "--quiet")
+    assert code == 0
+    place = place_of(tmp_path)
+    # The model is stiff beside a sigma of half a metre, and the solve stops after a few steps.
+    np.testing.assert_allclose(place["rms_enu"], [1.393, 0.921, 0.050], atol=0.005)
+    assert [point["name"] for point in place["gcps"] if point["suspect"]] == ["gcp06"]
+
+
 def test_what_is_odd_is_noted(run, made):
     folder, _ = made
     text = (folder / "gcp_list.txt").read_text()

@@ -12,18 +12,20 @@
 ///   M_f u_f = delta_i(d) - M_s u_s
 ///
 /// has to have a solution. With W = P [delta_i, -M_s], P the projection onto what M_f does not
-/// reach, those (d, u_s) that are possible are the null space of N = sum of W^T W over the frames.
-/// Some may have d = 0: they move sensors on a rig against its frames. So the gauge has
+/// reach, those (d, u_s) that are possible are the null space of the W of all frames, one above the
+/// other. Some may have d = 0: they move sensors on a rig against its frames. So the gauge has
 ///
-///   nullity(N) - nullity(N without the columns of d)
+///   nullity(W) - nullity(W without the columns of d)
 ///
 /// degrees: 7 without rigs and nothing held, 6 where a fixed baseline gives the scale, 0 where two
-/// images are held. Lengths are in units of the scene. Columns of N are scaled to norm 1, but for
-/// those that are nothing but rounding.
+/// images are held. Lengths are in units of the scene and columns in those of [delta_i, -M_s], so
+/// that a baseline counts as one down to 1e-10 of the scene. Of W, the triangle of its QR
+/// factorisation is kept.
 
 #include <Eigen/Core>
-#include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <Eigen/QR>
+#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -41,19 +43,20 @@ using Eigen::Vector3d;
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 using Map6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 
-/// Shares of a column's squared norm that are rounding, and eigenvalues that are zero.
-constexpr double kRounding = 1e-22, kZero = 1e-7;
+constexpr double kZeroSingularValue = 1e-10;
 
-class Count {
+class GaugeCount {
  public:
-  Count(const ProblemView& problem, const FreeParameters& free)
+  GaugeCount(const ProblemView& problem, const FreeParameters& free)
       : problem_(problem), free_(free), first_column_(problem.num_sensors) {
     for (int s = 0; s < problem.num_sensors; ++s) {
       first_column_[s] = num_sensor_columns_;
       num_sensor_columns_ += __builtin_popcount(free.sensor[s]);
     }
     const int n = kNumGaugeDirections + num_sensor_columns_;
-    n_ = MatrixXd::Zero(n, n);
+    // Rows are added until there are so many, and then factorised with the triangle above them.
+    rows_ = MatrixXd::Zero(n + std::max(64, 4 * n), n);
+    num_rows_ = n;
     squares_ = Eigen::VectorXd::Zero(n);
     for (int64_t i = 0; i < problem.num_observations; ++i) {
       images_.push_back(problem.observation_image[i]);
@@ -74,8 +77,8 @@ class Count {
       const int point = problem_.observation_point[i];
       if (free_.point[point] == 0) AddPoint(problem_.points + 3 * int64_t{point});
     }
-    const int n = num_sensor_columns_;
-    return Nullity(0) - (n == 0 ? 0 : Nullity(kNumGaugeDirections));
+    Factorize();
+    return Nullity(0) - (num_sensor_columns_ == 0 ? 0 : Nullity(kNumGaugeDirections));
   }
 
  private:
@@ -132,7 +135,7 @@ class Count {
     const bool is_frame = pose >= problem_.num_images;
     const uint8_t bits = is_frame ? free_.frame[pose - problem_.num_images] : free_.pose[pose];
     const PoseState own = Centred(pose);
-    std::vector<int> columns;  // of n_
+    std::vector<int> columns;  // of rows_
     for (int k = 0; k < kNumGaugeDirections; ++k) columns.push_back(k);
     std::vector<int> sensors;
     for (const int i : images) {
@@ -195,27 +198,35 @@ class Count {
                          MatrixXd::Identity(reached.rows(), reached.cols());
       for (int twice = 0; twice < 2; ++twice) wanted -= q * (q.transpose() * wanted);
     }
-    const MatrixXd product = wanted.transpose() * wanted;
-    for (size_t i = 0; i < columns.size(); ++i) {
+    for (Eigen::Index i = 0; i < wanted.rows(); ++i) {
+      if (num_rows_ == rows_.rows()) Factorize();
+      rows_.row(num_rows_).setZero();
       for (size_t j = 0; j < columns.size(); ++j) {
-        n_(columns[i], columns[j]) +=
-            product(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j));
+        rows_(num_rows_, columns[j]) = wanted(i, static_cast<Eigen::Index>(j));
       }
+      ++num_rows_;
     }
+  }
+
+  void Factorize() {
+    const Eigen::Index n = rows_.cols();
+    const MatrixXd triangle = Eigen::HouseholderQR<MatrixXd>(rows_.topRows(num_rows_))
+                                  .matrixQR()
+                                  .topRows(n)
+                                  .template triangularView<Eigen::Upper>();
+    rows_.topRows(n) = triangle;
+    num_rows_ = n;
   }
 
   /// Of the columns from `first` on.
   int Nullity(int first) const {
-    const Eigen::Index size = n_.cols() - first;
-    MatrixXd scaled = n_.bottomRightCorner(size, size);
-    Eigen::VectorXd scale(size);
-    for (Eigen::Index j = 0; j < size; ++j) {
-      const double squared = std::max(scaled(j, j), kRounding * squares_[first + j]);
-      scale[j] = squared > 0 ? 1 / std::sqrt(squared) : 1;
+    MatrixXd scaled = rows_.topRows(rows_.cols()).rightCols(rows_.cols() - first);
+    for (Eigen::Index j = 0; j < scaled.cols(); ++j) {
+      const double squared = squares_[first + j];
+      if (squared > 0) scaled.col(j) /= std::sqrt(squared);
     }
-    scaled = scale.asDiagonal() * scaled * scale.asDiagonal();
-    const Eigen::SelfAdjointEigenSolver<MatrixXd> solver(scaled, Eigen::EigenvaluesOnly);
-    return static_cast<int>((solver.eigenvalues().array() < kZero).count());
+    const Eigen::BDCSVD<MatrixXd> decomposition(scaled);
+    return static_cast<int>((decomposition.singularValues().array() < kZeroSingularValue).count());
   }
 
   const ProblemView& problem_;
@@ -225,14 +236,15 @@ class Count {
   double size_ = 1;
   std::vector<int> first_column_;  ///< of each sensor, behind those of d
   int num_sensor_columns_ = 0;
-  MatrixXd n_;
+  MatrixXd rows_;  ///< W: a triangle, and rows below it up to num_rows_
+  Eigen::Index num_rows_ = 0;
   Eigen::VectorXd squares_;  ///< of the columns before they are projected
 };
 
 }  // namespace
 
 int CountGaugeDegrees(const ProblemView& problem, const FreeParameters& free) {
-  return Count(problem, free).Degrees();
+  return GaugeCount(problem, free).Degrees();
 }
 
 }  // namespace bundle

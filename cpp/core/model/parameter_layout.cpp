@@ -152,9 +152,13 @@ void HoldParts(const ProblemView& problem, FreeParameters* free) {
   }
   for (int i = 0; problem.held_pose_parts != nullptr && i < problem.num_images; ++i) {
     const uint8_t parts = problem.held_pose_parts[i];
-    if (parts == (kHeldRotation | kHeldPosition)) free->pose[i] = 0;
-    if (parts == kHeldRotation) free->pose[i] = static_cast<uint8_t>(free->pose[i] & ~kRotation);
-    if (parts == kHeldPosition) free->pose[i] &= kRotation;  // the translation follows
+    // An image of a rig holds its frame, as one that is fixed does.
+    const int frame = problem.FrameOf(i);
+    uint8_t& bits = frame < 0 ? free->pose[i] : free->frame[frame];
+    if (parts == (kHeldRotation | kHeldPosition)) bits = 0;
+    if (parts == kHeldRotation) bits = static_cast<uint8_t>(bits & ~kRotation);
+    // The translation follows (TurnsAboutCentre).
+    if (parts == kHeldPosition) bits = static_cast<uint8_t>(bits & kRotation);
   }
 }
 

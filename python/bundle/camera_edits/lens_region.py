@@ -5,8 +5,9 @@ parts of the image do not count more: over the image, as far from the principal 
 observations, since farther out nothing has told what the old lens does. Where there are few
 observations it is the whole image; for a perspective lens, up to 80 degrees from the axis.
 
-The image is its size, with what is observed outside it. Without a size it is the box of the
-observations, without these half a focal length to each side of the principal point.
+The image is its size; observations outside it, gross errors, do not count. Where there is no size,
+or most observations are outside, as the origin is elsewhere, it is the box of the observations;
+where there are few of these, with half a focal length to each side of the principal point.
 """
 
 from __future__ import annotations
@@ -108,13 +109,13 @@ def _grid(
     """Return pixels on a grid."""
     fx, fy, cx, cy = focal_and_center(model, params)
     center = np.array([cx, cy])
-    corners = [observed]
-    if (size > 0).all():
-        corners.append(np.array([[0.0, 0.0], size]))
+    box = observed
+    inside = ((observed >= 0) & (observed <= size)).all(axis=1)
+    if (size > 0).all() and 2 * inside.sum() >= len(observed):
+        box, observed = np.array([[0.0, 0.0], size]), observed[inside]
     elif not enough:
         half = np.array([fx, fy]) / 2
-        corners.append(np.array([center - half, center + half]))
-    box = np.concatenate(corners)
+        box = np.vstack([observed, center - half, center + half])
     low, high = box.min(axis=0), box.max(axis=0)
     radius = np.inf
     if enough:
