@@ -24,7 +24,6 @@ KINDS = (
     "linear",
     "camera",
     "cameras",
-    "scalar",
     "point",
     "mixed",
 )
@@ -179,13 +178,6 @@ class Maker:
             measured = self.params(a + 1) - self.params(a)
             keys = ("camera", a + 1), ("camera", a + 2)
             yield bundle.BetweenFactor(*keys, measured, information, **self.loss)
-
-    def scalar(self):
-        for camera in range(self.problem.num_cameras):
-            params = self.params(camera)
-            key = ("camera", camera + 1)
-            yield bundle.ScalarPriorFactor(key, 0, params[0], 0.01, relative=True, **self.loss)
-            yield bundle.ScalarPriorFactor(key, len(params) - 1, params[-1], 0.05, **self.loss)
 
     def point(self):
         for point in (2, 4, 7, 7, 20):
