@@ -185,6 +185,8 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
         num_threads=1,
         deterministic=True,
         refine=("points", "focal"),
+        refine_sensor_from_rig=True,
+        fixed_sensors=((1, 2), (1, 3)),
         fixed_camera_ids=(0, 2),
         fixed_image_ids=(1,),
         fixed_point_ids=(3, 4, 5, 9),
@@ -209,6 +211,7 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
         "--parameter-tolerance", "1e-5", "--threads", 1, "--deterministic", "--refine",
         "points,focal", "--fix-cameras", "2,0", "--fix-images", 1, "--fix-points", "3-5, 9,4",
         "--gauge", "three-points", "--cheirality", "zero", "--no-check-solution",
+        "--refine-sensor-from-rig", "--fix-sensors", "1:2,1:3",
     )  # fmt: skip
     assert code == 0, err
     assert seen == [wanted]

@@ -263,7 +263,8 @@ POSE = [0, 0, 0, 1.0, 0, 0, 0]
     [
         (bundle.PriorFactor(("image", 99), POSE, 1.0), r"there is no image 99 in the problem"),
         (bundle.PriorFactor("image", POSE, 1.0), r"expected \('image', id\).* found 'image'"),
-        (bundle.PriorFactor(("frame", 1), POSE, 1.0), r"expected \('image', id\)"),
+        (bundle.PriorFactor(("frame", 1), POSE, 1.0), r"there is no frame 1 in the problem"),
+        (bundle.PriorFactor(("pose", 1), POSE, 1.0), r"expected \('image', id\)"),
         (bundle.PriorFactor(("image", True), POSE, 1.0), r"expected \('image', id\)"),
         (bundle.PriorFactor(("image", 1.0), POSE, 1.0), r"expected \('image', id\)"),
         (bundle.PriorFactor(("image", 1), [1, 2, 3], 1.0), r"expected 7 numbers .*found 3"),

@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 
 FEWEST = 3
 
+MOST_OUTSIDE = 5
+"""Measurements outside of their images that are listed."""
+
 
 class Survey:
     """What was measured in the field, and where the model has it.
@@ -191,6 +194,9 @@ def _outside(problem: Problem, targets: tuple[Triangulated, ...]) -> list[str]:
                     f"{entry.point.name} is measured outside of {measurement.image} "
                     f"({width} x {height} px), at {x:g} {y:g}."
                 )
+    if len(notes) > MOST_OUTSIDE:
+        more = plural(len(notes) - MOST_OUTSIDE, "more measurement")
+        notes[MOST_OUTSIDE:] = [f"and {more} outside of their images."]
     return notes
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich.console import RenderableType
 
 from bundle.problem import Problem
 from bundle.sensor_changes import SensorChange
-from bundle.statistics.rig_summary import RigSummary, rig_summaries
 from bundle.tables import columns, notes, number
 from bundle.words import plural
+
+if TYPE_CHECKING:
+    from bundle.statistics.rig_summary import RigSummary
 
 __all__ = ["rig_fact", "rig_table", "sensor_table"]
 
@@ -23,9 +26,12 @@ MOST_SENSORS = 8
 
 def rig_fact(problem: Problem) -> list[tuple[str, str]]:
     """Return a fact such as "1 rig of 2 sensors, 26 frames"; nothing where there are no rigs."""
-    rigs = rig_summaries(problem)
-    if not rigs:
+    if problem.num_frames == 0:
         return []
+    # Statistics are late to import, and most problems have no rigs.
+    from bundle.statistics.rig_summary import rig_summaries
+
+    rigs = rig_summaries(problem)
     counts = [len(rig.sensors) for rig in rigs]
     low, high = min(counts), max(counts)
     sensors = plural(high, "sensor") if low == high else f"{low} to {high} sensors"
