@@ -18,7 +18,7 @@
 #include "core/error.h"
 #include "core/factors/factor.h"
 #include "core/graph/factor_graph.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 
 namespace py = pybind11;

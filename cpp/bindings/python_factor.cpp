@@ -4,7 +4,7 @@
 #include <utility>
 
 #include "core/error.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 
 namespace py = pybind11;
 

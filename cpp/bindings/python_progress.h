@@ -8,7 +8,7 @@
 #include <optional>
 
 #include "core/interface/summary.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 
 /// Tells Python of each iteration and looks for Ctrl-C. KeyboardInterrupt stops the solve, whether
 /// a signal raised it or the callback, in which a signal may have done so. Any other exception, of

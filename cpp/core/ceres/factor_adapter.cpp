@@ -1,14 +1,13 @@
-#include "core/ceres/factor_adapter.h"
-
 #include <algorithm>
 #include <cmath>
 #include <set>
 #include <utility>
 
+#include "core/ceres/cost_functions.h"
 #include "core/ceres/translate.h"
 #include "core/error.h"
 #include "core/factors/factor.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 
 namespace bundle {
 

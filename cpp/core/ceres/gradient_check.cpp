@@ -1,4 +1,3 @@
-#include "core/ceres/gradient_check.h"
 
 #include <ceres/gradient_checker.h>
 
@@ -8,7 +7,7 @@
 #include <memory>
 #include <random>
 
-#include "core/ceres/factor_adapter.h"
+#include "core/ceres/cost_functions.h"
 #include "core/ceres/reference_checks.h"
 #include "core/checking/richardson.h"
 

@@ -17,9 +17,8 @@
 #include <vector>
 
 #include "core/cameras/registry.h"
-#include "core/ceres/gradient_check.h"
+#include "core/ceres/cost_functions.h"
 #include "core/ceres/reference_checks.h"
-#include "core/ceres/reprojection_cost.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
 #include "core/problem/reprojection_errors.h"

@@ -3,14 +3,13 @@
 #include <string>
 #include <utility>
 
-#include "core/ceres/factor_adapter.h"
+#include "core/ceres/cost_functions.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/ceres/translate.h"
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/parallel/blas.h"
-#include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 

@@ -9,8 +9,7 @@
 #include <utility>
 
 #include "core/ceres/active_bounds.h"
-#include "core/ceres/factor_adapter.h"
-#include "core/ceres/reprojection_cost.h"
+#include "core/ceres/cost_functions.h"
 #include "core/ceres/translate.h"
 #include "core/checking/check_solution.h"
 #include "core/interface/summary.h"
@@ -18,7 +17,6 @@
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
 #include "core/parallel/blas.h"
-#include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 

@@ -8,7 +8,7 @@
 #include "core/ceres/translate.h"
 #include "core/interface/summary.h"
 #include "core/model/coupled_blocks.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 #include "core/symbolic/symbolic.h"
 
 namespace bundle {

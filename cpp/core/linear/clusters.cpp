@@ -1,4 +1,4 @@
-#include "core/linear/coarse_space.h"
+#include "core/linear/preconditioners.h"
 
 /// Clusters start as single blocks. The blocks that are coupled most are joined first, with the
 /// clusters they are in, unless these together are too large. The coupling of blocks i and j is

@@ -14,16 +14,14 @@
 /// number of threads. The cost is 4 m^2 d flops for each block of S, m its size and d directions,
 /// beside about 2 m^2 L of elimination for each point that L images see.
 
-#include "core/linear/coarse_space.h"
-
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <utility>
 
-#include "core/linear/coarse_space.h"
 #include "core/linear/linear_solver.h"
+#include "core/linear/preconditioners.h"
 #include "core/linear/supernodal_cholesky.h"
 #include "core/parallel/thread_pool.h"
 

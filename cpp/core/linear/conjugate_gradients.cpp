@@ -32,7 +32,7 @@
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
 #include "core/linear/preconditioners.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 
 namespace bundle {
 namespace {

@@ -21,8 +21,6 @@
 #include <memory>
 #include <vector>
 
-#include "core/linear/coarse_space.h"
-
 namespace bundle {
 
 namespace {

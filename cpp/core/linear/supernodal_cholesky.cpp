@@ -18,7 +18,7 @@
 #include <utility>
 
 #include "core/parallel/blas.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 
 namespace bundle {
 namespace {

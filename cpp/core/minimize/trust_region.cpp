@@ -23,7 +23,7 @@
 
 #include "core/minimize/strategy.h"
 #include "core/minimize/trust_region.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 
 namespace bundle {
 namespace {

@@ -35,6 +35,9 @@ struct FreeParameters {
   }
 };
 
+/// Of each image: 1 if it has observations.
+std::vector<uint8_t> FindObservedImages(const ProblemView& problem);
+
 /// What the options leave free. Nothing is free that neither an observation nor a factor touches.
 /// An image that is fixed fixes its frame. The sensors of a rig whose reference sensor observes
 /// nothing are fixed: moving all of them on the rig is what moving its frames is.

@@ -176,48 +176,6 @@ void Assembler::AddSharedBlocks(const EliminationInput& input, const Chunk& chun
   }
 }
 
-void Assembler::AddDamping(double damping, const std::vector<double>& d_squared,
-                           CameraSums* sums) const {
-  for (int b = 0; b < structure_.num_blocks(); ++b) {
-    const int size = structure_.block_size(b);
-    for (int k = 0; k < size; ++k) {
-      const double added = damping * d_squared[structure_.offset[b] + k];
-      sums->system.values[structure_.ValueIndex(b, structure_.column_begin[b], k, k)] += added;
-      if (sums->system.camera_diagonal.empty()) continue;
-      double* const diagonal = sums->system.camera_diagonal.data() + diagonal_begin_[b];
-      diagonal[k * size + k] += added;
-      for (int i = 0; i < k; ++i) diagonal[k * size + i] = diagonal[i * size + k];
-    }
-  }
-}
-
-void Assembler::ClearColumns(const std::vector<uint8_t>& which, CameraSums* sums) const {
-  if (std::count(which.begin(), which.end(), 1) == 0) return;
-  for (size_t j = 0; j < which.size(); ++j) {
-    if (which[j]) sums->gradient[j] = sums->system.rhs[j] = sums->squared_norms[j] = 0;
-  }
-  for (int b = 0; b < structure_.num_blocks(); ++b) {
-    const uint8_t* const columns = which.data() + structure_.offset[b];
-    const int width = structure_.block_size(b);
-    for (int64_t e = structure_.column_begin[b]; e < structure_.column_begin[b + 1]; ++e) {
-      const uint8_t* const rows = which.data() + structure_.offset[structure_.row_block[e]];
-      const int height = structure_.block_size(structure_.row_block[e]);
-      for (int k = 0; k < width; ++k) {
-        for (int i = 0; i < height; ++i) {
-          if (columns[k] || rows[i]) sums->system.values[structure_.ValueIndex(b, e, i, k)] = 0;
-        }
-      }
-    }
-    if (sums->system.camera_diagonal.empty()) continue;
-    double* const diagonal = sums->system.camera_diagonal.data() + diagonal_begin_[b];
-    for (int k = 0; k < width; ++k) {
-      for (int i = 0; i < width; ++i) {
-        if (columns[k] || columns[i]) diagonal[k * width + i] = 0;
-      }
-    }
-  }
-}
-
 /// Asks for the columns of the block that most of a pair goes to; S does not fit a cache, and the
 /// columns of a block are far apart.
 void Assembler::PrefetchPair(int first, int second, const double* values) const {

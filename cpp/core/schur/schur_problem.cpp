@@ -7,13 +7,11 @@
 #include <utility>
 
 #include "core/model/gauge.h"
-#include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/assembler.h"
 #include "core/schur/camera_factors.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
-#include "core/schur/schur_setup.h"
 #include "core/schur/state_records.h"
 
 namespace bundle {

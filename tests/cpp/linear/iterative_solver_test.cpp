@@ -11,7 +11,7 @@
 
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 #include "linear/random_system.h"
 
 namespace bundle {

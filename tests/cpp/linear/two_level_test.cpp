@@ -7,7 +7,6 @@
 #include <random>
 #include <vector>
 
-#include "core/linear/coarse_space.h"
 #include "core/linear/preconditioners.h"
 #include "linear/random_system.h"
 

@@ -10,7 +10,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 #include "minimize/ceres_oracle.h"
 #include "minimize/classic_functions.h"
 #include "minimize/dense_problem.h"

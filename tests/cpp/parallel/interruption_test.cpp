@@ -1,8 +1,8 @@
-#include "core/parallel/interruption.h"
-
 #include <gtest/gtest.h>
 
 #include <thread>
+
+#include "core/parallel/thread_pool.h"
 
 namespace bundle {
 namespace {

@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 #include "schur/capturing_solver.h"
 #include "schur/schur_comparison.h"
 #include "support/no_threads.h"

@@ -9,7 +9,7 @@
 
 #include "core/error.h"
 #include "core/interface/options.h"
-#include "core/parallel/interruption.h"
+#include "core/parallel/thread_pool.h"
 #include "core/solver/solver.h"
 #include "support/checked_solve.h"
 #include "support/cost.h"

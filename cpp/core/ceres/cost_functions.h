@@ -1,19 +1,23 @@
 #pragma once
 
-/// Factors (factors/factor.h) and manifolds as Ceres sees them.
+/// What Ceres evaluates: the reprojection residual (factors/reprojection.h) and other factors
+/// (factors/factor.h) as cost functions, manifolds, and references for Jacobians of any of them.
 
 #include <atomic>
+#include <cstdint>
 #include <memory>
 #include <string>
 #include <vector>
 
 #include "core/ceres/active_bounds.h"
 #include "core/ceres/ceres_version.h"
+#include "core/ceres/reference_checks.h"
 #include "core/graph/factor_graph.h"
 #include "core/interface/summary.h"
+#include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
-#include "core/parallel/interruption.h"
 #include "core/parallel/thread_pool.h"
+#include "core/problem/problem_view.h"
 
 namespace bundle {
 
@@ -101,5 +105,73 @@ class CeresGraph {
   std::unique_ptr<ceres::Problem> problem_;
   mutable Abandonment abandonment_;
 };
+
+/// Residuals that observations hold, as the reprojection costs of a solve count them.
+struct HoldingWatch {
+  std::atomic<int64_t> num_held{0};  ///< at the last state
+  /// Since this was last set to false, others counted at a candidate than at the state before.
+  std::atomic<bool> has_changed{false};
+  /// Derivatives that are asked for now are at a candidate.
+  std::atomic<bool> is_at_candidate{false};
+};
+
+/// What all reprojection costs of a solve share. Outlives them.
+struct ReprojectionContext {
+  const ProblemView& problem;
+  const ParameterLayout& layout;
+  const CameraStates& states;
+  Cheirality cheirality;
+  HoldingWatch* watch = nullptr;  ///< nullptr: what does not count is zero, and nothing is held
+  /// Once true, no cost can be evaluated any more, so that Ceres ends. nullptr: never.
+  const std::atomic<bool>* abandoned = nullptr;
+};
+
+/// The residual of one observation, divided by its sigma, as Ceres sees it. Its parameter blocks
+/// are, in this order and as far as they are free: the point, then the image's blocks
+/// (ParameterLayout::blocks_of). The derivatives by an image's own pose, if that is a rig's, are
+/// multiplied with the maps to its frame and its sensor (factors/rig_pose.h).
+///
+/// Camera parameters are read from `context.states`, not from the parameters: an EvaluationCallback
+/// keeps the two equal. The model is one of the registry's and known.
+///
+/// An observation that does not count has the residual that it holds (factors/reprojection.h),
+/// which depends on the states of the solve. Ceres' trust region asks for derivatives at these, and
+/// for the residual alone at candidates; only its search along a projected step asks for
+/// derivatives at candidates, which HoldingWatch::is_at_candidate tells apart.
+std::unique_ptr<ceres::CostFunction> MakeReprojectionCost(const ReprojectionContext& context,
+                                                          int64_t observation);
+
+/// Two references for the Jacobians of one cost function at one point.
+///
+/// The first is ceres::GradientChecker, which users know. It differentiates along the tangent space
+/// of the manifolds, so that errors along their normals hide, with a step of 1e-2 (of 1e-2 of the
+/// parameter) that it shrinks at most a thousandfold, and compares an entry absolutely where one
+/// side is exactly zero. Its numbers are kept, its verdict only counted.
+///
+/// The second reference (richardson.h) is taken in the ambient space, parameter by parameter, and
+/// along the manifolds' Plus, without their PlusJacobian, and comes with a bound on its error.
+
+/// Manifolds of a cost function's blocks, one each; nullptr: Euclidean.
+using Manifolds = std::vector<const ceres::Manifold*>;
+
+int AmbientSize(const ceres::CostFunction& cost);
+int TangentSize(const ceres::CostFunction& cost, const Manifolds& manifolds);
+
+/// What is known of a cost function beforehand.
+struct KnownScales {
+  /// Bounds of the first step of each ambient column, unless empty: the distance to a singularity.
+  std::vector<double> largest_steps;
+  /// Size of the numbers whose difference a residual is: it is rounded as they are.
+  double minuend = 0;
+};
+
+ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& cost,
+                                             const Manifolds& manifolds,
+                                             const std::vector<const double*>& parameters,
+                                             const KnownScales& known = {});
+
+GradientCheckerProbe RunGradientChecker(const ceres::CostFunction& cost, const Manifolds& manifolds,
+                                        const std::vector<const double*>& parameters,
+                                        double relative_precision);
 
 }  // namespace bundle

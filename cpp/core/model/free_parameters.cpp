@@ -1,0 +1,220 @@
+#include <algorithm>
+#include <cstdint>
+#include <set>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "core/cameras/camera_model.h"
+#include "core/error.h"
+#include "core/model/parameter_layout.h"
+#include "core/model/problem_factors.h"
+
+namespace bundle {
+
+std::vector<uint8_t> FindObservedImages(const ProblemView& problem) {
+  std::vector<uint8_t> observed(problem.num_images);
+  for (int64_t i = 0; i < problem.num_observations; ++i) observed[problem.observation_image[i]] = 1;
+  return observed;
+}
+
+namespace {
+
+/// Calls fix(index) for each id.
+template <typename Fix>
+void ForEachIndex(const char* what, const std::vector<int64_t>& wanted, const int64_t* ids,
+                  int num_ids, const Fix& fix) {
+  if (wanted.empty()) return;
+  std::unordered_map<int64_t, int> index_of_id;
+  for (int i = 0; i < num_ids; ++i) index_of_id.emplace(ids[i], i);
+  for (const int64_t id : wanted) {
+    const auto found = index_of_id.find(id);
+    if (found == index_of_id.end()) {
+      throw InputError(std::string("fixed_") + what + "_ids: expected ids in the problem, found " +
+                       std::to_string(id));
+    }
+    fix(found->second);
+  }
+}
+
+bool IsRefined(CameraParam::Kind kind, const SolveOptions& options) {
+  switch (kind) {
+    case CameraParam::kFocal:
+      return options.refine_focal;
+    case CameraParam::kPrincipalPoint:
+      return options.refine_principal_point;
+    case CameraParam::kExtra:
+      return options.refine_extra;
+    case CameraParam::kMetadata:
+      return false;
+  }
+  return false;
+}
+
+uint32_t FreeCameraParameters(const CameraModel& model, const SolveOptions& options) {
+  uint32_t free = 0;
+  for (int j = 0; j < model.num_params; ++j) {
+    if (IsRefined(model.params[j].kind, options)) free |= 1u << j;
+  }
+  return free;
+}
+
+/// The pose of an image is its own, or that of its frame and sensor.
+void FreePoseOf(const ProblemView& problem, const SolveOptions& options, int image,
+                FreeParameters* free) {
+  const int frame = problem.FrameOf(image), sensor = problem.SensorOf(image);
+  if (options.refine_poses) {
+    (frame < 0 ? free->pose[image] : free->frame[frame]) = FreeParameters::kWholePose;
+  }
+  if (options.refine_sensor_from_rig && sensor >= 0) {
+    free->sensor[sensor] = FreeParameters::kWholePose;
+  }
+}
+
+void HoldSensorsWithoutReference(const ProblemView& problem, FreeParameters* free) {
+  if (problem.num_sensors == 0) return;
+  const std::vector<uint8_t> observed = FindObservedImages(problem);
+  std::set<int64_t> rigs;  // whose reference sensor observes something
+  for (int i = 0; i < problem.num_images; ++i) {
+    const int frame = problem.FrameOf(i);
+    if (observed[i] && frame >= 0 && problem.SensorOf(i) < 0) {
+      rigs.insert(problem.frame_rig_ids[frame]);
+    }
+  }
+  for (int s = 0; s < problem.num_sensors; ++s) {
+    if (rigs.count(problem.sensor_rig_ids[s]) == 0) free->sensor[s] = 0;
+  }
+}
+
+void HoldSensors(const ProblemView& problem, const SolveOptions& options, FreeParameters* free) {
+  for (const SensorId& id : options.fixed_sensors) {
+    int found = 0;
+    while (found < problem.num_sensors && (problem.sensor_rig_ids[found] != id.first ||
+                                           problem.sensor_camera_ids[found] != id.second)) {
+      ++found;
+    }
+    if (found == problem.num_sensors) {
+      throw InputError("fixed_sensors: expected sensors with a sensor_from_rig, found rig " +
+                       std::to_string(id.first) + ", camera " + std::to_string(id.second));
+    }
+    free->sensor[found] = 0;
+  }
+}
+
+/// What factors touch may be seen by no observation.
+void FreeTouched(const ProblemView& problem, const SolveOptions& options, FreeParameters* free) {
+  for (const ProblemVariable& variable : problem.factors->variables) {
+    switch (variable.kind) {
+      case ProblemVariable::Kind::kImage:
+        FreePoseOf(problem, options, variable.index, free);
+        break;
+      case ProblemVariable::Kind::kFrame:
+        if (options.refine_poses) free->frame[variable.index] = FreeParameters::kWholePose;
+        break;
+      case ProblemVariable::Kind::kSensor:
+        if (options.refine_sensor_from_rig) {
+          free->sensor[variable.index] = FreeParameters::kWholePose;
+        }
+        break;
+      case ProblemVariable::Kind::kCamera:
+        if (problem.camera_models[variable.index] == nullptr) break;
+        free->camera[variable.index] =
+            FreeCameraParameters(*problem.camera_models[variable.index], options);
+        break;
+      case ProblemVariable::Kind::kPoint:
+        if (options.refine_points) free->point[variable.index] = 1;
+        break;
+    }
+  }
+}
+
+void HoldBetweenEqualBounds(const ProblemView& problem, FreeParameters* free) {
+  if (problem.camera_lower == nullptr) return;
+  const int num_params = std::min(problem.camera_params_stride, kMaxCameraParams);
+  for (int c = 0; c < problem.num_cameras; ++c) {
+    const int64_t first = static_cast<int64_t>(c) * problem.camera_params_stride;
+    for (int j = 0; j < num_params; ++j) {
+      const bool equal = problem.camera_lower[first + j] == problem.camera_upper[first + j];
+      if (equal) free->camera[c] &= ~(1u << j);
+    }
+  }
+}
+
+void HoldParts(const ProblemView& problem, FreeParameters* free) {
+  constexpr uint8_t kRotation = 0b000111;
+  for (int c = 0; problem.held_camera_params != nullptr && c < problem.num_cameras; ++c) {
+    free->camera[c] &= ~problem.held_camera_params[c];
+  }
+  for (int i = 0; problem.held_pose_parts != nullptr && i < problem.num_images; ++i) {
+    const uint8_t parts = problem.held_pose_parts[i];
+    // An image of a rig holds its frame, as one that is fixed does.
+    const int frame = problem.FrameOf(i);
+    uint8_t& bits = frame < 0 ? free->pose[i] : free->frame[frame];
+    if (parts == (kHeldRotation | kHeldPosition)) bits = 0;
+    if (parts == kHeldRotation) bits = static_cast<uint8_t>(bits & ~kRotation);
+    // The translation follows (TurnsAboutCentre).
+    if (parts == kHeldPosition) bits = static_cast<uint8_t>(bits & kRotation);
+  }
+}
+
+}  // namespace
+
+namespace {
+
+/// What is one number is free as a whole.
+void FreeTied(const ProblemView& problem, FreeParameters* free) {
+  if (problem.camera_tie == nullptr) return;
+  const int64_t stride = problem.camera_params_stride;
+  const int num_params = std::min(problem.camera_params_stride, kMaxCameraParams);
+  std::vector<bool> is_free(problem.num_ties);
+  const auto for_ties = [&](const auto& visit) {
+    for (int c = 0; c < problem.num_cameras; ++c) {
+      for (int j = 0; j < num_params; ++j) {
+        if (const int tie = problem.camera_tie[stride * c + j]; tie >= 0) visit(c, j, tie);
+      }
+    }
+  };
+  for_ties([&](int c, int j, int tie) {
+    if (free->camera[c] >> j & 1u) is_free[tie] = true;
+  });
+  for_ties([&](int c, int j, int tie) {
+    if (is_free[tie]) free->camera[c] |= 1u << j;
+  });
+}
+
+}  // namespace
+
+FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptions& options) {
+  FreeParameters free;
+  free.pose.resize(problem.num_images);
+  free.camera.resize(problem.num_cameras);
+  free.point.resize(problem.num_points);
+  free.frame.resize(problem.num_frames);
+  free.sensor.resize(problem.num_sensors);
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    FreePoseOf(problem, options, problem.observation_image[i], &free);
+    if (options.refine_points) free.point[problem.observation_point[i]] = 1;
+    const int camera = problem.image_camera[problem.observation_image[i]];
+    if (free.camera[camera] == 0) {
+      free.camera[camera] = FreeCameraParameters(*problem.camera_models[camera], options);
+    }
+  }
+  if (problem.factors != nullptr) FreeTouched(problem, options, &free);
+  HoldBetweenEqualBounds(problem, &free);
+  HoldParts(problem, &free);
+  HoldSensorsWithoutReference(problem, &free);
+  HoldSensors(problem, options, &free);
+  ForEachIndex("camera", options.fixed_camera_ids, problem.camera_ids, problem.num_cameras,
+               [&](int index) { free.camera[index] = 0; });
+  ForEachIndex("image", options.fixed_image_ids, problem.image_ids, problem.num_images,
+               [&](int index) {
+                 const int frame = problem.FrameOf(index);
+                 (frame < 0 ? free.pose[index] : free.frame[frame]) = 0;
+               });
+  ForEachIndex("point", options.fixed_point_ids, problem.point_ids, problem.num_points,
+               [&](int index) { free.point[index] = 0; });
+  FreeTied(problem, &free);
+  return free;
+}
+
+}  // namespace bundle
