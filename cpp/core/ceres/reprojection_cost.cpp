@@ -13,22 +13,14 @@ namespace {
 template <typename Model>
 class ReprojectionCost final : public ceres::CostFunction {
  public:
-  ReprojectionCost(const ReprojectionContext& context, int64_t observation) {
+  ReprojectionCost(const ReprojectionContext& context, int64_t observation) : context_(context) {
     const ProblemView& problem = context.problem;
     const ParameterLayout& layout = context.layout;
-    const int image = problem.observation_image[observation];
-    const int camera = problem.image_camera[image];
     const int point = problem.observation_point[observation];
-    pose_ = &context.states.pose(image);
-    rig_ = context.states.rig(image);
-    params_ = context.states.params(camera);
-    cheirality_ = context.cheirality;
-    abandoned_ = context.abandoned;
-    watch_ = context.watch;
+    image_ = problem.observation_image[observation];
+    pose_ = &context.states.pose(image_);
+    params_ = context.states.params(problem.image_camera[image_]);
     measurement_ = problem.observation_xy + 2 * observation;
-
-    context_ = &context;
-    image_ = image;
 
     set_num_residuals(2);
     if (layout.point_is_free(point)) {
@@ -36,13 +28,13 @@ class ReprojectionCost final : public ceres::CostFunction {
     } else {
       fixed_point_ = problem.points + 3 * static_cast<int64_t>(point);
     }
-    const ParameterLayout::ImageBlocks& of = layout.blocks_of(image);
+    const ParameterLayout::ImageBlocks& of = layout.blocks_of(image_);
     for (int place = 0; place < static_cast<int>(of.size()); ++place) {
       const int index = of[place];
       if (index < 0) continue;
       const CameraBlock& block = layout.blocks()[index];
-      if (layout.HasMap(problem, image, place)) maps_of_[num_blocks_] = static_cast<int8_t>(place);
-      if (index == layout.blocks_of(image)[ParameterLayout::kSensorBlock]) sensor_ = num_blocks_;
+      has_map_[num_blocks_] = layout.HasMap(problem, image_, place);
+      place_[num_blocks_] = static_cast<int8_t>(place);
       blocks_[num_blocks_++] = &block;
       mutable_parameter_block_sizes()->push_back(block.size);
     }
@@ -50,29 +42,33 @@ class ReprojectionCost final : public ceres::CostFunction {
 
   bool Evaluate(double const* const* parameters, double* residuals,
                 double** jacobians) const override {
-    if (abandoned_ != nullptr && abandoned_->load(std::memory_order_relaxed)) return false;
+    const std::atomic<bool>* const abandoned = context_.abandoned;
+    if (abandoned != nullptr && abandoned->load(std::memory_order_relaxed)) return false;
     const double* point = fixed_point_ != nullptr ? fixed_point_ : parameters[0];
     if (jacobians == nullptr) {
       const bool in_front = EvaluateReprojection<Model, kParams>(
-          *pose_, params_, point, measurement_, cheirality_, residuals, nullptr);
-      if (watch_ != nullptr) AtCandidate(in_front, residuals);
+          *pose_, params_, point, measurement_, context_.cheirality, residuals, nullptr);
+      if (context_.watch != nullptr) AtCandidate(in_front, residuals);
       return true;
     }
     ReprojectionJacobian<kParams> jacobian;
     const bool in_front = EvaluateReprojection<Model>(*pose_, params_, point, measurement_,
-                                                      cheirality_, residuals, &jacobian);
-    if (watch_ != nullptr) AtStateOrCandidate(in_front, residuals, &jacobian);
+                                                      context_.cheirality, residuals, &jacobian);
+    if (context_.watch != nullptr) AtStateOrCandidate(in_front, residuals, &jacobian);
     if (fixed_point_ == nullptr) {
       if (jacobians[0] != nullptr) std::copy_n(jacobian.point, 6, jacobians[0]);
       ++jacobians;
     }
+    const RigPose rig = context_.states.rig(image_);
     double local[2 * kPoseSize];
-    if (rig_.frame != nullptr) std::copy_n(jacobian.pose, 2 * kPoseSize, local);
+    if (rig.frame != nullptr) std::copy_n(jacobian.pose, 2 * kPoseSize, local);
     for (int b = 0; b < num_blocks_; ++b) {
       if (jacobians[b] == nullptr) continue;
-      if (rig_.frame != nullptr) ChainRig(local, b == sensor_, jacobian.pose);
-      if (maps_of_[b] >= 0) {
-        GatherMapped(jacobian, maps_of_[b], *blocks_[b], jacobians[b]);
+      const bool is_sensor = place_[b] == ParameterLayout::kSensorBlock;
+      const bool is_pose = is_sensor || place_[b] == ParameterLayout::kPoseBlock;
+      if (rig.frame != nullptr && is_pose) ChainRig(rig, local, is_sensor, jacobian.pose);
+      if (has_map_[b]) {
+        GatherMapped(jacobian, place_[b], *blocks_[b], jacobians[b]);
       } else {
         Gather(jacobian, *blocks_[b], jacobians[b]);
       }
@@ -86,17 +82,17 @@ class ReprojectionCost final : public ceres::CostFunction {
   void AtCandidate(bool in_front, double* residual) const {
     const bool counts = CountsAfterState(in_front, residual);
     if (!counts) std::copy_n(held_, 2, residual);
-    if (counts != counted_) watch_->has_changed.store(true, std::memory_order_relaxed);
+    if (counts != counted_) context_.watch->has_changed.store(true, std::memory_order_relaxed);
   }
 
   void AtStateOrCandidate(bool in_front, double* residual,
                           ReprojectionJacobian<kParams>* jacobian) const {
     const bool counts = CountsAfterState(in_front, residual);
-    if (watch_->is_at_candidate.load(std::memory_order_relaxed)) {
+    if (context_.watch->is_at_candidate.load(std::memory_order_relaxed)) {
       if (!counts) Hold(residual, jacobian);
       return;
     }
-    if (counts != counted_) watch_->num_held.fetch_add(counts ? -1 : 1);
+    if (counts != counted_) context_.watch->num_held.fetch_add(counts ? -1 : 1);
     counted_ = counts;
     if (counts) {
       for (int i = 0; i < 2; ++i) held_[i] = kHeldFactor * residual[i];
@@ -115,23 +111,18 @@ class ReprojectionCost final : public ceres::CostFunction {
     return r[0] * r[0] + r[1] * r[1] <= held_[0] * held_[0] + held_[1] * held_[1];
   }
 
-  void ChainRig(const double* local, bool is_sensor, double* out) const {
+  static void ChainRig(const RigPose& rig, const double* local, bool is_sensor, double* out) {
     double map[kPoseSize * kPoseSize];
-    is_sensor ? SensorMap(rig_, map) : FrameMap(rig_, map);
-    std::fill_n(out, 2 * kPoseSize, 0.0);
+    is_sensor ? SensorMap(rig, map) : FrameMap(rig, map);
     for (int row = 0; row < 2; ++row) {
-      for (int i = 0; i < kPoseSize; ++i) {
-        for (int j = 0; j < kPoseSize; ++j) {
-          out[kPoseSize * row + j] += local[kPoseSize * row + i] * map[kPoseSize * i + j];
-        }
-      }
+      RowTimesMap(local + kPoseSize * row, map, out + kPoseSize * row);
     }
   }
 
   void GatherMapped(const ReprojectionJacobian<kParams>& jacobian, int place,
                     const CameraBlock& block, double* out) const {
     ColumnMap map;
-    context_->layout.FillMap(context_->problem, image_, place, *pose_, &map);
+    context_.layout.FillMap(context_.problem, image_, place, *pose_, &map);
     std::fill_n(out, 2 * block.size, 0.0);
     for (int i = 0; i < map.num_columns; ++i) {
       const int column = map.columns[i];
@@ -158,22 +149,18 @@ class ReprojectionCost final : public ceres::CostFunction {
     }
   }
 
+  const ReprojectionContext& context_;
   const PoseState* pose_;
   const double* params_;
   const double* fixed_point_ = nullptr;
   const double* measurement_;
-  const ReprojectionContext* context_ = nullptr;
   const CameraBlock* blocks_[4] = {};
-  HoldingWatch* watch_;
   mutable double held_[2] = {0, 0};  ///< what is held if the observation stops counting, or is held
-  RigPose rig_;
-  int image_ = -1;
+  int image_;
   int8_t num_blocks_ = 0;
-  int8_t maps_of_[4] = {-1, -1, -1, -1};  ///< of each block with a map: its place in ImageBlocks
-  int8_t sensor_ = -1;                    ///< which of the blocks is the sensor's
-  mutable bool counted_ = true;           ///< at the last state
-  Cheirality cheirality_;
-  const std::atomic<bool>* abandoned_ = nullptr;
+  int8_t place_[4] = {};         ///< of each block: its place in ImageBlocks
+  bool has_map_[4] = {};         ///< of each block
+  mutable bool counted_ = true;  ///< at the last state
 };
 
 /// A reprojection cost divided by the observation's sigma. What an observation holds is in pixels

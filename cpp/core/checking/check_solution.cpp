@@ -137,13 +137,10 @@ uint32_t SolutionUnderCheck::FreeColumns(int64_t observation) const {
   const int image = problem_.observation_image[observation];
   const int camera = problem_.image_camera[image];
   uint32_t free = layout_.RefinedColumns(problem_, image);
-  if (layout_.blocks_of(image)[ParameterLayout::kSensorBlock] >= 0) {
-    free |= FreeParameters::kWholePose;
-  }
   // In its local coordinates, all of an image moves with its rig.
-  if (problem_.FrameOf(image) >= 0 && (free & FreeParameters::kWholePose) != 0) {
-    free |= FreeParameters::kWholePose;
-  }
+  const bool has_sensor = layout_.blocks_of(image)[ParameterLayout::kSensorBlock] >= 0;
+  const bool moves = has_sensor || (free & FreeParameters::kWholePose) != 0;
+  if (problem_.FrameOf(image) >= 0 && moves) free |= FreeParameters::kWholePose;
   if (layout_.point_is_free(problem_.observation_point[observation])) {
     free |= 7u << (kPoseSize + problem_.camera_models[camera]->num_params);
   }

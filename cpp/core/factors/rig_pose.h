@@ -100,6 +100,14 @@ inline void FrameMap(const RigPose& rig, double map[36]) {
   JoinBlocks(turned, nullptr, nullptr, rotation, map);
 }
 
+/// A row of six, by local coordinates of an image, to one by the unknowns of a map.
+inline void RowTimesMap(const double* row, const double map[36], double* out) {
+  for (int j = 0; j < 6; ++j) {
+    out[j] = 0;
+    for (int i = 0; i < 6; ++i) out[j] += row[i] * map[6 * i + j];
+  }
+}
+
 /// M_s, where there is a sensor.
 inline void SensorMap(const RigPose& rig, double map[36]) {
   double lever[3], moved[9];

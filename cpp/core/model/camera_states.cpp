@@ -105,7 +105,7 @@ void CameraStates::Update(const double* state) {
 /// t = -R c for the centre c at the problem's values, which keep every bit where nothing turned.
 void CameraStates::TurnAboutCentre(int image) {
   const double* const start = ValueOfPose(problem_, image);
-  double chart[kPoseSize], value[7], turn[9], rotation[9], back[3];
+  double chart[kPoseSize], value[7], rotation[9], back[3];
   double* const translation = &charts_[kPoseSize * int64_t{image} + 3];
   ChartOf(image, chart);
   ValueOf(image, value);
@@ -117,8 +117,7 @@ void CameraStates::TurnAboutCentre(int image) {
   VectorMatrix3(start + 4, rotation, back);  // R^T t = -c
   PoseState pose;
   ExpandPose((*anchors_)[image].rotation, chart, &pose);
-  std::copy_n(pose.rotation, 9, turn);
-  MatrixVector3(turn, back, translation);
+  MatrixVector3(pose.rotation, back, translation);
 }
 
 void CameraStates::Expand() {

@@ -62,9 +62,9 @@ uint32_t FreeCameraParameters(const CameraModel& model, const SolveOptions& opti
 /// The pose of an image is its own, or that of its frame and sensor.
 void FreePoseOf(const ProblemView& problem, const SolveOptions& options, int image,
                 FreeParameters* free) {
-  const int frame = problem.FrameOf(image), sensor = problem.SensorOf(image);
+  const int sensor = problem.SensorOf(image);
   if (options.refine_poses) {
-    (frame < 0 ? free->pose[image] : free->frame[frame]) = FreeParameters::kWholePose;
+    free->OfPose(MovingPose(problem, image)) = FreeParameters::kWholePose;
   }
   if (options.refine_sensor_from_rig && sensor >= 0) {
     free->sensor[sensor] = FreeParameters::kWholePose;
@@ -148,18 +148,13 @@ void HoldParts(const ProblemView& problem, FreeParameters* free) {
   for (int i = 0; problem.held_pose_parts != nullptr && i < problem.num_images; ++i) {
     const uint8_t parts = problem.held_pose_parts[i];
     // An image of a rig holds its frame, as one that is fixed does.
-    const int frame = problem.FrameOf(i);
-    uint8_t& bits = frame < 0 ? free->pose[i] : free->frame[frame];
+    uint8_t& bits = free->OfPose(MovingPose(problem, i));
     if (parts == (kHeldRotation | kHeldPosition)) bits = 0;
     if (parts == kHeldRotation) bits = static_cast<uint8_t>(bits & ~kRotation);
     // The translation follows (TurnsAboutCentre).
     if (parts == kHeldPosition) bits = static_cast<uint8_t>(bits & kRotation);
   }
 }
-
-}  // namespace
-
-namespace {
 
 /// What is one number is free as a whole.
 void FreeTied(const ProblemView& problem, FreeParameters* free) {
@@ -207,10 +202,7 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
   ForEachIndex("camera", options.fixed_camera_ids, problem.camera_ids, problem.num_cameras,
                [&](int index) { free.camera[index] = 0; });
   ForEachIndex("image", options.fixed_image_ids, problem.image_ids, problem.num_images,
-               [&](int index) {
-                 const int frame = problem.FrameOf(index);
-                 (frame < 0 ? free.pose[index] : free.frame[frame]) = 0;
-               });
+               [&](int index) { free.OfPose(MovingPose(problem, index)) = 0; });
   ForEachIndex("point", options.fixed_point_ids, problem.point_ids, problem.num_points,
                [&](int index) { free.point[index] = 0; });
   FreeTied(problem, &free);

@@ -185,12 +185,6 @@ PoseRows OfPose(const PoseState& pose, const Eigen::Vector3d& centre) {
   return rows;
 }
 
-uint8_t& BitsOf(const ProblemView& problem, int pose, FreeParameters* free) {
-  if (pose < problem.num_images) return free->pose[pose];
-  pose -= problem.num_images;
-  return pose < problem.num_frames ? free->frame[pose] : free->sensor[pose - problem.num_frames];
-}
-
 /// Holds the free coordinate of a pose's translation in which `direction` is largest. False where
 /// it is zero in all of them.
 bool HoldCoordinate(const double* direction, uint8_t* bits) {
@@ -207,11 +201,8 @@ bool HoldCoordinate(const double* direction, uint8_t* bits) {
 std::string FixGaugeOfRigs(const ProblemView& problem, const std::vector<int>& images,
                            FreeParameters* free) {
   std::vector<int> poses;  // of frames, and of images that have one
-  for (const int i : images) {
-    const int frame = problem.FrameOf(i);
-    poses.push_back(frame < 0 ? i : PoseOfFrame(problem, frame));
-  }
-  const auto bits = [&](int pose) -> uint8_t& { return BitsOf(problem, pose, free); };
+  for (const int i : images) poses.push_back(MovingPose(problem, i));
+  const auto bits = [&](int pose) -> uint8_t& { return free->OfPose(pose); };
   int degrees = CountGaugeDegrees(problem, *free);
   if (degrees == 0) return "";
   const auto held = std::find_if(poses.begin(), poses.end(), [&](int p) { return bits(p) == 0; });
@@ -245,8 +236,7 @@ std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* fr
     const std::string sentence = FixGaugeOfRigs(problem, images, free);
     if (gauge == Gauge::kTwoCameras || !sentence.empty()) return sentence;
     return "Gauge three_points is held as two_cameras, by a frame: three points would hold the "
-           "shape "
-           "of their triangle as well, which rigs do not leave free.";
+           "shape of their triangle as well, which rigs do not leave free.";
   }
   const std::vector<int> points =
       Observed(problem.observation_point, problem.num_observations, problem.num_points);

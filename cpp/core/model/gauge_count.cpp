@@ -58,24 +58,21 @@ class GaugeCount {
     rows_ = MatrixXd::Zero(n + std::max(64, 4 * n), n);
     num_rows_ = n;
     squares_ = Eigen::VectorXd::Zero(n);
-    for (int64_t i = 0; i < problem.num_observations; ++i) {
-      images_.push_back(problem.observation_image[i]);
+    const std::vector<uint8_t> observed = FindObservedImages(problem);
+    for (int i = 0; i < problem.num_images; ++i) {
+      if (observed[i]) images_.push_back(i);
     }
-    std::sort(images_.begin(), images_.end());
-    images_.erase(std::unique(images_.begin(), images_.end()), images_.end());
     FindScene();
   }
 
   int Degrees() {
     std::map<int, std::vector<int>> by_pose;  // images of each frame, or an image alone
-    for (const int i : images_) {
-      const int frame = problem_.FrameOf(i);
-      by_pose[frame < 0 ? i : PoseOfFrame(problem_, frame)].push_back(i);
-    }
+    for (const int i : images_) by_pose[MovingPose(problem_, i)].push_back(i);
     for (const auto& [pose, images] : by_pose) AddImages(pose, images);
-    for (int64_t i = 0; i < problem_.num_observations; ++i) {
-      const int point = problem_.observation_point[i];
-      if (free_.point[point] == 0) AddPoint(problem_.points + 3 * int64_t{point});
+    const std::vector<int64_t> lengths = TrackLengths(problem_);
+    for (int point = 0; point < problem_.num_points; ++point) {
+      const bool is_held = lengths[point] > 0 && free_.point[point] == 0;
+      if (is_held) AddPoint(problem_.points + 3 * int64_t{point});
     }
     Factorize();
     return Nullity(0) - (num_sensor_columns_ == 0 ? 0 : Nullity(kNumGaugeDirections));

@@ -64,8 +64,8 @@ ParameterLayout::ParameterLayout(const ProblemView& problem, FreeParameters free
 void ParameterLayout::FindImageBlocks(const ProblemView& problem) {
   image_blocks_.resize(problem.num_images);
   for (int i = 0; i < problem.num_images; ++i) {
-    const int frame = problem.FrameOf(i), sensor = problem.SensorOf(i);
-    image_blocks_[i] = {pose_block_[frame < 0 ? i : PoseOfFrame(problem, frame)],
+    const int sensor = problem.SensorOf(i);
+    image_blocks_[i] = {pose_block_[MovingPose(problem, i)],
                         sensor < 0 ? -1 : pose_block_[PoseOfSensor(problem, sensor)],
                         camera_block_[problem.image_camera[i]],
                         tied_block_.empty() ? -1 : tied_block_[problem.image_camera[i]]};

@@ -29,6 +29,16 @@ struct FreeParameters {
   std::vector<uint8_t> frame;    ///< num_frames: of rig_from_world
   std::vector<uint8_t> sensor;   ///< num_sensors: of sensor_from_rig
 
+  /// Of an image's own pose, a frame's or a sensor's, by its number (NumPoses).
+  uint8_t& OfPose(int number) {
+    size_t k = number;
+    for (std::vector<uint8_t>* bits : {&pose, &frame}) {
+      if (k < bits->size()) return (*bits)[k];
+      k -= bits->size();
+    }
+    return sensor[k];
+  }
+
   bool operator==(const FreeParameters& other) const {
     return pose == other.pose && camera == other.camera && point == other.point &&
            frame == other.frame && sensor == other.sensor;
@@ -66,6 +76,11 @@ inline int NumPoses(const ProblemView& problem) {
 inline int PoseOfFrame(const ProblemView& problem, int frame) { return problem.num_images + frame; }
 inline int PoseOfSensor(const ProblemView& problem, int sensor) {
   return problem.num_images + problem.num_frames + sensor;
+}
+/// The pose by which an image moves: its own or, on a rig, its frame's.
+inline int MovingPose(const ProblemView& problem, int image) {
+  const int frame = problem.FrameOf(image);
+  return frame < 0 ? image : PoseOfFrame(problem, frame);
 }
 /// qx qy qz qw tx ty tz in the problem.
 const double* ValueOfPose(const ProblemView& problem, int pose);

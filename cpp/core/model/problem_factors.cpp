@@ -245,17 +245,11 @@ void PoseOf(const CameraStates& cameras, int pose, const double* origin, double*
 /// A row by local coordinates of an image to one by its frame's chart, then by its sensor's.
 void ToRig(const RigPose& rig, const double* row, double* out) {
   double map[36];
-  const auto multiply = [&](double* to) {
-    for (int j = 0; j < kPoseSize; ++j) {
-      to[j] = 0;
-      for (int i = 0; i < kPoseSize; ++i) to[j] += row[i] * map[kPoseSize * i + j];
-    }
-  };
   FrameMap(rig, map);
-  multiply(out);
+  RowTimesMap(row, map, out);
   if (rig.sensor == nullptr) return;
   SensorMap(rig, map);
-  multiply(out + kPoseSize);
+  RowTimesMap(row, map, out + kPoseSize);
 }
 
 constexpr double kNoOrigin[3] = {};

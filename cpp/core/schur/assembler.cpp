@@ -12,6 +12,19 @@ int WidthOf(const EliminationInput& input, int image) {
   return input.mixed ? 4 * input.image_quads[image] : input.num_columns;
 }
 
+bool IsSensor(int place) { return place == ParameterLayout::kSensorBlock; }
+
+/// The free columns of K (factors/rig_pose.h), which moves all of a pose.
+void FillSensorMap(const CameraBlock& block, const double whole[kPoseSize * kPoseSize],
+                   ColumnMap* map) {
+  map->num_columns = kPoseSize;
+  double* to = map->values;
+  for (int i = 0; i < kPoseSize; ++i) {
+    map->columns[i] = static_cast<int8_t>(i);
+    for (int k = 0; k < block.size; ++k) *to++ = whole[kPoseSize * i + block.columns[k]];
+  }
+}
+
 }  // namespace
 
 Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
@@ -24,58 +37,33 @@ Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
       diagonal_begin_(DiagonalBlockOffsets(structure)) {
   for (int i = 0; i < problem.num_images; ++i) {
     const ModelGroup& group = groups[image_group[i]];
-    const auto [pose_block, sensor_block, camera_block, tied_block] = layout.blocks_of(i);
     images_[i].num_columns = group.num_columns;
-    AddBlock(i, ParameterLayout::kPoseBlock, group);
-    AddSensor(i, sensor_block, layout, group);
-    AddBlock(i, ParameterLayout::kCameraBlock, group);
-    AddBlock(i, ParameterLayout::kTiedBlock, group);
-    has_shared_blocks_ |= sensor_block >= 0 || camera_block >= 0 || tied_block >= 0;
+    for (int place = 0; place < static_cast<int>(layout.blocks_of(i).size()); ++place) {
+      AddBlock(i, place, group);
+    }
   }
+  // The values stay where they are from now on.
   for (const MapOf& map : maps_) images_[map.image].of[map.k].map = &map_values_[map.first];
+  const auto is_of_sensor = [](const MapOf& map) { return IsSensor(map.place); };
+  if (!std::all_of(maps_.begin(), maps_.end(), is_of_sensor)) return;
   image_is_mapped_.resize(problem.num_images);
   for (const MapOf& map : maps_) image_is_mapped_[map.image] = 1;
-  for (const SensorMapOf& map : sensor_maps_) image_is_mapped_[map.image] = 1;
-  // They stay where they are from now on.
-  for (const SensorMapOf& map : sensor_maps_) {
-    ImageBlocks& image = images_[map.image];
-    const int block = layout.blocks_of(map.image)[ParameterLayout::kSensorBlock];
-    const auto is_sensor = [&](const ImageBlock& of) { return of.block == block; };
-    std::find_if(image.of, image.of + image.count, is_sensor)->map = map.values;
-  }
-}
-
-void Assembler::AddSensor(int image, int block, const ParameterLayout& layout,
-                          const ModelGroup& group) {
-  if (block < 0) return;
-  const CameraBlock& columns = layout.blocks()[block];
-  ImageBlock& added = images_[image].of[images_[image].count++];
-  added.block = block;
-  added.size = columns.size;
-  added.is_shared = true;
-  added.num_local = kPoseSize;
-  for (int k = 0; k < kPoseSize; ++k) {
-    const int8_t* const end = group.columns + group.num_columns;
-    added.local[k] = static_cast<int8_t>(std::find(group.columns, end, k) - group.columns);
-  }
-  sensor_maps_.push_back({image, {columns.columns, columns.columns + columns.size}, {}});
 }
 
 void Assembler::SetMaps(const CameraStates& cameras) {
   for (const MapOf& of : maps_) {
-    if (of.place != ParameterLayout::kPoseBlock) continue;  // they stay the same
     ColumnMap map;
-    layout_.FillMap(problem_, of.image, of.place, cameras.pose(of.image), &map);
-    std::copy_n(map.values, map.num_columns * images_[of.image].of[of.k].size,
-                &map_values_[of.first]);
-  }
-  for (SensorMapOf& map : sensor_maps_) {
-    double whole[kPoseSize * kPoseSize];
-    SensorByFrameMap(cameras.rig(map.image), whole);
-    double* to = map.values;
-    for (int i = 0; i < kPoseSize; ++i) {
-      for (const int8_t column : map.columns) *to++ = whole[kPoseSize * i + column];
+    const ImageBlock& block = images_[of.image].of[of.k];
+    if (IsSensor(of.place)) {
+      double whole[kPoseSize * kPoseSize];
+      SensorByFrameMap(cameras.rig(of.image), whole);
+      FillSensorMap(layout_.blocks()[block.block], whole, &map);
+    } else if (of.place == ParameterLayout::kPoseBlock) {
+      layout_.FillMap(problem_, of.image, of.place, cameras.pose(of.image), &map);
+    } else {
+      continue;  // it stays the same
     }
+    std::copy_n(map.values, map.num_columns * block.size, &map_values_[of.first]);
   }
 }
 
@@ -89,9 +77,15 @@ void Assembler::AddBlock(int image, int place, const ModelGroup& group) {
   added.block = block;
   added.size = added.num_local = columns.size;
   added.is_shared = place != ParameterLayout::kPoseBlock;
-  if (layout_.HasMap(problem_, image, place)) {
+  has_shared_blocks_ |= added.is_shared;
+  if (IsSensor(place) || layout_.HasMap(problem_, image, place)) {
     maps_.push_back({image, place, images_[image].count, map_values_.size()});
-    layout_.FillMap(problem_, image, place, PoseState(), &map);
+    if (IsSensor(place)) {
+      constexpr double kUntilSetMaps[kPoseSize * kPoseSize] = {};
+      FillSensorMap(columns, kUntilSetMaps, &map);
+    } else {
+      layout_.FillMap(problem_, image, place, PoseState(), &map);
+    }
     map_values_.insert(map_values_.end(), map.values, map.values + map.num_columns * columns.size);
     added.num_local = map.num_columns;
     local = map.columns;

@@ -51,11 +51,11 @@ class Assembler {
   /// Sets the maps at a state, before its chunks are added.
   void SetMaps(const CameraStates& cameras);
   /// True if there are any; chunks then need the camera_diagonal of the images that have them.
-  bool has_maps() const { return !sensor_maps_.empty() || !maps_.empty(); }
+  bool has_maps() const { return !maps_.empty(); }
   /// Where only poses have maps: whether an image has one. nullptr: others have, too, which need
   /// all of the camera_diagonal.
   const uint8_t* image_is_mapped() const {
-    return maps_.empty() ? image_is_mapped_.data() : nullptr;
+    return image_is_mapped_.empty() ? nullptr : image_is_mapped_.data();
   }
 
   /// The pairs of a chunk that concern one of its images, ascending.
@@ -100,7 +100,6 @@ class Assembler {
   enum class PairPart { kFirst, kSecond, kShared };
 
   void AddBlock(int image, int place, const ModelGroup& group);
-  void AddSensor(int image, int block, const ParameterLayout& layout, const ModelGroup& group);
   /// `squares`: A^T A of the image, for maps.
   void AddVectors(const EliminationInput& input, int image, const double* vectors,
                   const double* squares, Part part, CameraSums* sums) const;
@@ -123,22 +122,14 @@ class Assembler {
   std::vector<int64_t> diagonal_begin_;
   bool has_shared_blocks_ = false;
 
-  /// K of an image, the columns that its sensor's block has.
-  struct SensorMapOf {
-    int image;
-    std::vector<int8_t> columns;
-    double values[kPoseSize * kPoseSize];
-  };
-  std::vector<SensorMapOf> sensor_maps_;
-  std::vector<uint8_t> image_is_mapped_;
-
-  /// Of any other block, by its place in ParameterLayout::ImageBlocks and in ImageBlocks.
+  /// The map of an image's block, by its place in ParameterLayout::ImageBlocks and in ImageBlocks.
   struct MapOf {
     int image, place, k;
     size_t first;  ///< of its values
   };
   std::vector<MapOf> maps_;
   std::vector<double> map_values_;
+  std::vector<uint8_t> image_is_mapped_;  ///< of each image; empty if maps are not of sensors alone
 };
 
 /// Sums up chunks that several threads work on, in the order of the chunks, so that no bit of the

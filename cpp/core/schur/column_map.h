@@ -15,7 +15,7 @@
 /// A sensor on a rig moves its image as the frame would by K (factors/rig_pose.h), 6 x 6 and
 /// different at every state. A map that stays the same, such as that of one focal length into fx
 /// and fy, or of a rotation about a fixed centre into all of a pose, is another way to fill an
-/// ImageBlock in (assembler.cpp, AddSensor), beside the layout of its block and the same map for
+/// ImageBlock in (assembler.cpp, AddBlock), beside the layout of its block and the same map for
 /// steps (state_records.cpp, CameraStep), factors (model/problem_factors.h) and Ceres
 /// (ceres/reprojection_cost.h).
 
