@@ -78,6 +78,7 @@ PYTHON_MAY_IMPORT = {
     "warning_kinds": set(),
     "words": set(),
     "rotations": set(),
+    "text_lines": {"errors"},
     "components": set(),
     "display": set(),
     "tables": {"words"},
@@ -101,6 +102,7 @@ PYTHON_MAY_IMPORT = {
         "problem",
         "problem_keys",
         "rotations",
+        "text_lines",
     },
     "restrictions": {
         "arrays",
@@ -268,6 +270,7 @@ PYTHON_MAY_IMPORT = {
         "problem",
         "rig_arrays",
         "rotations",
+        "text_lines",
         "words",
     },
     "compare_defaults": {"memory_sizes"},

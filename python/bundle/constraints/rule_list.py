@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,10 +11,9 @@ from bundle.constraints.rule_text import parse_rule, without_comment
 from bundle.constraints.rules import Rule
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief, shown
+from bundle.text_lines import numbered_lines
 
 __all__ = ["Constraints", "rules_of"]
-
-_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 @dataclass(frozen=True, init=False, repr=False)
@@ -48,17 +46,10 @@ class Constraints(Displayed):
             InputError: the file is no text or a line is no rule; the message names the line.
             OSError: it cannot be read.
         """
-        from pathlib import Path
-
-        content = Path(path).read_bytes()
-        try:
-            text = content.decode("utf-16" if content.startswith(_UTF16) else "utf-8-sig")
-        except UnicodeDecodeError:
-            raise InputError(f"{shown(path)}: expected text in UTF-8, found other bytes") from None
         return cls(
             tuple(
                 parse_rule(line, f"{shown(path)}:{number}")
-                for number, line in enumerate(text.replace("\ufeff", "").split("\n"), 1)
+                for number, line in numbered_lines(path)
                 if without_comment(line).strip()
             )
         )

@@ -25,7 +25,6 @@ from bundle.georeference.control_point import (
 )
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.given_positions import (
-    Frame,
     given_control_points,
     given_gps,
     with_check_points,
@@ -33,7 +32,6 @@ from bundle.georeference.given_positions import (
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.gps_priors import GPS_SIGMA
 from bundle.georeference.image_index import ImageIndex
-from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.position_prior import ROBUST_SCALE
 from bundle.georeference.similar_problem import moved
 from bundle.georeference.similarity_fit import fit_similarity
@@ -119,25 +117,21 @@ def align(
 
     points = with_check_points(given_control_points(gcps), check_points)
     positions = given_gps(gps, images, given)
-    frame = Frame(points, positions)
     survey = Survey(
         given,
         points,
         positions,
-        frame,
         gcp_sigma=sigma,
         pixel_sigma=pixel_sigma,
         gps_sigma=gps_default,
         antenna=lever,
     )
-    decisive = survey.decisive
+    decisive, frame = survey.decisive, survey.frame
     fit = fit_similarity(
         survey.measured.rows(decisive), loss=loss, loss_scale=loss_scale, what=survey.what
     )
     residual, _ = fit.predict(survey.surveyed)
-    others = leave_one_out(survey.measured, decisive, survey.tested)
-    left_out = survey.of_targets(others.residual, np.nan)
-    suspect = survey.of_targets(others.suspect, False)
+    left_out, suspect = survey.leave_one_out()
     errors = tuple(
         control_point_error(
             target,
@@ -162,7 +156,7 @@ def align(
             for row, error, share in zip(survey.rows, cameras, weight, strict=True)
         ),
         (),
-        (*frame.notes, *survey.notes(), *_sigma_notes(fit.sigma0)),
+        (*survey.notes(), *_sigma_notes(fit.sigma0)),
         fit.sigma0,
     )
 

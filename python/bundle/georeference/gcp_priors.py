@@ -28,7 +28,6 @@ from bundle.georeference.control_point import (
 )
 from bundle.georeference.georeferenced import Georeference, Solved
 from bundle.georeference.given_positions import (
-    Frame,
     given_control_points,
     given_gps,
     with_check_points,
@@ -202,21 +201,18 @@ def gcp_priors(
     check_settings(antenna, settings)
     points = with_check_points(given_control_points(gcps), check_points)
     positions = given_gps(gps, images, problem)
-    frame = Frame(points, positions)
     survey = Survey(
         problem,
         points,
         positions,
-        frame,
         gcp_sigma=sigma,
         pixel_sigma=pixel_sigma,
         gps_sigma=parse_sigma("gps_sigma", gps_sigma),
         antenna=np.asarray(antenna, dtype=np.float64),
     )
     fit_similarity(survey.measured.rows(survey.decisive), what=survey.what)  # are they enough?
-    others = leave_one_out(survey.measured, survey.decisive, survey.tested)
-    left_out = survey.of_targets(others.residual, np.nan)
-    suspect = survey.of_targets(others.suspect, False)
+    left_out, suspect = survey.leave_one_out()
+    frame = survey.frame
     local = tuple(
         replace(
             point,
@@ -249,6 +245,6 @@ def gcp_priors(
         frame.reference_system,
         {point.name: tuple(row) for point, row in zip(points, left_out.tolist(), strict=True)},
         tuple(point.name for point, is_one in zip(points, suspect, strict=True) if is_one),
-        tuple(dict.fromkeys((*frame.notes, *survey.notes()))),
+        tuple(dict.fromkeys(survey.notes())),
         known,
     )

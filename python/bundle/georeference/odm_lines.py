@@ -1,22 +1,19 @@
 """Lines of OpenDroneMap's text files, whatever editor wrote them.
 
-Byte order marks, UTF-16, tabs, CRLF, blank lines and ``#`` comments are all found in the wild. The
-first line that is left names the coordinate reference system.
+Tabs, blank lines and ``#`` comments are all found in the wild. The first line that is left names
+the coordinate reference system.
 """
 
 from __future__ import annotations
 
-import codecs
 import math
 import os
-from pathlib import Path
 
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.reference_system import ReferenceSystem
+from bundle.text_lines import numbered_lines
 
 __all__ = ["parse_number", "read_lines"]
-
-_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def read_lines(
@@ -28,14 +25,9 @@ def read_lines(
         InputError: the file is no text, or its first line names no reference system.
         OSError: it cannot be read.
     """
-    content = Path(path).read_bytes()
-    try:
-        text = content.decode("utf-16" if content.startswith(_UTF16) else "utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{shown(path)}: expected text in UTF-8, found other bytes") from None
     lines = [
         (number, line)
-        for number, line in enumerate(text.replace("\ufeff", "").split("\n"), 1)
+        for number, line in numbered_lines(path)
         if line.strip() and not line.strip().startswith("#")
     ]
     if not lines:

@@ -14,6 +14,7 @@ from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.given_positions import Frame
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
 from bundle.problem import Problem
 from bundle.rotations import rotation_matrices
@@ -36,13 +37,13 @@ class Survey:
         problem: the model.
         points: control and check points.
         positions: of images, or None.
-        frame: of both.
         gcp_sigma: of targets without their own, metres.
         pixel_sigma: of measurements without their own, pixels.
         gps_sigma: of positions without their own, metres.
         antenna: (3,) in the frame of the camera, metres.
 
     Attributes:
+        frame: of points and positions.
         targets: the points, triangulated in the model.
         used: (n,) which of them are somewhere in the model.
         control: (n,) which of these are control points.
@@ -61,7 +62,6 @@ class Survey:
         problem: Problem,
         points: tuple[GroundControlPoint, ...],
         positions: GpsPositions | None,
-        frame: Frame,
         *,
         gcp_sigma: Sigma,
         pixel_sigma: float,
@@ -70,6 +70,7 @@ class Survey:
     ) -> None:
         index = ImageIndex(problem)
         self.problem, self.positions = problem, positions
+        self.frame = frame = Frame(points, positions)
         self.targets = triangulate(problem, points, index, pixel_sigma=pixel_sigma)
         self.used = np.array([not target.reason for target in self.targets], dtype=bool)
         roles = np.array([point.role == "control" for point in points], dtype=bool)
@@ -94,7 +95,18 @@ class Survey:
             return "control points and positions of images"
         return "control points" if self.control.any() else "positions of images"
 
-    def of_targets(self, values: NDArray[Any], otherwise: Any) -> NDArray[Any]:
+    def leave_one_out(self) -> tuple[Array, NDArray[np.bool_]]:
+        """Return what the others say of each target; see :func:`leave_one_out`.
+
+        Returns:
+            (n, 3) its residual if all others place the model, nan where it is not used; and (n,)
+            whether that is too far.
+        """
+        others = leave_one_out(self.measured, self.decisive, self.tested)
+        left_out = self._of_targets(others.residual, np.nan)
+        return left_out, self._of_targets(others.suspect, False)
+
+    def _of_targets(self, values: NDArray[Any], otherwise: Any) -> NDArray[Any]:
         """Return a value for each target, given those of ``measured``."""
         shape = (len(self.targets), *values.shape[1:])
         found = np.full(shape, otherwise, dtype=values.dtype)
@@ -102,8 +114,8 @@ class Survey:
         return found
 
     def notes(self) -> tuple[str, ...]:
-        """Return sentences on what is not used, or looks wrong."""
-        found = list(notes_on_targets(self.problem, self.targets))
+        """Return sentences on what is inexact, is not used, or looks wrong."""
+        found = [*self.frame.notes, *notes_on_targets(self.problem, self.targets)]
         positions, num_cameras = self.positions, len(self.cameras)
         if positions is not None and num_cameras < len(positions):
             found.append(

@@ -9,6 +9,7 @@ the problem, and what only the source knew of them is gone.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 
 import numpy as np
 import pycolmap
@@ -89,14 +90,8 @@ def write_poses(reconstruction: pycolmap.Reconstruction, problem: Problem) -> No
         frame.rig_from_world = rigid3d(pose)
         if not is_registered:
             reconstruction.register_frame(frame_id)
-    for rig_id, camera_id, pose in zip(
-        problem.sensor_rig_ids.tolist(),
-        problem.sensor_camera_ids.tolist(),
-        problem.sensor_from_rig,
-        strict=True,
-    ):
-        sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
-        reconstruction.rigs[rig_id].set_sensor_from_rig(sensor, rigid3d(pose))
+    for rig_id, sensor, pose in _sensors(problem):
+        reconstruction.rigs[rig_id].set_sensor_from_rig(sensor, pose)
 
 
 def without_parts_of_frames(
@@ -142,14 +137,8 @@ def reframed(reconstruction: pycolmap.Reconstruction, problem: Problem) -> pycol
     result = _with_cameras(reconstruction)
     for rig_id, camera_id in sorted(_references(problem, None).items()):
         _add_rig(result, rig_id, camera_id)
-    for rig_id, camera_id, pose in zip(
-        problem.sensor_rig_ids.tolist(),
-        problem.sensor_camera_ids.tolist(),
-        problem.sensor_from_rig,
-        strict=True,
-    ):
-        sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
-        result.rigs[rig_id].add_sensor(sensor, rigid3d(pose))
+    for rig_id, sensor, pose in _sensors(problem):
+        result.rigs[rig_id].add_sensor(sensor, pose)
     frame_of = problem.image_frame if problem.num_frames else np.full(problem.num_images, -1)
     members: dict[int, list[pycolmap.Image]] = defaultdict(list)
     for image_id, frame in zip(problem.image_ids.tolist(), frame_of.tolist(), strict=True):
@@ -199,6 +188,17 @@ def _references(problem: Problem, source: pycolmap.Reconstruction | None) -> dic
                 "COLMAP has to know, found none"
             )
     return references
+
+
+def _sensors(problem: Problem) -> Iterator[tuple[int, pycolmap.sensor_t, pycolmap.Rigid3d]]:
+    """Yield the rig of each sensor, the sensor and sensor_from_rig."""
+    for rig_id, camera_id, pose in zip(
+        problem.sensor_rig_ids.tolist(),
+        problem.sensor_camera_ids.tolist(),
+        problem.sensor_from_rig,
+        strict=True,
+    ):
+        yield rig_id, pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id), rigid3d(pose)
 
 
 def _with_cameras(reconstruction: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
