@@ -179,30 +179,34 @@ void CameraStates::Chart(int image, double* chart) const {
 
 bool CameraStates::HasMoved(int pose) const {
   double value[7];
-  ValueOf(pose, value);
+  ValueOfVariable(pose, value);
   return !std::equal(value, value + 7, ValueOfPose(problem_, pose));
 }
 
 void CameraStates::ValueOf(int pose, double value[7]) const {
   const int frame = pose < problem_.num_images ? problem_.FrameOf(pose) : -1;
-  if (frame >= 0) {
-    const int sensor = problem_.SensorOf(pose);
-    const int frame_pose = PoseOfFrame(problem_, frame);
-    const int sensor_pose = sensor < 0 ? -1 : PoseOfSensor(problem_, sensor);
-    if (!HasMoved(frame_pose) && (sensor < 0 || !HasMoved(sensor_pose))) {
-      std::copy_n(ValueOfPose(problem_, pose), 7, value);
-      return;
-    }
-    ValueOf(frame_pose, value);
-    if (sensor < 0) return;
-    double by_sensor[7], turned[4];
-    ValueOf(sensor_pose, by_sensor);
-    QuaternionProduct(by_sensor, value, turned);
-    NormalizeQuaternion(turned);
-    std::copy_n(turned, 4, value);
-    std::copy_n(poses_[pose].translation, 3, value + 4);
+  if (frame < 0) {
+    ValueOfVariable(pose, value);
     return;
   }
+  const int sensor = problem_.SensorOf(pose);
+  const int frame_pose = PoseOfFrame(problem_, frame);
+  const int sensor_pose = sensor < 0 ? -1 : PoseOfSensor(problem_, sensor);
+  if (!HasMoved(frame_pose) && (sensor < 0 || !HasMoved(sensor_pose))) {
+    std::copy_n(ValueOfPose(problem_, pose), 7, value);
+    return;
+  }
+  ValueOfVariable(frame_pose, value);
+  if (sensor < 0) return;
+  double by_sensor[7], turned[4];
+  ValueOfVariable(sensor_pose, by_sensor);
+  QuaternionProduct(by_sensor, value, turned);
+  NormalizeQuaternion(turned);
+  std::copy_n(turned, 4, value);
+  std::copy_n(poses_[pose].translation, 3, value + 4);
+}
+
+void CameraStates::ValueOfVariable(int pose, double value[7]) const {
   double chart[kPoseSize];
   ChartOf(pose, chart);
   std::copy_n((*anchors_)[pose].quaternion, 4, value);

@@ -294,6 +294,8 @@ class CameraStates {
   void TurnAboutCentre(int image);
   void ChartOf(int pose, double* chart) const;
   bool HasMoved(int pose) const;
+  /// ValueOf a pose that is a variable of its own.
+  void ValueOfVariable(int pose, double value[7]) const;
   std::vector<double> Values(int first, int count) const;
 
   const ProblemView& problem_;
