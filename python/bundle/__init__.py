@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from bundle.statistics import Description, describe
     from bundle.summary import Summary
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
+    from bundle.uncertainty import Covariance, covariance
 
 __all__ = [
     "Alignment",
@@ -61,6 +62,7 @@ __all__ = [
     "ChangedModels",
     "Comparison",
     "Constraints",
+    "Covariance",
     "Description",
     "FactorGraph",
     "Filtered",
@@ -97,6 +99,7 @@ __all__ = [
     "check_jacobians",
     "compare",
     "constraints",
+    "covariance",
     "describe",
     "filter_observations",
     "gauge_freedom",
@@ -166,6 +169,7 @@ _DEFERRED = {
     "statistics": ("Description", "describe"),
     "summary": ("Summary",),
     "synthetic": ("SceneOptions", "SyntheticScene", "synthesize"),
+    "uncertainty": ("Covariance", "covariance"),
     "html": (),
     "losses": (),
     "pictures": (),

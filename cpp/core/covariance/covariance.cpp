@@ -82,9 +82,20 @@ class Computation {
       sum->first += rows.residual[0] * rows.residual[0] + rows.residual[1] * rows.residual[1];
       sum->second += 2;
     };
-    system_.ForPoints([&](int, const PointBlocks&, const PointAssembler& rows, int thread) {
-      for (int i = 0; i < rows.num_rows(); ++i) add(rows.row(i), &sums[thread]);
+    std::vector<double> decrease(system_.num_threads());
+    system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows,
+                          int thread) {
+      Vector3 gradient = PriorGradient(p);
+      for (int i = 0; i < rows.num_rows(); ++i) {
+        add(rows.row(i), &sums[thread]);
+        gradient +=
+            Eigen::Map<const Eigen::Matrix<double, 2, 3, Eigen::RowMajor>>(rows.row(i).point)
+                .transpose() *
+            Eigen::Map<const Eigen::Vector2d>(rows.row(i).residual);
+      }
+      decrease[thread] += 0.5 * gradient.dot(Eigen::Map<const Matrix3>(blocks.inverse) * gradient);
     });
+    for (const double of_thread : decrease) output_.predicted_decrease += of_thread;
     std::pair<double, int64_t> rest;
     system_.ForObservationsOfFixedPoints([&](const ObservationRows& rows) { add(rows, &rest); });
     sums.push_back(rest);
@@ -101,6 +112,12 @@ class Computation {
     for (const NullPoint& null : system_.null_points()) output_.num_parameters -= null.num_null;
   }
 
+  Vector3 PriorGradient(int point) const {
+    const std::vector<double>& all = system_.tracks().prior_gradient;
+    if (all.empty()) return Vector3::Zero();
+    return Eigen::Map<const Vector3>(&all[3 * size_t(point)]);
+  }
+
   static void Check(const LinearSolution& solution) {
     if (solution.status == LinearSolution::Status::kSuccess) return;
     throw InputError("problem: expected normal equations of full rank but for the gauge: " +
@@ -110,7 +127,14 @@ class Computation {
   void Factorize() {
     Check(system_.Factorize());
     const double pivot = system_.SmallestPivot();
-    if (pivot > kSingular) return;
+    if (pivot > kSingular) {
+      std::vector<double> step(system_.rhs().size());
+      Check(system_.Solve(system_.rhs().data(), 1, step.data()));
+      for (size_t j = 0; j < step.size(); ++j) {
+        output_.predicted_decrease += 0.5 * step[j] * system_.rhs()[j];
+      }
+      return;
+    }
     throw InputError(
         "problem: expected normal equations of full rank but for the gauge, found a pivot of " +
         ShortNumber(pivot) +

@@ -58,9 +58,12 @@ PointAssembler::Tracks PointAssembler::FindTracks(const ProblemView& problem,
     if (!charted.Evaluate(states, &values, residual.data(), jacobian.data())) continue;
     ApplyLoss(*factor, 3, residual.data(), jacobian.data());
     tracks.prior.resize(9 * static_cast<size_t>(problem.num_points));
+    tracks.prior_gradient.resize(3 * static_cast<size_t>(problem.num_points));
+    double* const gradient = &tracks.prior_gradient[3 * static_cast<size_t>(point)];
     double* const prior = &tracks.prior[9 * static_cast<size_t>(point)];
     for (size_t row = 0; row < residual.size(); ++row) {
       for (int k = 0; k < 9; ++k) prior[k] += jacobian[3 * row + k / 3] * jacobian[3 * row + k % 3];
+      for (int k = 0; k < 3; ++k) gradient[k] += jacobian[3 * row + k] * residual[row];
     }
   }
   return tracks;

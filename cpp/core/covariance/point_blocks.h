@@ -47,6 +47,7 @@ class PointAssembler {
     std::vector<int64_t> begin;        ///< num_points + 1
     std::vector<int64_t> observation;  ///< of the problem, in its order within a point
     std::vector<double> prior;         ///< J^T J of each point's factors, 9 each; empty: no factors
+    std::vector<double> prior_gradient;  ///< and their J^T r, 3 each
   };
   static Tracks FindTracks(const ProblemView& problem, const ParameterLayout& layout,
                            const CameraStates& states);

@@ -180,6 +180,10 @@ std::vector<double>& ReducedSystem::values() {
   return schur_ == nullptr ? no_values_ : schur_->system().values;
 }
 
+const std::vector<double>& ReducedSystem::rhs() const {
+  return schur_ == nullptr ? no_values_ : schur_->system().rhs;
+}
+
 LinearSolution ReducedSystem::Factorize() {
   if (schur_ == nullptr) return {};
   return solver_->Factorize(&schur_->system(), diagonal_);

@@ -78,6 +78,8 @@ class ReducedSystem {
   const BlockStructure& structure() const { return structure_; }
   /// S; after Factorize what the solver makes of it, after Invert the same blocks of S^-1.
   std::vector<double>& values();
+  /// The right-hand side of a step: minus the gradient, points eliminated.
+  const std::vector<double>& rhs() const;
   /// Entry (j, j) of S as it was summed up, of each unknown.
   const std::vector<double>& diagonal() const { return diagonal_; }
 
@@ -139,7 +141,7 @@ class ReducedSystem {
   std::unique_ptr<SchurProblem> schur_;
   std::vector<uint8_t> held_;
   std::vector<double> diagonal_;
-  std::vector<double> no_values_;
+  std::vector<double> no_values_;  ///< of a system without unknowns
 };
 
 }  // namespace bundle
