@@ -13,7 +13,7 @@ from tests.scenes import exp, project
 class Dense:
     """J, r and names of the columns: (kind, index, coordinate)."""
 
-    def __init__(self, problem, *, loss="trivial", loss_scale=1.0, refine_sensors=False):
+    def __init__(self, problem, *, loss="trivial", loss_scale=1.0):
         self.problem = problem
         self.frame = np.append(problem.image_frame, np.full(problem.num_images, -1))
         own = [i for i in range(problem.num_images) if self.frame[i] < 0]
@@ -127,7 +127,7 @@ class Dense:
 
 
 def _root_of_inverse(jacobian, similarities):
-    """A with A A^T the pseudo-inverse of J^T J, by the singular values of a J whose columns are comparable.
+    """A with A A^T the pseudo-inverse of J^T J, by singular values of a J of comparable columns.
 
     Vectors of small singular values are known to rounding over their distance from zero only, 1e-11
     and less beside a weak mode. The null space is therefore that of the similarities, exactly.

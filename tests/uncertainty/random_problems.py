@@ -125,7 +125,8 @@ def _known_focal(problem, dense, factors, rng):
         bundle.PriorFactor(("camera", int(problem.camera_ids[camera])), value, information)
     )
     residual = (problem.camera_params[camera] - value) / sigmas
-    dense.add(residual, {("camera", camera, j): np.eye(width)[j] / sigmas[j] for j in range(width)})
+    rows = np.diag(1 / sigmas)
+    dense.add(residual, {("camera", camera, j): rows[j] for j in range(width)})
 
 
 def _known_point(problem, dense, factors, rng):

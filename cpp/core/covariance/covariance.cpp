@@ -229,9 +229,13 @@ class Computation {
     output_.poses.resize(36 * size_t(view().num_images));
     output_.frames.resize(36 * size_t(view().num_frames));
     output_.sensors.resize(36 * size_t(view().num_sensors));
+    const std::vector<uint8_t> is_observed = FindObservedImages(view());
     for (int i = 0; i < view().num_images; ++i) {
       const Matrix6 covariance = OfImage(i).topLeftCorner<6, 6>();
       Put(MovedBack(i, covariance), i, &output_.poses);
+      if (is_observed[i] == 0 && system_.evaluator().maps(i).empty()) {
+        std::fill_n(&output_.poses[36 * size_t(i)], 36, std::numeric_limits<double>::quiet_NaN());
+      }
     }
     for (int pose = view().num_images; pose < NumPoses(view()); ++pose) {
       Matrix6 covariance = Matrix6::Zero();
@@ -325,13 +329,18 @@ void AddPairs(const ReducedSystem& system, const std::vector<double>& values,
 }
 
 void Computation::FindPoints() {
+  constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
   output_.points.assign(9 * size_t(view().num_points), 0.0);
+  const std::vector<int64_t>& begin = system_.tracks().begin;
+  for (int p = 0; p < view().num_points; ++p) {
+    if (begin[p] == begin[p + 1]) std::fill_n(&output_.points[9 * size_t(p)], 9, kUnknown);
+  }
   const std::vector<double>& c = system_values();
   const std::vector<double>& prior = system_.tracks().prior;
   system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int) {
     Eigen::Map<Matrix3> out(&output_.points[9 * size_t(p)]);
     if (blocks.num_null > 0) {
-      out.fill(std::numeric_limits<double>::quiet_NaN());
+      out.fill(kUnknown);
       return;
     }
     const Eigen::Map<const Matrix3> inverse(blocks.inverse);

@@ -28,8 +28,8 @@ class Covariance(Displayed):
     """Marginal covariances of a solution: of each block, with all else estimated beside it.
 
     A pose has (w, t): w [rad] is the left perturbation of cam_from_world, R to Exp(w) R, and t its
-    translation in the unit of the model. What is held has covariance 0, parameters of cameras NaN.
-    What was not asked for has no entries.
+    translation in the unit of the model. What is held has covariance 0, parameters of cameras NaN;
+    what nothing observes has NaN. What was not asked for has no entries.
 
     Attributes:
         pose_ids: (n,) ids of images.
