@@ -82,6 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--gauge",
+        dest="covariance_gauge",  # it has one more than that of a solve
         type=_word,
         choices=("inner", "two-cameras", "three-points", "none"),
         default="inner",
@@ -134,7 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
                 options,
                 of=arguments.of,
                 relative=arguments.relative,
-                gauge=arguments.gauge,
+                gauge=arguments.covariance_gauge,
                 scale=arguments.scale,
                 robust=arguments.robust,
                 constraints=rules,
