@@ -8,7 +8,7 @@
 #include <utility>
 #include <vector>
 
-#include "bindings/graph_from_python.h"
+#include "bindings/given_factors.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
@@ -16,8 +16,6 @@
 #include "bindings/summary_to_python.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/checking/check_solution.h"
-#include "core/graph/factor_graph.h"
-#include "core/model/problem_factors.h"
 #include "core/parallel/thread_pool.h"
 #include "core/solver/solver.h"
 
@@ -28,52 +26,6 @@ namespace {
 std::string WatchConvergence(const py::dict& iterations) {
   return bundle::WatchConvergence(RecordsFromPython(iterations));
 }
-
-/// Of (variables, factors, what each variable is in the problem), the first two as in bind_graph.
-class GivenFactors {
- public:
-  explicit GivenFactors(const py::object& given) {
-    if (given.is_none()) return;
-    const auto parts = py::cast<py::tuple>(given);
-    graph_ = GraphFromPython(py::cast<py::list>(parts[0]), py::cast<py::list>(parts[1]));
-    for (const py::handle& place : py::cast<py::sequence>(parts[2])) {
-      const auto [kind, index] = py::cast<std::pair<std::string, int>>(place);
-      using Kind = bundle::ProblemVariable::Kind;
-      factors_.variables.push_back({kind == "image"    ? Kind::kImage
-                                    : kind == "camera" ? Kind::kCamera
-                                    : kind == "frame"  ? Kind::kFrame
-                                    : kind == "sensor" ? Kind::kSensor
-                                                       : Kind::kPoint,
-                                    index});
-    }
-  }
-
-  /// Once; nullptr: there are none.
-  const bundle::ProblemFactors* Check() {
-    if (graph_.factors.empty()) return nullptr;
-    bundle::ValidateGraph(graph_);
-    factors_.factors = std::move(graph_.factors);
-    return &factors_;
-  }
-
-  bool empty() const { return factors_.factors.empty(); }
-
-  /// Checks them at other values of the problem, too.
-  void CheckAt(const bundle::ProblemView& problem) const {
-    std::vector<bundle::Block> blocks = graph_.blocks;
-    for (size_t v = 0; v < blocks.size(); ++v) {
-      bundle::Block& block = blocks[v];
-      const double* const value = bundle::ValueOf(factors_.variables[v], problem);
-      block.value = bundle::CheckedValue(block.name, block.retraction,
-                                         std::vector<double>(value, value + block.value.size()));
-    }
-    for (const auto& factor : factors_.factors) bundle::CheckEvaluation(*factor, blocks);
-  }
-
- private:
-  bundle::FactorGraph graph_;  ///< without its factors once they are checked
-  bundle::ProblemFactors factors_;
-};
 
 py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
   py::dict result;

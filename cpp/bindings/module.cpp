@@ -11,6 +11,7 @@ void BindBal(py::module_& m);
 void BindColmap(py::module_& m);
 void BindLosses(py::module_& m);
 void BindSolve(py::module_& m);
+void BindCovariance(py::module_& m);
 void BindCheck(py::module_& m);
 void BindInspection(py::module_& m);
 void BindSymbolic(py::module_& m);
@@ -27,6 +28,7 @@ PYBIND11_MODULE(_core, m) {
   BindColmap(m);
   BindLosses(m);
   BindSolve(m);
+  BindCovariance(m);
   BindCheck(m);
   BindInspection(m);
   BindSymbolic(m);

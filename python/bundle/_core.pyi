@@ -133,6 +133,18 @@ class Solver:
         progress: Callable[[dict[str, Any]], None] | None,
     ) -> dict[str, Any]: ...
 
+# bind_covariance.cpp
+def covariance(
+    problem: Problem,
+    options: dict[str, Any],
+    restrictions: Restrictions | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    inner: bool,
+    sandwich: bool,
+    of_points: bool,
+    relative: list[tuple[int, int]],
+) -> dict[str, Any]: ...
+
 # bind_check.cpp
 def richardson_jacobian(
     function: Callable[[list[NDArray[np.float64]], bool], Any],

@@ -70,6 +70,14 @@ class DenseSolver final : public LinearSolver {
     return info < 0 ? RefusedArgument(info) : CheckFinite(x, size);
   }
 
+  LinearSolution DoInvertBlocks() override {
+    if (num_columns_ == 0) return {};
+    const ScopedBlasThreads blas_threads(blas_threads_);
+    int info = 0;
+    dpotri_(&kLower, &num_columns_, values_, &num_columns_, &info);
+    return info < 0 ? RefusedArgument(info) : LinearSolution{};
+  }
+
   static constexpr char kLower = 'L';
   double* values_ = nullptr;  ///< S, then L
   const int num_columns_;
@@ -125,6 +133,12 @@ class SparseSolver final : public LinearSolver {
     const ScopedBlasThreads blas_threads(blas_threads_);
     cholesky_.Solve(values_, x, num_rhs);
     return CheckFinite(x, size);
+  }
+
+  LinearSolution DoInvertBlocks() override {
+    const ScopedBlasThreads blas_threads(blas_threads_);
+    cholesky_.Invert(values_);
+    return {};
   }
 
   const FactorStatistics statistics_;

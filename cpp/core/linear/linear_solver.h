@@ -78,6 +78,16 @@ class LinearSolver {
     return Solve(system->rhs.data(), 1, eta, x);
   }
 
+  /// Replaces the factor by the blocks of S^-1 where the structure has blocks of S: diagonal blocks
+  /// by their lower triangle. There is nothing to solve with afterwards.
+  ///
+  /// Throws std::logic_error without a successful Factorize, and for iterative solvers.
+  LinearSolution InvertBlocks() {
+    if (!is_factorized_) throw std::logic_error("InvertBlocks: expected a Factorize before");
+    is_factorized_ = false;
+    return DoInvertBlocks();
+  }
+
   /// Forgets what the values of systems before taught it (clusters of blocks, for instance), so
   /// that it solves as a new one would. What the structure alone says stays.
   virtual void ForgetValues() {}
@@ -92,6 +102,9 @@ class LinearSolver {
  private:
   virtual LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& scale) = 0;
   virtual LinearSolution DoSolve(const double* rhs, int num_rhs, double eta, double* x) = 0;
+  virtual LinearSolution DoInvertBlocks() {
+    throw std::logic_error("InvertBlocks: expected a direct solver");
+  }
 
   bool is_factorized_ = false;
 };

@@ -44,6 +44,10 @@ class SupernodalCholesky {
   /// right-hand side goes by vectors, more by matrix products, whose rounding differs.
   void Solve(const double* values, double* x, int num_rhs = 1);
 
+  /// Replaces the values that Factorize left by those of S^-1 at the same places
+  /// (selected_inverse.cpp). Diagonal blocks of panels become whole.
+  void Invert(double* values);
+
  private:
   /// Rows that follow each other both in a panel and in one that it updates.
   struct RowRange {
@@ -59,6 +63,9 @@ class SupernodalCholesky {
   void UpdateColumns(int panel, int by, int64_t first_row, int64_t last_row, double* values);
   void FindRowRanges(int by, int64_t first_row);
   void SolveOne(const double* values, double* x);
+  void InvertPanel(int panel, double* values);
+  void CopyStrip(const double* values, int by, int64_t first, int64_t last, int64_t end, int rows,
+                 std::vector<double>* strip);
   void SolveMany(const double* values, double* x, int num_rhs);
 
   const std::vector<int> offset_;

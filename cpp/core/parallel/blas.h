@@ -11,6 +11,8 @@ void dpotrf_(const char* uplo, const int* n, double* a, const int* lda, int* inf
 /// b = A^-1 b with the factor of dpotrf_.
 void dpotrs_(const char* uplo, const int* n, const int* num_rhs, const double* a, const int* lda,
              double* b, const int* ldb, int* info);
+/// The lower or upper triangle of A^-1, in place of the factor of dpotrf_.
+void dpotri_(const char* uplo, const int* n, double* a, const int* lda, int* info);
 /// B = alpha T^-1 B, or with T on the right, T triangular.
 void dtrsm_(const char* side, const char* uplo, const char* trans, const char* diag, const int* m,
             const int* n, const double* alpha, const double* t, const int* ldt, double* b,

@@ -266,11 +266,11 @@ void SchurProblem::DampCameras(double damping, bool first) {
 
 void SchurProblem::HoldActive() {
   if (!HasBounds()) return;
-  std::vector<uint8_t> is_active(gradient().size());
-  for (size_t j = 0; j < is_active.size(); ++j) {
-    is_active[j] = bounds_.IsActive(j, x_->camera_state[j], gradient()[j]);
+  active_.resize(gradient().size());
+  for (size_t j = 0; j < active_.size(); ++j) {
+    active_[j] = bounds_.IsActive(j, x_->camera_state[j], gradient()[j]);
   }
-  assembler_.ClearColumns(is_active, &sums_.sums());
+  assembler_.ClearColumns(active_, &sums_.sums());
 }
 
 void SchurProblem::MoveCameras(const std::vector<double>& step) {

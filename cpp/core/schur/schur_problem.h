@@ -97,6 +97,12 @@ class SchurProblem final : public LeastSquares {
   /// Observations that do not count at the state but hold a residual (factors/reprojection.h).
   int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
 
+  /// S and its right-hand side, as the last linearisation left them.
+  BlockSystem& system() { return sums_.sums().system; }
+  /// Of each column at the last linearisation: 1 if its number is held on a bound. Empty without
+  /// bounds.
+  const std::vector<uint8_t>& active_columns() const { return active_; }
+
   /// Frees S, which can be most of its memory, after the last linearisation.
   void FreeSystem() { sums_.FreeSystem(); }
 
@@ -159,6 +165,7 @@ class SchurProblem final : public LeastSquares {
   std::vector<double> line_, points_line_;  ///< the last step, not projected
   DoglegProducts products_;
   const StateBounds bounds_;
+  std::vector<uint8_t> active_;
   double damping_ = 0;
   double state_norm_ = 0;
   double candidate_norm_ = 0;

@@ -1,0 +1,68 @@
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <utility>
+#include <vector>
+
+#include "bindings/given_factors.h"
+#include "bindings/immutable_array.h"
+#include "bindings/options_from_python.h"
+#include "bindings/problem_from_python.h"
+#include "bindings/python_progress.h"
+#include "core/covariance/covariance.h"
+
+namespace py = pybind11;
+
+namespace {
+
+py::dict Covariance(const py::object& problem, const py::dict& options,
+                    const py::object& restrictions, const py::object& given_factors, bool inner,
+                    bool sandwich, bool of_points,
+                    const std::vector<std::pair<int, int>>& relative) {
+  bundle::ProblemView view = ViewProblem(problem);
+  PutRestrictions(restrictions, &view);
+  GivenFactors factors(given_factors);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  bundle::CovarianceOptions wanted;
+  wanted.inner = inner;
+  wanted.sandwich = sandwich;
+  wanted.of_points = of_points;
+  wanted.relative = relative;
+  PythonProgress watch{py::none()};
+  bundle::CovarianceOutput output = RunWatched(&watch, [&] {
+    bundle::ValidateProblem(view);
+    view.factors = factors.Check();
+    return bundle::ComputeCovariance(view, solve_options, wanted);
+  });
+  watch.Rethrow();
+  const py::ssize_t images = view.num_images, frames = view.num_frames, sensors = view.num_sensors,
+                    cameras = view.num_cameras, points = view.num_points,
+                    stride = view.camera_params_stride;
+  const auto count = [](const auto& v) { return static_cast<py::ssize_t>(v.size()); };
+  py::dict d;
+  d["poses"] = ToImmutableNumpy(std::move(output.poses), {images, 6, 6});
+  d["frames"] = ToImmutableNumpy(std::move(output.frames), {frames, 6, 6});
+  d["sensors"] = ToImmutableNumpy(std::move(output.sensors), {sensors, 6, 6});
+  d["cameras"] = ToImmutableNumpy(std::move(output.cameras), {cameras, stride, stride});
+  if (of_points) d["points"] = ToImmutableNumpy(std::move(output.points), {points, 3, 3});
+  d["relative"] = ToImmutableNumpy(std::move(output.relative), {count(relative), 6, 6});
+  const py::ssize_t num_null = count(output.null_points);
+  d["null_points"] = ToImmutableNumpy(std::move(output.null_points), {num_null});
+  d["weighted_squares"] = output.weighted_squares;
+  d["num_residuals"] = output.num_residuals;
+  d["num_parameters"] = output.num_parameters;
+  d["gauge_degrees"] = output.gauge_degrees;
+  py::list warnings;
+  for (const bundle::Warning& warning : output.warnings) warnings.append(warning.text);
+  d["warnings"] = warnings;
+  return d;
+}
+
+}  // namespace
+
+void BindCovariance(py::module_& m) {
+  m.def("covariance", &Covariance, py::arg("problem"), py::arg("options"), py::arg("restrictions"),
+        py::arg("factors"), py::arg("inner"), py::arg("sandwich"), py::arg("of_points"),
+        py::arg("relative"));
+}

@@ -1,0 +1,67 @@
+#pragma once
+
+/// How certain a solution is: marginal covariances of poses, intrinsics and points.
+///
+/// With the normal equations of reduced_system.h, C = S^-1 is the covariance of the unknowns of the
+/// camera parameters, all others marginalised, and of a point
+///
+///   C_p = V^-1 + V^-1 W^T C W V^-1,
+///
+/// which needs the blocks of C for pairs that share the point. These are blocks of S, hence among
+/// those that the selected inverse has (linear/selected_inverse.cpp): two or three factorisations
+/// for all of them. With the cameras held the covariance would be V^-1 alone, the conditional one.
+///
+/// From unknowns u of its blocks to (w, t) and parameters of an image goes M (observation_rows.h):
+/// its joint covariance is M C_uu M^T, also for rigs and ties. At the problem's own values w is the
+/// left perturbation in radians, R to Exp(w) R. What is held has covariance zero.
+///
+/// A relative pose, T_ba = T_b T_a^-1, moves with the poses a and b, by the same perturbations, as
+///
+///   w_ba = w_b - R_ba w_a,      t_ba' = t_b' - R_ba t_a' + [R_ba t_a]x w_ba.
+///
+/// The whole is scaled for residuals of one pixel, or of their sigmas. sum r^T W r over what is
+/// measured, by which it may be scaled, is given beside it.
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+struct CovarianceOptions {
+  bool inner = true;      ///< inner constraints; else as SolveOptions::gauge says
+  bool sandwich = false;  ///< sandwich.h
+  bool of_points = true;
+  std::vector<std::pair<int, int>> relative;  ///< images (a, b): of cam_b_from_cam_a
+};
+
+/// Row-major; `stride` is that of the problem's camera_params.
+struct CovarianceOutput {
+  std::vector<double> poses;     ///< num_images x 6 x 6
+  std::vector<double> frames;    ///< num_frames x 6 x 6
+  std::vector<double> sensors;   ///< num_sensors x 6 x 6
+  std::vector<double> cameras;   ///< num_cameras x stride x stride; NaN where a parameter is held
+  std::vector<double> points;    ///< num_points x 3 x 3; NaN where nothing says where it is
+  std::vector<double> relative;  ///< pairs x 6 x 6
+  std::vector<int> null_points;  ///< points without parallax, ascending
+  double weighted_squares =
+      0;                       ///< sum of squared residuals, divided by sigma, weighted by the loss
+  int64_t num_residuals = 0;   ///< that count, of observations and factors
+  int64_t num_parameters = 0;  ///< free ones that something determines, gauge not deducted
+  int gauge_degrees = 0;       ///< of these that only the inner constraints determine
+  std::vector<Warning> warnings;
+};
+
+/// Evaluates everything at the problem's own values, which should be a minimum under these options.
+/// The problem is valid; camera models are known.
+///
+/// Throws InputError as ReducedSystem does, and if the normal equations are singular beyond the
+/// gauge, or with a gauge that does not hold it.
+CovarianceOutput ComputeCovariance(const ProblemView& problem, const SolveOptions& options,
+                                   const CovarianceOptions& wanted);
+
+}  // namespace bundle

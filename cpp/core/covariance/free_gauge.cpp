@@ -1,0 +1,324 @@
+#include "core/covariance/free_gauge.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+
+#include "core/geometry/rotation.h"
+#include "core/model/gauge.h"
+#include "core/model/scene_frame.h"
+
+namespace bundle {
+namespace {
+
+constexpr int kCount = kNumGaugeDirections;
+using Square = Eigen::Matrix<double, kCount, kCount>;
+using Row = Eigen::Matrix<double, 1, kCount>;
+
+/// Of A beside the squares of its rows' own parts: rounding is its square, 1e-32, times what scenes
+/// far from their centre add.
+constexpr double kNull = 1e-22;
+
+struct World {
+  double center[3];
+  double size;
+};
+
+World FindWorld(const ProblemView& problem) {
+  const SceneFrame frame(problem);
+  World world;
+  std::copy_n(frame.center, 3, world.center);
+  world.size = frame.size > 0 && std::isfinite(frame.size) ? frame.size : 1;
+  return world;
+}
+
+/// Of (w, t) of a pose, six rows.
+void PoseRows(const PoseState& pose, const World& world, double rows[6][kCount]) {
+  double moved_center[3];
+  MatrixVector3(pose.rotation, world.center, moved_center);
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) {
+      double axis[3] = {0, 0, 0}, lever[3], turned[3];
+      axis[k] = 1;
+      Cross3(axis, world.center, lever);
+      MatrixVector3(pose.rotation, lever, turned);
+      rows[i][k] = 0;
+      rows[i][3 + k] = -pose.rotation[3 * i + k];
+      rows[3 + i][k] = -world.size * pose.rotation[3 * i + k];
+      rows[3 + i][3 + k] = turned[i];
+    }
+    rows[i][6] = 0;
+    rows[3 + i][6] = pose.translation[i] + moved_center[i];
+  }
+}
+
+void PointRows(const double* point, const World& world, double rows[3][kCount]) {
+  const double arm[3] = {point[0] - world.center[0], point[1] - world.center[1],
+                         point[2] - world.center[2]};
+  for (int k = 0; k < 3; ++k) {
+    double axis[3] = {0, 0, 0}, turned[3];
+    axis[k] = 1;
+    Cross3(axis, arm, turned);
+    for (int i = 0; i < 3; ++i) {
+      rows[i][k] = i == k ? world.size : 0;
+      rows[i][3 + k] = turned[i];
+      rows[i][6] = arm[i];
+    }
+  }
+}
+
+/// N with all seven columns.
+FullVectors AllDirections(const ReducedSystem& system) {
+  const ProblemView& problem = system.problem();
+  const ParameterLayout& layout = system.layout();
+  const World world = FindWorld(problem);
+  const auto num_unknowns = static_cast<size_t>(system.num_unknowns());
+  const size_t num_coordinates = 3 * static_cast<size_t>(problem.num_points);
+  FullVectors n;
+  n.num_columns = kCount;
+  n.cameras.assign(num_unknowns * kCount, 0.0);
+  n.points.assign(num_coordinates * kCount, 0.0);
+  for (int pose = 0; pose < NumPoses(problem); ++pose) {
+    if (layout.pose_block(pose) < 0) continue;
+    const CameraBlock& block = layout.blocks()[layout.pose_block(pose)];
+    double rows[kPoseSize][kCount] = {};
+    if (pose < problem.num_images + problem.num_frames) {
+      PoseRows(system.states().pose(pose), world, rows);
+    } else {  // a sensor's place on its rig scales with the world
+      for (int i = 0; i < 3; ++i) rows[3 + i][6] = system.states().pose(pose).translation[i];
+    }
+    for (int k = 0; k < block.size && block.columns[k] < kPoseSize; ++k) {
+      for (int m = 0; m < kCount; ++m) {
+        n.cameras[m * num_unknowns + block.offset + k] = rows[block.columns[k]][m];
+      }
+    }
+  }
+  for (int p = 0; p < problem.num_points; ++p) {
+    if (!layout.point_is_free(p)) continue;
+    double rows[3][kCount];
+    PointRows(problem.points + 3 * int64_t{p}, world, rows);
+    for (int i = 0; i < 3; ++i) {
+      for (int m = 0; m < kCount; ++m) {
+        n.points[m * num_coordinates + 3 * size_t(p) + i] = rows[i][m];
+      }
+    }
+  }
+  return n;
+}
+
+/// A, and the squares of its rows' parts.
+struct GaugeInformation {
+  Square a = Square::Zero();
+  Row parts = Row::Zero();
+
+  void Add(const Row& by_cameras, const Row& by_points) {
+    const Row sum = by_cameras + by_points;
+    a += sum.transpose() * sum;
+    parts += by_cameras.cwiseAbs2() + by_points.cwiseAbs2();
+  }
+  void Add(const GaugeInformation& other) {
+    a += other.a;
+    parts += other.parts;
+  }
+};
+
+Row TimesUnknowns(const FullVectors& n, size_t num_unknowns, const double* row, int first,
+                  int size) {
+  Row sum = Row::Zero();
+  for (int m = 0; m < kCount; ++m) {
+    const double* const column = &n.cameras[m * num_unknowns + first];
+    for (int k = 0; k < size; ++k) sum[m] += row[k] * column[k];
+  }
+  return sum;
+}
+
+Row TimesPoint(const FullVectors& n, size_t num_coordinates, const double* row, int point) {
+  Row sum = Row::Zero();
+  for (int m = 0; m < kCount; ++m) {
+    const double* const column = &n.points[m * num_coordinates + 3 * size_t(point)];
+    sum[m] = row[0] * column[0] + row[1] * column[1] + row[2] * column[2];
+  }
+  return sum;
+}
+
+void AddRows(const ReducedSystem& system, const FullVectors& n, const ObservationRows& rows,
+             int point, GaugeInformation* information) {
+  const auto num_unknowns = static_cast<size_t>(system.num_unknowns());
+  for (int row = 0; row < 2; ++row) {
+    Row by_cameras = Row::Zero(), by_point = Row::Zero();
+    for (int b = 0; b < rows.num_blocks; ++b) {
+      by_cameras += TimesUnknowns(n, num_unknowns, rows.jacobian[b] + row * rows.size[b],
+                                  system.layout().blocks()[rows.block[b]].offset, rows.size[b]);
+    }
+    if (point >= 0) {
+      by_point =
+          TimesPoint(n, 3 * size_t(system.problem().num_points), rows.point + 3 * row, point);
+    }
+    information->Add(by_cameras, by_point);
+  }
+}
+
+GaugeInformation SumUp(const ReducedSystem& system, const FullVectors& n) {
+  std::vector<GaugeInformation> of_thread(system.num_threads());
+  system.ForPoints([&](int point, const PointBlocks&, const PointAssembler& assembler, int thread) {
+    for (int r = 0; r < assembler.num_rows(); ++r) {
+      AddRows(system, n, assembler.row(r), point, &of_thread[thread]);
+    }
+  });
+  GaugeInformation total;
+  for (const GaugeInformation& information : of_thread) total.Add(information);
+  system.ForObservationsOfFixedPoints(
+      [&](const ObservationRows& rows) { AddRows(system, n, rows, -1, &total); });
+  system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
+    const size_t columns = 3 * rows.points.size() + rows.unknowns.size();
+    for (int row = 0; row < rows.num_rows; ++row) {
+      const double* at = rows.jacobian.data() + row * columns;
+      Row by_cameras = Row::Zero(), by_points = Row::Zero();
+      for (const int point : rows.points) {
+        by_points += TimesPoint(n, 3 * size_t(system.problem().num_points), at, point);
+        at += 3;
+      }
+      for (const int unknown : rows.unknowns) {
+        by_cameras += TimesUnknowns(n, size_t(system.num_unknowns()), at++, unknown, 1);
+      }
+      total.Add(by_cameras, by_points);
+    }
+  });
+  return total;
+}
+
+/// The combinations of the seven that nothing sees, 7 x degrees.
+Eigen::MatrixXd FindFree(const GaugeInformation& information) {
+  // A similarity that moves nothing that is seen is none: a scale without points, for instance.
+  Row scale = Row::Zero();
+  for (int m = 0; m < kCount; ++m) {
+    if (information.parts[m] > 0) scale[m] = 1 / std::sqrt(information.parts[m]);
+  }
+  std::vector<int> kept;
+  for (int m = 0; m < kCount; ++m) {
+    if (scale[m] > 0) kept.push_back(m);
+  }
+  const auto count = static_cast<int>(kept.size());
+  if (count == 0) return Eigen::MatrixXd(kCount, 0);
+  Eigen::MatrixXd a(count, count);
+  for (int i = 0; i < count; ++i) {
+    for (int j = 0; j < count; ++j) {
+      a(i, j) = information.a(kept[i], kept[j]) * scale[kept[i]] * scale[kept[j]];
+    }
+  }
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(a);
+  int degrees = 0;
+  while (degrees < count && solver.eigenvalues()[degrees] < kNull) ++degrees;
+  Eigen::MatrixXd free = Eigen::MatrixXd::Zero(kCount, degrees);
+  for (int i = 0; i < count; ++i) {
+    free.row(kept[i]) = scale[kept[i]] * solver.eigenvectors().row(i).head(degrees);
+  }
+  return free;
+}
+
+using Columns = Eigen::Map<Eigen::MatrixXd>;
+
+/// `degrees` unknowns by which the directions differ most, in their own sigmas.
+std::vector<int> ChooseHeld(const FullVectors& n, const std::vector<double>& diagonal) {
+  const auto size = static_cast<Eigen::Index>(diagonal.size());
+  Eigen::MatrixXd rows = Eigen::Map<const Eigen::MatrixXd>(n.cameras.data(), size, n.num_columns);
+  for (Eigen::Index j = 0; j < size; ++j) rows.row(j) *= std::sqrt(std::max(diagonal[j], 0.0));
+  std::vector<int> held;
+  for (int d = 0; d < n.num_columns; ++d) {
+    Eigen::Index longest = 0;
+    if (!(rows.rowwise().squaredNorm().maxCoeff(&longest) > 0)) break;
+    held.push_back(static_cast<int>(longest));
+    const Eigen::VectorXd direction = rows.row(longest).normalized();
+    rows -= (rows * direction) * direction.transpose();
+  }
+  return held;
+}
+
+}  // namespace
+
+FreeGauge::FreeGauge(const ReducedSystem& system) {
+  const FullVectors all = AllDirections(system);
+  const Eigen::MatrixXd free = FindFree(SumUp(system, all));
+  const Eigen::Index degrees = free.cols();
+  const auto num_unknowns = static_cast<Eigen::Index>(system.num_unknowns());
+  const Eigen::Index num_coordinates = 3 * Eigen::Index{system.problem().num_points};
+  n_.num_columns = static_cast<int>(degrees);
+  n_.cameras.resize(static_cast<size_t>(num_unknowns * degrees));
+  n_.points.resize(static_cast<size_t>(num_coordinates * degrees));
+  Columns cameras(n_.cameras.data(), num_unknowns, degrees);
+  Columns points(n_.points.data(), num_coordinates, degrees);
+  cameras = Eigen::Map<const Eigen::MatrixXd>(all.cameras.data(), num_unknowns, kCount) * free;
+  points = Eigen::Map<const Eigen::MatrixXd>(all.points.data(), num_coordinates, kCount) * free;
+  // What nothing says of a point is no part of the world's freedom.
+  for (const NullPoint& null : system.null_points()) {
+    points.middleRows(3 * Eigen::Index{null.point}, 3) =
+        (Eigen::Matrix3d::Identity() - Eigen::Map<const Eigen::Matrix3d>(null.projector)) *
+        points.middleRows(3 * Eigen::Index{null.point}, 3);
+  }
+  const Eigen::MatrixXd gram = cameras.transpose() * cameras + points.transpose() * points;
+  const Eigen::MatrixXd upper = gram.llt().matrixU();
+  upper.triangularView<Eigen::Upper>().solveInPlace<Eigen::OnTheRight>(cameras);
+  upper.triangularView<Eigen::Upper>().solveInPlace<Eigen::OnTheRight>(points);
+  held_ = ChooseHeld(n_, system.diagonal());
+}
+
+void FreeGauge::Hold(ReducedSystem* system) const {
+  const BlockStructure& s = system->structure();
+  for (const int unknown : held_) {
+    const auto after = std::upper_bound(s.offset.begin(), s.offset.end(), unknown);
+    const auto block = static_cast<int>(after - s.offset.begin()) - 1;
+    const int k = unknown - s.offset[block];
+    double& diagonal = system->values()[s.ValueIndex(block, s.Entry(block, block), k, k)];
+    diagonal += system->diagonal()[unknown];
+  }
+}
+
+InnerConstraints::InnerConstraints(const FullVectors& directions, const FullVectors& y)
+    : n_(directions), y_(y), k_(size_t(directions.num_columns) * directions.num_columns) {
+  const int d = degrees();
+  const auto map = [d](const std::vector<double>& v) {
+    return Eigen::Map<const Eigen::MatrixXd>(v.data(), d == 0 ? 0 : Eigen::Index(v.size()) / d, d);
+  };
+  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(k_.data(), d,
+                                                                                     d) =
+      map(n_.cameras).transpose() * map(y_.cameras) + map(n_.points).transpose() * map(y_.points);
+}
+
+void InnerConstraints::RowsOfUnknowns(int first, int count, double* n, double* y) const {
+  const int d = degrees();
+  const size_t size = n_.cameras.size() / d;
+  for (int i = 0; i < count; ++i) {
+    for (int m = 0; m < d; ++m) {
+      *n++ = n_.cameras[m * size + first + i];
+      *y++ = y_.cameras[m * size + first + i];
+    }
+  }
+}
+
+void InnerConstraints::RowsOfPoint(int point, double* n, double* y) const {
+  const int d = degrees();
+  const size_t size = n_.points.size() / d;
+  for (int i = 0; i < 3; ++i) {
+    for (int m = 0; m < d; ++m) {
+      *n++ = n_.points[m * size + 3 * size_t(point) + i];
+      *y++ = y_.points[m * size + 3 * size_t(point) + i];
+    }
+  }
+}
+
+void InnerConstraints::Transform(int rows, const double* n_rows, const double* y_rows, int columns,
+                                 const double* n_columns, const double* y_columns,
+                                 double* block) const {
+  using Map =
+      Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
+  const int d = degrees();
+  const Map ni(n_rows, rows, d), yi(y_rows, rows, d), nj(n_columns, columns, d),
+      yj(y_columns, columns, d), k(k_.data(), d, d);
+  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
+      block, rows, columns) += ni * (k * nj.transpose() - yj.transpose()) - yi * nj.transpose();
+}
+
+}  // namespace bundle

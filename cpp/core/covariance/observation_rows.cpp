@@ -1,0 +1,167 @@
+#include "core/covariance/observation_rows.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/cameras/registry.h"
+#include "core/factors/loss.h"
+#include "core/factors/reprojection.h"
+#include "core/factors/rig_pose.h"
+
+namespace bundle {
+namespace {
+
+constexpr int kMaxLocal = kPoseSize + kMaxCameraParams;
+
+/// A block whose unknowns are local columns themselves.
+LocalMap PlainMap(int index, const CameraBlock& block) {
+  LocalMap map{index, block.size, {}, {}};
+  map.columns.assign(block.columns, block.columns + block.size);
+  return map;
+}
+
+LocalMap MapOfLayout(const ProblemView& problem, const ParameterLayout& layout,
+                     const PoseState& pose, int image, int place) {
+  ColumnMap of_layout;
+  layout.FillMap(problem, image, place, pose, &of_layout);
+  const int index = layout.blocks_of(image)[place];
+  LocalMap map{index, layout.blocks()[index].size, {}, {}};
+  map.columns.assign(of_layout.columns, of_layout.columns + of_layout.num_columns);
+  map.values.assign(of_layout.values, of_layout.values + of_layout.num_columns * map.size);
+  return map;
+}
+
+/// A block of the pose of a frame or a sensor, of which `whole` moves the image.
+LocalMap MapOfRig(int index, const CameraBlock& block, const double whole[kPoseSize * kPoseSize]) {
+  LocalMap map{index, block.size, {}, {}};
+  for (int i = 0; i < kPoseSize; ++i) {
+    map.columns.push_back(static_cast<int8_t>(i));
+    for (int k = 0; k < block.size; ++k) {
+      map.values.push_back(whole[kPoseSize * i + block.columns[k]]);
+    }
+  }
+  return map;
+}
+
+void HoldUnknowns(const std::vector<uint8_t>& held, int offset, LocalMap* map) {
+  const auto first = held.begin() + offset;
+  if (std::none_of(first, first + map->size, [](uint8_t bit) { return bit != 0; })) return;
+  if (map->values.empty()) {  // the identity
+    map->values.assign(static_cast<size_t>(map->size) * map->size, 0.0);
+    for (int k = 0; k < map->size; ++k) map->values[k * map->size + k] = 1;
+  }
+  for (size_t i = 0; i < map->values.size(); ++i) {
+    if (first[i % map->size] != 0) map->values[i] = 0;
+  }
+}
+
+/// Rows by (w, t) and by the model's parameters, which follow each other.
+template <typename Model>
+bool EvaluateLocal(const PoseState& pose, const double* params, const double* point,
+                   const double* xy, Cheirality cheirality, double* residual, double* local,
+                   double* by_point) {
+  constexpr int kParams = kNumParams<Model>;
+  ReprojectionJacobian<kParams> jacobian;
+  if (!EvaluateReprojection<Model>(pose, params, point, xy, cheirality, residual, &jacobian)) {
+    return false;
+  }
+  std::copy_n(jacobian.point, 6, by_point);
+  for (int row = 0; row < 2; ++row) {
+    double* const to = local + kMaxLocal * row;
+    std::copy_n(jacobian.pose + kPoseSize * row, kPoseSize, to);
+    std::copy_n(jacobian.params + kParams * row, kParams, to + kPoseSize);
+  }
+  return true;
+}
+
+void Chain(const double* local, const LocalMap& map, double weight, double* out) {
+  const int num_columns = static_cast<int>(map.columns.size());
+  for (int row = 0; row < 2; ++row, local += kMaxLocal, out += map.size) {
+    if (map.values.empty()) {
+      for (int k = 0; k < map.size; ++k) out[k] = weight * local[map.columns[k]];
+      continue;
+    }
+    std::fill_n(out, map.size, 0.0);
+    for (int i = 0; i < num_columns; ++i) {
+      const double factor = weight * local[map.columns[i]];
+      const double* const values = map.values.data() + i * map.size;
+      for (int k = 0; k < map.size; ++k) out[k] += factor * values[k];
+    }
+  }
+}
+
+}  // namespace
+
+std::vector<LocalMap> FindLocalMaps(const ProblemView& problem, const ParameterLayout& layout,
+                                    const CameraStates& states, int image,
+                                    const std::vector<uint8_t>& held) {
+  std::vector<LocalMap> maps;
+  const RigPose rig = states.rig(image);
+  const ParameterLayout::ImageBlocks& of = layout.blocks_of(image);
+  for (int place = 0; place < static_cast<int>(of.size()); ++place) {
+    if (of[place] < 0) continue;
+    const CameraBlock& block = layout.blocks()[of[place]];
+    const bool is_sensor = place == ParameterLayout::kSensorBlock;
+    if (rig.frame != nullptr && (is_sensor || place == ParameterLayout::kPoseBlock)) {
+      double whole[kPoseSize * kPoseSize];
+      is_sensor ? SensorMap(rig, whole) : FrameMap(rig, whole);
+      maps.push_back(MapOfRig(of[place], block, whole));
+    } else if (layout.HasMap(problem, image, place)) {
+      maps.push_back(MapOfLayout(problem, layout, states.pose(image), image, place));
+    } else {
+      maps.push_back(PlainMap(of[place], block));
+    }
+    if (!held.empty()) HoldUnknowns(held, block.offset, &maps.back());
+  }
+  return maps;
+}
+
+ObservationEvaluator::ObservationEvaluator(const ProblemView& problem,
+                                           const ParameterLayout& layout,
+                                           const SolveOptions& options)
+    : problem_(problem),
+      layout_(layout),
+      states_(problem, layout),
+      maps_(problem.num_images),
+      loss_(options.loss),
+      loss_scale_(options.loss_scale),
+      cheirality_(options.cheirality) {
+  Hold({});
+}
+
+void ObservationEvaluator::Hold(const std::vector<uint8_t>& held) {
+  for (int i = 0; i < problem_.num_images; ++i) {
+    maps_[i] = FindLocalMaps(problem_, layout_, states_, i, held);
+  }
+}
+
+bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows) const {
+  const int image = problem_.observation_image[observation];
+  const int camera = problem_.image_camera[image];
+  double local[2 * kMaxLocal];
+  bool counts = false;
+  VisitCameraModel(*problem_.camera_models[camera], [&](auto model) {
+    counts = EvaluateLocal<decltype(model)>(
+        states_.pose(image), states_.params(camera),
+        problem_.points + 3 * int64_t{problem_.observation_point[observation]},
+        problem_.observation_xy + 2 * observation, cheirality_, rows->residual, local, rows->point);
+  });
+  if (!counts) return false;
+  const double sigma =
+      problem_.observation_sigma == nullptr ? 1 : problem_.observation_sigma[observation];
+  double rho[3];
+  ValueOfLoss(loss_, loss_scale_, SquaredNorm(rows->residual, 2) / (sigma * sigma), rho);
+  const double weight = std::sqrt(rho[1]) / sigma;
+  for (double& value : rows->residual) value *= weight;
+  for (double& value : rows->point) value *= weight;
+  rows->num_blocks = 0;
+  for (const LocalMap& map : maps_[image]) {
+    const int b = rows->num_blocks++;
+    rows->block[b] = map.block;
+    rows->size[b] = map.size;
+    Chain(local, map, weight, rows->jacobian[b]);
+  }
+  return true;
+}
+
+}  // namespace bundle

@@ -1,0 +1,74 @@
+#pragma once
+
+/// The rows of a problem's Jacobian at its own values, by the unknowns of a layout: what the
+/// information of an observation is made of, one observation at a time.
+///
+/// An observation's residual r (2) is divided by its sigma s and weighted by its loss,
+///
+///   r~ = sqrt(rho'(||r / s||^2)) r / s,        J~ alike,
+///
+/// so that J~^T J~ is its block of the Gauss-Newton matrix of the solvers (factors/loss.h). Rows by
+/// the local columns of its image, (w, t) and intrinsics, go to the blocks of the layout by the
+/// maps of schur/column_map.h and factors/rig_pose.h.
+
+#include <cstdint>
+#include <vector>
+
+#include "core/interface/options.h"
+#include "core/linear/block_structure.h"
+#include "core/model/parameter_layout.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+/// How the unknowns of one block move the local columns of an image: of a row a by these, a M is
+/// the row by the unknowns.
+struct LocalMap {
+  int block = -1;
+  int size = 0;                 ///< unknowns of the block
+  std::vector<int8_t> columns;  ///< local columns that move
+  std::vector<double> values;   ///< M, columns x size, row-major; empty: unknown k is columns[k]
+};
+
+/// The maps of all blocks that an image's observations depend on, at the problem's own values.
+/// Unknowns in `held` (one entry an unknown; empty: none) move nothing.
+std::vector<LocalMap> FindLocalMaps(const ProblemView& problem, const ParameterLayout& layout,
+                                    const CameraStates& states, int image,
+                                    const std::vector<uint8_t>& held);
+
+/// Whitened and weighted, row-major.
+struct ObservationRows {
+  static constexpr int kMaxBlocks = 4;
+  double residual[2];
+  double point[2 * 3];
+  int num_blocks = 0;
+  int block[kMaxBlocks];
+  int size[kMaxBlocks];
+  double jacobian[kMaxBlocks][2 * BlockSystem::kMaxBlockSize];  ///< 2 x size each
+};
+
+class ObservationEvaluator {
+ public:
+  /// Keeps references to the problem and the layout. The loss and the cheirality are the options'.
+  ObservationEvaluator(const ProblemView& problem, const ParameterLayout& layout,
+                       const SolveOptions& options);
+
+  /// False where the observation does not count (factors/reprojection.h).
+  bool Evaluate(int64_t observation, ObservationRows* rows) const;
+
+  const CameraStates& states() const { return states_; }
+  const std::vector<LocalMap>& maps(int image) const { return maps_[image]; }
+  /// Holds the marked unknowns from now on.
+  void Hold(const std::vector<uint8_t>& held);
+
+ private:
+  const ProblemView& problem_;
+  const ParameterLayout& layout_;
+  const CameraStates states_;
+  std::vector<std::vector<LocalMap>> maps_;  ///< of each image
+  const LossType loss_;
+  const double loss_scale_;
+  const Cheirality cheirality_;
+};
+
+}  // namespace bundle

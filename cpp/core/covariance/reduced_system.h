@@ -1,0 +1,145 @@
+#pragma once
+
+/// The normal equations of a problem at its own values, without damping, and their solution by the
+/// reduced camera system:
+///
+///   | U   W | |x_c|   |b_c|            S = U - sum W_p V_p^-1 W_p^T,    S x_c = b_c - sum W_p
+///   V_p^-1 b_p, | W^T V | |x_p| = |b_p|    =>      x_p = V_p^-1 (b_p - W_p^T x_c).
+///
+/// S is that of the solvers, summed up by their own passes (schur/) and factorised by their own
+/// direct solvers (linear/). Null directions of points are left out (point_blocks.h): the passes
+/// see them held by a factor of their own, which couples with nothing.
+///
+/// A camera parameter on a bound beyond which the cost falls is held: its row and column of S are
+/// those of the identity, and nothing else depends on it.
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/covariance/observation_rows.h"
+#include "core/covariance/point_blocks.h"
+#include "core/interface/options.h"
+#include "core/linear/block_structure.h"
+#include "core/linear/linear_solver.h"
+#include "core/model/parameter_layout.h"
+#include "core/model/problem_factors.h"
+#include "core/prepare/prepare.h"
+#include "core/problem/problem_view.h"
+#include "core/schur/schur_problem.h"
+
+namespace bundle {
+
+/// A free point with null directions.
+struct NullPoint {
+  int point = 0;
+  int num_null = 0;     ///< of three
+  double direction[3];  ///< one of them, of norm 1
+  double projector[9];  ///< onto all of them
+};
+
+/// Two parts of a vector of unknowns, or of several side by side (column-major).
+struct FullVectors {
+  int num_columns = 0;
+  std::vector<double> cameras;  ///< unknowns of the layout x num_columns
+  std::vector<double> points;   ///< 3 num_points x num_columns; zero where a point is not free
+};
+
+class ReducedSystem {
+ public:
+  /// Chooses what is free, lays it out and linearises. The problem is valid and outlives this; its
+  /// camera models are known.
+  ///
+  /// Throws InputError if an id to be fixed does not exist, a factor couples a point with something
+  /// else that is free or is a function in Python, or the memory does not suffice.
+  ReducedSystem(const ProblemView& problem, const SolveOptions& options);
+  ~ReducedSystem();
+  ReducedSystem(const ReducedSystem&) = delete;
+  ReducedSystem& operator=(const ReducedSystem&) = delete;
+
+  const ProblemView& problem() const { return problem_; }
+  const ParameterLayout& layout() const { return layout_; }
+  const ObservationEvaluator& evaluator() const { return *evaluator_; }
+  const CameraStates& states() const { return evaluator_->states(); }
+  const PointAssembler::Tracks& tracks() const { return tracks_; }
+  int num_unknowns() const { return layout_.state_size(); }
+  int num_threads() const { return num_threads_; }
+
+  /// Ascending.
+  const std::vector<NullPoint>& null_points() const { return null_points_; }
+  /// Of each unknown: 1 if it is held on a bound. Empty: none is.
+  const std::vector<uint8_t>& held() const { return held_; }
+  /// Sentences of the choices: a gauge that could not be held as asked.
+  const std::vector<Warning>& warnings() const { return warnings_; }
+
+  /// Where S is in values(): its blocks in the order of the layout.
+  const BlockStructure& structure() const { return structure_; }
+  /// S; after Factorize what the solver makes of it, after Invert the same blocks of S^-1.
+  std::vector<double>& values();
+  /// Entry (j, j) of S as it was summed up, of each unknown.
+  const std::vector<double>& diagonal() const { return diagonal_; }
+
+  LinearSolution Factorize();
+  /// X = S^-1 B, unknowns x num_rhs, column-major.
+  LinearSolution Solve(const double* rhs, int num_rhs, double* x);
+  /// Solves the whole normal equations.
+  LinearSolution Solve(const FullVectors& rhs, FullVectors* x);
+  /// Replaces the factor by the blocks of S^-1 (LinearSolver::InvertBlocks).
+  LinearSolution Invert();
+  /// The least of L_jj^2 / S_jj after Factorize: rounding alone where S is singular.
+  double SmallestPivot() const;
+
+  /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads, each
+  /// with points that follow each other.
+  using PointVisitor =
+      std::function<void(int point, const PointBlocks&, const PointAssembler&, int thread)>;
+  void ForPoints(const PointVisitor& visit) const { ForPoints(num_threads_, visit); }
+  /// The same on so many threads.
+  void ForPoints(int num_threads, const PointVisitor& visit) const;
+  /// Rows of a factor's Jacobian by what is free: three columns a point, then unknowns.
+  struct FactorRows {
+    int num_rows = 0;
+    std::vector<int> points;
+    std::vector<int> unknowns;
+    std::vector<double> residual;  ///< num_rows, weighted by the loss
+    std::vector<double> jacobian;  ///< num_rows x (3 points + unknowns), row-major, alike
+  };
+  /// Calls visit(rows) for every factor of the problem, in its order, those with a value.
+  void ForFactors(const std::function<void(const FactorRows&)>& visit) const;
+  /// Calls visit(rows) for the observations of points that are not free, those that count.
+  void ForObservationsOfFixedPoints(const std::function<void(const ObservationRows&)>& visit) const;
+
+  /// Block (row, column) of a matrix with the structure of S, rows of block `row` x columns of
+  /// block `column`, row-major; only for blocks of the structure.
+  void CopyBlock(const std::vector<double>& values, int row, int column, double* out) const;
+  /// True if block (row, column) is in the structure.
+  bool HasBlock(int row, int column) const;
+
+ private:
+  ReducedSystem(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared);
+  void Order(const SolveOptions& options);
+  void FindNullPoints();
+  void HoldNullDirections();
+  void LinearizeSchur(const SolveOptions& options);
+
+  const ProblemView& problem_;
+  const int num_threads_;
+  std::vector<Warning> warnings_;
+  ParameterLayout layout_;
+  BlockStructure structure_;
+  std::unique_ptr<LinearSolver> solver_;
+  std::unique_ptr<ObservationEvaluator> evaluator_;
+  PointAssembler::Tracks tracks_;
+  std::vector<NullPoint> null_points_;
+  std::vector<double> null_information_;  ///< 9 numbers a null point
+  ProblemFactors factors_;                ///< the problem's, and those that hold null directions
+  ProblemView view_;                      ///< the problem with factors_
+  std::unique_ptr<SchurProblem> schur_;
+  std::vector<uint8_t> held_;
+  std::vector<double> diagonal_;
+  std::vector<double> no_values_;
+};
+
+}  // namespace bundle

@@ -1,0 +1,272 @@
+#include "core/covariance/sandwich.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <vector>
+
+#include "core/geometry/rotation.h"
+#include "core/parallel/thread_pool.h"
+
+namespace bundle {
+namespace {
+
+/// Columns of D that are solved for at once.
+constexpr int kColumnsAtOnce = 256;
+
+/// Adds to block (row, column) of a symmetric matrix with the structure of S, at entry (r, c); of a
+/// pair of blocks the one that is stored.
+class SymmetricSum {
+ public:
+  SymmetricSum(const BlockStructure& structure, std::vector<double>* values)
+      : structure_(structure), values_(*values) {}
+
+  /// block(r, c) += value(r, c), for the block on or below the diagonal.
+  template <typename Value>
+  void Add(int row, int column, const Value& value) {
+    const int64_t entry = structure_.Entry(column, row);
+    for (int c = 0; c < structure_.block_size(column); ++c) {
+      for (int r = 0; r < structure_.block_size(row); ++r) {
+        values_[structure_.ValueIndex(column, entry, r, c)] += value(r, c);
+      }
+    }
+  }
+
+ private:
+  const BlockStructure& structure_;
+  std::vector<double>& values_;
+};
+
+/// sum over its two rows of the residual by those of a block: the share of an observation.
+void ShareOf(const ObservationRows& rows, int b, double* share) {
+  const double* const j = rows.jacobian[b];
+  for (int k = 0; k < rows.size[b]; ++k) {
+    share[k] = j[k] * rows.residual[0] + j[rows.size[b] + k] * rows.residual[1];
+  }
+}
+
+void PointShare(const ObservationRows& rows, double share[3]) {
+  for (int k = 0; k < 3; ++k) {
+    share[k] = rows.point[k] * rows.residual[0] + rows.point[3 + k] * rows.residual[1];
+  }
+}
+
+/// G_i G_i^T
+void AddOwn(const ObservationRows& rows, SymmetricSum* sum) {
+  double shares[ObservationRows::kMaxBlocks][BlockSystem::kMaxBlockSize];
+  for (int b = 0; b < rows.num_blocks; ++b) ShareOf(rows, b, shares[b]);
+  for (int a = 0; a < rows.num_blocks; ++a) {
+    for (int b = 0; b < rows.num_blocks; ++b) {
+      if (rows.block[a] < rows.block[b]) continue;
+      sum->Add(rows.block[a], rows.block[b],
+               [&](int r, int c) { return shares[a][r] * shares[b][c]; });
+    }
+  }
+}
+
+/// Y P Y^T - F Y^T - Y F^T
+void AddEliminated(const PointBlocks& blocks, const PointScores& scores, SymmetricSum* sum) {
+  const auto dot = [](const double* a, const double* b) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+  };
+  for (size_t a = 0; a < blocks.blocks.size(); ++a) {
+    for (size_t b = 0; b <= a; ++b) {
+      sum->Add(blocks.blocks[a], blocks.blocks[b], [&](int r, int c) {
+        const size_t at_r = 3 * size_t(blocks.begin[a] + r), at_c = 3 * size_t(blocks.begin[b] + c);
+        double by_p[3];
+        VectorMatrix3(&blocks.y[at_r], scores.p, by_p);
+        return dot(by_p, &blocks.y[at_c]) - dot(&scores.f[at_r], &blocks.y[at_c]) -
+               dot(&blocks.y[at_r], &scores.f[at_c]);
+      });
+    }
+  }
+}
+
+/// Calls visit(block row, entry) for the blocks of a block column.
+template <typename Visit>
+void ForBlocks(const BlockStructure& s, int j, const Visit& visit) {
+  if (s.dense) {
+    for (int i = j; i < s.num_blocks(); ++i) visit(i, s.Entry(j, i));
+    return;
+  }
+  for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) visit(s.row_block[e], e);
+}
+
+/// j^T j of one row of a factor.
+void AddFactorRow(const BlockStructure& s, const std::vector<int>& unknowns, const double* j,
+                  std::vector<double>* values) {
+  const auto block_of = [&s](int unknown) {
+    const auto after = std::upper_bound(s.offset.begin(), s.offset.end(), unknown);
+    return static_cast<int>(after - s.offset.begin()) - 1;
+  };
+  for (size_t a = 0; a < unknowns.size(); ++a) {
+    for (size_t b = 0; b < unknowns.size(); ++b) {
+      const int row = block_of(unknowns[a]), column = block_of(unknowns[b]);
+      if (row < column) continue;
+      (*values)[s.ValueIndex(column, s.Entry(column, row), unknowns[a] - s.offset[row],
+                             unknowns[b] - s.offset[column])] += j[a] * j[b];
+    }
+  }
+}
+
+/// Y = B X, of a symmetric matrix with the structure of S.
+void Multiply(const BlockStructure& s, const std::vector<double>& values, const double* x,
+              int num_columns, double* y) {
+  const auto n = static_cast<size_t>(s.num_columns());
+  std::fill_n(y, n * num_columns, 0.0);
+  for (int j = 0; j < s.num_blocks(); ++j) {
+    ForBlocks(s, j, [&](int i, int64_t e) {
+      for (int c = 0; c < s.block_size(j); ++c) {
+        for (int r = i == j ? c : 0; r < s.block_size(i); ++r) {
+          const double value = values[s.ValueIndex(j, e, r, c)];
+          const int row = s.offset[i] + r, column = s.offset[j] + c;
+          for (int m = 0; m < num_columns; ++m) {
+            y[m * n + row] += value * x[m * n + column];
+            if (row != column) y[m * n + column] += value * x[m * n + row];
+          }
+        }
+      }
+    });
+  }
+}
+
+}  // namespace
+
+void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const double* prior,
+               PointScores* scores) {
+  std::fill_n(scores->p, 9, 0.0);
+  if (prior != nullptr) std::copy_n(prior, 9, scores->p);
+  scores->f.assign(blocks.w.size(), 0.0);
+  for (int i = 0; i < assembler.num_rows(); ++i) {
+    const ObservationRows& rows = assembler.row(i);
+    double of_point[3], share[BlockSystem::kMaxBlockSize];
+    PointShare(rows, of_point);
+    for (int k = 0; k < 9; ++k) scores->p[k] += of_point[k / 3] * of_point[k % 3];
+    for (int b = 0; b < rows.num_blocks; ++b) {
+      ShareOf(rows, b, share);
+      const auto at = std::lower_bound(blocks.blocks.begin(), blocks.blocks.end(), rows.block[b]);
+      double* to = &scores->f[3 * size_t(blocks.begin[at - blocks.blocks.begin()])];
+      for (int r = 0; r < rows.size[b]; ++r, to += 3) {
+        for (int k = 0; k < 3; ++k) to[k] += share[r] * of_point[k];
+      }
+    }
+  }
+}
+
+std::vector<double> SumMeat(const ReducedSystem& system) {
+  const BlockStructure& s = system.structure();
+  std::vector<double> meat(static_cast<size_t>(s.num_values), 0.0);
+  SymmetricSum sum(s, &meat);
+  const std::vector<double>& prior = system.tracks().prior;
+  // On one thread: points share blocks, and no bit is to depend on whose turn it is.
+  system.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& rows, int) {
+    PointScores scores;
+    SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(point)], &scores);
+    for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), &sum);
+    AddEliminated(blocks, scores, &sum);
+  });
+  system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) { AddOwn(rows, &sum); });
+  system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
+    if (!rows.points.empty()) return;  // of a point: in P
+    for (int row = 0; row < rows.num_rows; ++row) {
+      AddFactorRow(s, rows.unknowns, &rows.jacobian[row * rows.unknowns.size()], &meat);
+    }
+  });
+  return meat;
+}
+
+LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>& meat,
+                               std::vector<double>* scatter) {
+  const BlockStructure& s = system->structure();
+  const auto n = static_cast<size_t>(s.num_columns());
+  scatter->assign(meat.size(), 0.0);
+  std::vector<double> x, y;
+  for (int first = 0; first < s.num_blocks();) {
+    ThrowIfInterrupted();
+    int last = first + 1;
+    while (last < s.num_blocks() && s.offset[last + 1] - s.offset[first] <= kColumnsAtOnce) ++last;
+    const int columns = s.offset[last] - s.offset[first];
+    x.assign(n * columns, 0.0);
+    y.assign(n * columns, 0.0);
+    for (int c = 0; c < columns; ++c) y[c * n + s.offset[first] + c] = 1;
+    for (const bool is_second : {false, true}) {
+      const LinearSolution solution = system->Solve(y.data(), columns, x.data());
+      if (solution.status != LinearSolution::Status::kSuccess) return solution;
+      if (!is_second) Multiply(s, meat, x.data(), columns, y.data());
+    }
+    for (int j = first; j < last; ++j) {
+      ForBlocks(s, j, [&](int i, int64_t e) {
+        for (int c = 0; c < s.block_size(j); ++c) {
+          const double* const from = &x[(s.offset[j] - s.offset[first] + c) * n + s.offset[i]];
+          for (int r = 0; r < s.block_size(i); ++r) {
+            (*scatter)[s.ValueIndex(j, e, r, c)] = from[r];
+          }
+        }
+      });
+    }
+    first = last;
+  }
+  return {};
+}
+
+FullVectors MeatTimes(const ReducedSystem& system, const FullVectors& x) {
+  const auto n = static_cast<size_t>(system.num_unknowns());
+  const size_t num_coordinates = 3 * static_cast<size_t>(system.problem().num_points);
+  FullVectors product;
+  product.num_columns = x.num_columns;
+  product.cameras.assign(x.cameras.size(), 0.0);
+  product.points.assign(x.points.size(), 0.0);
+  // psi (psi^T x) of one observation; of a point that is not free, -1, none of the point.
+  const auto add = [&](const ObservationRows& rows, int point, std::vector<double>* cameras) {
+    double of_point[3], shares[ObservationRows::kMaxBlocks][BlockSystem::kMaxBlockSize];
+    PointShare(rows, of_point);
+    for (int b = 0; b < rows.num_blocks; ++b) ShareOf(rows, b, shares[b]);
+    for (int m = 0; m < x.num_columns; ++m) {
+      const size_t at = m * num_coordinates + 3 * size_t(std::max(point, 0));
+      double along = 0;
+      for (int k = 0; point >= 0 && k < 3; ++k) along += of_point[k] * x.points[at + k];
+      for (int b = 0; b < rows.num_blocks; ++b) {
+        const double* const from =
+            &x.cameras[m * n + system.layout().blocks()[rows.block[b]].offset];
+        for (int k = 0; k < rows.size[b]; ++k) along += shares[b][k] * from[k];
+      }
+      for (int b = 0; b < rows.num_blocks; ++b) {
+        double* const to = &(*cameras)[m * n + system.layout().blocks()[rows.block[b]].offset];
+        for (int k = 0; k < rows.size[b]; ++k) to[k] += along * shares[b][k];
+      }
+      for (int k = 0; point >= 0 && k < 3; ++k) product.points[at + k] += along * of_point[k];
+    }
+  };
+  std::vector<std::vector<double>> of_thread(system.num_threads(), product.cameras);
+  system.ForPoints([&](int point, const PointBlocks&, const PointAssembler& rows, int thread) {
+    for (int i = 0; i < rows.num_rows(); ++i) add(rows.row(i), point, &of_thread[thread]);
+  });
+  for (const std::vector<double>& sum : of_thread) {
+    for (size_t i = 0; i < sum.size(); ++i) product.cameras[i] += sum[i];
+  }
+  system.ForObservationsOfFixedPoints(
+      [&](const ObservationRows& rows) { add(rows, -1, &product.cameras); });
+  system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
+    const size_t columns = 3 * rows.points.size() + rows.unknowns.size();
+    const auto visit = [&](int m, const double* j, const auto& with) {
+      for (const int point : rows.points) {
+        for (int k = 0; k < 3; ++k) with(*j++, m * num_coordinates + 3 * size_t(point) + k, true);
+      }
+      for (const int unknown : rows.unknowns) with(*j++, m * n + unknown, false);
+    };
+    for (int row = 0; row < rows.num_rows; ++row) {
+      const double* const j = &rows.jacobian[row * columns];
+      for (int m = 0; m < x.num_columns; ++m) {
+        double along = 0;
+        visit(m, j, [&](double value, size_t at, bool is_point) {
+          along += value * (is_point ? x.points : x.cameras)[at];
+        });
+        visit(m, j, [&](double value, size_t at, bool is_point) {
+          (is_point ? product.points : product.cameras)[at] += value * along;
+        });
+      }
+    }
+  });
+  return product;
+}
+
+}  // namespace bundle

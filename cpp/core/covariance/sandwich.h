@@ -1,0 +1,51 @@
+#pragma once
+
+/// The sandwich: how far a solution scatters if the residuals are not what their weights say.
+///
+/// A minimiser of sum 1/2 rho(||r||^2) moves by delta = -H^-1 g for a gradient g = sum psi_i, psi_i
+/// = J~_i^T r~_i the share of observation i (observation_rows.h). If the observations are
+/// independent, whatever their distribution (P. J. Huber, 1967; H. White, 1982),
+///
+///   cov delta = H^-1 M H^-1,        M = sum psi_i psi_i^T.
+///
+/// Factors that say what is known before (priors, control points) have a known sigma and enter M by
+/// their information J^T J, the expectation of psi psi^T.
+///
+/// By the elimination of the points (reduced_system.h), with Y_p = W_p V_p^-1 and, over the
+/// observations i of point p, P_p = sum g_i g_i^T, F_p = sum G_i g_i^T for their shares g_i of the
+/// point and G_i of the camera parameters,
+///
+///   delta_c = S^-1 (G - sum Y_p g_p),     cov delta_c = C B C =: D,     C = S^-1,
+///   B = sum_i G_i G_i^T + sum_p (Y_p P_p Y_p^T - F_p Y_p^T - Y_p F_p^T),
+///   cov delta_p = V^-1 (P + W^T D W - W^T C E - (W^T C E)^T) V^-1,      E = F - Y P,
+///
+/// where B has the blocks of S, and C and D are wanted at these blocks only. D has no recursion as
+/// C has; its columns are solved for, some hundred at a time.
+
+#include <vector>
+
+#include "core/covariance/reduced_system.h"
+
+namespace bundle {
+
+/// P and F of one point.
+struct PointScores {
+  double p[9];            ///< 3 x 3
+  std::vector<double> f;  ///< as PointBlocks::w
+};
+
+/// Of the point that was assembled last; `prior` as in PointAssembler::Tracks, or nullptr.
+void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const double* prior,
+               PointScores* scores);
+
+/// B, with the structure of S.
+std::vector<double> SumMeat(const ReducedSystem& system);
+
+/// D at the blocks of S, of a factorised system.
+LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>& meat,
+                               std::vector<double>* scatter);
+
+/// M x, for vectors of all unknowns.
+FullVectors MeatTimes(const ReducedSystem& system, const FullVectors& x);
+
+}  // namespace bundle
