@@ -38,6 +38,7 @@ COMMANDS = (
     "check",
     "covariance",
     "align",
+    "report",
     "convert",
     "synth",
 )

@@ -25,6 +25,17 @@ from bundle.pictures.problem_patterns import (
     order_blocks,
     reduced_pattern,
 )
+from bundle.pictures.residual_pictures import (
+    draw_image_residuals,
+    draw_radial_profile,
+    draw_residual_cells,
+    draw_residual_directions,
+    draw_residual_histogram,
+    draw_residual_lengths,
+    draw_residual_vectors,
+    draw_track_lengths,
+    draw_triangulation_angles,
+)
 from bundle.pictures.spy import draw_orderings, spy, spy_factor
 
 __all__ = [
@@ -35,8 +46,17 @@ __all__ = [
     "draw_cost_against_time",
     "draw_covisibility",
     "draw_flops",
+    "draw_image_residuals",
     "draw_orderings",
     "draw_performance_profile",
+    "draw_radial_profile",
+    "draw_residual_cells",
+    "draw_residual_directions",
+    "draw_residual_histogram",
+    "draw_residual_lengths",
+    "draw_residual_vectors",
+    "draw_track_lengths",
+    "draw_triangulation_angles",
     "figure",
     "information_pattern",
     "order_blocks",
