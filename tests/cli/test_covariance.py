@@ -59,13 +59,13 @@ def test_parts_rules_and_losses(model, tmp_path):
         ("--of", "lenses"),
         ("--relative", "1-3"),
         ("--relative", "1:77"),
-        ("--robust", "sandwich", "--scale", "sigma0"),
+        ("--scale", "sigma0", "--robust", "sandwich"),
         ("--fix-images", "88"),
     ],
 )
 def test_wrong_words_are_one_line_and_write_nothing(model, tmp_path, capsys, words):
     target = tmp_path / "c.npz"
-    assert run("covariance", model, "-o", target, *words) == 2
+    assert run("covariance", model, "-o", target, "--quiet", *words) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ")
     assert error.count("\n") == 1

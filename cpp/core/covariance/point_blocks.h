@@ -31,7 +31,7 @@ struct PointBlocks {
   double v[9];
   double inverse[9];         ///< of V, without its null directions
   double null_projector[9];  ///< sum n n^T of the null directions
-  double eigenvalues[3];     ///< of V, ascending
+  double largest;            ///< eigenvalue of V, or about that
   int num_null = 0;          ///< null directions
   std::vector<int> blocks;   ///< of the layout, ascending
   std::vector<int> begin;    ///< first row of each block's W in `w`
