@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.constraints import Constraints
+    from bundle.diagnosis import Diagnosis, diagnose
     from bundle.errors import InputError
     from bundle.free_degrees import GaugeFreedom, gauge_freedom
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
@@ -62,6 +63,7 @@ __all__ = [
     "Comparison",
     "Constraints",
     "Description",
+    "Diagnosis",
     "FactorGraph",
     "Filtered",
     "FunctionFactor",
@@ -98,6 +100,7 @@ __all__ = [
     "compare",
     "constraints",
     "describe",
+    "diagnose",
     "filter_observations",
     "gauge_freedom",
     "georeference",
@@ -132,6 +135,7 @@ _DEFERRED = {
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
     "constraints": ("Constraints",),
+    "diagnosis": ("Diagnosis", "diagnose"),
     "errors": ("InputError",),
     "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (

@@ -30,7 +30,17 @@ from bundle.io import atomic
 
 __all__ = ["main"]
 
-COMMANDS = ("info", "inspect", "refine", "compare", "check", "align", "convert", "synth")
+COMMANDS = (
+    "info",
+    "inspect",
+    "diagnose",
+    "refine",
+    "compare",
+    "check",
+    "align",
+    "convert",
+    "synth",
+)
 """Subcommands, in the order of the help; each a module with NAME, HELP, add_arguments and run."""
 
 
