@@ -318,6 +318,7 @@ PYTHON_MAY_IMPORT = {
         "statistics",
     },
     "figures": {
+        "camera_edits",
         "cameras",
         "problem",
         "reprojection",
@@ -327,6 +328,7 @@ PYTHON_MAY_IMPORT = {
     },
     "html": {
         "arguments",
+        "cameras",
         "errors",
         "figures",
         "comparison",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 
 import numpy as np
@@ -122,6 +123,33 @@ def test_the_page_is_quiet_and_fits_in_both_themes(written, browser):
     check_nothing_is_clipped(browser, path, 400)
     assert colours[0] != colours[1]
     assert path.stat().st_size < 8e6
+
+
+def test_the_3d_view_paints_and_its_switches_change_it(written, solved, browser):
+    path, page, _ = written
+    scene = data_of(page)["scene"]
+    points = np.frombuffer(base64.b64decode(scene["points"]), "<f4").reshape(-1, 3)
+    world = np.array(scene["origin"]) + scene["unit"] * points
+    np.testing.assert_allclose(world, solved.problem.points, atol=1e-5)
+    browser.open(path)
+    browser.wait_for("Number(document.querySelector('.scene').dataset.drawn) >= 3")
+    painted = (
+        "(() => { const from = document.querySelector('.scene canvas');"
+        " const to = document.createElement('canvas'); to.width = from.width;"
+        " to.height = from.height; const pen = to.getContext('2d'); pen.drawImage(from, 0, 0);"
+        " const rgba = pen.getImageData(0, 0, to.width, to.height).data; const seen = new Map();"
+        " for (let i = 0; i < rgba.length; i += 4) { const key = rgba[i] + 256 * rgba[i + 1] +"
+        " 65536 * rgba[i + 2]; seen.set(key, (seen.get(key) || 0) + 1); }"
+        " return [seen.size, rgba.length / 4 - Math.max(...seen.values())]; })()"
+    )
+    colours, everything = browser.evaluate(painted)
+    assert colours > 10 and everything > 300
+    browser.click("[data-shows=points]")
+    _, cameras = browser.evaluate(painted)
+    browser.click("[data-shows=cameras]")
+    assert 0 < cameras < everything
+    assert browser.evaluate(painted)[1] == 0
+    assert browser.complaints() == []
 
 
 def nothing_observed():

@@ -13,12 +13,16 @@ from bundle.arguments import check_type
 from bundle.errors import InputError, shown
 from bundle.figures import (
     Residuals,
+    lens_curve,
+    most_observed_cameras,
     residual_fields,
     residual_histogram,
     residuals,
+    scene_view,
     track_statistics,
     worst_residuals,
 )
+from bundle.html.lens_section import lens_data, lens_section, parameter_table
 from bundle.html.overview_section import overview_section
 from bundle.html.page import asset, tag, write_page
 from bundle.html.residual_section import (
@@ -27,6 +31,7 @@ from bundle.html.residual_section import (
     histogram_data,
     histogram_section,
 )
+from bundle.html.scene_section import scene_data, scene_script, scene_section
 from bundle.html.structure_section import structure_section
 from bundle.html.worst_section import worst_section
 from bundle.io import Source, as_path, as_problem
@@ -94,7 +99,9 @@ class _Page:
         if found is not None:
             self._residual_sections(found)
             self._worst(found, images)
+        self._lenses()
         self.sections += structure_section(problem, description, track_statistics(problem))
+        self._scene(found)
         title = f"Report on {name}" if name else "Report on a reconstruction"
         write_page(
             path,
@@ -102,7 +109,7 @@ class _Page:
             self.sections,
             self.data,
             headline=self._headline(name, description.reprojection_error),
-            script="",
+            script=scene_script(),
             style=asset("report.css"),
         )
 
@@ -145,6 +152,29 @@ class _Page:
         section, notes = worst_section(worst_residuals(self.problem, found), images)
         self.sections += [tag("h2", "Worst images", id="worst"), section]
         self.notes += notes
+
+    def _lenses(self) -> None:
+        cameras = most_observed_cameras(self.problem)
+        if not cameras:
+            return
+        initial = None if self.result is None else self.result.initial_problem
+        curves = [curve for index in cameras if (curve := lens_curve(self.problem, index))]
+        before = {}
+        if initial is not None and initial.num_cameras == self.problem.num_cameras:
+            earlier = (lens_curve(initial, index) for index in cameras)
+            before = {curve.camera_id: curve for curve in earlier if curve is not None}
+        observed = np.unique(self.problem.image_camera[self.problem.observation_image])
+        self.sections.append(tag("h2", "Lenses", id="lenses"))
+        if curves:
+            self.sections.append(lens_section(curves, before, len(observed)))
+            self.data["lenses"] = lens_data(curves)
+        self.sections.append(parameter_table(self.problem, initial, cameras))
+
+    def _scene(self, found: Residuals | None) -> None:
+        view = scene_view(self.problem, found)
+        self.data["scene"] = scene_data(view)
+        self.sections.append(tag("h2", "3-D view", id="scene"))
+        self.sections.append(scene_section(view, self.problem.num_points))
 
     def _note(self, words: str) -> None:
         self.notes.append(words)

@@ -36,6 +36,7 @@ from bundle.pictures.residual_pictures import (
     draw_track_lengths,
     draw_triangulation_angles,
 )
+from bundle.pictures.scene_pictures import draw_lens_curves, draw_scene
 from bundle.pictures.spy import draw_orderings, spy, spy_factor
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "draw_covisibility",
     "draw_flops",
     "draw_image_residuals",
+    "draw_lens_curves",
     "draw_orderings",
     "draw_performance_profile",
     "draw_radial_profile",
@@ -55,6 +57,7 @@ __all__ = [
     "draw_residual_histogram",
     "draw_residual_lengths",
     "draw_residual_vectors",
+    "draw_scene",
     "draw_track_lengths",
     "draw_triangulation_angles",
     "figure",
