@@ -308,6 +308,7 @@ PYTHON_MAY_IMPORT = {
     "pictures": {
         "_core",
         "arguments",
+        "cameras",
         "comparison",
         "errors",
         "figures",
@@ -320,6 +321,7 @@ PYTHON_MAY_IMPORT = {
     "figures": {
         "camera_edits",
         "cameras",
+        "errors",
         "problem",
         "reprojection",
         "rotations",
@@ -331,6 +333,7 @@ PYTHON_MAY_IMPORT = {
         "cameras",
         "errors",
         "figures",
+        "georeference",
         "comparison",
         "inspection",
         "io",

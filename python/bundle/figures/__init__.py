@@ -1,7 +1,9 @@
 """The numbers behind the figures of a report page, which ``bundle.pictures`` draws too."""
 
+from bundle.figures.certainty import Certainty, certainty
 from bundle.figures.image_residuals import ImageResiduals, image_residuals, worst_residuals
 from bundle.figures.lens_curves import LensCurve, lens_curve, most_observed_cameras
+from bundle.figures.placement import Placement, placement
 from bundle.figures.residual_field import RadialProfile, ResidualField, residual_fields
 from bundle.figures.residual_histogram import ResidualHistogram, residual_histogram
 from bundle.figures.residuals import Residuals, residuals
@@ -9,17 +11,21 @@ from bundle.figures.scene_view import SceneView, scene_view
 from bundle.figures.track_statistics import TrackStatistics, track_statistics
 
 __all__ = [
+    "Certainty",
     "ImageResiduals",
     "LensCurve",
+    "Placement",
     "RadialProfile",
     "ResidualField",
     "ResidualHistogram",
     "Residuals",
     "SceneView",
     "TrackStatistics",
+    "certainty",
     "image_residuals",
     "lens_curve",
     "most_observed_cameras",
+    "placement",
     "residual_fields",
     "residual_histogram",
     "residuals",

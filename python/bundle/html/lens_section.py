@@ -41,7 +41,7 @@ def lens_section(
     if num_cameras > len(curves):
         words += f" The {len(curves)} cameras with most observations, of {num_cameras:,}."
     figures = [_figure(curve, before.get(curve.camera_id)) for curve in curves]
-    return tag("p", words, class_="quiet") + tag("div", *figures, class_="planes")
+    return tag("p", words, class_="quiet") + tag("div", *figures, class_="grid")
 
 
 def lens_data(curves: Sequence[LensCurve]) -> list[dict[str, Any]]:
