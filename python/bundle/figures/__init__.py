@@ -3,7 +3,7 @@
 from bundle.figures.certainty import Certainty, certainty
 from bundle.figures.image_residuals import ImageResiduals, image_residuals, worst_residuals
 from bundle.figures.lens_curves import LensCurve, lens_curve, most_observed_cameras
-from bundle.figures.placement import Placement, placement
+from bundle.figures.placement_errors import Placement, placement
 from bundle.figures.residual_field import RadialProfile, ResidualField, residual_fields
 from bundle.figures.residual_histogram import ResidualHistogram, residual_histogram
 from bundle.figures.residuals import Residuals, residuals
