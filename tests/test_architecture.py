@@ -327,17 +327,32 @@ PYTHON_MAY_IMPORT = {
     "pictures": {
         "_core",
         "arguments",
+        "cameras",
         "comparison",
         "errors",
+        "figures",
         "option_fields",
         "options",
         "problem",
         "solver",
         "statistics",
     },
+    "figures": {
+        "camera_edits",
+        "cameras",
+        "errors",
+        "problem",
+        "reprojection",
+        "rotations",
+        "rounds",
+        "worst_images",
+    },
     "html": {
         "arguments",
+        "cameras",
         "errors",
+        "figures",
+        "georeference",
         "comparison",
         "inspection",
         "io",
@@ -345,6 +360,8 @@ PYTHON_MAY_IMPORT = {
         "options",
         "pictures",
         "problem",
+        "reprojection",
+        "result",
         "statistics",
         "words",
     },
@@ -381,7 +398,7 @@ PYTHON_MAY_IMPORT["__main__"] = {"address_space", "cli"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.
-DEFERRED_IMPORTS = {"problem": {"io"}, "synthetic": {"io"}}
+DEFERRED_IMPORTS = {"problem": {"io"}, "synthetic": {"io"}, "report": {"html"}}
 
 # Other people's packages that only some of ours may know.
 OUTSIDERS = {
@@ -390,7 +407,7 @@ OUTSIDERS = {
     "pycolmap": {"deferred_source", "io", "problem"},
     "matplotlib": {"pictures"},
     "pyproj": {"georeference"},
-    "PIL": {"georeference"},
+    "PIL": {"georeference", "html"},
 }
 
 CPP_FILES = sorted(path for path in CPP.rglob("*") if path.suffix in {".h", ".cpp"})
@@ -498,7 +515,7 @@ def test_modules_have_names_of_their_own() -> None:
     assert {name for name, found in twins.items() if found == pair} <= set(COMMANDS)
     assert {name: found for name, found in twins.items() if found != pair} == {}
     packages = {path.parent.name for path in PYTHON_FILES if path.name == "__init__.py"}
-    assert not packages & set(homes), "a module named as a package"
+    assert packages & set(homes) <= set(COMMANDS), "a module named as a package"
 
 
 def test_tables_name_nothing_that_is_gone() -> None:

@@ -6,7 +6,7 @@ TYPE_CHECKING = False  # as of typing, whose import takes longer than all that i
 if TYPE_CHECKING:
     from typing import Any
 
-    from bundle import constraints, georeference, html, losses, pictures, warning_kinds
+    from bundle import constraints, figures, georeference, html, losses, pictures, warning_kinds
     from bundle._core import __version__
     from bundle.camera_edits import (
         CameraModelChange,
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         ScalarPriorFactor,
     )
     from bundle.headers import get_include
+    from bundle.html import report
     from bundle.inspection import (
         GraphInspection,
         Inspection,
@@ -101,6 +102,7 @@ __all__ = [
     "constraints",
     "describe",
     "diagnose",
+    "figures",
     "filter_observations",
     "gauge_freedom",
     "georeference",
@@ -112,6 +114,7 @@ __all__ = [
     "losses",
     "pictures",
     "project",
+    "report",
     "reprojection_errors",
     "save",
     "share_cameras",
@@ -170,7 +173,8 @@ _DEFERRED = {
     "statistics": ("Description", "describe"),
     "summary": ("Summary",),
     "synthetic": ("SceneOptions", "SyntheticScene", "synthesize"),
-    "html": (),
+    "figures": (),
+    "html": ("report",),
     "losses": (),
     "pictures": (),
     "warning_kinds": (),

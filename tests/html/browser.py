@@ -23,6 +23,7 @@ FLAGS = [
     "--headless",
     "--no-sandbox",
     "--disable-gpu",
+    "--enable-unsafe-swiftshader",  # WebGL without a graphics card
     "--disable-dev-shm-usage",
     "--no-first-run",
     "--disable-background-networking",
@@ -160,7 +161,13 @@ class Browser:
             if event.get("method") == "Runtime.exceptionThrown":
                 found.append(str(event["params"]["exceptionDetails"]))
             elif event.get("method") == "Log.entryAdded":
-                found.append(event["params"]["entry"]["text"])
+                entry = event["params"]["entry"]
+                # How fast the driver is, of a browser without a graphics card.
+                if (entry["source"], entry["level"]) != ("rendering", "warning"):
+                    found.append(entry["text"])
+            elif event.get("method") == "Runtime.consoleAPICalled":
+                called = event["params"]
+                found += [str(called["args"])] if called["type"] in ("error", "assert") else []
         return found
 
     def requested(self) -> list[str]:

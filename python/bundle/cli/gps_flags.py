@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from bundle.cli.gcp_flags import GCP_FLAGS, add_gcp_flags, check_point_names
 from bundle.cli.option_flags import choice_word, naming_flags
 from bundle.cli.parser import a_path
-from bundle.errors import InputError, brief
+from bundle.errors import InputError, brief, shown
 from bundle.options import LOSSES, SolveOptions
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def add_gps_flags(parser: argparse.ArgumentParser) -> None:
         "points, or of the positions where there are none, and stays there. "
         f"{FILE} in OUTPUT, or beside it if it is a file, says where that is.",
     )
-    add_position_flags(group)
+    add_position_flags(group, "--gps exif and --html")
     add_gcp_flags(
         parser.add_argument_group(
             "ground control points",
@@ -64,7 +64,7 @@ def add_gps_flags(parser: argparse.ArgumentParser) -> None:
     add_loss_flags(loss, "positions and control points")
 
 
-def add_position_flags(group: argparse._ArgumentGroup) -> None:
+def add_position_flags(group: argparse._ArgumentGroup, images_are_for: str = "--gps exif") -> None:
     """Add the flags that say what the positions are."""
     group.add_argument(
         "--gps",
@@ -77,7 +77,7 @@ def add_position_flags(group: argparse._ArgumentGroup) -> None:
         "--images",
         metavar="DIR",
         type=a_path,
-        help="folder of the images, for --gps exif (default: none)",
+        help=f"folder of the images, for {images_are_for} (default: none)",
     )
     group.add_argument(
         "--gps-sigma",
@@ -117,10 +117,15 @@ def check_gps_flags(arguments: argparse.Namespace, options: SolveOptions) -> Non
     """Refuse flags without effect.
 
     Raises:
-        InputError: a flag that needs another one.
+        InputError: a flag that needs another one, or no folder of images.
     """
+    pictured = arguments.html is not None and arguments.images is not None
+    if pictured and not Path(arguments.images).is_dir():
+        raise InputError(f"--images: expected a folder, found none: {shown(arguments.images)}")
     for flags, needed in ((GPS_FLAGS, "gps"), (GCP_FLAGS, "gcp")):
         for name, flag in flags.items():
+            if name == "images" and arguments.html is not None:
+                continue
             given = name in OF_BOTH and arguments.gcp is not None
             if given or getattr(arguments, needed) is not None or name == "gcps":
                 continue
@@ -131,7 +136,8 @@ def check_gps_flags(arguments: argparse.Namespace, options: SolveOptions) -> Non
         return
     if arguments.gps == "exif" and arguments.images is None:
         raise InputError("--gps: expected --images DIR beside exif, found none")
-    if arguments.gps not in (None, "exif") and arguments.images is not None:
+    alone = arguments.images is not None and arguments.html is None
+    if arguments.gps not in (None, "exif") and alone:
         raise InputError("--images: expected with --gps exif only, found with a file")
     if arguments.prior_loss_scale is not None and arguments.prior_loss in (None, "trivial"):
         raise InputError("--prior-loss-scale: expected with a --prior-loss other than trivial")
@@ -158,7 +164,9 @@ def priors_given(arguments: argparse.Namespace, problem: Problem) -> GcpPriors |
         return None
     from bundle.georeference import gcp_priors, gps_priors
 
-    names = ["images", "gps_sigma", "prior_loss", "prior_loss_scale"]
+    names = ["gps_sigma", "prior_loss", "prior_loss_scale"]
+    if arguments.gps == "exif":  # of the report page otherwise
+        names.append("images")
     if arguments.gcp is not None:
         names += ["gps", "gcp_sigma", "gcp_pixel_sigma"]
     settings: dict[str, Any] = {

@@ -33,11 +33,12 @@ __all__ = ["main"]
 COMMANDS = (
     "info",
     "inspect",
-    "diagnose",
     "refine",
     "compare",
     "check",
+    "diagnose",
     "align",
+    "report",
     "convert",
     "synth",
 )

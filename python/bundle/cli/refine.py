@@ -81,6 +81,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "result is that of a run with --checkpoint that was not killed, bit for bit",
     )
     parser.add_argument(
+        "--html",
+        metavar="FILE",
+        type=a_path,
+        help="also write a report page, as `bundle report` does, with residuals before and after; "
+        "--images DIR has its photographs (default: none)",
+    )
+    parser.add_argument(
         "--check-gradients",
         action="store_true",
         help="first check the Jacobians on a sample, as `bundle check` does, and stop with its "
@@ -112,6 +119,8 @@ def run(arguments: argparse.Namespace) -> int:
     constraints = constraints_given(arguments)
     source, target = arguments.input, arguments.output
     check_json(arguments.json, source, target, *filter(None, [arguments.constraints]))
+    others = [arguments.json if arguments.json != "-" else None, arguments.constraints]
+    check_json(arguments.html, source, target, *filter(None, others), what="page")
     checkpoints = _checkpoints_given(arguments)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
@@ -166,6 +175,17 @@ def run(arguments: argparse.Namespace) -> int:
                 write_georeference(georeference, **output)
         save_time = perf_counter() - begun
         solved.measure()  # what the report needs is part of the total
+        if arguments.html is not None:
+            from bundle.html import write_report
+
+            progress.stage(f"writing {shown(arguments.html)}")
+            write_report(
+                solved,
+                arguments.html,
+                images=arguments.images,
+                georeference=georeference,
+                name=str(source),
+            )
     wall = WallTime(
         load=load_time,
         build=solved.build_time_in_seconds,

@@ -12,7 +12,7 @@ from typing import Any
 
 from bundle.io import atomic
 
-__all__ = ["as_json", "tag", "write_page"]
+__all__ = ["as_json", "asset", "tag", "write_page"]
 
 # What the page may load: what stands in it. A browser holds it to that, whatever is in the data.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
@@ -54,6 +54,8 @@ def write_page(
     data: Mapping[str, Any] | None = None,
     *,
     headline: str = "",
+    script: str | None = None,
+    style: str = "",
 ) -> None:
     """Write a page that appears whole or not at all.
 
@@ -63,29 +65,35 @@ def write_page(
         sections: markup.
         data: what its script needs; a page without is one without script.
         headline: at the top of the page, as text; the title where there is none.
+        script: a module that reads the data in place of the player of eliminations; "" for none.
+        style: rules beside those of every page.
 
     Raises:
         InputError: the path is a folder, or its parent is none.
         OSError: the file cannot be written.
     """
-    script = ""
+    scripts = ""
     if data is not None:
-        script = tag("script", as_json(data), type="application/json", id="data")
-        script += tag("script", _asset("elimination.js"))
+        scripts = tag("script", as_json(data), type="application/json", id="data")
+        if script is None:
+            scripts += tag("script", asset("elimination.js"))
+        elif script:
+            scripts += tag("script", script, type="module")
     head = [
         tag("meta", charset="utf-8"),
         tag("meta", http_equiv="Content-Security-Policy", content=POLICY),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("title", escape(title)),
-        tag("style", _asset("page.css")),
+        tag("style", asset("page.css"), style),
     ]
-    body = tag("body", tag("h1", escape(headline or title)), *sections, script)
+    body = tag("body", tag("h1", escape(headline or title)), *sections, scripts)
     page = tag("html", tag("head", *head), body, lang="en")
     atomic.write_text(path, f"<!doctype html>\n{page}\n")
 
 
-def _asset(name: str) -> str:
-    return resources.files("bundle.html").joinpath("assets", name).read_text("utf-8")
+def asset(*name: str) -> str:
+    """Return the text of a file in the folder of assets."""
+    return resources.files("bundle.html").joinpath("assets", *name).read_text("utf-8")
 
 
 def _finite(data: Any) -> Any:

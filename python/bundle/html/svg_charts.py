@@ -11,7 +11,17 @@ from bundle.html.numbers import amount
 from bundle.html.page import tag
 from bundle.html.scale import Scale, logarithmic, short
 
-__all__ = ["Curve", "bars", "curves", "stacked_bars"]
+__all__ = [
+    "Curve",
+    "axes",
+    "bars",
+    "curves",
+    "legend",
+    "look",
+    "place_x",
+    "place_y",
+    "stacked_bars",
+]
 
 WIDTH, HEIGHT = 480, 320
 LEFT, RIGHT, TOP, BOTTOM = 58, 12, 10, 44
@@ -39,20 +49,20 @@ def curves(
             "path",
             tag("title", escape(line.label)),
             d=_stairs(line, x_scale, y_scale),
-            **_look(line),
+            **look(line),
         )
         for line in lines
         if len(line.x)
     ]
     chart = tag(
         "svg",
-        *_grid(x_scale, y_scale, x_label, y_label),
+        *axes(x_scale, y_scale, x_label, y_label),
         *drawn,
         viewBox=f"0 0 {WIDTH} {HEIGHT}",
         role="img",
         aria_label=f"{y_label} against {x_label}",
     )
-    return chart + _legend(lines)
+    return chart + legend(lines)
 
 
 def bars(
@@ -111,7 +121,8 @@ def stacked_bars(rows: Mapping[str, Mapping[str, float]], unit: str) -> str:
     return tag("div", *cells, class_="bars") + tag("ul", *swatches, class_="legend")
 
 
-def _look(line: Curve) -> dict[str, str | None]:
+def look(line: Curve) -> dict[str, str | None]:
+    """Return the attributes of a path that is drawn as a curve."""
     return {
         "class_": "curve",
         "style": f"stroke:var(--c{line.colour % COLOURS})",
@@ -120,21 +131,24 @@ def _look(line: Curve) -> dict[str, str | None]:
 
 
 def _stairs(line: Curve, x_scale: Scale, y_scale: Scale) -> str:
-    points = [(_x(x_scale(x)), _y(y_scale(y))) for x, y in zip(line.x, line.y, strict=True)]
+    points = [
+        (place_x(x_scale(x)), place_y(y_scale(y))) for x, y in zip(line.x, line.y, strict=True)
+    ]
     steps = "".join(f"H{x:.1f}V{y:.1f}" for x, y in points[1:])
     return f"M{points[0][0]:.1f} {points[0][1]:.1f}{steps}"
 
 
-def _grid(x_scale: Scale, y_scale: Scale, x_label: str, y_label: str) -> list[str]:
+def axes(x_scale: Scale, y_scale: Scale, x_label: str, y_label: str) -> list[str]:
+    """Return grid lines, ticks and labels of a chart."""
     right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
     parts = []
     for tick in x_scale.ticks:
-        x = f"{_x(x_scale(tick)):.1f}"
+        x = f"{place_x(x_scale(tick)):.1f}"
         parts.append(tag("line", class_="line", x1=x, x2=x, y1=TOP, y2=bottom))
         words = escape(short(tick))
         parts.append(tag("text", words, class_="tick", x=x, y=bottom + 16, text_anchor="middle"))
     for tick in y_scale.ticks:
-        y = _y(y_scale(tick))
+        y = place_y(y_scale(tick))
         parts.append(tag("line", class_="line", x1=LEFT, x2=right, y1=f"{y:.1f}", y2=f"{y:.1f}"))
         words = escape(short(tick))
         parts.append(
@@ -147,10 +161,11 @@ def _grid(x_scale: Scale, y_scale: Scale, x_label: str, y_label: str) -> list[st
     return parts
 
 
-def _legend(lines: Sequence[Curve]) -> str:
+def legend(lines: Sequence[Curve]) -> str:
+    """Return the names of curves beside their strokes."""
     entries = []
     for line in lines:
-        stroke = tag("path", d="M0 5H30", **_look(line))
+        stroke = tag("path", d="M0 5H30", **look(line))
         swatch = tag("svg", stroke, viewBox="0 0 30 10", aria_hidden="true")
         entries.append(tag("li", swatch, escape(line.label)))
     return tag("ul", *entries, class_="legend")
@@ -164,9 +179,11 @@ def _paint(index: int, phase: str) -> str:
     return "var(--rest)" if phase == "rest" else f"var(--c{index % COLOURS})"
 
 
-def _x(share: float) -> float:
+def place_x(share: float) -> float:
+    """Return the place of a value on the x axis, 0 to 1, in the drawing."""
     return LEFT + share * (WIDTH - LEFT - RIGHT)
 
 
-def _y(share: float) -> float:
+def place_y(share: float) -> float:
+    """Return the place of a value on the y axis, 0 to 1, in the drawing."""
     return HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM)

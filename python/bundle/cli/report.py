@@ -1,0 +1,89 @@
+"""`bundle report`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.parser import a_path, add_input, add_rig_config, with_rigs
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "report"
+HELP = "one page (HTML, no network) on a reconstruction: residuals, lenses, tracks, a 3-D view"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    parser.usage = "bundle report INPUT -o FILE.html [options]"
+    add_input(parser)
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE.html",
+        type=a_path,
+        required=True,
+        help="the page to write, a single file",
+    )
+    add_rig_config(parser)
+    parser.add_argument(
+        "--images",
+        metavar="DIR",
+        type=a_path,
+        help="folder of the photographs, on which residuals of the worst images are drawn "
+        "(default: none, residuals on a blank frame)",
+    )
+
+
+def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """Return the content of the georeference.json that `bundle refine` left there, if it did.
+
+    Returns:
+        None without one; and a sentence where the file holds something else.
+    """
+    from bundle.cli.gps_flags import georeference_path
+    from bundle.errors import shown
+
+    path = georeference_path(source, "colmap" if Path(source).is_dir() else "bal")
+    if not path.is_file():
+        return None, ()
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        found = None
+    if not isinstance(found, dict) or not {"gps", "gcps", "reference_system"} <= found.keys():
+        return None, (f"{shown(str(path))} is not what bundle refine writes: left out.",)
+    return found, ()
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the page on INPUT."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.errors import shown
+    from bundle.html import write_report
+    from bundle.io import load
+    from bundle.report.report import as_json, reported
+
+    source, page = arguments.input, arguments.output
+    check_json(page, source, what="page")
+    check_json(arguments.json, source, page)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(source)}")
+        problem = with_rigs(load(source), arguments.rig_config)
+        place, lost = placed(source)
+        progress.stage(f"writing {shown(page)}")
+        notes = write_report(
+            problem, page, images=arguments.images, georeference=place, name=str(source)
+        )
+        notes = (*lost, *notes)
+    if arguments.json != "-":
+        show(*reported(source, problem, page, notes))
+    wall = perf_counter() - started
+    write_json(arguments.json, as_json(source, problem, page, notes, wall))
+    return EXIT_DONE

@@ -1,0 +1,72 @@
+"""Residuals of single images, as they are drawn on a photograph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.figures.residuals import Residuals
+from bundle.problem import Problem
+from bundle.worst_images import ImageError, worst_of_errors
+
+__all__ = ["ImageResiduals", "image_residuals", "worst_residuals"]
+
+MOST_IMAGES = 6
+MOST_ARROWS = 400
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ImageResiduals:
+    """Residuals of one image.
+
+    Attributes:
+        error: RMSE, largest residual, name and id.
+        camera_id: of its camera.
+        size: (2,) width and height [pixels]; 0 where unknown.
+        xy: (n, 2) measured positions [pixels] of the largest residuals, 400 at most.
+        residual: (n, 2) theirs.
+    """
+
+    error: ImageError
+    camera_id: int
+    size: tuple[int, int]
+    xy: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+
+def worst_residuals(
+    problem: Problem, found: Residuals, most: int = MOST_IMAGES
+) -> list[ImageResiduals]:
+    """Return the residuals of the images of largest RMSE, the worst first."""
+    lengths = np.where(found.counted, found.lengths, np.nan)
+    behind = np.zeros(len(lengths), bool)  # what does not count has no length
+    return image_residuals(
+        problem, found, worst_of_errors(problem, lengths, behind, "algebraic", most=most)
+    )
+
+
+def image_residuals(
+    problem: Problem, found: Residuals, images: Iterable[ImageError]
+) -> list[ImageResiduals]:
+    """Return the residuals of some images."""
+    index = {int(image_id): place for place, image_id in enumerate(problem.image_ids)}
+    result = []
+    for error in images:
+        image = index[error.image_id]
+        camera = problem.image_camera[image]
+        rows = np.flatnonzero(found.counted & (problem.observation_image == image))
+        rows = rows[np.argsort(-found.lengths[rows], kind="stable")[:MOST_ARROWS]]
+        width, height = problem.camera_sizes[camera].tolist()
+        result.append(
+            ImageResiduals(
+                error=error,
+                camera_id=int(problem.camera_ids[camera]),
+                size=(width, height),
+                xy=problem.observation_xy[rows],
+                residual=found.xy[rows],
+            )
+        )
+    return result

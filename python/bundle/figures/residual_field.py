@@ -1,0 +1,273 @@
+"""What is systematic in the residuals of a camera: means over the cells of its image.
+
+A lens model that is wrong leaves residuals that point the same way wherever the same part of the
+image is used. In a cell with n residuals r_i the mean m has, if they are independent, the standard
+error s per coordinate with
+
+    s^2 = sum |r_i - m|^2 / (2 (n - 1) n),
+
+both coordinates pooled. The significance is |m| / s. Where nothing is systematic it has about
+Rayleigh's distribution: 1 % of the cells exceed 3.03.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.cameras import param_kinds
+from bundle.figures.residuals import Residuals
+from bundle.problem import Problem
+
+__all__ = [
+    "SIGNIFICANT",
+    "RadialProfile",
+    "ResidualField",
+    "field_of",
+    "principal_point",
+    "residual_fields",
+]
+
+MOST_CAMERAS = 6
+"""Cameras with fields of their own."""
+
+SIGNIFICANT = 3.03
+"""The significance that 1 % of the cells exceed where nothing is systematic."""
+
+MOST_CELLS = 24
+PER_CELL = 12
+FEWEST = 5
+RINGS = 16
+MOST_DOTS = 12_000
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RadialProfile:
+    """Residuals along and across the direction from the principal point, by distance from it.
+
+    Attributes:
+        radius: (rings,) middle of each ring [pixels].
+        count: (rings,) observations.
+        radial: (rings,) mean residual outwards [pixels]; nan in an empty ring.
+        tangential: (rings,) mean residual across, clockwise as the image is seen [pixels].
+        radial_error: (rings,) standard error of ``radial``; nan for fewer than two observations.
+        tangential_error: (rings,) likewise.
+    """
+
+    radius: NDArray[np.float64]
+    count: NDArray[np.int64]
+    radial: NDArray[np.float64]
+    tangential: NDArray[np.float64]
+    radial_error: NDArray[np.float64]
+    tangential_error: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ResidualField:
+    """Residuals over the image plane of one camera, or of several cameras pooled.
+
+    Attributes:
+        camera_ids: of the cameras.
+        num_images: with one of these cameras.
+        box: (4,) left, top, right, bottom of the grid [pixels].
+        center: (2,) principal point; its mean over several cameras.
+        count: (rows, columns) observations in each cell.
+        mean: (rows, columns, 2) mean residual [pixels]; nan in an empty cell.
+        rms: (rows, columns) root mean square of |r| [pixels]; nan in an empty cell.
+        standard_error: (rows, columns) of each coordinate of the mean [pixels]; nan in a cell with
+            fewer than 5 observations.
+        num_outside: observations outside the grid.
+        profile: by distance from the principal point.
+        dots: (n, 2) some observations, evenly taken, [pixels].
+        dot_residuals: (n, 2) theirs.
+    """
+
+    camera_ids: tuple[int, ...]
+    num_images: int
+    box: NDArray[np.float64]
+    center: NDArray[np.float64]
+    count: NDArray[np.int64]
+    mean: NDArray[np.float64]
+    rms: NDArray[np.float64]
+    standard_error: NDArray[np.float64]
+    num_outside: int
+    profile: RadialProfile
+    dots: NDArray[np.float64]
+    dot_residuals: NDArray[np.float64]
+
+    @property
+    def significance(self) -> NDArray[np.float64]:
+        """(rows, columns) length of the mean in standard errors; nan where there are too few."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.hypot(self.mean[..., 0], self.mean[..., 1]) / self.standard_error
+
+    @property
+    def num_observations(self) -> int:
+        """Observations in the grid."""
+        return int(self.count.sum())
+
+    @property
+    def cell_size(self) -> tuple[float, float]:
+        """Width and height of a cell [pixels]."""
+        rows, columns = self.count.shape
+        left, top, right, bottom = self.box
+        return float(right - left) / columns, float(bottom - top) / rows
+
+    @property
+    def vector_factor(self) -> float:
+        """Round factor by which mean vectors are drawn longer: the 95th percentile fills a cell."""
+        lengths = np.hypot(self.mean[..., 0], self.mean[..., 1])[self.count > 0]
+        typical = float(np.quantile(lengths, 0.95)) if len(lengths) else 0.0
+        rough = min(self.cell_size) / typical if typical > 0 else 1.0
+        if not np.isfinite(rough) or rough <= 0:
+            return 1.0
+        power = 10.0 ** np.floor(np.log10(rough))
+        return float(max(step * power for step in (1, 2, 5, 10) if step * power <= rough * 1.001))
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    count: NDArray[np.int64]
+    mean: NDArray[np.float64]
+    rms: NDArray[np.float64]
+    standard_error: NDArray[np.float64]
+
+
+def residual_fields(
+    problem: Problem, found: Residuals, most: int = MOST_CAMERAS
+) -> list[ResidualField]:
+    """Return the fields of the cameras with most observations.
+
+    Where more than ``most`` cameras are observed, the first field is that of all cameras with the
+    commonest model and image size, pooled, and ``most`` - 1 cameras follow.
+
+    Args:
+        problem: whose cameras they are.
+        found: its residuals.
+        most: fields.
+    """
+    camera = problem.image_camera[problem.observation_image]
+    number = np.bincount(camera[found.counted], minlength=problem.num_cameras)
+    observed = np.flatnonzero(number)
+    by_number = observed[np.argsort(-number[observed], kind="stable")]
+    groups: list[Sequence[int]] = [[int(index)] for index in by_number[:most]]
+    if len(observed) > most:
+        kinds: dict[tuple[str, int, int], list[int]] = {}
+        for index in observed:
+            width, height = problem.camera_sizes[index].tolist()
+            kinds.setdefault((problem.camera_models[index], width, height), []).append(int(index))
+        commonest = max(kinds.values(), key=lambda cameras: int(number[cameras].sum()))
+        groups = [commonest, *groups[: most - 1]] if len(commonest) > 1 else groups
+    return [field_of(problem, found, group) for group in groups]
+
+
+def field_of(problem: Problem, found: Residuals, cameras: Sequence[int]) -> ResidualField:
+    """Return the field of some cameras, given by index, pooled."""
+    members = np.isin(problem.image_camera, cameras)
+    chosen = np.flatnonzero(found.counted & members[problem.observation_image])
+    xy, residual = problem.observation_xy[chosen], found.xy[chosen]
+    box = _box(xy, problem.camera_sizes[cameras[0]])
+    centers = [principal_point(problem, index) for index in cameras]
+    known = [center for center in centers if center is not None]
+    center = np.mean(known, axis=0) if known else (box[:2] + box[2:]) / 2
+    inside = ((xy >= box[:2]) & (xy <= box[2:])).all(axis=1)
+    num_outside = int((~inside).sum())
+    xy, residual = xy[inside], residual[inside]
+    columns, rows = _cells(box, len(xy))
+    cells = _statistics(xy, residual, box, columns, rows)
+    step = max(-(-len(xy) // MOST_DOTS), 1)
+    return ResidualField(
+        camera_ids=tuple(int(problem.camera_ids[index]) for index in cameras),
+        num_images=int(members.sum()),
+        box=box,
+        center=center,
+        num_outside=num_outside,
+        count=cells.count,
+        mean=cells.mean,
+        rms=cells.rms,
+        standard_error=cells.standard_error,
+        profile=_profile(xy - center, residual),
+        dots=xy[::step],
+        dot_residuals=residual[::step],
+    )
+
+
+def principal_point(problem: Problem, camera: int) -> NDArray[np.float64] | None:
+    """Return the principal point of a camera by its index; None for a model without one."""
+    model = problem.camera_models[camera]
+    places = [i for i, kind in enumerate(param_kinds(model)) if kind == "principal_point"]
+    return problem.camera_params[camera, places] if len(places) == 2 else None
+
+
+def _box(xy: NDArray[np.float64], size: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the image; that of the observations where its size is unknown or not in use."""
+    inside = ((xy >= 0) & (xy <= size)).all(axis=1)
+    if (size > 0).all() and 2 * inside.sum() >= len(xy):
+        return np.array([0.0, 0.0, *size])
+    low, high = np.quantile(xy, [0.001, 0.999], axis=0)
+    margin = np.maximum(0.02 * (high - low), 0.5)
+    return np.concatenate([low - margin, high + margin])
+
+
+def _cells(box: NDArray[np.float64], count: int) -> tuple[int, int]:
+    """Return columns and rows of about square cells with 12 observations on the average."""
+    width, height = box[2:] - box[:2]
+    cells = max(count / PER_CELL, 1.0)
+    side = max(np.sqrt(width * height / cells), max(width, height) / MOST_CELLS)
+    columns, rows = np.clip(np.rint([width / side, height / side]), 1, MOST_CELLS)
+    return int(columns), int(rows)
+
+
+def _statistics(
+    xy: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    box: NDArray[np.float64],
+    columns: int,
+    rows: int,
+) -> _Cells:
+    place = (xy - box[:2]) / (box[2:] - box[:2]) * (columns, rows)
+    column, row = np.minimum(place.astype(np.int64), (columns - 1, rows - 1)).T
+    cell, size = row * columns + column, rows * columns
+    count = np.bincount(cell, minlength=size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.stack([np.bincount(cell, part, size) / count for part in residual.T], axis=-1)
+        squares = np.bincount(cell, (residual**2).sum(axis=1), size)
+        spread = np.bincount(cell, ((residual - mean[cell]) ** 2).sum(axis=1), size)
+        error = np.sqrt(spread / (2.0 * (count - 1) * count))
+    error[count < FEWEST] = np.nan
+    return _Cells(
+        count=count.reshape(rows, columns),
+        mean=mean.reshape(rows, columns, 2),
+        rms=np.sqrt(squares / np.where(count, count, np.nan)).reshape(rows, columns),
+        standard_error=error.reshape(rows, columns),
+    )
+
+
+def _profile(offset: NDArray[np.float64], residual: NDArray[np.float64]) -> RadialProfile:
+    radius = np.hypot(offset[:, 0], offset[:, 1])
+    unit = offset / np.where(radius > 0, radius, 1.0)[:, None]
+    outwards = (unit * residual).sum(axis=1)
+    across = unit[:, 0] * residual[:, 1] - unit[:, 1] * residual[:, 0]
+    edges = np.linspace(0.0, max(float(radius.max(initial=0.0)), 1e-9), RINGS + 1)
+    ring = np.clip(np.searchsorted(edges, radius, side="right") - 1, 0, RINGS - 1)
+    count = np.bincount(ring, minlength=RINGS)
+    means, errors = [], []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for part in (outwards, across):
+            mean = np.bincount(ring, part, RINGS) / count
+            spread = np.bincount(ring, (part - mean[ring]) ** 2, RINGS)
+            means.append(mean)
+            errors.append(np.sqrt(spread / ((count - 1.0) * count)))
+    for error in errors:
+        error[count < 2] = np.nan
+    return RadialProfile(
+        radius=(edges[1:] + edges[:-1]) / 2,
+        count=count,
+        radial=means[0],
+        tangential=means[1],
+        radial_error=errors[0],
+        tangential_error=errors[1],
+    )

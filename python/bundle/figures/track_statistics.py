@@ -1,0 +1,51 @@
+"""How well points are determined: observations per point, and angles between their rays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.problem import Problem
+
+__all__ = ["TrackStatistics", "track_statistics"]
+
+ANGLES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+LONGEST = 20
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TrackStatistics:
+    """Distributions over the points.
+
+    Attributes:
+        lengths: number of points with 0, 1, ... observations; the last entry also counts all longer
+            tracks.
+        angle_limits: degrees, ascending.
+        angles: (len(angle_limits) + 1,) points by the largest angle of two of their rays: below the
+            first limit, between each two, from the last on. Only points with two observations.
+    """
+
+    lengths: NDArray[np.int64]
+    angle_limits: tuple[float, ...]
+    angles: NDArray[np.int64]
+
+
+def track_statistics(problem: Problem) -> TrackStatistics:
+    """Return the statistics of all points.
+
+    The angle of two rays is at most 90 degrees, as ``bundle.filter_observations`` has it.
+    """
+    from bundle.rounds.ray_angles import enclose_angle
+
+    length = np.bincount(problem.observation_point, minlength=problem.num_points)
+    longest = int(min(length.max(initial=0), LONGEST))
+    order = np.argsort(problem.observation_point, kind="stable")
+    reached = [int(enclose_angle(problem, order, limit).sum()) for limit in ANGLES]
+    twice = int((length >= 2).sum())
+    return TrackStatistics(
+        lengths=np.bincount(np.minimum(length, longest), minlength=longest + 1),
+        angle_limits=ANGLES,
+        angles=np.array([twice, *reached]) - np.array([*reached, 0]),
+    )

@@ -1,0 +1,59 @@
+"""`bundle report`, and the page of `bundle refine`."""
+
+import json
+
+import pytest
+
+import bundle
+from tests.scenes import make_problem
+
+
+@pytest.fixture
+def model(tmp_path):
+    path = tmp_path / "model"
+    bundle.save(make_problem(num_images=4, num_points=40), path, format="colmap-text")
+    return path
+
+
+def test_a_page_is_written_and_described(run, model, tmp_path):
+    page, report = tmp_path / "page.html", tmp_path / "report.json"
+    code, out, _ = run("report", model, "-o", page, "--json", report)
+    assert code == 0
+    assert str(page) in out.replace("\n", "")
+    found = json.loads(report.read_text())
+    assert (found["command"], found["notes"]) == ("report", [])
+    assert found["output"] == {"path": str(page), "format": "html"}
+    assert found["input"]["num_images"] == 4
+    assert page.read_text().startswith("<!doctype html>")
+
+
+def test_refine_writes_its_page(run, model, tmp_path):
+    page = tmp_path / "page.html"
+    code = run(
+        "refine", model, "-o", tmp_path / "out", "--html", page, "--images", tmp_path, "--quiet"
+    ).code
+    assert code == 0
+    assert "before" in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (("report", "MODEL"), ("-o",)),
+        (("report", "MODEL", "-o", "MODEL"), ("MODEL",)),
+        (("report", "MODEL", "-o", "PAGE", "--images", "NONE"), ("NONE", "folder")),
+        (("refine", "MODEL", "-o", "OUT", "--html", "PAGE", "--images", "NONE"), ("--images",)),
+        (("refine", "MODEL", "-o", "OUT", "--images", "DIR"), ("--images", "--gps")),
+        (("refine", "MODEL", "-o", "OUT", "--html", "MODEL/images.txt"), ("page",)),
+    ],
+)
+def test_bad_input_is_one_line(run, model, tmp_path, words, parts):
+    names = {"MODEL": model, "DIR": tmp_path, "OUT": tmp_path / "out"}
+    names |= {"NONE": tmp_path / "NONE", "PAGE": tmp_path / "PAGE"}
+    names["MODEL/images.txt"] = model / "images.txt"
+    code, out, err = run(*(names.get(word, word) for word in words), "--quiet")
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ") and err.count("\n") == 1
+    for part in parts:
+        assert str(names.get(part, part)).split("/")[-1] in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model"]
