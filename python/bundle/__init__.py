@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.constraints import Constraints
+    from bundle.diagnosis import Diagnosis, diagnose
     from bundle.errors import InputError
     from bundle.free_degrees import GaugeFreedom, gauge_freedom
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
@@ -65,6 +66,7 @@ __all__ = [
     "Constraints",
     "Covariance",
     "Description",
+    "Diagnosis",
     "FactorGraph",
     "Filtered",
     "FunctionFactor",
@@ -102,6 +104,7 @@ __all__ = [
     "constraints",
     "covariance",
     "describe",
+    "diagnose",
     "figures",
     "filter_observations",
     "gauge_freedom",
@@ -138,6 +141,7 @@ _DEFERRED = {
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
     "constraints": ("Constraints",),
+    "diagnosis": ("Diagnosis", "diagnose"),
     "errors": ("InputError",),
     "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (

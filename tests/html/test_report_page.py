@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 
 import numpy as np
@@ -14,6 +15,7 @@ from bundle.figures import residual_fields, residuals
 from bundle.html import write_report
 from tests.html.browser import check_nothing_is_clipped
 from tests.html.reader import Page
+from tests.pictures.test_placement_numbers import RECORD, covariances
 from tests.scenes import make_problem, scene
 
 
@@ -122,6 +124,63 @@ def test_the_page_is_quiet_and_fits_in_both_themes(written, browser):
     check_nothing_is_clipped(browser, path, 400)
     assert colours[0] != colours[1]
     assert path.stat().st_size < 8e6
+
+
+def test_the_3d_view_paints_and_its_switches_change_it(written, solved, browser):
+    path, page, _ = written
+    scene = data_of(page)["scene"]
+    points = np.frombuffer(base64.b64decode(scene["points"]), "<f4").reshape(-1, 3)
+    world = np.array(scene["origin"]) + scene["unit"] * points
+    np.testing.assert_allclose(world, solved.problem.points, atol=1e-5)
+    browser.open(path)
+    browser.wait_for("Number(document.querySelector('.scene').dataset.drawn) >= 3")
+    painted = (
+        "(() => { const from = document.querySelector('.scene canvas');"
+        " const to = document.createElement('canvas'); to.width = from.width;"
+        " to.height = from.height; const pen = to.getContext('2d'); pen.drawImage(from, 0, 0);"
+        " const rgba = pen.getImageData(0, 0, to.width, to.height).data; const seen = new Map();"
+        " for (let i = 0; i < rgba.length; i += 4) { const key = rgba[i] + 256 * rgba[i + 1] +"
+        " 65536 * rgba[i + 2]; seen.set(key, (seen.get(key) || 0) + 1); }"
+        " return [seen.size, rgba.length / 4 - Math.max(...seen.values())]; })()"
+    )
+    colours, everything = browser.evaluate(painted)
+    assert colours > 10 and everything > 300
+    browser.click("[data-shows=points]")
+    _, cameras = browser.evaluate(painted)
+    browser.click("[data-shows=cameras]")
+    assert 0 < cameras < everything
+    assert browser.evaluate(painted)[1] == 0
+    assert browser.complaints() == []
+
+
+def test_placement_and_certainty_are_on_the_page_where_they_are_known(solved, tmp_path, browser):
+    problem = solved.problem
+    given = covariances(problem, np.random.default_rng(2))
+    path = tmp_path / "report.html"
+    write_report(solved, path, georeference=RECORD, covariance=given)
+    page = Page(path)
+    rows = {row[0]: row[1:] for row in page.rows if row}
+    assert rows["control points"][0] == "2"
+    assert rows["c"][0] == "suspect"
+    assert rows["c"][2:5] == ["1.0000", "2.0000", "2.0000"]
+    sigmas = {row[2]: row[-1] for row in page.rows if len(row) == 6 and row[0] == "1"}
+    assert sigmas == {"f": "2", "cx": "held", "cy": "held", "k": "0.001"}
+    assert ["f", "+1.000", "+0.500"] in page.rows
+    scene = data_of(page)["scene"]
+    for kind, covariance in (("point", given.point_covariance), ("camera", None)):
+        ellipsoids = scene[f"{kind}_ellipsoids"]
+        axes = np.frombuffer(base64.b64decode(ellipsoids["axes"]), "<f4").reshape(-1, 3, 3)
+        assert f"{ellipsoids['factor']:g} times as large" in page.text
+        if covariance is not None:
+            shape = np.swapaxes(axes, 1, 2) @ axes / ellipsoids["factor"] ** 2
+            np.testing.assert_allclose(shape * scene["unit"] ** 2, covariance, rtol=1e-3, atol=1e-9)
+    for theme in ("light", "dark"):
+        features = [{"name": "prefers-color-scheme", "value": theme}]
+        browser.call("Emulation.setEmulatedMedia", features=features)
+        check_nothing_is_clipped(browser, path, 1000)
+    browser.call("Emulation.setEmulatedMedia", features=[])
+    assert browser.complaints() == []
+    assert browser.count("[data-shows=ellipsoids]") == 1
 
 
 def nothing_observed():

@@ -81,3 +81,20 @@ def test_opposite_directions_have_other_colours_and_equal_ones_the_same():
     colours = direction_colours(vectors).astype(int)
     assert colours[0].tolist() == colours[4].tolist()
     assert all(np.abs(colours[i] - colours[j]).max() > 50 for i in range(4) for j in range(i))
+
+
+def test_lenses_and_scenes_are_those_of_the_numbers(numbers):
+    problem = numbers["problem"]
+    curve = figures.lens_curve(problem, 0, np.diag([1.0, 0.0, 0.0, 1e-6]))
+    axes = drawn(pictures.draw_lens_curves, [curve])
+    np.testing.assert_allclose(axes.lines[0].get_ydata(), curve.distortion)
+    assert axes.lines[1].get_xdata()[0] == curve.observed_radius
+    assert len(axes.collections) == 1
+    view = figures.scene_view(problem, numbers["found"])
+    made, flat = pictures.figure()
+    with pytest.raises(InputError, match="3d"):
+        pictures.draw_scene(flat[0, 0], view)
+    deep = made.add_subplot(projection="3d")
+    pictures.draw_scene(deep, view)
+    made.canvas.draw()
+    assert deep.get_xlabel() == "x"

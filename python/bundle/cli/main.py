@@ -37,6 +37,7 @@ COMMANDS = (
     "compare",
     "check",
     "covariance",
+    "diagnose",
     "align",
     "report",
     "convert",

@@ -179,7 +179,13 @@ def run(arguments: argparse.Namespace) -> int:
             from bundle.html import write_report
 
             progress.stage(f"writing {shown(arguments.html)}")
-            write_report(solved, arguments.html, images=arguments.images, name=str(source))
+            write_report(
+                solved,
+                arguments.html,
+                images=arguments.images,
+                georeference=georeference,
+                name=str(source),
+            )
     wall = WallTime(
         load=load_time,
         build=solved.build_time_in_seconds,

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import json
+from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.parser import a_path, add_input, add_rig_config, with_rigs
@@ -36,6 +39,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    """Return the content of the georeference.json that `bundle refine` left there, if it did.
+
+    Returns:
+        None without one; and a sentence where the file holds something else.
+    """
+    from bundle.cli.gps_flags import georeference_path
+    from bundle.errors import shown
+
+    path = georeference_path(source, "colmap" if Path(source).is_dir() else "bal")
+    if not path.is_file():
+        return None, ()
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        found = None
+    if not isinstance(found, dict) or not {"gps", "gcps", "reference_system"} <= found.keys():
+        return None, (f"{shown(str(path))} is not what bundle refine writes: left out.",)
+    return found, ()
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Write the page on INPUT."""
     started = perf_counter()
@@ -52,8 +76,12 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         problem = with_rigs(load(source), arguments.rig_config)
+        place, lost = placed(source)
         progress.stage(f"writing {shown(page)}")
-        notes = write_report(problem, page, images=arguments.images, name=str(source))
+        notes = write_report(
+            problem, page, images=arguments.images, georeference=place, name=str(source)
+        )
+        notes = (*lost, *notes)
     if arguments.json != "-":
         show(*reported(source, problem, page, notes))
     wall = perf_counter() - started

@@ -1,22 +1,35 @@
 """The numbers behind the figures of a report page, which ``bundle.pictures`` draws too."""
 
+from bundle.figures.certainty import Certainty, certainty
 from bundle.figures.image_residuals import ImageResiduals, image_residuals, worst_residuals
+from bundle.figures.lens_curves import LensCurve, lens_curve, most_observed_cameras
+from bundle.figures.placement_errors import Placement, placement
 from bundle.figures.residual_field import RadialProfile, ResidualField, residual_fields
 from bundle.figures.residual_histogram import ResidualHistogram, residual_histogram
 from bundle.figures.residuals import Residuals, residuals
+from bundle.figures.scene_view import SceneView, scene_view
 from bundle.figures.track_statistics import TrackStatistics, track_statistics
 
 __all__ = [
+    "Certainty",
     "ImageResiduals",
+    "LensCurve",
+    "Placement",
     "RadialProfile",
     "ResidualField",
     "ResidualHistogram",
     "Residuals",
+    "SceneView",
     "TrackStatistics",
+    "certainty",
     "image_residuals",
+    "lens_curve",
+    "most_observed_cameras",
+    "placement",
     "residual_fields",
     "residual_histogram",
     "residuals",
+    "scene_view",
     "track_statistics",
     "worst_residuals",
 ]

@@ -121,12 +121,15 @@ def _marks(marks: Mapping[str, float], x_scale: Scale) -> list[str]:
         x = f"{place_x(share):.1f}"
         parts.append(tag("line", class_="mark", x1=x, x2=x, y1=TOP, y2=HEIGHT - BOTTOM))
         left = share > 0.5
+        # Beside the outermost line of its half, so that no line crosses it.
+        half = [place_x(x_scale(v)) for v in marks.values() if (x_scale(v) > 0.5) == left]
+        beside = min(half) - 5 if left else max(half) + 5
         parts.append(
             tag(
                 "text",
                 escape(label),
                 class_="tick",
-                x=f"{place_x(share) + (-5 if left else 5):.1f}",
+                x=f"{beside:.1f}",
                 y=TOP + 14 + 16 * level,
                 text_anchor="end" if left else "start",
             )

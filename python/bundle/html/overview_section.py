@@ -132,8 +132,6 @@ def _options(result: Result) -> str:
     rows = [
         ["solver", f"{summary.backend_used} {summary.linear_solver_type_used}"],
         ["threads", str(summary.num_threads_used)],
-        ["steps", f"{summary.num_successful_steps} taken, "
-         f"{summary.num_unsuccessful_steps} rejected"],
         ["time", f"{seconds(result.build_time_in_seconds + result.solve_time_in_seconds)} s"],
     ]  # fmt: skip
     changed = [[name, _value(value)] for name, value in used.items() if value != usual.get(name)]

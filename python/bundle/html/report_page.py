@@ -2,31 +2,44 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bundle.arguments import check_type
 from bundle.errors import InputError, shown
 from bundle.figures import (
+    Certainty,
+    Placement,
     Residuals,
+    certainty,
+    lens_curve,
+    most_observed_cameras,
+    placement,
     residual_fields,
     residual_histogram,
     residuals,
+    scene_view,
     track_statistics,
     worst_residuals,
 )
+from bundle.html.certainty_section import certainty_section, scene_ellipsoids, sigmas_of
+from bundle.html.lens_section import lens_data, lens_section, parameter_table
 from bundle.html.overview_section import overview_section
 from bundle.html.page import asset, tag, write_page
+from bundle.html.placement_section import placement_data, placement_section
 from bundle.html.residual_section import (
     field_data,
     field_section,
     histogram_data,
     histogram_section,
 )
+from bundle.html.scene_section import scene_data, scene_script, scene_section
 from bundle.html.structure_section import structure_section
 from bundle.html.worst_section import worst_section
 from bundle.io import Source, as_path, as_problem
@@ -34,6 +47,10 @@ from bundle.problem import Problem
 from bundle.result import Result
 from bundle.statistics import describe
 from bundle.words import pixels
+
+if TYPE_CHECKING:
+    from bundle.figures.certainty import Covariances
+    from bundle.georeference import Georeference
 
 __all__ = ["write_report"]
 
@@ -45,6 +62,8 @@ def write_report(
     path: str | os.PathLike[str],
     *,
     images: str | os.PathLike[str] | None = None,
+    georeference: Mapping[str, Any] | Georeference | None = None,
+    covariance: Covariances | None = None,
     name: str = "",
 ) -> tuple[str, ...]:
     """Write one HTML page about a reconstruction, which needs no network and no other file.
@@ -55,13 +74,17 @@ def write_report(
         path: of the page, which appears whole or not at all.
         images: folder of the photographs, for those of the worst images; names are paths from
             there on.
+        georeference: how well the model fits positions and control points: the content of
+            ``georeference.json``, or what ``bundle.georeference`` makes of a result.
+        covariance: of this very problem; None computes it.
         name: of the reconstruction, for the title.
 
     Returns:
         A sentence for each thing that could not be shown, which the page says as well.
 
     Raises:
-        InputError: this is no problem, ``images`` is no folder, or the page cannot stand there.
+        InputError: this is no problem, ``images`` is no folder, ``georeference`` has another form,
+            or the page cannot stand there.
         OSError: the input cannot be read, or the page cannot be written.
     """
     target = as_path(path)
@@ -71,6 +94,10 @@ def write_report(
     if images is not None and not Path(images).is_dir():
         raise InputError(f"{shown(str(images))}: expected the folder of the images, found none")
     page = _Page(problem, result)
+    if georeference is not None:
+        given = georeference if isinstance(georeference, Mapping) else georeference.asdict()
+        page.place = placement(problem, given)
+    page.certainty = page.certainty_of(covariance)
     page.write(target, name, images)
     return tuple(page.notes)
 
@@ -84,6 +111,9 @@ class _Page:
         self.notes: list[str] = []
         self.sections: list[str] = []
         self.data: dict[str, Any] = {}
+        self.place: Placement | None = None
+        self.certainty: Certainty | None = None
+        self.no_certainty = ""
 
     def write(self, path: Path, name: str, images: str | os.PathLike[str] | None) -> None:
         """Make every section and write the page."""
@@ -94,7 +124,14 @@ class _Page:
         if found is not None:
             self._residual_sections(found)
             self._worst(found, images)
+        self._lenses()
+        self._certainty()
         self.sections += structure_section(problem, description, track_statistics(problem))
+        if self.place is not None:
+            self.sections.append(tag("h2", "Control points and positions", id="placement"))
+            self.sections.append(placement_section(self.place))
+            self.data["placement"] = placement_data(self.place)
+        self._scene(found)
         title = f"Report on {name}" if name else "Report on a reconstruction"
         write_page(
             path,
@@ -102,7 +139,7 @@ class _Page:
             self.sections,
             self.data,
             headline=self._headline(name, description.reprojection_error),
-            script="",
+            script=scene_script(),
             style=asset("report.css"),
         )
 
@@ -145,6 +182,57 @@ class _Page:
         section, notes = worst_section(worst_residuals(self.problem, found), images)
         self.sections += [tag("h2", "Worst images", id="worst"), section]
         self.notes += notes
+
+    def _lenses(self) -> None:
+        cameras = most_observed_cameras(self.problem)
+        if not cameras:
+            return
+        initial = None if self.result is None else self.result.initial_problem
+        known = self.certainty.cameras if self.certainty is not None else {}
+        made = (lens_curve(self.problem, index, known.get(index)) for index in cameras)
+        curves = [curve for curve in made if curve is not None]
+        before = {}
+        if initial is not None and initial.num_cameras == self.problem.num_cameras:
+            earlier = (lens_curve(initial, index) for index in cameras)
+            before = {curve.camera_id: curve for curve in earlier if curve is not None}
+        observed = np.unique(self.problem.image_camera[self.problem.observation_image])
+        self.sections.append(tag("h2", "Lenses", id="lenses"))
+        if curves:
+            self.sections.append(lens_section(curves, before, len(observed)))
+            self.data["lenses"] = lens_data(curves)
+        sigmas = None if self.certainty is None else sigmas_of(self.certainty)
+        self.sections.append(parameter_table(self.problem, initial, cameras, sigmas))
+
+    def _scene(self, found: Residuals | None) -> None:
+        view = scene_view(self.problem, found, z_is_up=self.place is not None)
+        data, words = scene_data(view), ""
+        if self.certainty is not None:
+            ellipsoids, words = scene_ellipsoids(view, self.certainty)
+            data |= ellipsoids
+        self.data["scene"] = data
+        self.sections.append(tag("h2", "3-D view", id="scene"))
+        self.sections.append(scene_section(view, self.problem.num_points, words))
+
+    def certainty_of(self, given: Covariances | None) -> Certainty | None:
+        """Return what is known of the certainty; None, and a note, where it cannot be computed."""
+        # By name, as covariances are an addition that this page does without.
+        compute = getattr(importlib.import_module("bundle"), "covariance", None)
+        if given is None and callable(compute):
+            try:
+                given = compute(self.result or self.problem, scale="sigma0")
+            except InputError as error:
+                self.no_certainty = f"No covariance: {error}."
+        return None if given is None else certainty(self.problem, given)
+
+    def _certainty(self) -> None:
+        if self.certainty is None and not self.no_certainty:
+            return
+        self.sections.append(tag("h2", "Certainty", id="certainty"))
+        if self.certainty is None:
+            self._note(self.no_certainty)
+            return
+        cameras = most_observed_cameras(self.problem)
+        self.sections.append(certainty_section(self.problem, self.certainty, cameras))
 
     def _note(self, words: str) -> None:
         self.notes.append(words)

@@ -19,6 +19,11 @@ from bundle.pictures.charts import (
 from bundle.pictures.covisibility_graph import draw_covisibility
 from bundle.pictures.figure import figure
 from bundle.pictures.matrix_pattern import MatrixPattern
+from bundle.pictures.placement_pictures import (
+    draw_correlations,
+    draw_position_errors,
+    draw_target_errors,
+)
 from bundle.pictures.problem_patterns import (
     ORDERINGS,
     information_pattern,
@@ -36,6 +41,7 @@ from bundle.pictures.residual_pictures import (
     draw_track_lengths,
     draw_triangulation_angles,
 )
+from bundle.pictures.scene_pictures import draw_lens_curves, draw_scene
 from bundle.pictures.spy import draw_orderings, spy, spy_factor
 
 __all__ = [
@@ -43,18 +49,23 @@ __all__ = [
     "MatrixPattern",
     "draw_breakdown",
     "draw_column_counts",
+    "draw_correlations",
     "draw_cost_against_time",
     "draw_covisibility",
     "draw_flops",
     "draw_image_residuals",
+    "draw_lens_curves",
     "draw_orderings",
     "draw_performance_profile",
+    "draw_position_errors",
     "draw_radial_profile",
     "draw_residual_cells",
     "draw_residual_directions",
     "draw_residual_histogram",
     "draw_residual_lengths",
     "draw_residual_vectors",
+    "draw_scene",
+    "draw_target_errors",
     "draw_track_lengths",
     "draw_triangulation_angles",
     "figure",

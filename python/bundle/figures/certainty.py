@@ -1,0 +1,113 @@
+"""How certain a reconstruction is, as its report shows it.
+
+A pose is R, t with x = R X + t; its covariance counts in w and s of R' = Exp(w) R, t' = t + s. The
+centre of the camera is c = -R^T t, hence to first order dc = R^T (w x t) - R^T s, and its
+covariance is J C J^T with J = [-R^T [t]x, -R^T].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.problem import Problem
+from bundle.rotations import rotation_matrices
+
+__all__ = ["Certainty", "Covariances", "certainty"]
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
+
+class Covariances(Protocol):
+    """Marginal covariances, as :func:`bundle.covariance` has them."""
+
+    pose_ids: Ids
+    pose_covariance: Array
+    point_ids: Ids
+    point_covariance: Array
+    camera_ids: Ids
+    camera_covariance: Array
+    sigma0: float
+    dof: int
+    gauge: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Certainty:
+    """Covariances by index in the problem.
+
+    Attributes:
+        sigma0: of an observation of unit weight [pixels].
+        dof: degrees of freedom.
+        gauge: in which covariances of poses and points hold.
+        images: (n,) indices.
+        centers: (n, 3, 3) covariances of camera centres [length unit squared].
+        angles: (n,) standard deviation of the rotation about its worst axis [degrees].
+        points: (m,) indices.
+        point_covariance: (m, 3, 3) [length unit squared].
+        cameras: (k, k) covariance of the parameters, nan where held, by index of the camera.
+    """
+
+    sigma0: float
+    dof: int
+    gauge: str
+    images: Ids
+    centers: Array
+    angles: Array
+    points: Ids
+    point_covariance: Array
+    cameras: dict[int, Array]
+
+
+def certainty(problem: Problem, given: Covariances) -> Certainty:
+    """Return covariances as the report shows them."""
+    images = _indices(problem.image_ids, given.pose_ids)
+    poses = problem.cam_from_world[images]
+    rotation = rotation_matrices(poses[:, :4])
+    back = np.swapaxes(rotation, 1, 2)
+    jacobian = -np.concatenate([back @ _cross(poses[:, 4:]), back], axis=2)
+    covariance = np.asarray(given.pose_covariance, float).reshape(-1, 6, 6)
+    return Certainty(
+        sigma0=float(given.sigma0),
+        dof=int(given.dof),
+        gauge=str(given.gauge),
+        images=images,
+        centers=jacobian @ covariance @ np.swapaxes(jacobian, 1, 2),
+        angles=np.rad2deg(np.sqrt(largest_eigenvalues(covariance[:, :3, :3]))),
+        points=_indices(problem.point_ids, given.point_ids),
+        point_covariance=np.asarray(given.point_covariance, float).reshape(-1, 3, 3),
+        cameras=dict(
+            zip(
+                _indices(problem.camera_ids, given.camera_ids).tolist(),
+                np.asarray(given.camera_covariance, float),
+                strict=True,
+            )
+        ),
+    )
+
+
+def largest_eigenvalues(covariance: Array) -> Array:
+    """Return the largest eigenvalue of each matrix; nan where one is not finite."""
+    known = np.isfinite(covariance).all(axis=(1, 2))
+    values = np.full(len(covariance), np.nan)
+    if known.any():
+        values[known] = np.linalg.eigvalsh(covariance[known])[:, -1]
+    result: Array = np.maximum(values, 0.0)
+    return result
+
+
+def _cross(vectors: Array) -> Array:
+    x, y, z = vectors.T
+    zero = np.zeros(len(vectors))
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _indices(ids: Ids, wanted: Ids) -> Ids:
+    order = np.argsort(ids, kind="stable")
+    wanted = np.asarray(wanted, np.int64)
+    return order[np.searchsorted(ids, wanted, sorter=order)] if len(wanted) else wanted

@@ -1,0 +1,156 @@
+"""Distortion of lenses along the radius, and how far out observations say anything of it.
+
+A ray at the angle theta to the axis, in the direction phi around it, would fall without distortion
+on i = (fx s cos phi, fy s sin phi) from the principal point, with s = tan theta for perspective
+models and s = theta for fisheyes. The lens puts it on d. The distortion is (d - i) . i / |i|, its
+mean over phi; it is drawn against the mean of |d|, where the image shows it. Terms that are not
+symmetric about the axis cancel in the mean.
+
+With the covariance C of the parameters p the standard deviation of the curve is sqrt(g^T C g),
+g its derivative by p, by central differences.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.camera_edits.exact_image import PERSPECTIVE, focal_and_center
+from bundle.cameras import camera_models, project
+from bundle.figures.residual_field import MOST_CAMERAS, principal_point
+from bundle.problem import Problem
+
+__all__ = ["LensCurve", "lens_curve", "most_observed_cameras"]
+
+STEPS = 400
+AROUND = 16
+WIDEST_PERSPECTIVE, WIDEST_FISHEYE = 85.0, 130.0
+DRAWN = 80
+DIFFERENCE = 1e-5
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LensCurve:
+    """Distortion of one camera.
+
+    Attributes:
+        camera_id: of the camera.
+        model: its camera model.
+        radius: (n,) distance from the principal point in the image [pixels], ascending.
+        distortion: (n,) outwards [pixels].
+        sigma: (n,) standard deviation [pixels]; empty without a covariance.
+        observed_radius: largest distance of an observation from the principal point [pixels]; nan
+            without observations.
+        corner_radius: that of the farthest corner of the image; nan where its size is unknown.
+        fold_radius: where the image stops growing with the angle, if that is inside the image; nan
+            otherwise.
+    """
+
+    camera_id: int
+    model: str
+    radius: NDArray[np.float64]
+    distortion: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    observed_radius: float
+    corner_radius: float
+    fold_radius: float
+
+
+def most_observed_cameras(problem: Problem, most: int = MOST_CAMERAS) -> list[int]:
+    """Return indices of at most ``most`` observed cameras, most observations first."""
+    camera = problem.image_camera[problem.observation_image]
+    number = np.bincount(camera, minlength=problem.num_cameras)
+    observed = np.flatnonzero(number)
+    return [int(i) for i in observed[np.argsort(-number[observed], kind="stable")][:most]]
+
+
+def lens_curve(
+    problem: Problem, camera: int, covariance: NDArray[np.float64] | None = None
+) -> LensCurve | None:
+    """Return the curve of a camera; None for a model without focal length.
+
+    Args:
+        problem: whose camera it is.
+        camera: its index.
+        covariance: (k, k) of its parameters in COLMAP's order; nan where one is held.
+    """
+    model = problem.camera_models[camera]
+    center = principal_point(problem, camera)
+    if center is None:
+        return None
+    params = problem.camera_params[camera, : len(camera_models()[model])]
+    width, height = problem.camera_sizes[camera].tolist()
+    corner = np.nan
+    if width > 0 and height > 0:
+        corners = np.array([(0, 0), (width, 0), (0, height), (width, height)], float)
+        corner = float(np.linalg.norm(corners - center, axis=1).max())
+    seen = problem.observation_xy[problem.image_camera[problem.observation_image] == camera]
+    observed = float(np.linalg.norm(seen - center, axis=1).max()) if len(seen) else np.nan
+    reach = corner if np.isfinite(corner) else 1.05 * observed
+    widest = WIDEST_PERSPECTIVE if model in PERSPECTIVE else WIDEST_FISHEYE
+    angles = np.deg2rad(np.linspace(0.0, widest, STEPS + 1)[1:])
+    # Finer where the image is: angles up to the first whose undistorted radius is twice the reach.
+    fx, fy, *_ = focal_and_center(model, params)
+    ideal = max(fx, fy) * (np.tan(angles) if model in PERSPECTIVE else angles)
+    if np.isfinite(reach) and (ideal > 2 * reach).any():
+        angles = np.linspace(0.0, angles[np.argmax(ideal > 2 * reach)], STEPS + 1)[1:]
+    radius, distortion = _curve(model, params, angles)
+    grows = np.isfinite(radius) & (np.diff(radius, prepend=0.0) > 0)
+    last = len(radius) if grows.all() else int(np.argmin(grows))
+    beyond = radius[:last] > reach
+    stop = int(np.argmax(beyond)) if beyond.any() else last
+    fold = float(radius[last - 1]) if 0 < last < len(radius) and not beyond.any() else np.nan
+    chosen = np.unique(np.linspace(0, stop - 1, min(DRAWN, stop)).astype(int))
+    angles, radius, distortion = angles[chosen], radius[chosen], distortion[chosen]
+    return LensCurve(
+        camera_id=int(problem.camera_ids[camera]),
+        model=model,
+        radius=np.concatenate([[0.0], radius]),
+        distortion=np.concatenate([[0.0], distortion]),
+        sigma=_sigma(model, params, angles, covariance),
+        observed_radius=observed,
+        corner_radius=corner,
+        fold_radius=fold,
+    )
+
+
+def _curve(
+    model: str, params: NDArray[np.float64], angles: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return mean radius in the image and mean distortion of each angle."""
+    around = np.arange(AROUND) * (2 * np.pi / AROUND)
+    angle, phi = (grid.ravel() for grid in np.meshgrid(angles, around, indexing="ij"))
+    unit = np.column_stack([np.cos(phi), np.sin(phi)])
+    rays = np.column_stack([np.sin(angle)[:, None] * unit, np.cos(angle)])
+    xy, seen = project(model, params, rays)
+    xy[~seen] = np.nan
+    fx, fy, cx, cy = focal_and_center(model, params)
+    length = np.tan(angle) if model in PERSPECTIVE else angle
+    ideal = unit * (fx, fy) * length[:, None]
+    placed = xy - (cx, cy)
+    outwards = ((placed - ideal) * ideal).sum(axis=1) / np.linalg.norm(ideal, axis=1)
+    shape = len(angles), AROUND
+    radius = np.linalg.norm(placed, axis=1).reshape(shape).mean(axis=1)
+    return radius, outwards.reshape(shape).mean(axis=1)
+
+
+def _sigma(
+    model: str,
+    params: NDArray[np.float64],
+    angles: NDArray[np.float64],
+    covariance: NDArray[np.float64] | None,
+) -> NDArray[np.float64]:
+    """Return standard deviations, 0 on the axis first; nothing without a covariance."""
+    if covariance is None:
+        return np.zeros(0)
+    known = np.where(np.isfinite(covariance), covariance, 0.0)[: len(params), : len(params)]
+    gradient = np.zeros((len(params), len(angles)))
+    for index in np.flatnonzero(np.diag(known)):
+        step = np.zeros(len(params))
+        step[index] = DIFFERENCE * max(abs(params[index]), 1e-2)
+        high, low = (_curve(model, params + sign * step, angles)[1] for sign in (1, -1))
+        gradient[index] = (high - low) / (2 * step[index])
+    variance = np.einsum("in,ij,jn->n", gradient, known, gradient)
+    return np.concatenate([[0.0], np.sqrt(np.maximum(variance, 0.0))])

@@ -1,0 +1,164 @@
+"""What a 3-D view of a reconstruction draws, in a frame that suits it.
+
+The frame has its origin in the median of the points and as its unit the half width of the box of
+the middle 90 % of points and cameras. What is farther away than 50 units is not drawn: points near
+infinity would leave nothing else to see. Of more than 60,000 points every k-th is drawn, k the
+least that leaves no more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.cameras import camera_models, param_kinds
+from bundle.figures.residuals import Residuals
+from bundle.problem import Problem
+from bundle.rotations import rotation_matrices
+
+__all__ = ["SceneView", "scene_view"]
+
+MOST_POINTS = 60_000
+FARTHEST = 50.0
+USUAL = 0.5
+"""Half the field of view, as a tangent, of a camera whose own is unknown."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SceneView:
+    """Points and cameras in the frame of the view.
+
+    Attributes:
+        origin: (3,) of the frame of the view, in the world.
+        unit: its unit, in the world's length unit.
+        points: (n, 3) drawn, in the frame of the view.
+        point_indices: (n,) theirs in the problem.
+        point_errors: (n,) root mean square of their residuals [pixels]; nan where none counts.
+        step: every how many-th point is drawn.
+        num_far: points and cameras not drawn since they are too far away.
+        centers: (m, 3) of the cameras drawn, in the frame of the view.
+        image_indices: (m,) theirs in the problem.
+        axes: (m, 3, 3) right, down and forward of each camera, one row each.
+        half_fields: (m, 2) tangents of half the field of view, across and down.
+        middle: (3,) between points and cameras, in the frame of the view.
+        reach: distance from there within which most of them are.
+        up: (3,) of the scene, a unit vector.
+        forward: (3,) of the cameras on the average, across ``up``; a unit vector.
+    """
+
+    origin: NDArray[np.float64]
+    unit: float
+    points: NDArray[np.float64]
+    point_indices: NDArray[np.int64]
+    point_errors: NDArray[np.float64]
+    step: int
+    num_far: int
+    centers: NDArray[np.float64]
+    image_indices: NDArray[np.int64]
+    axes: NDArray[np.float64]
+    half_fields: NDArray[np.float64]
+    middle: NDArray[np.float64]
+    reach: float
+    up: NDArray[np.float64]
+    forward: NDArray[np.float64]
+
+
+def scene_view(problem: Problem, found: Residuals | None, *, z_is_up: bool = False) -> SceneView:
+    """Return what to draw.
+
+    Args:
+        problem: whose points and cameras they are.
+        found: its residuals, for the errors of the points; None for none.
+        z_is_up: of the world, as in a georeferenced model; otherwise the top of the images is up.
+    """
+    centers = problem.projection_centers
+    everything = np.concatenate([problem.points, centers])
+    origin, unit = np.zeros(3), 1.0
+    if len(everything):
+        origin = np.median(problem.points if problem.num_points else centers, axis=0)
+        low, high = np.quantile(everything, [0.05, 0.95], axis=0)
+        unit = float((high - low).max()) / 2
+        unit = unit if np.isfinite(unit) and unit > 0 else 1.0
+    step = max(-(-problem.num_points // MOST_POINTS), 1)
+    chosen = np.arange(0, problem.num_points, step)
+    points, near = _placed(problem.points[chosen], origin, unit)
+    placed, close = _placed(centers, origin, unit)
+    images = np.flatnonzero(close)
+    axes = rotation_matrices(problem.cam_from_world[images, :4])
+    middle, reach = _extent([points[near], placed[images]])
+    up, forward = _directions(axes, z_is_up=z_is_up)
+    return SceneView(
+        origin=origin,
+        unit=unit,
+        points=points[near],
+        point_indices=chosen[near],
+        point_errors=_errors(problem, found)[chosen[near]],
+        step=step,
+        num_far=int((~near).sum() + (~close).sum()),
+        centers=placed[images],
+        image_indices=images,
+        axes=axes,
+        half_fields=_half_fields(problem)[problem.image_camera[images]],
+        middle=middle,
+        reach=reach,
+        up=up,
+        forward=forward,
+    )
+
+
+def _placed(
+    positions: NDArray[np.float64], origin: NDArray[np.float64], unit: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    placed = (positions - origin) / unit
+    return placed, np.linalg.norm(placed, axis=1) <= FARTHEST
+
+
+def _extent(sets: list[NDArray[np.float64]]) -> tuple[NDArray[np.float64], float]:
+    """Return the middle of several sets of positions, and how far most of each are from there."""
+    filled = [positions for positions in sets if len(positions)]
+    if not filled:
+        return np.zeros(3), 1.0
+    middle = np.mean([np.median(positions, axis=0) for positions in filled], axis=0)
+    distances = [np.linalg.norm(positions - middle, axis=1) for positions in filled]
+    return middle, max(max(float(np.quantile(d, 0.9)) for d in distances), 1e-3)
+
+
+def _errors(problem: Problem, found: Residuals | None) -> NDArray[np.float64]:
+    if found is None:
+        return np.full(problem.num_points, np.nan)
+    point = problem.observation_point[found.counted]
+    count = np.bincount(point, minlength=problem.num_points)
+    squares = np.bincount(point, found.lengths[found.counted] ** 2, problem.num_points)
+    return np.sqrt(squares / np.where(count, count, np.nan))
+
+
+def _half_fields(problem: Problem) -> NDArray[np.float64]:
+    """Return half the field of view of each camera: of a perspective lens without distortion."""
+    fields = np.full((problem.num_cameras, 2), USUAL)
+    for index, model in enumerate(problem.camera_models):
+        kinds = np.array(param_kinds(model))
+        focal = problem.camera_params[index, : len(camera_models()[model])][kinds == "focal"]
+        size = problem.camera_sizes[index]
+        if len(focal) and (size > 0).all():
+            fields[index] = np.minimum(size / (2 * focal.mean()), 1.0)
+    return fields
+
+
+def _directions(
+    axes: NDArray[np.float64], *, z_is_up: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return up and forward, both of length 1 and at right angles."""
+    mean = axes.mean(axis=0) if len(axes) else np.eye(3)
+    up = np.array([0.0, 0.0, 1.0]) if z_is_up else -mean[1]
+    if np.linalg.norm(up) < 0.3:  # images turned all ways, as from the air
+        up = -mean[2]
+    if np.linalg.norm(up) < 0.3:
+        up = np.array([0.0, 0.0, 1.0])
+    up /= np.linalg.norm(up)
+    forward = mean[2] - up * (mean[2] @ up)
+    if np.linalg.norm(forward) < 0.1:
+        forward = np.eye(3)[np.argmin(np.abs(up))]
+        forward -= up * (forward @ up)
+    return up, forward / np.linalg.norm(forward)
