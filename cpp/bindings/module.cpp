@@ -14,6 +14,7 @@ void BindSolve(py::module_& m);
 void BindCovariance(py::module_& m);
 void BindCheck(py::module_& m);
 void BindInspection(py::module_& m);
+void BindDiagnosis(py::module_& m);
 void BindSymbolic(py::module_& m);
 void BindGraph(py::module_& m);
 void BindProcess(py::module_& m);
@@ -31,6 +32,7 @@ PYBIND11_MODULE(_core, m) {
   BindCovariance(m);
   BindCheck(m);
   BindInspection(m);
+  BindDiagnosis(m);
   BindSymbolic(m);
   BindGraph(m);
   BindProcess(m);

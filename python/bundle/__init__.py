@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.constraints import Constraints
+    from bundle.diagnosis import Diagnosis, diagnose
     from bundle.errors import InputError
     from bundle.free_degrees import GaugeFreedom, gauge_freedom
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
@@ -63,6 +64,7 @@ __all__ = [
     "Comparison",
     "Constraints",
     "Description",
+    "Diagnosis",
     "FactorGraph",
     "Filtered",
     "FunctionFactor",
@@ -99,6 +101,7 @@ __all__ = [
     "compare",
     "constraints",
     "describe",
+    "diagnose",
     "figures",
     "filter_observations",
     "gauge_freedom",
@@ -135,6 +138,7 @@ _DEFERRED = {
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
     "constraints": ("Constraints",),
+    "diagnosis": ("Diagnosis", "diagnose"),
     "errors": ("InputError",),
     "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (

@@ -215,6 +215,16 @@ def full_pattern(
     problem: Problem, options: dict[str, Any]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...
 
+# bind_diagnosis.cpp
+def reduced_spectrum(
+    problem: Problem,
+    options: dict[str, Any],
+    image_piece: NDArray[np.int32],
+    restrictions: Restrictions | None = None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
+    num_modes: int = 8,
+) -> dict[str, Any]: ...
+
 # bind_inspection.cpp
 MAX_TRACK_LENGTH: int
 

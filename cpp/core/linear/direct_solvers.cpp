@@ -27,7 +27,8 @@ LinearSolution RefusedArgument(int info) {
 LinearSolution NotPositiveDefinite(int minor, const std::string& where) {
   return {LinearSolution::Status::kFailure, 1,
           "The reduced camera system is not positive definite: its leading minor of order " +
-              std::to_string(minor) + where + " is not."};
+              std::to_string(minor) + where + " is not.",
+          minor};
 }
 
 LinearSolution CheckFinite(const double* x, int64_t size) {

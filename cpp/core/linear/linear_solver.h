@@ -31,6 +31,7 @@ struct LinearSolution {
   Status status = Status::kSuccess;
   int num_iterations = 1;  ///< of conjugate gradients; 1 for a factorisation, as in Ceres
   std::string message;
+  int failed_minor = 0;  ///< order of the leading minor that is not positive definite; 0: unknown
 };
 
 /// What a factorisation costs, for reports.

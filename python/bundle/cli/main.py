@@ -31,8 +31,17 @@ from bundle.io import atomic
 __all__ = ["main"]
 
 COMMANDS = (
-    "info", "inspect", "refine", "compare", "check", "align", "report", "convert", "synth"
-)  # fmt: skip
+    "info",
+    "inspect",
+    "refine",
+    "compare",
+    "check",
+    "diagnose",
+    "align",
+    "report",
+    "convert",
+    "synth",
+)
 """Subcommands, in the order of the help; each a module with NAME, HELP, add_arguments and run."""
 
 

@@ -1,0 +1,76 @@
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "bindings/given_factors.h"
+#include "bindings/immutable_array.h"
+#include "bindings/options_from_python.h"
+#include "bindings/problem_from_python.h"
+#include "bindings/python_progress.h"
+#include "core/diagnosis/reduced_spectrum.h"
+
+namespace py = pybind11;
+
+namespace {
+
+using Int32s = py::array_t<int32_t, py::array::c_style>;
+
+py::dict ReducedSpectrum(const py::object& problem, const py::dict& options,
+                         const Int32s& image_piece, const py::object& restrictions,
+                         const py::object& given_factors, int num_modes) {
+  bundle::ProblemView view = ViewProblem(problem);
+  PutRestrictions(restrictions, &view);
+  GivenFactors factors(given_factors);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  PythonProgress watch{py::none()};
+  bundle::ReducedSpectrum found = RunWatched(&watch, [&] {
+    bundle::ValidateProblem(view);
+    view.factors = factors.Check();
+    return bundle::FindReducedSpectrum(view, solve_options, image_piece.data(), num_modes);
+  });
+  watch.Rethrow();
+
+  std::vector<int32_t> unknowns, null_points;
+  for (const bundle::UnknownName& name : found.unknowns) {
+    unknowns.insert(unknowns.end(), {name.kind, name.index, name.coordinate});
+  }
+  for (const bundle::NullPoint& null : found.null_points) null_points.push_back(null.point);
+  const auto count = [](const auto& v) { return static_cast<py::ssize_t>(v.size()); };
+  const py::ssize_t num_unknowns = count(found.unknowns), num_null_points = count(null_points),
+                    num_modes_found = count(found.eigenvalues);
+  py::dict d;
+  d["unknowns"] = ToImmutableNumpy(std::move(unknowns), {num_unknowns, 3});
+  d["scale"] = ToImmutableNumpy(std::move(found.scale), {num_unknowns});
+  d["unseen"] = ToImmutableNumpy(std::move(found.unseen), {num_unknowns});
+  d["null_points"] = ToImmutableNumpy(std::move(null_points), {num_null_points});
+  d["null_directions"] =
+      ToImmutableNumpy(std::move(found.null_directions), {num_unknowns, found.num_null_directions});
+  d["eigenvalues"] = ToImmutableNumpy(std::move(found.eigenvalues), {num_modes_found});
+  d["directions"] = ToImmutableNumpy(std::move(found.directions), {num_unknowns, num_modes_found});
+  py::list warnings;
+  for (const bundle::Warning& warning : found.warnings) warnings.append(warning.text);
+  d["warnings"] = warnings;
+#define BUNDLE_FIELD(name) d[#name] = found.name
+  BUNDLE_FIELD(expected_nullity);
+  BUNDLE_FIELD(nullity);
+  BUNDLE_FIELD(num_gauge);
+  BUNDLE_FIELD(nullity_is_exact);
+  BUNDLE_FIELD(max_null_eigenvalue);
+  BUNDLE_FIELD(max_eigenvalue);
+  BUNDLE_FIELD(condition_number_unscaled);
+  BUNDLE_FIELD(failure);
+  BUNDLE_FIELD(failed_unknown);
+#undef BUNDLE_FIELD
+  return d;
+}
+
+}  // namespace
+
+void BindDiagnosis(py::module_& m) {
+  m.def("reduced_spectrum", &ReducedSpectrum, py::arg("problem"), py::arg("options"),
+        py::arg("image_piece"), py::arg("restrictions") = py::none(),
+        py::arg("factors") = py::none(), py::arg("num_modes") = 8);
+}

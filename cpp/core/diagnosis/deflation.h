@@ -1,0 +1,44 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+namespace bundle {
+
+/// Directions that a search for eigenvectors leaves out, orthonormal: those of pieces of the world,
+/// each with unknowns of its own, and others. However many pieces there are, they take the memory
+/// of one.
+class Deflation {
+ public:
+  /// `piece`: of each unknown; -1: of none. `directions`: unknowns x a few; of each piece its own
+  /// rows are taken, and made orthonormal.
+  Deflation(std::vector<int> piece, const Eigen::MatrixXd& directions);
+
+  /// Goes to those combinations z of the directions of each piece for which z^T A z is at most
+  /// `tolerance`; `product` is A times directions(). Returns the largest that is kept.
+  double KeepNull(const Eigen::MatrixXd& product, double tolerance);
+
+  /// Takes more, orthonormal and orthogonal to all so far.
+  void Add(const Eigen::MatrixXd& directions);
+
+  /// Of all pieces side by side. Columns that a piece has not are zero.
+  const Eigen::MatrixXd& directions() const { return of_pieces_; }
+  int count() const;
+  /// Takes the directions out of the columns of x.
+  Eigen::MatrixXd Project(Eigen::MatrixXd x) const;
+  /// All of them, a column each.
+  Eigen::MatrixXd Dense() const;
+
+ private:
+  /// The rows of x that belong to a piece.
+  Eigen::MatrixXd RowsOf(int piece, const Eigen::MatrixXd& x) const {
+    return x(rows_[piece], Eigen::all);
+  }
+
+  std::vector<std::vector<int>> rows_;  ///< of each piece
+  std::vector<int> counts_;             ///< directions of each piece
+  Eigen::MatrixXd of_pieces_;
+  Eigen::MatrixXd others_;
+};
+
+}  // namespace bundle

@@ -1,0 +1,89 @@
+/// Block Lanczos with full orthogonalisation (Golub and Underwood 1977): the space
+///
+///   span { X, A X, A^2 X, ... },    X random, of b columns,
+///
+/// holds the extreme eigenvectors of A soon, those of one eigenvalue b at a time. Each new block is
+/// made orthogonal to all before, twice, so that rounding makes no copies of what has been found
+/// (Parlett: The Symmetric Eigenvalue Problem, 1980, chapter 13). With Q the basis, the eigenpairs
+/// of the small Q^T A Q are those of A within the space (Rayleigh-Ritz); A Q is kept, so that their
+/// residuals cost no product with A.
+
+#include "core/diagnosis/krylov.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <random>
+
+namespace bundle {
+namespace {
+
+/// A column that loses so much of itself to the others depends on them.
+constexpr double kDependent = 1e-10;
+
+Eigen::MatrixXd RandomBlock(int rows, int columns) {
+  std::mt19937_64 random(1);
+  std::normal_distribution<double> normal;
+  Eigen::MatrixXd block(rows, columns);
+  for (double& entry : block.reshaped()) entry = normal(random);
+  return block;
+}
+
+}  // namespace
+
+Eigen::MatrixXd Orthonormalize(const Eigen::MatrixXd& basis, Eigen::MatrixXd vectors) {
+  Eigen::Index kept = 0;
+  const Eigen::VectorXd before = vectors.colwise().norm();
+  if (basis.cols() > 0) {
+    for (int twice = 0; twice < 2; ++twice) vectors -= basis * (basis.transpose() * vectors);
+  }
+  for (Eigen::Index j = 0; j < vectors.cols(); ++j) {
+    Eigen::VectorXd column = vectors.col(j);
+    for (int twice = 0; twice < 2; ++twice) {
+      column -= vectors.leftCols(kept) * (vectors.leftCols(kept).transpose() * column);
+      if (basis.cols() > 0) column -= basis * (basis.transpose() * column);
+    }
+    const double norm = column.norm();
+    if (!(norm > kDependent * before[j])) continue;
+    vectors.col(kept++) = column / norm;
+  }
+  return vectors.leftCols(kept);
+}
+
+EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, double tolerance,
+                       const BlockOperator& apply) {
+  max_dimension = std::min(max_dimension, size);
+  Eigen::MatrixXd basis(size, 0), image(size, 0);
+  // A first product takes the start into the range of A, where that is not all.
+  Eigen::MatrixXd next = Orthonormalize(basis, apply(RandomBlock(size, std::min(block, size))));
+  EigenPairs pairs;
+  while (next.cols() > 0) {
+    const Eigen::MatrixXd product = apply(next);
+    const Eigen::Index before = basis.cols();
+    basis.conservativeResize(Eigen::NoChange, before + next.cols());
+    image.conservativeResize(Eigen::NoChange, before + next.cols());
+    basis.rightCols(next.cols()) = next;
+    image.rightCols(next.cols()) = product;
+
+    const Eigen::MatrixXd projected = basis.transpose() * image;
+    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> small(0.5 *
+                                                               (projected + projected.transpose()));
+    const Eigen::Index count = std::min<Eigen::Index>(wanted, basis.cols());
+    // Eigen's are ascending.
+    const Eigen::MatrixXd chosen = small.eigenvectors().rightCols(count).rowwise().reverse();
+    const Eigen::VectorXd values = small.eigenvalues().tail(count).reverse();
+    const bool is_full = basis.cols() + block > max_dimension;
+    next = is_full ? Eigen::MatrixXd(size, 0) : Orthonormalize(basis, product);
+    const Eigen::MatrixXd vectors = basis * chosen;
+    const Eigen::VectorXd residuals =
+        (image * chosen - vectors * values.asDiagonal()).colwise().norm();
+    const bool is_done =
+        count == wanted && (residuals.array() <= tolerance * values.array().abs()).all();
+    if (!is_done && next.cols() > 0) continue;
+    pairs.values.assign(values.begin(), values.end());
+    pairs.vectors = vectors;
+    break;
+  }
+  return pairs;
+}
+
+}  // namespace bundle

@@ -1,0 +1,346 @@
+/// S has one eigenvalue of zero for each direction in which nothing that is refined changes any
+/// residual. It is scaled first: its diagonal spans many orders of magnitude (radians, metres,
+/// pixels, coefficients), and without that nothing says which eigenvalue is small. Of the scaled S,
+/// zeros are rounding, 1e-13 or less, and everything else stands clear of them.
+///
+/// 1. Points without parallax are taken out, exactly (covariance/point_blocks.h), and unknowns that
+///    nothing determines (scaled_system.cpp).
+/// 2. The similarities of the world, and of each piece of it that no point connects with the
+/// others,
+///    have derivatives that are known (model/gauge.h). Combinations z of them with z^T S z = 0 are
+///    null directions; S is positive semidefinite.
+/// 3. The directions beside them with the lowest eigenvalues are those with the highest of
+///    (S + shift)^-1, projected beside what is known (krylov.h). Those with z^T S z = 0 are null
+///    directions as well, which the search then leaves out in turn.
+/// 4. How much of the null space is gauge: with N an orthonormal basis of it and G one of the
+///    similarities of the world, the singular values of (I - N N^T) G are the sines of the
+///    principal angles (Bjorck and Golub 1973); each that is zero is a similarity that no
+///    observation sees.
+///
+/// The condition number of S as it is, not scaled, has as its denominator the largest eigenvalue of
+/// the pseudo-inverse, P diag(d) (scaled S)^-1 diag(d) P, with P the projection beside the null
+/// space of S as it is, which is that of the scaled S times d.
+
+#include "core/diagnosis/reduced_spectrum.h"
+
+#include <Eigen/Geometry>
+#include <Eigen/SVD>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "core/diagnosis/deflation.h"
+#include "core/diagnosis/krylov.h"
+#include "core/diagnosis/scaled_system.h"
+#include "core/model/gauge.h"
+#include "core/model/scene_frame.h"
+
+namespace bundle {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+constexpr double kZeroEigenvalue = 1e-11;
+constexpr double kShift = 1e-10;
+/// Sines of principal angles from which on a similarity is none of the null directions.
+constexpr double kZeroSine = 1e-4;
+/// A spread of the cameras, by the distance of the points, below which they stand at one place.
+constexpr double kOnePlace = 1e-9;
+/// The most null directions beyond the gauge that are looked for.
+constexpr int kMostNull = 64;
+constexpr int kBlock = 8;
+constexpr int kMostDimensions = 200;
+
+std::vector<UnknownName> NameUnknowns(const ProblemView& problem, const ParameterLayout& layout) {
+  std::vector<UnknownName> names(layout.state_size());
+  constexpr int kShared = -1;  // a block of numbers that cameras share
+  std::vector<UnknownName> owner(layout.blocks().size(), {kShared, 0, 0});
+  const auto own = [&owner](int block, UnknownName::Kind kind, int index) {
+    if (block >= 0) owner[block] = {kind, index, 0};
+  };
+  for (int c = 0; c < problem.num_cameras; ++c)
+    own(layout.camera_block(c), UnknownName::kCamera, c);
+  for (int i = 0; i < problem.num_images; ++i) own(layout.pose_block(i), UnknownName::kImage, i);
+  for (int f = 0; f < problem.num_frames; ++f) {
+    own(layout.pose_block(PoseOfFrame(problem, f)), UnknownName::kFrame, f);
+  }
+  for (int s = 0; s < problem.num_sensors; ++s) {
+    own(layout.pose_block(PoseOfSensor(problem, s)), UnknownName::kSensor, s);
+  }
+  for (size_t b = 0; b < owner.size(); ++b) {
+    const CameraBlock& block = layout.blocks()[b];
+    if (owner[b].kind == kShared) continue;
+    for (int k = 0; k < block.size; ++k) {
+      UnknownName& name = names[block.offset + k];
+      name = owner[b];
+      const int column = block.columns[k];
+      if (column < kPoseSize) {
+        name.coordinate = column;
+      } else {
+        if (name.kind == UnknownName::kImage) {
+          name = {UnknownName::kCamera, problem.image_camera[name.index], 0};
+        }
+        name.coordinate = column - kPoseSize;
+      }
+    }
+  }
+  // A number that several cameras share goes by the first of them.
+  for (int c = problem.num_cameras - 1; c >= 0; --c) {
+    for (const TiedParameter& tied : layout.tied(c)) {
+      const CameraBlock& block = layout.blocks()[tied.block];
+      if (owner[tied.block].kind != kShared) continue;
+      names[block.offset + tied.entry] = {UnknownName::kCamera, c, tied.column - kPoseSize};
+    }
+  }
+  return names;
+}
+
+std::vector<double> RowMajor(const MatrixXd& matrix) {
+  std::vector<double> values;
+  values.reserve(matrix.size());
+  for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
+    for (Eigen::Index j = 0; j < matrix.cols(); ++j) values.push_back(matrix(i, j));
+  }
+  return values;
+}
+
+/// The piece of each unknown. Sensors and shared cameras belong to the world where it is one piece.
+std::vector<int> FindPieces(const ProblemView& problem, const std::vector<UnknownName>& names,
+                            const int32_t* image_piece) {
+  std::vector<int> frame_piece(problem.num_frames, -1);
+  int num_pieces = 0;
+  for (int i = 0; i < problem.num_images; ++i) {
+    num_pieces = std::max(num_pieces, image_piece[i] + 1);
+    const int frame = problem.FrameOf(i);
+    if (frame >= 0 && image_piece[i] >= 0) frame_piece[frame] = image_piece[i];
+  }
+  std::vector<int> pieces;
+  for (const UnknownName& name : names) {
+    int piece = -1;
+    if (name.kind == UnknownName::kImage) piece = image_piece[name.index];
+    if (name.kind == UnknownName::kFrame) piece = frame_piece[name.index];
+    if (name.kind == UnknownName::kSensor && num_pieces == 1) piece = 0;
+    pieces.push_back(piece);
+  }
+  return pieces;
+}
+
+class SpectrumSearch {
+ public:
+  SpectrumSearch(const ProblemView& problem, const SolveOptions& options)
+      : problem_(problem),
+        reduced_(problem, options),
+        names_(NameUnknowns(problem, reduced_.layout())),
+        system_(&reduced_, SquaredColumns(reduced_), Units()) {}
+
+  ReducedSpectrum Run(const int32_t* image_piece, int num_modes) {
+    result_.unknowns = names_;
+    result_.scale = system_.scale();
+    for (int j = 0; j < system_.size(); ++j) result_.unseen.push_back(!system_.is_seen(j));
+    result_.null_points = reduced_.null_points();
+    result_.warnings = reduced_.warnings();
+    result_.expected_nullity = CountGaugeDegrees(problem_, reduced_.layout().free());
+    result_.condition_number_unscaled = std::numeric_limits<double>::quiet_NaN();
+    const int num_unseen =
+        static_cast<int>(std::count(result_.unseen.begin(), result_.unseen.end(), uint8_t{1}));
+    if (system_.size() == 0) return std::move(result_);
+
+    const MatrixXd similarities = WorldSimilarities();
+    Deflation known(FindPieces(problem_, result_.unknowns, image_piece), similarities);
+    result_.max_null_eigenvalue =
+        known.KeepNull(system_.Multiply(known.directions()), kZeroEigenvalue);
+    if (num_unseen < system_.size() && Factorize()) {
+      FindLowest(num_unseen, num_modes, &known);
+      FindHighest();
+      if (known.count() <= kMostNull) FindUnscaledCondition(known);
+    }
+    CountGauge(similarities, known);
+    result_.nullity = num_unseen + known.count() + num_hidden_;
+    if (result_.nullity > result_.num_gauge) result_.failed_unknown = system_.Factorize(0);
+    return std::move(result_);
+  }
+
+ private:
+  /// A radian, the distance of the points, a parameter as large as it is, a coefficient of one.
+  std::vector<double> Units() const {
+    const double distance = MedianDistance();
+    std::vector<double> units;
+    for (const UnknownName& name : names_) {
+      double unit = name.coordinate < 3 ? 1 : distance;
+      if (name.kind == UnknownName::kCamera) {
+        unit = std::max(1.0, std::abs(problem_.ParamsOf(name.index)[name.coordinate]));
+      }
+      units.push_back(unit);
+    }
+    return units;
+  }
+
+  bool Factorize() {
+    for (const double shift : {kShift, 1e3 * kShift, 1e6 * kShift}) {
+      result_.failed_unknown = system_.Factorize(shift);
+      if (result_.failed_unknown < 0) return true;
+    }
+    result_.failure = "The reduced camera system cannot be factorised.";
+    return false;
+  }
+
+  /// In units of the unknowns. The scale is left out where it moves no camera.
+  MatrixXd WorldSimilarities() {
+    const std::vector<double> rows =
+        GaugeDirections(problem_, reduced_.layout(), reduced_.states());
+    using Rows = Eigen::Matrix<double, Eigen::Dynamic, kNumGaugeDirections, Eigen::RowMajor>;
+    MatrixXd similarities =
+        Eigen::Map<const Rows>(rows.data(), system_.size(), kNumGaugeDirections);
+    // A similarity scales the arms of rigs, too.
+    for (int j = 0; j < system_.size(); ++j) {
+      const UnknownName& name = result_.unknowns[j];
+      if (name.kind != UnknownName::kSensor || name.coordinate < 3) continue;
+      similarities(j, 6) =
+          problem_.sensor_from_rig[7 * int64_t{name.index} + 4 + name.coordinate - 3];
+    }
+    if (similarities.col(6).lpNorm<Eigen::Infinity>() <= kOnePlace * MedianDistance()) {
+      similarities.col(6).setZero();
+      const std::vector<int64_t> lengths = TrackLengths(problem_);
+      num_hidden_ = 1;
+      for (int p = 0; p < problem_.num_points; ++p) {
+        if (lengths[p] > 0 && !reduced_.layout().point_is_free(p)) num_hidden_ = 0;
+      }
+    }
+    for (int j = 0; j < system_.size(); ++j) {
+      similarities.row(j) *= system_.is_seen(j) ? 1 / system_.scale()[j] : 0.0;
+    }
+    return similarities;
+  }
+
+  /// Of points from the images that see them.
+  double MedianDistance() const {
+    std::vector<double> distances;
+    const int64_t step = std::max<int64_t>(problem_.num_observations / 1000, 1);
+    for (int64_t i = 0; i < problem_.num_observations; i += step) {
+      const PoseState& pose = reduced_.states().pose(problem_.observation_image[i]);
+      using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+      const double* const point = problem_.points + 3 * int64_t{problem_.observation_point[i]};
+      distances.push_back(
+          (Eigen::Map<const Matrix3>(pose.rotation) * Eigen::Map<const Eigen::Vector3d>(point) +
+           Eigen::Map<const Eigen::Vector3d>(pose.translation))
+              .norm());
+    }
+    if (distances.empty()) return 1;
+    const auto middle = distances.begin() + static_cast<int64_t>(distances.size()) / 2;
+    std::nth_element(distances.begin(), middle, distances.end());
+    return *middle;
+  }
+
+  MatrixXd BesideUnseen(MatrixXd x) const {
+    for (int j = 0; j < system_.size(); ++j) {
+      if (!system_.is_seen(j)) x.row(j).setZero();
+    }
+    return x;
+  }
+
+  void FindLowest(int num_unseen, int num_modes, Deflation* known) {
+    MatrixXd null(system_.size(), 0);
+    for (;;) {
+      const int left = system_.size() - num_unseen - known->count();
+      const EigenPairs found = FindLargest(
+          system_.size(), std::min(num_modes, left), kBlock, kMostDimensions, 1e-4,
+          [&](const MatrixXd& x) {
+            return BesideUnseen(known->Project(system_.Solve(known->Project(BesideUnseen(x)))));
+          });
+      if (left <= 0) break;
+      const MatrixXd product = system_.Multiply(found.vectors);
+      std::vector<int> is_null, is_weak;
+      for (int k = 0; k < found.vectors.cols(); ++k) {
+        const double value = found.vectors.col(k).dot(product.col(k));
+        if (value <= kZeroEigenvalue) {
+          is_null.push_back(k);
+          result_.max_null_eigenvalue = std::max(result_.max_null_eigenvalue, value);
+        } else {
+          is_weak.push_back(k);
+          result_.eigenvalues.push_back(value);
+        }
+      }
+      if (is_null.empty() || null.cols() >= kMostNull) {
+        result_.nullity_is_exact = is_null.empty();
+        SortModes(found.vectors(Eigen::all, is_weak));
+        break;
+      }
+      result_.eigenvalues.clear();
+      const MatrixXd more = Orthonormalize(null, found.vectors(Eigen::all, is_null));
+      null.conservativeResize(Eigen::NoChange, null.cols() + more.cols());
+      null.rightCols(more.cols()) = more;
+      known->Add(more);
+    }
+    result_.null_directions = RowMajor(null);
+    result_.num_null_directions = static_cast<int>(null.cols());
+  }
+
+  void SortModes(const MatrixXd& directions) {
+    std::vector<int> order(result_.eigenvalues.size());
+    for (size_t k = 0; k < order.size(); ++k) order[k] = static_cast<int>(k);
+    std::sort(order.begin(), order.end(),
+              [&](int a, int b) { return result_.eigenvalues[a] < result_.eigenvalues[b]; });
+    std::vector<double> values;
+    for (const int k : order) values.push_back(result_.eigenvalues[k]);
+    result_.eigenvalues = std::move(values);
+    result_.directions = RowMajor(directions(Eigen::all, order));
+  }
+
+  void FindHighest() {
+    const EigenPairs found = FindLargest(system_.size(), 1, 2, 80, 1e-5, [&](const MatrixXd& x) {
+      return BesideUnseen(system_.Multiply(BesideUnseen(x)));
+    });
+    result_.max_eigenvalue = found.values.empty() ? 0 : found.values.front();
+  }
+
+  void FindUnscaledCondition(const Deflation& known) {
+    const VectorXd d = Eigen::Map<const VectorXd>(system_.scale().data(), system_.size());
+    const VectorXd inverse = (d.array() > 0).select(1 / d.array(), 0.0);
+    const EigenPairs high = FindLargest(system_.size(), 1, 2, 80, 1e-4, [&](const MatrixXd& x) {
+      return MatrixXd(inverse.asDiagonal() * system_.Multiply(inverse.asDiagonal() * x));
+    });
+    const MatrixXd null =
+        Orthonormalize(MatrixXd(system_.size(), 0), d.asDiagonal() * known.Dense());
+    const auto project = [&](MatrixXd x) {
+      for (int twice = 0; twice < 2; ++twice) x -= null * (null.transpose() * x);
+      return x;
+    };
+    const EigenPairs low = FindLargest(system_.size(), 1, 2, 80, 1e-4, [&](const MatrixXd& x) {
+      const MatrixXd scaled = known.Project(d.asDiagonal() * project(x));
+      return project(d.asDiagonal() * known.Project(system_.Solve(scaled)));
+    });
+    if (high.values.empty() || low.values.empty()) return;
+    result_.condition_number_unscaled = high.values.front() * low.values.front();
+  }
+
+  void CountGauge(const MatrixXd& similarities, const Deflation& known) {
+    const MatrixXd basis = Orthonormalize(MatrixXd(system_.size(), 0), similarities);
+    const auto vanish = kNumGaugeDirections - static_cast<int>(basis.cols());
+    const bool scale_is_seen = similarities.col(6).isZero(0) && num_hidden_ == 0;
+    result_.num_gauge = vanish - (scale_is_seen ? 1 : 0);
+    if (basis.cols() == 0) return;
+    const MatrixXd rest = known.Project(basis);
+    const VectorXd sines = Eigen::BDCSVD<MatrixXd>(rest).singularValues();
+    result_.num_gauge += static_cast<int>((sines.array() < kZeroSine).count());
+  }
+
+  const ProblemView& problem_;
+  ReducedSystem reduced_;
+  const std::vector<UnknownName> names_;
+  ScaledSystem system_;
+  int num_hidden_ = 0;  ///< similarities that move points alone
+  ReducedSpectrum result_;
+};
+
+}  // namespace
+
+ReducedSpectrum FindReducedSpectrum(const ProblemView& problem, const SolveOptions& options,
+                                    const int32_t* image_piece, int num_modes) {
+  const SceneFrame frame(problem);
+  const CenteredProblem centered(problem, frame);
+  return SpectrumSearch(centered.view(), options).Run(image_piece, num_modes);
+}
+
+}  // namespace bundle

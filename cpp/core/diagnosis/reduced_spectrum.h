@@ -1,0 +1,65 @@
+#pragma once
+
+/// What the reduced camera system S of a problem says about what its observations determine: its
+/// null space, how much of that is the gauge, and its weakest directions (reduced_spectrum.cpp).
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "core/covariance/reduced_system.h"
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+/// An unknown of S: the entry of (w, t) of a pose, or a parameter of a camera. A number that
+/// several cameras share goes by the first of them.
+struct UnknownName {
+  enum Kind : int32_t { kImage, kFrame, kSensor, kCamera };
+  int32_t kind = kImage;
+  int32_t index = 0;       ///< of the image, frame, sensor or camera
+  int32_t coordinate = 0;  ///< 0..5 of a pose, else the parameter
+};
+
+/// Directions are of unknowns in units of their own, d_j = 1 / sqrt(S_jj): what one of them alone
+/// is known to if all else were known, for residuals of standard deviation 1. S is then diag(d) S
+/// diag(d), with ones on its diagonal.
+struct ReducedSpectrum {
+  std::vector<UnknownName> unknowns;
+  std::vector<double> scale;    ///< d; 0 for unknowns that nothing determines
+  std::vector<uint8_t> unseen;  ///< 1 for these
+  std::vector<NullPoint> null_points;
+  std::vector<Warning> warnings;
+
+  int expected_nullity = 0;  ///< by CountGaugeDegrees, of the world as one piece
+  int nullity = 0;           ///< of S, and similarities that move no camera
+  int num_gauge = 0;         ///< of the similarities of the world, those that no observation sees
+  bool nullity_is_exact = true;  ///< false: there are more null directions than are looked for
+
+  /// Null directions beyond the similarities of the pieces and the unseen unknowns, orthonormal;
+  /// unknowns x num_null_directions, row-major.
+  std::vector<double> null_directions;
+  int num_null_directions = 0;
+  double max_null_eigenvalue = 0;  ///< of all that count as zero
+  /// The lowest eigenvalues that are not zero, ascending, and their directions, orthonormal; alike.
+  std::vector<double> eigenvalues;
+  std::vector<double> directions;
+
+  double max_eigenvalue = 0;  ///< of the scaled S
+  /// Largest by smallest eigenvalue that is not zero, of S as it is; NaN if unknown.
+  double condition_number_unscaled = 0;
+
+  std::string failure;      ///< a sentence if S could not be factorised; else ""
+  int failed_unknown = -1;  ///< where, if that is known
+};
+
+/// `image_piece`: for each image the number of the piece of the world that it belongs to, as points
+/// connect them; -1 for images without observations. The problem is valid, its models known.
+///
+/// Throws InputError as ReducedSystem does.
+ReducedSpectrum FindReducedSpectrum(const ProblemView& problem, const SolveOptions& options,
+                                    const int32_t* image_piece, int num_modes);
+
+}  // namespace bundle

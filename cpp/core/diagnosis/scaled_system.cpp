@@ -1,0 +1,115 @@
+/// Which unknowns nothing determines: those of which a change as large as they can have moves no
+/// pixel by kInvisible, and those whose every effect moving points can undo,
+/// S_jj = U_jj - w_j^T V^-1 w_j = 0. Of the latter, the elimination leaves rounding of the size of
+/// U_jj, which scaling would blow up: they count as undetermined where S_jj is less than kAbsorbed
+/// U_jj. The rows of both leave the system.
+
+#include "core/diagnosis/scaled_system.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <stdexcept>
+
+namespace bundle {
+namespace {
+
+constexpr double kAbsorbed = 1e-12;
+constexpr double kInvisible = 1e-6;
+
+void AddSquares(const ObservationRows& rows, const BlockStructure& structure,
+                std::vector<double>* squares) {
+  for (int b = 0; b < rows.num_blocks; ++b) {
+    const int size = rows.size[b];
+    double* const to = &(*squares)[structure.offset[rows.block[b]]];
+    for (int k = 0; k < 2 * size; ++k) to[k % size] += rows.jacobian[b][k] * rows.jacobian[b][k];
+  }
+}
+
+}  // namespace
+
+std::vector<double> SquaredColumns(const ReducedSystem& reduced) {
+  const size_t size = reduced.num_unknowns();
+  std::vector<std::vector<double>> of_thread(reduced.num_threads(), std::vector<double>(size, 0.0));
+  reduced.ForPoints([&](int, const PointBlocks&, const PointAssembler& point, int thread) {
+    for (int i = 0; i < point.num_rows(); ++i) {
+      AddSquares(point.row(i), reduced.structure(), &of_thread[thread]);
+    }
+  });
+  std::vector<double> squares(size, 0.0);
+  reduced.ForObservationsOfFixedPoints(
+      [&](const ObservationRows& rows) { AddSquares(rows, reduced.structure(), &squares); });
+  for (const std::vector<double>& sum : of_thread) {
+    for (size_t j = 0; j < size; ++j) squares[j] += sum[j];
+  }
+  return squares;
+}
+
+ScaledSystem::ScaledSystem(ReducedSystem* reduced, const std::vector<double>& squares,
+                           const std::vector<double>& units)
+    : reduced_(reduced),
+      compact_(CompactStructure(reduced->structure())),
+      scale_(reduced->num_unknowns(), 0.0),
+      values_(compact_.num_values, 0.0),
+      product_(compact_, reduced->num_threads()) {
+  if (size() == 0) return;
+  AddBlocks(reduced->structure(), reduced->values().data(), compact_, values_.data());
+  const std::vector<double>& diagonal = reduced_->diagonal();
+  for (int j = 0; j < size(); ++j) {
+    const double root = std::sqrt(std::max(diagonal[j], 0.0));
+    const bool is_seen = diagonal[j] > kAbsorbed * squares[j] && root * units[j] > kInvisible;
+    if (is_seen) scale_[j] = 1 / root;
+  }
+  Scale();
+}
+
+void ScaledSystem::Scale() {
+  const BlockStructure& structure = compact_;
+  for (int j = 0; j < structure.num_blocks(); ++j) {
+    for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
+      const int i = structure.row_block[e];
+      for (int c = 0; c < structure.block_size(j); ++c) {
+        const int column = structure.offset[j] + c;
+        double* const values = &values_[structure.ValueIndex(j, e, 0, c)];
+        for (int r = 0; r < structure.block_size(i); ++r) {
+          const int row = structure.offset[i] + r;
+          values[r] = row == column ? 1.0 : values[r] * scale_[row] * scale_[column];
+        }
+      }
+    }
+  }
+}
+
+Eigen::MatrixXd ScaledSystem::Multiply(const Eigen::MatrixXd& x) {
+  Eigen::MatrixXd y(x.rows(), x.cols());
+  for (Eigen::Index k = 0; k < x.cols(); ++k) {
+    product_.Multiply(values_, x.col(k).data(), y.col(k).data());
+  }
+  return y;
+}
+
+int ScaledSystem::Factorize(double shift) {
+  std::vector<double>& values = reduced_->values();
+  const BlockStructure& structure = reduced_->structure();
+  std::fill(values.begin(), values.end(), 0.0);
+  AddBlocks(compact_, values_.data(), structure, values.data());
+  for (int j = 0; j < structure.num_blocks(); ++j) {
+    const int64_t entry = structure.column_begin[j];  // the diagonal comes first
+    for (int k = 0; k < structure.block_size(j); ++k) {
+      values[structure.ValueIndex(j, entry, k, k)] += shift;
+    }
+  }
+  const LinearSolution solution = reduced_->Factorize();
+  if (solution.status == LinearSolution::Status::kSuccess) return -1;
+  return std::max(solution.failed_minor - 1, 0);
+}
+
+Eigen::MatrixXd ScaledSystem::Solve(const Eigen::MatrixXd& x) {
+  Eigen::MatrixXd y(x.rows(), x.cols());
+  const LinearSolution solution = reduced_->Solve(x.data(), static_cast<int>(x.cols()), y.data());
+  if (solution.status != LinearSolution::Status::kSuccess)
+    throw std::runtime_error(solution.message);
+  return y;
+}
+
+}  // namespace bundle

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <vector>
+
+#include "core/covariance/reduced_system.h"
+#include "core/linear/block_structure.h"
+
+namespace bundle {
+
+/// The reduced camera system S of a problem in units of its unknowns, diag(d) S diag(d), which has
+/// ones on its diagonal. The rows and columns of unknowns that nothing determines are those of the
+/// identity.
+class ScaledSystem {
+ public:
+  /// Takes S out of `reduced`, which it keeps a reference to. `squares`: the squared norms of the
+  /// Jacobian's columns, before points were eliminated. `units`: by how much an unknown may change,
+  /// at most, to mean anything.
+  ScaledSystem(ReducedSystem* reduced, const std::vector<double>& squares,
+               const std::vector<double>& units);
+
+  int size() const { return static_cast<int>(scale_.size()); }
+  /// d; 0 for unknowns that nothing determines.
+  const std::vector<double>& scale() const { return scale_; }
+  bool is_seen(int unknown) const { return scale_[unknown] > 0; }
+
+  Eigen::MatrixXd Multiply(const Eigen::MatrixXd& x);
+
+  /// Factorises the system plus `shift` on its diagonal. Returns -1, or the unknown at which it is
+  /// not positive definite.
+  int Factorize(double shift);
+  /// The inverse of what was factorised, times x.
+  Eigen::MatrixXd Solve(const Eigen::MatrixXd& x);
+
+ private:
+  void Scale();
+
+  ReducedSystem* const reduced_;
+  const BlockStructure compact_;  ///< of values_: without the fill of the factor
+  std::vector<double> scale_;
+  std::vector<double> values_;
+  SymmetricProduct product_;
+};
+
+/// Squared norms of the Jacobian's columns of the unknowns of S, of the observations alone.
+std::vector<double> SquaredColumns(const ReducedSystem& reduced);
+
+}  // namespace bundle

@@ -1,0 +1,76 @@
+"""`bundle diagnose`."""
+
+from __future__ import annotations
+
+import argparse
+from time import perf_counter
+
+from bundle.cli.constraint_flags import add_constraint_flags, as_options, constraints_given
+from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.option_flags import (
+    add_options,
+    naming_flags,
+    options_given,
+    with_named_images,
+)
+from bundle.cli.parser import add_input, add_rig_config, with_rigs
+from bundle.options import SolveOptions
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "diagnose"
+HELP = "what the observations do not determine, and why: rank, weak directions, pieces, points"
+
+# What the linearisation depends on.
+OPTIONS = (
+    "num_threads",
+    "refine",
+    "fixed_camera_ids",
+    "fixed_image_ids",
+    "fixed_point_ids",
+    "refine_sensor_from_rig",
+    "fixed_sensors",
+    "gauge",
+    "loss",
+    "loss_scale",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    parser.usage = "bundle diagnose INPUT [options]"
+    add_input(parser)
+    add_rig_config(parser)
+    add_options(parser, SolveOptions, "what would be refined", OPTIONS)
+    add_constraint_flags(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Diagnose INPUT."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.diagnosis import diagnose
+    from bundle.errors import shown
+    from bundle.io import load
+    from bundle.report.diagnose import as_json, diagnosed
+
+    options = options_given(arguments, SolveOptions, names_follow=True)
+    constraints = constraints_given(arguments)
+    check_json(arguments.json, arguments.input, *filter(None, [arguments.constraints]))
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(arguments.input)}")
+        problem = with_rigs(load(arguments.input), arguments.rig_config)
+        options = with_named_images(options, arguments, problem)
+        progress.stage("diagnosing")
+        with naming_flags(SolveOptions):
+            diagnosis = diagnose(problem, options, constraints=constraints)
+    if arguments.json != "-":
+        show(*diagnosed(arguments.input, problem, diagnosis))
+    wall = perf_counter() - started
+    given = as_options(arguments)
+    write_json(
+        arguments.json,
+        as_json(arguments.input, problem, diagnosis, options, OPTIONS, given, wall),
+    )
+    return EXIT_DONE

@@ -1,0 +1,46 @@
+"""Clusters of points that have collapsed onto the cameras that see them.
+
+A solve can shrink a loosely connected part of a scene until its points sit on its cameras. Their
+depths are then orders of magnitude below the others, their derivatives as many above, and
+everything that hangs on them follows. Images that see points so are of one cluster where any common
+points connect them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bundle.components import component_roots
+from bundle.diagnosis.diagnosis_result import CollapsedCluster
+from bundle.diagnosis.track_table import TrackTable
+from bundle.problem import Problem
+from bundle.statistics.depths import collapsed_observations, depths_of_observations
+
+__all__ = ["collapsed_clusters"]
+
+
+def collapsed_clusters(problem: Problem, tracks: TrackTable) -> tuple[CollapsedCluster, ...]:
+    """Return the clusters, the one with the most observations first."""
+    mask = collapsed_observations(problem, depths_of_observations(problem))
+    chosen = np.flatnonzero(mask)
+    if not len(chosen):
+        return ()
+    images, points = problem.observation_image[chosen], problem.observation_point[chosen]
+    concerned = np.isin(tracks.images, images)
+    starts = np.flatnonzero(np.diff(tracks.points[concerned], prepend=-1))
+    root = component_roots(tracks.images[concerned], starts, problem.num_images)[images]
+    clusters = []
+    for one in np.unique(root).tolist():
+        own = root == one
+        clusters.append(
+            CollapsedCluster(
+                point_ids=_ids(problem.point_ids, points[own]),
+                image_ids=_ids(problem.image_ids, images[own]),
+                num_observations=int(own.sum()),
+            )
+        )
+    return tuple(sorted(clusters, key=lambda cluster: -cluster.num_observations))
+
+
+def _ids(ids: np.ndarray, rows: np.ndarray) -> tuple[int, ...]:
+    return tuple(sorted(ids[np.unique(rows)].tolist()))

@@ -1,0 +1,191 @@
+"""What a problem's observations determine: rank, conditioning, pieces, points and images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle import _core
+from bundle.diagnosis.collapsed import collapsed_clusters
+from bundle.diagnosis.diagnosis_result import Component, Diagnosis
+from bundle.diagnosis.findings import findings
+from bundle.diagnosis.modes import null_modes, weak_modes
+from bundle.diagnosis.point_checks import check_points
+from bundle.diagnosis.track_table import FEW_SHARED, TrackTable
+from bundle.diagnosis.unknowns import Unknowns
+from bundle.free_degrees import gauge_freedom
+from bundle.io import Source, as_problem
+from bundle.options import SolveOptions
+from bundle.placement import place_at_priors
+from bundle.problem import Problem
+from bundle.result import Result
+from bundle.solver import constrained, settle
+
+if TYPE_CHECKING:
+    from bundle.constraints import Constraints, Rule
+    from bundle.constraints.applied import Applied
+    from bundle.graph import Factor
+    from bundle.placement import Prior
+
+__all__ = ["diagnose"]
+
+FEW_OBSERVATIONS = 10
+"""An image with fewer observations hardly holds its pose."""
+
+
+def diagnose(
+    problem: Source | Result,
+    options: SolveOptions | None = None,
+    *,
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    align: bool | None = None,
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] | Applied = (),
+    **changes: Any,
+) -> Diagnosis:
+    """Find what the observations determine and what they do not, at the values of a problem.
+
+    The reduced camera system (points eliminated, those without parallax taken out exactly) is
+    scaled to a diagonal of ones. Its null directions are compared with what moving, turning and
+    scaling the world does; those beyond, and weak ones, are named by what moves and why. Nothing is
+    solved: the diagnosis is that of the linearisation, so that a problem far from its solution may
+    look better or worse than it is there.
+
+    Args:
+        problem: left untouched; a problem, the result of a solve, a path or a
+            pycolmap.Reconstruction.
+        options: what is refined and what is fixed, and the loss, as in :func:`bundle.solve`; of a
+            result its own. The gauge is left free unless another one than "auto" is asked for.
+        factors: beside the observations, as in :func:`bundle.solve`.
+        priors: measured positions and control points, likewise.
+        align: likewise.
+        bounds: likewise.
+        constraints: likewise.
+        **changes: options by name, in place of those in ``options``.
+
+    Raises:
+        InputError: as :func:`bundle.solve`.
+        OSError: the path cannot be read.
+
+    Example:
+        >>> bundle.diagnose("sparse/0").nullity
+        7
+    """
+    scale_change = None
+    if isinstance(problem, Result):
+        scale_change = _scale_change(problem)
+        options = problem.options.replace(gauge="auto") if options is None else options
+        problem = problem.problem
+    problem = as_problem(problem)
+    options = SolveOptions.of(options, changes, "diagnose")
+    if options.gauge == "auto":
+        options = options.replace(gauge="none")
+    placed = place_at_priors(problem, factors, priors, align)
+    start, options, applied = constrained(placed.problem, options, constraints)
+    options, known, limits = settle(start, options, placed.factors, bounds, applied)
+
+    tracks = TrackTable(start)
+    given = None if known is None else known.core()
+    found = _core.reduced_spectrum(start, options.asdict(), tracks.pieces, limits, given)
+    expected = int(found["expected_nullity"])
+    if known is not None:
+        expected = _expected_beside_factors(start, options, known.factors, tracks, found)
+    elif limits is not None and limits.held_pose_parts is not None:
+        expected = int(found["num_gauge"])
+    unknowns = Unknowns(start, found)
+    collapsed = collapsed_clusters(start, tracks)
+    modes = null_modes(unknowns, found["null_directions"], tracks, collapsed)
+    modes += weak_modes(unknowns, found["eigenvalues"], found["directions"], tracks, modes)
+    points = check_points(start, tracks)
+    null = np.asarray(found["null_points"], np.int64)
+    parallel = start.point_ids[null[tracks.lengths[null] > 1]]
+    parts: dict[str, Any] = {
+        "nullity": int(found["nullity"]),
+        "expected_nullity": expected,
+        "nullity_is_exact": bool(found["nullity_is_exact"]),
+        "components": _components(start, tracks),
+        "weak_modes": tuple(modes),
+        "points_without_parallax": parallel,
+        "collapsed": collapsed,
+        "condition_number": _condition(found),
+        "condition_number_unscaled": float(found["condition_number_unscaled"]),
+        "eigenvalues": found["eigenvalues"],
+        "max_null_eigenvalue": float(found["max_null_eigenvalue"]),
+        "unobserved_points": points.unobserved,
+        "points_seen_once": np.setdiff1d(points.seen_once, _held_points(start, options)),
+        "points_seen_twice": points.seen_twice,
+        "points_at_cameras": points.at_cameras,
+        "points_at_infinity": np.setdiff1d(points.at_infinity, parallel),
+        "images_with_few_observations": start.image_ids[_observations(start) < FEW_OBSERVATIONS],
+        "images_with_few_shared_points": start.image_ids[
+            (tracks.shared < FEW_SHARED) & (_observations(start) > 0) & ~_held(start, options)
+        ],
+    }
+    bare = Diagnosis(**parts, findings=())
+    return Diagnosis(**parts, findings=findings(bare, start, tracks, unknowns, found, scale_change))
+
+
+def _held(problem: Problem, options: SolveOptions) -> NDArray[np.bool_]:
+    """Return which images have a pose that is held."""
+    if "poses" not in options.refine:
+        return np.ones(problem.num_images, bool)
+    return np.asarray(np.isin(problem.image_ids, options.fixed_image_ids))
+
+
+def _held_points(problem: Problem, options: SolveOptions) -> NDArray[np.int64]:
+    """Return the ids of points that are held."""
+    if "points" not in options.refine:
+        return problem.point_ids
+    return np.array(options.fixed_point_ids, np.int64)
+
+
+def _expected_beside_factors(
+    problem: Problem,
+    options: SolveOptions,
+    factors: tuple[Factor, ...],
+    tracks: TrackTable,
+    found: dict[str, Any],
+) -> int:
+    """Return the similarities of the world that neither observations nor factors see."""
+    if tracks.pieces.max(initial=-1) > 0:  # of several pieces, gauge_freedom counts all
+        return int(found["num_gauge"])
+    return gauge_freedom(problem, options, factors=factors).degrees
+
+
+def _components(problem: Problem, tracks: TrackTable) -> tuple[Component, ...]:
+    pieces = tracks.pieces
+    of_point = np.full(problem.num_points, -1)
+    of_point[tracks.points] = pieces[tracks.images]
+    return tuple(
+        Component(
+            image_ids=tuple(sorted(problem.image_ids[pieces == piece].tolist())),
+            num_points=int((of_point == piece).sum()),
+        )
+        for piece in range(pieces.max(initial=-1) + 1)
+    )
+
+
+def _condition(found: dict[str, Any]) -> float:
+    values = found["eigenvalues"]
+    return float(found["max_eigenvalue"] / values[0]) if len(values) else math.nan
+
+
+def _observations(problem: Problem) -> NDArray[np.int64]:
+    return np.bincount(problem.observation_image, minlength=problem.num_images)
+
+
+def _scale_change(result: Result) -> float | None:
+    """Return by how much a solve scaled the world: the spread of its images after and before."""
+    before, after = (
+        float(np.linalg.norm(centers - centers.mean(axis=0)))
+        for centers in (
+            result.initial_problem.projection_centers,
+            result.problem.projection_centers,
+        )
+    )
+    return after / before if before > 0 and result.similarity is None else None

@@ -1,0 +1,179 @@
+"""What a diagnosis found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.display import Display, Displayed
+from bundle.words import number, plural
+
+__all__ = ["CollapsedCluster", "Component", "Diagnosis", "Finding", "WeakMode"]
+
+DIGITS = 16
+"""Decimal digits of a double, rounded up as the table of condition numbers has them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WeakMode:
+    """A direction in which the observations determine little or nothing.
+
+    Attributes:
+        kind: a stable name for programs, such as "flat_scene".
+        sentence: what moves against what, why, and what to do.
+        image_ids: images that move.
+        camera_ids: cameras whose parameters move.
+        eigenvalue: of the scaled reduced camera system; 0.0 where nothing is determined.
+        dimension: how many such directions there are.
+    """
+
+    kind: str
+    sentence: str
+    image_ids: tuple[int, ...]
+    camera_ids: tuple[int, ...]
+    eigenvalue: float
+    dimension: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Component:
+    """Images that points connect, and that nothing connects with others.
+
+    Attributes:
+        image_ids: ascending.
+        num_points: points that they see.
+    """
+
+    image_ids: tuple[int, ...]
+    num_points: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollapsedCluster:
+    """Points that sit on the cameras that see them.
+
+    Attributes:
+        point_ids: ascending.
+        image_ids: those that see them so, ascending.
+        num_observations: with a depth below 1e-4 of the median.
+    """
+
+    point_ids: tuple[int, ...]
+    image_ids: tuple[int, ...]
+    num_observations: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing to know.
+
+    Attributes:
+        kind: a stable name for programs, such as "points_without_parallax".
+        is_problem: whether it keeps the problem from being determined as it should be; otherwise it
+            is a fact that is good to know.
+        sentence: the finding in words.
+    """
+
+    kind: str
+    is_problem: bool
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Diagnosis(Displayed):
+    """What the observations of a problem determine at its values, and what they do not.
+
+    Eigenvalues are those of the reduced camera system S (points eliminated), with each row and
+    column scaled so that its diagonal is one. Ids are those of the source.
+
+    Attributes:
+        nullity: null directions of S, points without parallax and undetermined points left out.
+        expected_nullity: what the gauge explains: 7 for images alone, 6 where a rig gives the
+            scale, 0 where priors or fixed images say where the world is.
+        nullity_is_exact: False where there are more null directions than were looked for.
+        components: pieces of the world without common points, the largest first.
+        weak_modes: null directions beyond the gauge first, then weak ones.
+        points_without_parallax: ids of points with two observations or more whose depth no
+            observation sees.
+        collapsed: clusters of points that sit on cameras, the largest first.
+        condition_number: of the scaled S on what it determines; NaN where that is nothing.
+        condition_number_unscaled: of S as it is.
+        eigenvalues: the lowest that are not zero, ascending.
+        max_null_eigenvalue: of those that count as zero.
+        unobserved_points: ids of points without observations.
+        points_seen_once: ids.
+        points_seen_twice: ids.
+        points_at_cameras: ids of points at the centre of a camera that sees them.
+        points_at_infinity: ids of points so far away that their rays are parallel, almost.
+        images_with_few_observations: ids of images with fewer than 10.
+        images_with_few_shared_points: ids of images with fewer than 5 points that others see.
+        findings: all of that in sentences, problems first.
+    """
+
+    nullity: int
+    expected_nullity: int
+    nullity_is_exact: bool = True
+    components: tuple[Component, ...]
+    weak_modes: tuple[WeakMode, ...]
+    points_without_parallax: NDArray[np.int64]
+    collapsed: tuple[CollapsedCluster, ...]
+    condition_number: float
+    condition_number_unscaled: float
+    eigenvalues: NDArray[np.float64]
+    max_null_eigenvalue: float
+    unobserved_points: NDArray[np.int64]
+    points_seen_once: NDArray[np.int64]
+    points_seen_twice: NDArray[np.int64]
+    points_at_cameras: NDArray[np.int64]
+    points_at_infinity: NDArray[np.int64]
+    images_with_few_observations: NDArray[np.int64]
+    images_with_few_shared_points: NDArray[np.int64]
+    findings: tuple[Finding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing keeps the problem from being determined."""
+        return not any(finding.is_problem for finding in self.findings)
+
+    @property
+    def digits_normal_equations(self) -> int:
+        """Digits that a step by the normal equations has: 16 - log10(cond S), at least 0."""
+        return self._digits(1.0)
+
+    @property
+    def digits_square_root(self) -> int:
+        """Digits of a step by a QR factorisation of the Jacobian, cond J = sqrt(cond S)."""
+        return self._digits(0.5)
+
+    def _digits(self, power: float) -> int:
+        condition = self.condition_number
+        if math.isnan(condition):
+            return 0
+        return max(0, round(DIGITS - power * math.log10(max(condition, 1.0))))
+
+    @property
+    def verdict(self) -> str:
+        """One sentence on the rank."""
+        more = self.nullity - self.expected_nullity
+        least = "" if self.nullity_is_exact else "at least "
+        words = f"{least}{plural(self.nullity, 'null direction')}"
+        if more == 0:
+            return f"{words}, all of them gauge" if self.nullity else "no null direction"
+        if more > 0:
+            return f"{words}: {self.expected_nullity} are gauge, {more} are not determined"
+        return f"{words}, fewer than the {self.expected_nullity} of the gauge"
+
+    def _display(self) -> Display:
+        problems = [entry.sentence for entry in self.findings if entry.is_problem]
+        others = [entry.sentence for entry in self.findings if not entry.is_problem]
+        lowest = f"{self.eigenvalues[0]:.3g}" if len(self.eigenvalues) else "-"
+        facts = [
+            ("condition", f"{number(self.condition_number)} (lowest eigenvalue {lowest})"),
+            ("components", str(len(self.components))),
+        ]
+        facts += [("problem" if k == 0 else "", words) for k, words in enumerate(problems)]
+        facts += [("note" if k == 0 else "", words) for k, words in enumerate(others)]
+        return Display(title=f"Diagnosis: {self.verdict}", facts=tuple(facts))

@@ -1,0 +1,22 @@
+"""Ids in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+__all__ = ["named", "noun"]
+
+_MOST = 5
+
+
+def named(what: str, ids: Iterable[int]) -> str:
+    """Return "image 3", "images 3, 4" or "images 3, 4, 5, 6, 7 and 12 more"."""
+    listed = [int(entry) for entry in ids]
+    first = ", ".join(map(str, listed[:_MOST]))
+    more = f" and {len(listed) - _MOST} more" if len(listed) > _MOST else ""
+    return f"{what}{'' if len(listed) == 1 else 's'} {first}{more}"
+
+
+def noun(count: int, one: str, many: str) -> str:
+    """Return the word that goes with a count."""
+    return one if count == 1 else many
