@@ -5,6 +5,7 @@ import json
 import pytest
 
 import bundle
+from tests.pictures.test_placement_numbers import RECORD
 from tests.scenes import make_problem
 
 
@@ -36,10 +37,24 @@ def test_refine_writes_its_page(run, model, tmp_path):
     assert "before" in page.read_text()
 
 
+def test_what_refine_said_of_positions_is_on_the_page(run, model, tmp_path):
+    beside, page = model / "georeference.json", tmp_path / "page.html"
+    beside.write_text(json.dumps(RECORD))
+    assert run("report", model, "-o", page, "--quiet").code == 0
+    assert "Control points and positions" in page.read_text()
+    beside.write_text("[1, 2]")
+    report = tmp_path / "report.json"
+    assert run("report", model, "-o", page, "--quiet", "--json", report).code == 0
+    assert "Control points and positions" not in page.read_text()
+    (note,) = json.loads(report.read_text())["notes"]
+    assert "georeference.json" in note
+
+
 @pytest.mark.parametrize(
     ("words", "parts"),
     [
         (("report", "MODEL"), ("-o",)),
+        (("report", "MODEL", "-o", "-"), ("--output",)),
         (("report", "MODEL", "-o", "MODEL"), ("MODEL",)),
         (("report", "MODEL", "-o", "PAGE", "--images", "NONE"), ("NONE", "folder")),
         (("refine", "MODEL", "-o", "OUT", "--html", "PAGE", "--images", "NONE"), ("--images",)),

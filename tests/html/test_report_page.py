@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 
 import numpy as np
 import pytest
@@ -52,6 +53,19 @@ def test_the_page_says_what_went_in_and_came_out(written, solved):
     assert "8 images, 1 camera, 300 points" in page.text
     for words in solved.summary.warnings:
         assert words in page.text
+
+
+def test_the_page_loads_nothing_and_leads_to_its_sections(written):
+    _, page, _ = written
+    inside = [address for address in page.loads if address.startswith("#")]
+    assert {address[1:] for address in inside} <= set(page.ids)
+    assert len(inside) == 7
+    others = set(page.loads) - set(inside)
+    assert all(address.startswith("data:image/") for address in others)
+    rest = re.sub(r"http://www\.w3\.org/(2000/svg|1999/xhtml)", "", page.source)
+    assert not re.search(r"https?:|@import|url\(", rest)
+    assert "default-src &#x27;none&#x27;" in page.source
+    assert len(page.ids) == len(set(page.ids))
 
 
 def test_photographs_are_shown_and_missed(written):
