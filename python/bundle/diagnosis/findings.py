@@ -17,6 +17,10 @@ from bundle.words import plural
 
 __all__ = ["findings"]
 
+MOST_COMPONENTS = 5
+"""Components that have a sentence of their own."""
+SAID = ("points_seen_once",)
+"""Warnings of a solve that the diagnosis has in words of its own."""
 DRIFT = 3.0
 """A solve that scales the world by more has drifted."""
 
@@ -41,7 +45,7 @@ def findings(
         *_factorisation(problem, unknowns, found),
         *_drift(scale_change),
         *_conditioning(diagnosis),
-        *(Finding(kind="warning", is_problem=False, sentence=w) for w in found.get("warnings", [])),
+        *(_note(kind, words) for kind, words in found["warnings"] if kind not in SAID),
     ]
     return tuple(sorted(all_of_them, key=lambda finding: not finding.is_problem))
 
@@ -59,17 +63,26 @@ def _components(diagnosis: Diagnosis, problem: Problem, tracks: TrackTable) -> I
     if main is None:
         yield _problem("no_observations", "There are no observations: nothing is determined.")
         return
-    for part in others:
+    is_problem = diagnosis.nullity > diagnosis.expected_nullity
+    for part in others[:MOST_COMPONENTS]:
         near = _nearest(problem, tracks, part.image_ids)
         yield Finding(
             kind="component",
-            is_problem=diagnosis.nullity > diagnosis.expected_nullity,
+            is_problem=is_problem,
             sentence=f"{named('Image', part.image_ids)} ({plural(part.num_points, 'point')}): "
             f"another component than the largest, of {plural(len(main.image_ids), 'image')}, with "
             "which no point is shared. Position, rotation and scale against it are arbitrary. "
             f"Common points of images {near[0]} and {near[1]}, the nearest to each other, would "
             f"join them ({plural(near[2], 'point')} of the former and {near[3]} of the latter are "
             "seen by two images or fewer).",
+        )
+    rest = others[MOST_COMPONENTS:]
+    if rest:
+        count = sum(len(part.image_ids) for part in rest)
+        yield Finding(
+            kind="component",
+            is_problem=is_problem,
+            sentence=f"{plural(len(rest), 'more component')} of {plural(count, 'image')} in all.",
         )
 
 
