@@ -45,18 +45,18 @@ test: $(READY)  ## run the tests
 	$(VENV)/bin/python -m pytest --numprocesses auto --dist worksteal
 
 sanitize: $(READY)  ## run the C++ tests under AddressSanitizer and UndefinedBehaviorSanitizer
+	rm -f $(ADDRESS_BUILD)/passed
 	$(SANITIZED) g++ address,undefined,float-cast-overflow $(ADDRESS_BUILD)
 	$(SHARDED) $(ADDRESS_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
-	for set in baseline avx2; do \
-	  $(SHARDED) BUNDLE_INSTRUCTION_SET=$$set $(ADDRESS_BUILD)/tests/cpp/bundle_tests \
-	    --gtest_brief=1 --gtest_filter='*Schur*:*Fused*' || exit 1; \
-	done
+	$(SHARDED) BUNDLE_INSTRUCTION_SET=baseline $(ADDRESS_BUILD)/tests/cpp/bundle_tests \
+	  --gtest_brief=1 --gtest_filter='*Schur*:*Fused*'
+	@touch $(ADDRESS_BUILD)/passed
 
 tsan: $(READY)  ## run the C++ tests under ThreadSanitizer
 	$(SANITIZED) clang++ thread $(THREAD_BUILD)
 	$(SHARDED) $(THREAD_BUILD)/tests/cpp/bundle_tests --gtest_brief=1
 
-lint: lint-python lint-cpp  ## check format, style, types and compiler warnings
+lint: lint-python lint-cpp  ## check format, style, types and compiler warnings (of C++ tests: make sanitize)
 
 lint-python: $(READY)
 	$(VENV)/bin/ruff check .
@@ -67,8 +67,8 @@ lint-python: $(READY)
 lint-cpp: $(READY)
 	$(VENV)/bin/clang-format --dry-run -Werror $(CPP_SOURCES)
 	PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake -S . -B $(BUILD) --log-level=WARNING \
-	  -DBUNDLE_WARNINGS_AS_ERRORS=ON -DBUNDLE_CPP_TESTS=ON
-	MAKEFLAGS= PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(BUILD) --target all bundle_tests
+	  -DBUNDLE_WARNINGS_AS_ERRORS=ON
+	MAKEFLAGS= PATH="$(CURDIR)/$(VENV)/bin:$$PATH" cmake --build $(BUILD) --target all
 
 format: $(READY)  ## rewrite the sources in the house format
 	$(VENV)/bin/ruff check --fix-only .

@@ -2,18 +2,21 @@
 # usage: tools/build_sanitized.sh COMPILER SANITIZERS BUILD
 #
 # Builds the tests of the core in folder BUILD with these sanitizers. Assertions of Eigen and of the
-# standard library are on. Clang's warnings are errors; GCC's are so in `make lint`, and false alarms under
-# sanitizers.
+# standard library are on. Warnings are errors, but for those of GCC's that follow the flow of data: under
+# sanitizers these are false alarms.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 source tools/debian.sh
 
-strict=OFF
+flags="-O1 -g1"
 if [[ "$1" == clang++ ]]; then
   install_packages clang libclang-rt-dev
-  strict=ON
+else
+  for warning in maybe-uninitialized array-bounds stringop-overflow stringop-overread null-dereference; do
+    flags+=" -Wno-error=$warning"
+  done
 fi
 cmake -S . -B "$3" -G Ninja --log-level=WARNING -DCMAKE_CXX_COMPILER="$1" -DBUNDLE_SANITIZE="$2" \
-  -DCMAKE_BUILD_TYPE=Sanitize -DCMAKE_CXX_FLAGS_SANITIZE="-O1 -g1" -DBUNDLE_WARNINGS_AS_ERRORS="$strict" \
+  -DCMAKE_BUILD_TYPE=Sanitize -DCMAKE_CXX_FLAGS_SANITIZE="$flags" -DBUNDLE_WARNINGS_AS_ERRORS=ON \
   -DBUNDLE_PYTHON=OFF -DBUNDLE_CPP_TESTS=ON
 cmake --build "$3" --target bundle_tests

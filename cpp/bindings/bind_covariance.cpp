@@ -52,6 +52,7 @@ py::dict Covariance(const py::object& problem, const py::dict& options,
   d["weighted_squares"] = output.weighted_squares;
   d["num_residuals"] = output.num_residuals;
   d["num_parameters"] = output.num_parameters;
+  d["predicted_decrease"] = output.predicted_decrease;
   d["gauge_degrees"] = output.gauge_degrees;
   py::list warnings;
   for (const bundle::Warning& warning : output.warnings) warnings.append(warning.text);

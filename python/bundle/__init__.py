@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from bundle.statistics import Description, describe
     from bundle.summary import Summary
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
+    from bundle.uncertainty import Covariance, covariance
 
 __all__ = [
     "Alignment",
@@ -63,6 +64,7 @@ __all__ = [
     "ChangedModels",
     "Comparison",
     "Constraints",
+    "Covariance",
     "Description",
     "Diagnosis",
     "FactorGraph",
@@ -100,6 +102,7 @@ __all__ = [
     "check_jacobians",
     "compare",
     "constraints",
+    "covariance",
     "describe",
     "diagnose",
     "figures",
@@ -173,6 +176,7 @@ _DEFERRED = {
     "statistics": ("Description", "describe"),
     "summary": ("Summary",),
     "synthetic": ("SceneOptions", "SyntheticScene", "synthesize"),
+    "uncertainty": ("Covariance", "covariance"),
     "figures": (),
     "html": ("report",),
     "losses": (),

@@ -69,7 +69,9 @@ def test_costs_are_those_of_dense_least_squares(relative):
     ]
     dense = least_squares(residual, start, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
     np.testing.assert_allclose(solved.summary.final_cost, dense.cost, rtol=1e-9)
-    np.testing.assert_allclose(solved.problem.camera_params[0, [0, 3]], dense.x[6:8], rtol=1e-6)
+    np.testing.assert_allclose(
+        solved.problem.camera_params[0, [0, 3]], dense.x[6:8], rtol=1e-6, atol=1e-9
+    )
     (f,), (k,) = (rule.priors for rule in solved.constraints)
     np.testing.assert_allclose(
         [f.pull, k.pull], residual(np.r_[dense.x])[-2:], rtol=1e-4, atol=1e-9

@@ -52,10 +52,10 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-# Measured: 86 and 80, of which some do not grow with the observations. While the sparse solver had
-# a copy of S and its indices beside the factor, it took 128.
+# Measured: 86 and 80 (Debian 13: 89), of which some do not grow with the observations. While the
+# sparse solver had a copy of S and its indices beside the factor, it took 128.
 @pytest.mark.skipif(sys.platform != "linux", reason="the peak of a process is read from /proc")
-@pytest.mark.parametrize(("solver", "bound"), [("sparse_schur", 96), ("iterative_schur", 89)])
+@pytest.mark.parametrize(("solver", "bound"), [("sparse_schur", 96), ("iterative_schur", 92)])
 def test_bytes_an_observation(street: Path, solver: str, bound: float) -> None:
     done = subprocess.run(
         [sys.executable, "-c", MEASURE, street, solver],

@@ -42,22 +42,15 @@ class Computation {
       : problem_(problem),
         frame_(problem),
         centered_(problem, frame_),
+        options_(options),
         wanted_(wanted),
         system_(centered_.view(), options) {}
 
   CovarianceOutput Run() {
-    const FreeGauge gauge(system_);
-    if (wanted_.inner) {
-      gauge.Hold(&system_);
-      output_.gauge_degrees = gauge.degrees();
-    } else if (gauge.degrees() > 0) {
-      throw InputError("gauge: expected one that holds the world, found " +
-                       std::to_string(gauge.degrees()) +
-                       " degrees of freedom that nothing determines; use inner");
-    }
+    HoldGauge();
     CountResiduals();
     Factorize();
-    FindDirections(gauge);
+    FindDirections();
     FindRelative();
     if (wanted_.sandwich) {
       const std::vector<double> meat = SumMeat(system_);
@@ -77,21 +70,14 @@ class Computation {
   const ProblemView& view() const { return centered_.view(); }
 
   void CountResiduals() {
-    std::vector<std::pair<double, int64_t>> sums(system_.num_threads());
-    const auto add = [](const ObservationRows& rows, std::pair<double, int64_t>* sum) {
-      sum->first += rows.residual[0] * rows.residual[0] + rows.residual[1] * rows.residual[1];
-      sum->second += 2;
-    };
-    system_.ForPoints([&](int, const PointBlocks&, const PointAssembler& rows, int thread) {
-      for (int i = 0; i < rows.num_rows(); ++i) add(rows.row(i), &sums[thread]);
+    output_.weighted_squares = system_.point_sums().squares;
+    output_.num_residuals = system_.point_sums().num_residuals;
+    output_.predicted_decrease = system_.point_sums().decrease;
+    system_.ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
+      output_.weighted_squares +=
+          rows.residual[0] * rows.residual[0] + rows.residual[1] * rows.residual[1];
+      output_.num_residuals += 2;
     });
-    std::pair<double, int64_t> rest;
-    system_.ForObservationsOfFixedPoints([&](const ObservationRows& rows) { add(rows, &rest); });
-    sums.push_back(rest);
-    for (const auto& [squares, count] : sums) {
-      output_.weighted_squares += squares;
-      output_.num_residuals += count;
-    }
     system_.ForFactors([&](const ReducedSystem::FactorRows& rows) {
       for (const double r : rows.residual) output_.weighted_squares += r * r;
       output_.num_residuals += rows.num_rows;
@@ -110,7 +96,14 @@ class Computation {
   void Factorize() {
     Check(system_.Factorize());
     const double pivot = system_.SmallestPivot();
-    if (pivot > kSingular) return;
+    if (pivot > kSingular) {
+      std::vector<double> step(system_.rhs().size());
+      Check(system_.Solve(system_.rhs().data(), 1, step.data()));
+      for (size_t j = 0; j < step.size(); ++j) {
+        output_.predicted_decrease += 0.5 * step[j] * system_.rhs()[j];
+      }
+      return;
+    }
     throw InputError(
         "problem: expected normal equations of full rank but for the gauge, found a pivot of " +
         ShortNumber(pivot) +
@@ -118,10 +111,24 @@ class Computation {
         "says what");
   }
 
+  /// What the gauges of a solve leave free is seen when S is factorised.
+  void HoldGauge() {
+    if (!wanted_.inner && options_.gauge != Gauge::kNone) return;
+    const FreeGauge gauge(system_);
+    if (wanted_.inner) {
+      gauge.Hold(&system_);
+      output_.gauge_degrees = gauge.degrees();
+      directions_ = gauge.directions();
+    } else if (gauge.degrees() > 0) {
+      throw InputError("gauge: expected one that holds the world, found " +
+                       std::to_string(gauge.degrees()) +
+                       " degrees of freedom that nothing determines; use inner");
+    }
+  }
+
   /// Y, the covariance times the gauge's directions.
-  void FindDirections(const FreeGauge& gauge) {
-    if (!wanted_.inner || gauge.degrees() == 0) return;
-    directions_ = gauge.directions();
+  void FindDirections() {
+    if (output_.gauge_degrees == 0) return;
     Check(system_.Solve(directions_, &y_));
     constraints_ = std::make_unique<InnerConstraints>(directions_, y_);
     if (!wanted_.sandwich) return;
@@ -205,9 +212,13 @@ class Computation {
     output_.poses.resize(36 * size_t(view().num_images));
     output_.frames.resize(36 * size_t(view().num_frames));
     output_.sensors.resize(36 * size_t(view().num_sensors));
+    const std::vector<uint8_t> is_observed = FindObservedImages(view());
     for (int i = 0; i < view().num_images; ++i) {
       const Matrix6 covariance = OfImage(i).topLeftCorner<6, 6>();
       Put(MovedBack(i, covariance), i, &output_.poses);
+      if (is_observed[i] == 0 && system_.evaluator().maps(i).empty()) {
+        std::fill_n(&output_.poses[36 * size_t(i)], 36, std::numeric_limits<double>::quiet_NaN());
+      }
     }
     for (int pose = view().num_images; pose < NumPoses(view()); ++pose) {
       Matrix6 covariance = Matrix6::Zero();
@@ -260,6 +271,7 @@ class Computation {
   const ProblemView& problem_;
   const SceneFrame frame_;
   const CenteredProblem centered_;
+  const SolveOptions& options_;
   const CovarianceOptions& wanted_;
   ReducedSystem system_;
   FullVectors directions_, y_, y_scatter_;
@@ -268,52 +280,94 @@ class Computation {
   CovarianceOutput output_;
 };
 
-/// X^T A Z over the pairs of a point's blocks, 3 x 3; `x` and `z` as PointBlocks::w.
+/// Four numbers that a processor adds at once, at any address.
+using Four = double __attribute__((vector_size(32), aligned(8)));
+
+/// W or Y of a point, four numbers a row, the last zero.
+struct PaddedRows {
+  std::vector<double> values;
+
+  void Set(const std::vector<double>& rows) {
+    values.resize(rows.size() / 3 * 4);
+    for (size_t i = 0; i < rows.size() / 3; ++i) {
+      for (int k = 0; k < 3; ++k) values[4 * i + k] = rows[3 * i + k];
+      values[4 * i + 3] = 0;
+    }
+  }
+  const Four* row(int i) const { return reinterpret_cast<const Four*>(&values[4 * size_t(i)]); }
+};
+
+/// A third of the time of all covariances goes into the function below: it is compiled for two
+/// generations of processors, of which the loader takes one. Sanitizers run before loaders do.
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && \
+    !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+#define BUNDLE_FOR_TWO_PROCESSORS __attribute__((target_clones("avx2", "default")))
+#else
+#define BUNDLE_FOR_TWO_PROCESSORS
+#endif
+
+/// X^T A Z over the pairs of a point's blocks, 3 x 3, for the symmetric A. `is_same`: X is Z.
+BUNDLE_FOR_TWO_PROCESSORS
 void AddPairs(const ReducedSystem& system, const std::vector<double>& values,
-              const PointBlocks& blocks, const std::vector<double>& x, const std::vector<double>& z,
+              const PointBlocks& blocks, const PaddedRows& x, const PaddedRows& z, bool is_same,
               double sum[9]) {
   const BlockStructure& s = system.structure();
+  Four total[3] = {};
   for (size_t b = 0; b < blocks.blocks.size(); ++b) {
     const int j = blocks.blocks[b], columns = s.block_size(j);
-    const double* const xj = &x[3 * size_t(blocks.begin[b])];
-    const double* const zj = &z[3 * size_t(blocks.begin[b])];
     for (size_t a = b; a < blocks.blocks.size(); ++a) {
       const int i = blocks.blocks[a], rows = s.block_size(i);
-      const double* const xi = &x[3 * size_t(blocks.begin[a])];
-      const double* const zi = &z[3 * size_t(blocks.begin[a])];
+      const Four* const xi = x.row(blocks.begin[a]);
+      const Four* const zi = z.row(blocks.begin[a]);
       const double* block = values.data() + s.ValueIndex(j, s.Entry(j, i), 0, 0);
       for (int c = 0; c < columns; ++c, block += s.panel_stride[j]) {
-        // Of a diagonal block, the column from the diagonal down and the same as a row.
-        double by_x[3] = {}, by_z[3] = {};
-        for (int r = i == j ? c : 0; r < rows; ++r) {
-          const double value = i == j && r == c ? 0.5 * block[r] : block[r];
-          for (int k = 0; k < 3; ++k) {
-            by_x[k] += value * xi[3 * r + k];
-            by_z[k] += value * zi[3 * r + k];
+        // Of a diagonal block, the column from the diagonal down, and the same as a row.
+        Four by_x = {}, by_z = {};
+        int r = 0;
+        if (i == j) {
+          by_x = 0.5 * block[c] * xi[c];
+          by_z = 0.5 * block[c] * zi[c];
+          r = c + 1;
+        }
+        if (is_same) {
+          for (; r < rows; ++r) by_x += block[r] * xi[r];
+          by_z = by_x;
+        } else {
+          for (; r < rows; ++r) {
+            by_x += block[r] * xi[r];
+            by_z += block[r] * zi[r];
           }
         }
-        for (int k = 0; k < 9; ++k) {
-          sum[k] += by_x[k / 3] * zj[3 * c + k % 3] + xj[3 * c + k / 3] * by_z[k % 3];
-        }
+        const Four xj = *x.row(blocks.begin[b] + c), zj = *z.row(blocks.begin[b] + c);
+        for (int m = 0; m < 3; ++m) total[m] += by_x[m] * zj + xj[m] * by_z;
       }
     }
   }
+  for (int k = 0; k < 9; ++k) sum[k] += total[k / 3][k % 3];
 }
 
 void Computation::FindPoints() {
+  constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
   output_.points.assign(9 * size_t(view().num_points), 0.0);
+  const std::vector<int64_t>& begin = system_.tracks().begin;
+  for (int p = 0; p < view().num_points; ++p) {
+    if (begin[p] == begin[p + 1]) std::fill_n(&output_.points[9 * size_t(p)], 9, kUnknown);
+  }
   const std::vector<double>& c = system_values();
   const std::vector<double>& prior = system_.tracks().prior;
-  system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int) {
+  std::vector<PaddedRows> padded(system_.num_threads());
+  system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
     Eigen::Map<Matrix3> out(&output_.points[9 * size_t(p)]);
     if (blocks.num_null > 0) {
-      out.fill(std::numeric_limits<double>::quiet_NaN());
+      out.fill(kUnknown);
       return;
     }
     const Eigen::Map<const Matrix3> inverse(blocks.inverse);
+    PaddedRows& y = padded[thread];
+    y.Set(blocks.y);
     if (!wanted_.sandwich) {
       out = inverse;
-      AddPairs(system_, c, blocks, blocks.y, blocks.y, out.data());
+      AddPairs(system_, c, blocks, y, y, /*is_same=*/true, out.data());
     } else {
       PointScores scores;
       SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(p)], &scores);
@@ -324,15 +378,17 @@ void Computation::FindPoints() {
         for (int k = 0; k < 3; ++k) e[i + k] -= by_p[k];
       }
       Matrix3 cross = Matrix3::Zero(), sum = Matrix3::Zero();
-      AddPairs(system_, c, blocks, blocks.y, e, cross.data());  // V^-1 W^T C E
-      AddPairs(system_, scatter_, blocks, blocks.y, blocks.y, sum.data());
+      PaddedRows padded_e;
+      padded_e.Set(e);
+      AddPairs(system_, c, blocks, y, padded_e, /*is_same=*/false, cross.data());  // V^-1 W^T C E
+      AddPairs(system_, scatter_, blocks, y, y, /*is_same=*/true, sum.data());
       const Matrix3 back = cross * inverse;
       out = inverse * Eigen::Map<const Matrix3>(scores.p) * inverse + sum - back - back.transpose();
     }
     if (const InnerConstraints* const inner = constraints(); inner != nullptr) {
-      std::vector<double> n(3 * size_t(inner->degrees())), y(n);
-      inner->RowsOfPoint(p, n.data(), y.data());
-      inner->Transform(3, n.data(), y.data(), 3, n.data(), y.data(), out.data());
+      std::vector<double> np(3 * size_t(inner->degrees())), yp(np);
+      inner->RowsOfPoint(p, np.data(), yp.data());
+      inner->Transform(3, np.data(), yp.data(), 3, np.data(), yp.data(), out.data());
     }
     out = (0.5 * (out + out.transpose())).eval();
   });

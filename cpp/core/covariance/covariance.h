@@ -52,7 +52,9 @@ struct CovarianceOutput {
       0;                       ///< sum of squared residuals, divided by sigma, weighted by the loss
   int64_t num_residuals = 0;   ///< that count, of observations and factors
   int64_t num_parameters = 0;  ///< free ones that something determines, gauge not deducted
-  int gauge_degrees = 0;       ///< of these that only the inner constraints determine
+  /// What the cost falls by if the solver's model of it is right: 0 at a minimum.
+  double predicted_decrease = 0;
+  int gauge_degrees = 0;  ///< of these that only the inner constraints determine
   std::vector<Warning> warnings;
 };
 

@@ -2,7 +2,8 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
-#include <Eigen/Eigenvalues>
+#include <Eigen/QR>
+#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
@@ -18,9 +19,9 @@ constexpr int kCount = kNumGaugeDirections;
 using Square = Eigen::Matrix<double, kCount, kCount>;
 using Row = Eigen::Matrix<double, 1, kCount>;
 
-/// Of A beside the squares of its rows' own parts: rounding is its square, 1e-32, times what scenes
-/// far from their centre add.
-constexpr double kNull = 1e-22;
+/// Of a singular value of J N beside the parts of its rows: rounding is 1e-16 times what scenes far
+/// from their centre add; a prior with a sigma of a hundred times the scene is 1e-8 or so.
+constexpr double kNull = 1e-11;
 
 struct World {
   double center[3];
@@ -109,20 +110,43 @@ FullVectors AllDirections(const ReducedSystem& system) {
   return n;
 }
 
-/// A, and the squares of its rows' parts.
-struct GaugeInformation {
-  Square a = Square::Zero();
-  Row parts = Row::Zero();
-
+/// J N as the triangle of its QR factorisation, and the squares of its rows' parts. J^T J of N
+/// alone would lose half of the digits.
+class GaugeRows {
+ public:
   void Add(const Row& by_cameras, const Row& by_points) {
-    const Row sum = by_cameras + by_points;
-    a += sum.transpose() * sum;
-    parts += by_cameras.cwiseAbs2() + by_points.cwiseAbs2();
+    rows_.row(count_++) = by_cameras + by_points;
+    parts_ += by_cameras.cwiseAbs2() + by_points.cwiseAbs2();
+    if (count_ == kRows) Fold();
   }
-  void Add(const GaugeInformation& other) {
-    a += other.a;
-    parts += other.parts;
+
+  void Add(const GaugeRows& other) {
+    parts_ += other.parts_;
+    for (int i = 0; i < other.count_; ++i) {
+      rows_.row(count_++) = other.rows_.row(i);
+      if (count_ == kRows) Fold();
+    }
   }
+
+  Square Triangle() {
+    Fold();
+    return rows_.topRows<kCount>();
+  }
+  const Row& parts() const { return parts_; }
+
+ private:
+  static constexpr int kRows = 64;
+
+  void Fold() {
+    rows_.bottomRows(kRows - count_).setZero();
+    const Eigen::HouseholderQR<Eigen::Matrix<double, kRows, kCount>> qr(rows_);
+    rows_.topRows<kCount>() = qr.matrixQR().topRows<kCount>().triangularView<Eigen::Upper>();
+    count_ = kCount;
+  }
+
+  Eigen::Matrix<double, kRows, kCount> rows_ = Eigen::Matrix<double, kRows, kCount>::Zero();
+  Row parts_ = Row::Zero();
+  int count_ = 0;
 };
 
 Row TimesUnknowns(const FullVectors& n, size_t num_unknowns, const double* row, int first,
@@ -145,7 +169,7 @@ Row TimesPoint(const FullVectors& n, size_t num_coordinates, const double* row, 
 }
 
 void AddRows(const ReducedSystem& system, const FullVectors& n, const ObservationRows& rows,
-             int point, GaugeInformation* information) {
+             int point, GaugeRows* gauge) {
   const auto num_unknowns = static_cast<size_t>(system.num_unknowns());
   for (int row = 0; row < 2; ++row) {
     Row by_cameras = Row::Zero(), by_point = Row::Zero();
@@ -157,19 +181,19 @@ void AddRows(const ReducedSystem& system, const FullVectors& n, const Observatio
       by_point =
           TimesPoint(n, 3 * size_t(system.problem().num_points), rows.point + 3 * row, point);
     }
-    information->Add(by_cameras, by_point);
+    gauge->Add(by_cameras, by_point);
   }
 }
 
-GaugeInformation SumUp(const ReducedSystem& system, const FullVectors& n) {
-  std::vector<GaugeInformation> of_thread(system.num_threads());
+GaugeRows SumUp(const ReducedSystem& system, const FullVectors& n) {
+  std::vector<GaugeRows> of_thread(system.num_threads());
   system.ForPoints([&](int point, const PointBlocks&, const PointAssembler& assembler, int thread) {
     for (int r = 0; r < assembler.num_rows(); ++r) {
       AddRows(system, n, assembler.row(r), point, &of_thread[thread]);
     }
   });
-  GaugeInformation total;
-  for (const GaugeInformation& information : of_thread) total.Add(information);
+  GaugeRows total;
+  for (const GaugeRows& rows : of_thread) total.Add(rows);
   system.ForObservationsOfFixedPoints(
       [&](const ObservationRows& rows) { AddRows(system, n, rows, -1, &total); });
   system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
@@ -191,30 +215,27 @@ GaugeInformation SumUp(const ReducedSystem& system, const FullVectors& n) {
 }
 
 /// The combinations of the seven that nothing sees, 7 x degrees.
-Eigen::MatrixXd FindFree(const GaugeInformation& information) {
+Eigen::MatrixXd FindFree(GaugeRows rows) {
+  const Square triangle = rows.Triangle();
   // A similarity that moves nothing that is seen is none: a scale without points, for instance.
-  Row scale = Row::Zero();
-  for (int m = 0; m < kCount; ++m) {
-    if (information.parts[m] > 0) scale[m] = 1 / std::sqrt(information.parts[m]);
-  }
   std::vector<int> kept;
   for (int m = 0; m < kCount; ++m) {
-    if (scale[m] > 0) kept.push_back(m);
+    if (rows.parts()[m] > 0) kept.push_back(m);
   }
   const auto count = static_cast<int>(kept.size());
   if (count == 0) return Eigen::MatrixXd(kCount, 0);
-  Eigen::MatrixXd a(count, count);
+  Eigen::VectorXd scale(count);
+  Eigen::MatrixXd scaled(kCount, count);
   for (int i = 0; i < count; ++i) {
-    for (int j = 0; j < count; ++j) {
-      a(i, j) = information.a(kept[i], kept[j]) * scale[kept[i]] * scale[kept[j]];
-    }
+    scale[i] = 1 / std::sqrt(rows.parts()[kept[i]]);
+    scaled.col(i) = scale[i] * triangle.col(kept[i]);
   }
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(a);
-  int degrees = 0;
-  while (degrees < count && solver.eigenvalues()[degrees] < kNull) ++degrees;
+  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(scaled, Eigen::ComputeFullV);
+  int degrees = 0;  // singular values descend
+  while (degrees < count && svd.singularValues()[count - 1 - degrees] < kNull) ++degrees;
   Eigen::MatrixXd free = Eigen::MatrixXd::Zero(kCount, degrees);
   for (int i = 0; i < count; ++i) {
-    free.row(kept[i]) = scale[kept[i]] * solver.eigenvectors().row(i).head(degrees);
+    free.row(kept[i]) = scale[i] * svd.matrixV().row(i).tail(degrees);
   }
   return free;
 }
@@ -262,17 +283,28 @@ FreeGauge::FreeGauge(const ReducedSystem& system) {
   const Eigen::MatrixXd upper = gram.llt().matrixU();
   upper.triangularView<Eigen::Upper>().solveInPlace<Eigen::OnTheRight>(cameras);
   upper.triangularView<Eigen::Upper>().solveInPlace<Eigen::OnTheRight>(points);
-  held_ = ChooseHeld(n_, system.diagonal());
 }
 
 void FreeGauge::Hold(ReducedSystem* system) const {
   const BlockStructure& s = system->structure();
-  for (const int unknown : held_) {
+  const std::vector<double>& diagonal = system->diagonal();
+  if (s.dense) {
+    const auto size = static_cast<Eigen::Index>(diagonal.size());
+    const Eigen::VectorXd root =
+        Eigen::Map<const Eigen::VectorXd>(diagonal.data(), size).cwiseMax(0).cwiseSqrt();
+    const Eigen::MatrixXd scaled =
+        root.asDiagonal() * Eigen::Map<const Eigen::MatrixXd>(n_.cameras.data(), size, degrees());
+    const Eigen::HouseholderQR<Eigen::MatrixXd> qr(scaled);
+    const Eigen::MatrixXd b =
+        root.asDiagonal() * (qr.householderQ() * Eigen::MatrixXd::Identity(size, degrees()));
+    Eigen::Map<Eigen::MatrixXd>(system->values().data(), size, size) += b * b.transpose();
+    return;
+  }
+  for (const int unknown : ChooseHeld(n_, diagonal)) {
     const auto after = std::upper_bound(s.offset.begin(), s.offset.end(), unknown);
     const auto block = static_cast<int>(after - s.offset.begin()) - 1;
     const int k = unknown - s.offset[block];
-    double& diagonal = system->values()[s.ValueIndex(block, s.Entry(block, block), k, k)];
-    diagonal += system->diagonal()[unknown];
+    system->values()[s.ValueIndex(block, s.Entry(block, block), k, k)] += diagonal[unknown];
   }
 }
 

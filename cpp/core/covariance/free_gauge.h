@@ -5,11 +5,11 @@
 ///
 /// Let N hold, column by column, what the similarities do to all that is free (unknowns of the
 /// layout and points), about the centre of the scene. A combination N q is free if no residual
-/// changes: J N q = 0. With A = N^T J^T J N, summed row by row before anything is eliminated, these
-/// are the null vectors of A; rows are compared with their own parts, so that what cancels is zero
-/// to rounding. That counts fixed parts, rigs, priors and control points without looking for them.
-/// What several pieces of a world, or points without parallax, leave beyond that is not counted
-/// here.
+/// changes: J N q = 0. J N is summed up row by row, before anything is eliminated, as the triangle
+/// of its QR factorisation; singular values are compared with the parts of the rows, by cameras and
+/// by points, so that what cancels is zero to rounding. That counts fixed parts, rigs, priors and
+/// control points without looking for them. What several pieces of a world, or points without
+/// parallax, leave beyond that is not counted here.
 ///
 /// H is then singular. The inner constraints (E. M. Mikhail, F. Ackermann; B. Triggs et al.: Bundle
 /// Adjustment - A Modern Synthesis, 2000, section 9) ask for its pseudo-inverse, the covariance of
@@ -34,14 +34,14 @@ class FreeGauge {
 
   /// Degrees of freedom, at most seven.
   int degrees() const { return n_.num_columns; }
-  /// Adds B B^T to S: to the diagonal, at `degrees` unknowns.
+  /// Adds B B^T to S: of a sparse S at as many entries of the diagonal; of a dense one, where that
+  /// costs nothing, with B along N in units of the unknowns' sigmas, which rounds least.
   void Hold(ReducedSystem* system) const;
   /// N, orthonormal.
   const FullVectors& directions() const { return n_; }
 
  private:
   FullVectors n_;
-  std::vector<int> held_;  ///< unknowns
 };
 
 /// The S-transformation of blocks of a covariance.

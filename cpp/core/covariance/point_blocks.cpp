@@ -11,18 +11,50 @@ namespace {
 
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
+/// Of a pivot beside its diagonal entry: far above what makes a null direction.
+constexpr double kClearPivot = 1e-6;
+
+/// By V = L L^T; false where V is not clearly regular.
+bool InvertRegular(PointBlocks* blocks) {
+  const double* const v = blocks->v;
+  const double a = v[0];
+  if (!(a > 0)) return false;
+  const double l10 = v[3] / a, l20 = v[6] / a;
+  const double d1 = v[4] - l10 * v[3];
+  if (!(d1 > kClearPivot * v[4])) return false;
+  const double e = v[7] - l20 * v[3], l21 = e / d1;
+  const double d2 = v[8] - l20 * v[6] - l21 * e;
+  if (!(d2 > kClearPivot * v[8])) return false;
+  // Columns may be of any size beside each other.
+  const double largest = std::max({v[0], v[4], v[8]});
+  if (!(std::min({v[0], v[4], v[8]}) > kClearPivot * largest)) return false;
+  const double m10 = -l10, m20 = l10 * l21 - l20, m21 = -l21;  // L^-1, a unit triangle
+  const double i0 = 1 / a, i1 = 1 / d1, i2 = 1 / d2;
+  double* const x = blocks->inverse;
+  x[0] = i0 + m10 * i1 * m10 + m20 * i2 * m20;
+  x[1] = x[3] = m10 * i1 + m20 * i2 * m21;
+  x[2] = x[6] = m20 * i2;
+  x[4] = i1 + m21 * i2 * m21;
+  x[5] = x[7] = m21 * i2;
+  x[8] = i2;
+  blocks->num_null = 0;
+  blocks->largest = largest;
+  return true;
+}
+
 /// The pseudo-inverse of V, and what is null.
 void Invert(PointBlocks* blocks) {
-  const Eigen::SelfAdjointEigenSolver<Matrix3> solver(Eigen::Map<const Matrix3>(blocks->v));
   Eigen::Map<Matrix3> inverse(blocks->inverse), null(blocks->null_projector);
-  inverse.setZero();
   null.setZero();
+  if (InvertRegular(blocks)) return;
+  const Eigen::SelfAdjointEigenSolver<Matrix3> solver(Eigen::Map<const Matrix3>(blocks->v));
+  inverse.setZero();
   blocks->num_null = 0;
+  blocks->largest = solver.eigenvalues()[2];
   for (int i = 0; i < 3; ++i) {
     const double value = solver.eigenvalues()[i];
     const Eigen::Vector3d direction = solver.eigenvectors().col(i);
-    blocks->eigenvalues[i] = value;
-    if (value > kNullPoint * solver.eigenvalues()[2]) {
+    if (value > kNullPoint * blocks->largest) {
       inverse += direction * direction.transpose() / value;
     } else {
       null += direction * direction.transpose();
@@ -58,9 +90,12 @@ PointAssembler::Tracks PointAssembler::FindTracks(const ProblemView& problem,
     if (!charted.Evaluate(states, &values, residual.data(), jacobian.data())) continue;
     ApplyLoss(*factor, 3, residual.data(), jacobian.data());
     tracks.prior.resize(9 * static_cast<size_t>(problem.num_points));
+    tracks.prior_gradient.resize(3 * static_cast<size_t>(problem.num_points));
+    double* const gradient = &tracks.prior_gradient[3 * static_cast<size_t>(point)];
     double* const prior = &tracks.prior[9 * static_cast<size_t>(point)];
     for (size_t row = 0; row < residual.size(); ++row) {
       for (int k = 0; k < 9; ++k) prior[k] += jacobian[3 * row + k / 3] * jacobian[3 * row + k % 3];
+      for (int k = 0; k < 3; ++k) gradient[k] += jacobian[3 * row + k] * residual[row];
     }
   }
   return tracks;

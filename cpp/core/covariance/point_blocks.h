@@ -31,7 +31,7 @@ struct PointBlocks {
   double v[9];
   double inverse[9];         ///< of V, without its null directions
   double null_projector[9];  ///< sum n n^T of the null directions
-  double eigenvalues[3];     ///< of V, ascending
+  double largest;            ///< eigenvalue of V, or about that
   int num_null = 0;          ///< null directions
   std::vector<int> blocks;   ///< of the layout, ascending
   std::vector<int> begin;    ///< first row of each block's W in `w`
@@ -47,6 +47,7 @@ class PointAssembler {
     std::vector<int64_t> begin;        ///< num_points + 1
     std::vector<int64_t> observation;  ///< of the problem, in its order within a point
     std::vector<double> prior;         ///< J^T J of each point's factors, 9 each; empty: no factors
+    std::vector<double> prior_gradient;  ///< and their J^T r, 3 each
   };
   static Tracks FindTracks(const ProblemView& problem, const ParameterLayout& layout,
                            const CameraStates& states);

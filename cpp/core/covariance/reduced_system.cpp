@@ -87,6 +87,7 @@ ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& opt
   Order(options);
   evaluator_ = std::make_unique<ObservationEvaluator>(problem_, layout_, options);
   tracks_ = PointAssembler::FindTracks(problem_, layout_, states());
+  OrderPoints();
   FindNullPoints();
   HoldNullDirections();
   if (num_unknowns() > 0) LinearizeSchur(options);
@@ -114,9 +115,48 @@ void ReducedSystem::Order(const SolveOptions& options) {
                       sizeof(double) * static_cast<double>(structure_.num_values));
 }
 
+/// A counting sort by the first block that a point's observations have.
+void ReducedSystem::OrderPoints() {
+  const int num_blocks = static_cast<int>(layout_.blocks().size());
+  std::vector<int> first(problem_.num_points, num_blocks);
+  for (int64_t i = 0; i < problem_.num_observations; ++i) {
+    int& of_point = first[problem_.observation_point[i]];
+    const int image = problem_.observation_image[i];
+    const int block = layout_.blocks_of(image)[ParameterLayout::kPoseBlock];
+    if (block >= 0) of_point = std::min(of_point, block);
+  }
+  std::vector<int> begin(static_cast<size_t>(num_blocks) + 2, 0);
+  for (int p = 0; p < problem_.num_points; ++p) {
+    if (layout_.point_is_free(p)) ++begin[first[p] + 1];
+  }
+  for (int b = 0; b <= num_blocks; ++b) begin[b + 1] += begin[b];
+  point_order_.resize(begin.back());
+  for (int p = 0; p < problem_.num_points; ++p) {
+    if (layout_.point_is_free(p)) point_order_[begin[first[p]]++] = p;
+  }
+}
+
+void ReducedSystem::AddResiduals(int point, const PointBlocks& blocks, const PointAssembler& rows,
+                                 PointSums* sums) const {
+  double gradient[3] = {}, step[3];
+  if (!tracks_.prior_gradient.empty()) {
+    std::copy_n(&tracks_.prior_gradient[3 * size_t(point)], 3, gradient);
+  }
+  for (int i = 0; i < rows.num_rows(); ++i) {
+    const double *const r = rows.row(i).residual, *const j = rows.row(i).point;
+    sums->squares += r[0] * r[0] + r[1] * r[1];
+    for (int k = 0; k < 3; ++k) gradient[k] += j[k] * r[0] + j[3 + k] * r[1];
+  }
+  sums->num_residuals += 2 * rows.num_rows();
+  VectorMatrix3(gradient, blocks.inverse, step);
+  for (int k = 0; k < 3; ++k) sums->decrease += 0.5 * gradient[k] * step[k];
+}
+
 void ReducedSystem::FindNullPoints() {
-  std::vector<std::vector<std::pair<NullPoint, PointBlocks>>> found(num_threads_);
-  ForPoints([&](int point, const PointBlocks& blocks, const PointAssembler&, int thread) {
+  std::vector<std::vector<NullPoint>> found(num_threads_);
+  std::vector<PointSums> sums(num_threads_);
+  ForPoints([&](int point, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
+    AddResiduals(point, blocks, rows, &sums[thread]);
     if (blocks.num_null == 0) return;
     NullPoint null;
     null.point = point;
@@ -129,16 +169,19 @@ void ReducedSystem::FindNullPoints() {
     }
     const double norm = std::sqrt(blocks.null_projector[4 * longest]);
     for (int k = 0; k < 3; ++k) null.direction[k] = blocks.null_projector[3 * k + longest] / norm;
-    found[thread].emplace_back(null, blocks);
+    null.root = blocks.largest > 0 ? std::sqrt(blocks.largest) : 1;
+    found[thread].push_back(null);
   });
-  for (const auto& of_thread : found) {
-    for (const auto& [null, blocks] : of_thread) {
-      null_points_.push_back(null);
-      // As much as is known of the point's other directions.
-      const double known = blocks.eigenvalues[2] > 0 ? std::sqrt(blocks.eigenvalues[2]) : 1;
-      for (int k = 0; k < 9; ++k) null_information_.push_back(known * blocks.null_projector[k]);
-    }
+  for (const PointSums& of_thread : sums) {
+    point_sums_.squares += of_thread.squares;
+    point_sums_.num_residuals += of_thread.num_residuals;
+    point_sums_.decrease += of_thread.decrease;
   }
+  for (const std::vector<NullPoint>& of_thread : found) {
+    null_points_.insert(null_points_.end(), of_thread.begin(), of_thread.end());
+  }
+  std::sort(null_points_.begin(), null_points_.end(),
+            [](const NullPoint& a, const NullPoint& b) { return a.point < b.point; });
 }
 
 void ReducedSystem::HoldNullDirections() {
@@ -149,10 +192,12 @@ void ReducedSystem::HoldNullDirections() {
       factors_.factors.push_back(std::make_unique<BorrowedFactor>(*factor));
     }
   }
-  for (size_t i = 0; i < null_points_.size(); ++i) {
-    factors_.factors.push_back(std::make_unique<HeldDirections>(
-        static_cast<int>(factors_.variables.size()), &null_information_[9 * i]));
-    factors_.variables.push_back({ProblemVariable::Kind::kPoint, null_points_[i].point});
+  for (const NullPoint& null : null_points_) {
+    double root[9];
+    for (int k = 0; k < 9; ++k) root[k] = null.root * null.projector[k];
+    factors_.factors.push_back(
+        std::make_unique<HeldDirections>(static_cast<int>(factors_.variables.size()), root));
+    factors_.variables.push_back({ProblemVariable::Kind::kPoint, null.point});
   }
   view_.factors = &factors_;
 }
@@ -178,6 +223,10 @@ void ReducedSystem::LinearizeSchur(const SolveOptions& options) {
 
 std::vector<double>& ReducedSystem::values() {
   return schur_ == nullptr ? no_values_ : schur_->system().values;
+}
+
+const std::vector<double>& ReducedSystem::rhs() const {
+  return schur_ == nullptr ? no_values_ : schur_->system().rhs;
 }
 
 LinearSolution ReducedSystem::Factorize() {
@@ -256,25 +305,26 @@ double ReducedSystem::SmallestPivot() const {
 }
 
 void ReducedSystem::ForPoints(int num_threads, const PointVisitor& visit) const {
-  const int64_t total = problem_.num_observations;
+  // Of each thread as many observations, about.
+  std::vector<size_t> first(static_cast<size_t>(num_threads) + 1, point_order_.size());
+  first[0] = 0;
+  int64_t seen = 0, total = 0;
+  for (const int p : point_order_) total += tracks_.begin[p + 1] - tracks_.begin[p];
+  int thread_of_next = 1;
+  for (size_t k = 0; k < point_order_.size() && thread_of_next < num_threads; ++k) {
+    if (seen >= total / num_threads * thread_of_next) first[thread_of_next++] = k;
+    seen += tracks_.begin[point_order_[k] + 1] - tracks_.begin[point_order_[k]];
+  }
   std::atomic<bool> abandoned{false};
   RunOnThreads(num_threads, [&](int64_t thread) {
-    // Points that follow each other, of about as many observations for each thread.
-    const auto first_point = [&](int64_t t) {
-      if (t >= num_threads) return problem_.num_points;
-      const auto& begin = tracks_.begin;
-      const auto at = std::lower_bound(begin.begin(), begin.end() - 1, total / num_threads * t);
-      return t == 0 ? 0 : static_cast<int>(at - begin.begin());
-    };
     PointAssembler assembler(layout_, *evaluator_, tracks_);
     PointBlocks blocks;
     try {
-      for (int p = first_point(thread); p < first_point(thread + 1); ++p) {
-        if (p % 256 == 0) ThrowIfInterrupted();
+      for (size_t k = first[thread]; k < first[thread + 1]; ++k) {
+        if (k % 256 == 0) ThrowIfInterrupted();
         if (abandoned.load(std::memory_order_relaxed)) return;
-        if (!layout_.point_is_free(p)) continue;
-        assembler.Assemble(p, &blocks);
-        visit(p, blocks, assembler, static_cast<int>(thread));
+        assembler.Assemble(point_order_[k], &blocks);
+        visit(point_order_[k], blocks, assembler, static_cast<int>(thread));
       }
     } catch (...) {
       abandoned.store(true);

@@ -38,6 +38,7 @@ struct NullPoint {
   int num_null = 0;     ///< of three
   double direction[3];  ///< one of them, of norm 1
   double projector[9];  ///< onto all of them
+  double root;          ///< of about what is known of the point's other directions
 };
 
 /// Two parts of a vector of unknowns, or of several side by side (column-major).
@@ -67,6 +68,14 @@ class ReducedSystem {
   int num_unknowns() const { return layout_.state_size(); }
   int num_threads() const { return num_threads_; }
 
+  /// Over the observations of free points.
+  struct PointSums {
+    double squares = 0;  ///< of their residuals
+    int64_t num_residuals = 0;
+    double decrease = 0;  ///< 1/2 sum g_p^T V^-1 g_p: of the cost, were the points alone free
+  };
+  const PointSums& point_sums() const { return point_sums_; }
+
   /// Ascending.
   const std::vector<NullPoint>& null_points() const { return null_points_; }
   /// Of each unknown: 1 if it is held on a bound. Empty: none is.
@@ -78,6 +87,8 @@ class ReducedSystem {
   const BlockStructure& structure() const { return structure_; }
   /// S; after Factorize what the solver makes of it, after Invert the same blocks of S^-1.
   std::vector<double>& values();
+  /// The right-hand side of a step: minus the gradient, points eliminated.
+  const std::vector<double>& rhs() const;
   /// Entry (j, j) of S as it was summed up, of each unknown.
   const std::vector<double>& diagonal() const { return diagonal_; }
 
@@ -91,8 +102,8 @@ class ReducedSystem {
   /// The least of L_jj^2 / S_jj after Factorize: rounding alone where S is singular.
   double SmallestPivot() const;
 
-  /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads, each
-  /// with points that follow each other.
+  /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads, points
+  /// of the same images one after the other: what they read of S is in the cache.
   using PointVisitor =
       std::function<void(int point, const PointBlocks&, const PointAssembler&, int thread)>;
   void ForPoints(const PointVisitor& visit) const { ForPoints(num_threads_, visit); }
@@ -120,7 +131,10 @@ class ReducedSystem {
  private:
   ReducedSystem(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared);
   void Order(const SolveOptions& options);
+  void OrderPoints();
   void FindNullPoints();
+  void AddResiduals(int point, const PointBlocks& blocks, const PointAssembler& rows,
+                    PointSums* sums) const;
   void HoldNullDirections();
   void LinearizeSchur(const SolveOptions& options);
 
@@ -132,14 +146,15 @@ class ReducedSystem {
   std::unique_ptr<LinearSolver> solver_;
   std::unique_ptr<ObservationEvaluator> evaluator_;
   PointAssembler::Tracks tracks_;
+  std::vector<int> point_order_;  ///< free points, in the order of their first blocks
+  PointSums point_sums_;
   std::vector<NullPoint> null_points_;
-  std::vector<double> null_information_;  ///< 9 numbers a null point
-  ProblemFactors factors_;                ///< the problem's, and those that hold null directions
-  ProblemView view_;                      ///< the problem with factors_
+  ProblemFactors factors_;  ///< the problem's, and those that hold null directions
+  ProblemView view_;        ///< the problem with factors_
   std::unique_ptr<SchurProblem> schur_;
   std::vector<uint8_t> held_;
   std::vector<double> diagonal_;
-  std::vector<double> no_values_;
+  std::vector<double> no_values_;  ///< of a system without unknowns
 };
 
 }  // namespace bundle

@@ -36,6 +36,7 @@ COMMANDS = (
     "refine",
     "compare",
     "check",
+    "covariance",
     "diagnose",
     "align",
     "report",

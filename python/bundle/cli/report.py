@@ -65,12 +65,14 @@ def run(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
-    from bundle.errors import shown
+    from bundle.errors import InputError, shown
     from bundle.html import write_report
     from bundle.io import load
     from bundle.report.report import as_json, reported
 
     source, page = arguments.input, arguments.output
+    if page == "-":
+        raise InputError("--output: expected a file for the page, found -")
     check_json(page, source, what="page")
     check_json(arguments.json, source, page)
     with Progress(quiet=arguments.quiet) as progress:

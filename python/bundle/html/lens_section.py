@@ -23,6 +23,10 @@ from bundle.words import number
 __all__ = ["lens_data", "lens_section", "parameter_table"]
 
 
+NONE = 1e-6
+"""Distortion in pixels that is rounding."""
+
+
 def lens_section(
     curves: Sequence[LensCurve], before: Mapping[int, LensCurve], num_cameras: int
 ) -> str:
@@ -116,8 +120,10 @@ def _figure(curve: LensCurve, before: LensCurve | None) -> str:
     }
     heights = [y for line in drawn for y in line.y if math.isfinite(y)]
     heights += [y for band in bands for y in (*band.low, *band.high) if math.isfinite(y)]
+    if all(abs(height) < NONE for height in heights):
+        heights = []
     x_scale = linear([0.0, *(x for line in drawn for x in line.x), *marks.values()])
-    y_scale = linear([*heights, 0.0] if any(heights) else [-1.0, 1.0], low=None)
+    y_scale = linear([*heights, 0.0] if heights else [-1.0, 1.0], low=None)
     chart = lines(
         drawn, x_scale, y_scale, "distance from the principal point [px]", "distortion [px]",
         bands=bands, marks=marks,

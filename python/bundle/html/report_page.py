@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
@@ -132,6 +133,7 @@ class _Page:
             self.sections.append(placement_section(self.place))
             self.data["placement"] = placement_data(self.place)
         self._scene(found)
+        self.sections.insert(0, self._contents())
         title = f"Report on {name}" if name else "Report on a reconstruction"
         write_page(
             path,
@@ -142,6 +144,12 @@ class _Page:
             script=scene_script(),
             style=asset("report.css"),
         )
+
+    def _contents(self) -> str:
+        """Return links to the sections."""
+        found = re.findall(r'<h2 id="(\w+)">([^<]+)</h2>', "".join(self.sections))
+        items = [tag("li", tag("a", title, href=f"#{name}")) for name, title in found]
+        return tag("nav", tag("ul", *items), aria_label="sections")
 
     def _headline(self, name: str, error: Any) -> str:
         of = name or "The reconstruction"

@@ -17,7 +17,10 @@ from bundle.words import plural
 
 __all__ = ["scene_data", "scene_script", "scene_section"]
 
-FRUSTUM = 0.06
+FRUSTUM = 0.08
+"""Depth of a drawn camera, in reaches of the scene."""
+
+MANY = 50
 
 
 def scene_section(view: SceneView, num_points: int, more: str = "") -> str:
@@ -64,6 +67,8 @@ def scene_section(view: SceneView, num_points: int, more: str = "") -> str:
 
 def scene_data(view: SceneView) -> dict[str, Any]:
     """Return the numbers of the view; arrays are base64 of little-endian 32-bit floats."""
+    # Smaller where there are many, which would hide all else.
+    frustum = FRUSTUM * view.reach / max(1.0, (len(view.centers) / MANY) ** 0.5)
     return {
         "origin": view.origin.tolist(),
         "unit": view.unit,
@@ -74,7 +79,7 @@ def scene_data(view: SceneView) -> dict[str, Any]:
         "centers": packed(view.centers),
         "axes": packed(view.axes),
         "fields": packed(view.half_fields),
-        "frustum": FRUSTUM,
+        "frustum": frustum,
         "middle": view.middle.tolist(),
         "reach": view.reach,
         "up": view.up.tolist(),

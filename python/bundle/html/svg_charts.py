@@ -146,7 +146,10 @@ def axes(x_scale: Scale, y_scale: Scale, x_label: str, y_label: str) -> list[str
         x = f"{place_x(x_scale(tick)):.1f}"
         parts.append(tag("line", class_="line", x1=x, x2=x, y1=TOP, y2=bottom))
         words = escape(short(tick))
-        parts.append(tag("text", words, class_="tick", x=x, y=bottom + 16, text_anchor="middle"))
+        anchor = "middle"
+        if place_x(x_scale(tick)) + 3.8 * len(words) > WIDTH:  # half of its width
+            x, anchor = f"{WIDTH - 1}", "end"
+        parts.append(tag("text", words, class_="tick", x=x, y=bottom + 16, text_anchor=anchor))
     for tick in y_scale.ticks:
         y = place_y(y_scale(tick))
         parts.append(tag("line", class_="line", x1=LEFT, x2=right, y1=f"{y:.1f}", y2=f"{y:.1f}"))

@@ -1,0 +1,150 @@
+"""`bundle covariance`."""
+
+from __future__ import annotations
+
+import argparse
+from time import perf_counter
+
+from bundle.cli.constraint_flags import add_constraint_flags, as_options, constraints_given
+from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.option_flags import add_options, naming_flags, options_given, with_named_images
+from bundle.cli.parser import a_path, add_input
+from bundle.options import SolveOptions
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "covariance"
+HELP = "how certain poses, points and intrinsics are: their marginal covariances"
+
+OPTIONS = (
+    "num_threads",
+    "loss",
+    "loss_scale",
+    "refine",
+    "fixed_camera_ids",
+    "fixed_image_ids",
+    "fixed_point_ids",
+    "refine_sensor_from_rig",
+    "fixed_sensors",
+)
+"""What decides the information of a problem."""
+
+FLAGS = {name: f"--{name}" for name in ("of", "relative", "gauge", "scale", "robust")}
+"""Of the arguments of ``bundle.covariance``."""
+
+
+def _word(text: str) -> str:
+    return text.lower().replace("_", "-")
+
+
+def _pairs(text: str) -> list[tuple[int, int]]:
+    """Return the pairs that "1:2,7:3" names."""
+    pairs = []
+    for part in text.split(","):
+        a, _, b = part.partition(":")
+        try:
+            pairs.append((int(a), int(b)))
+        except ValueError:
+            raise argparse.ArgumentTypeError(
+                f"expected pairs A:B of image ids such as 1:2,7:3, found {text!r}"
+            ) from None
+    return pairs
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    parser.usage = "bundle covariance INPUT -o FILE.npz [options]"
+    add_input(parser)
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE.npz",
+        type=a_path,
+        required=True,
+        help="arrays for NumPy: pose_ids, pose_covariance (n, 6, 6; rotation in radians, left "
+        "perturbation of cam_from_world, then translation), point_ids, point_covariance, "
+        "camera_ids, camera_covariance, sigma0, dof and others",
+    )
+    group = parser.add_argument_group("what is wanted")
+    group.add_argument(
+        "--of",
+        metavar="LIST",
+        type=_word,
+        default="poses,points,intrinsics",
+        help="some of poses, points, intrinsics (default: all)",
+    )
+    group.add_argument(
+        "--relative",
+        metavar="A:B,...",
+        type=_pairs,
+        default=[],
+        help="pairs of image ids: covariances of cam_b_from_cam_a (default: none)",
+    )
+    group.add_argument(
+        "--gauge",
+        dest="covariance_gauge",  # it has one more than that of a solve
+        type=_word,
+        choices=("inner", "two-cameras", "three-points", "none"),
+        default="inner",
+        help="how position, direction and scale of the world are held: inner gives the least trace "
+        "(the pseudo-inverse); none: by priors or what is fixed (default: inner)",
+    )
+    group.add_argument(
+        "--scale",
+        type=_word,
+        choices=("unit", "sigma0"),
+        default="unit",
+        help="unit: residuals have a sigma of 1 px; sigma0: the one that they show; priors keep "
+        "theirs (default: unit)",
+    )
+    group.add_argument(
+        "--robust",
+        type=_word,
+        choices=("weights", "sandwich"),
+        default="weights",
+        help="what --loss means: weights of observations, or H^-1 (sum psi psi^T) H^-1, which "
+        "holds for residuals of any distribution (default: weights)",
+    )
+    add_options(parser, SolveOptions, "what is refined, as in the solve", OPTIONS)
+    add_constraint_flags(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compute the covariances of INPUT."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.errors import shown
+    from bundle.io import load
+    from bundle.report.covariance import as_json, uncertainties
+    from bundle.uncertainty import covariance
+
+    source, target = arguments.input, arguments.output
+    check_json(target, source, what="file")
+    check_json(arguments.json, source, target)
+    options = options_given(arguments, SolveOptions, names_follow=True)
+    rules = constraints_given(arguments)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(source)}")
+        problem = load(source)
+        options = with_named_images(options, arguments, problem)
+        progress.stage("inverting")
+        with naming_flags(SolveOptions, **FLAGS):
+            found = covariance(
+                problem,
+                options,
+                of=arguments.of,
+                relative=arguments.relative,
+                gauge=arguments.covariance_gauge,
+                scale=arguments.scale,
+                robust=arguments.robust,
+                constraints=rules,
+            )
+        progress.stage(f"writing {shown(target)}")
+        found.save(target)
+    if arguments.json != "-":
+        show(*uncertainties(source, problem, found, target))
+    wall = perf_counter() - started
+    asked = {name: getattr(options, name) for name in OPTIONS} | as_options(arguments)
+    write_json(arguments.json, as_json(source, problem, found, asked, target, wall))
+    return EXIT_DONE

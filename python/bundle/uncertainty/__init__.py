@@ -1,0 +1,8 @@
+"""How certain a solution is."""
+
+from __future__ import annotations
+
+from bundle.uncertainty.compute_covariance import covariance
+from bundle.uncertainty.covariance_result import Covariance
+
+__all__ = ["Covariance", "covariance"]

@@ -1,0 +1,78 @@
+"""`bundle covariance` from the outside."""
+
+import json
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.cli.main import main
+from tests.scenes import make_problem
+
+
+@pytest.fixture
+def model(tmp_path):
+    problem = make_problem(num_images=4, num_points=30, perturbation=0, format="colmap")
+    bundle.save(bundle.solve(problem).problem, tmp_path / "model")
+    return tmp_path / "model"
+
+
+def run(*words):
+    return main([str(word) for word in words])
+
+
+def test_file_and_report_hold_what_python_gives(model, tmp_path, capsys):
+    target, report = tmp_path / "c.npz", tmp_path / "c.json"
+    flags = ("--gauge", "two-cameras", "--scale", "sigma0", "--relative", "1:3", "--quiet")
+    assert run("covariance", model, "-o", target, "--json", report, *flags) == 0
+    assert "30 points" in capsys.readouterr().out
+    cov = bundle.covariance(model, gauge="two_cameras", scale="sigma0", relative=[(1, 3)])
+    with np.load(target) as file:
+        assert file["point_covariance"] == pytest.approx(cov.point_covariance)
+        assert file["camera_covariance"] == pytest.approx(cov.camera_covariance, nan_ok=True)
+        assert file["relative_ids"].tolist() == [[1, 3]]
+        assert str(file["gauge"]) == "two_cameras"
+    found = json.loads(report.read_text())
+    assert found["command"] == "covariance"
+    assert found["dof"] == cov.dof
+    assert found["sigma0"] == pytest.approx(cov.sigma0)
+    assert found["cameras"][0]["sigma"][0] == pytest.approx(np.sqrt(cov.camera(1)[0, 0]))
+    assert found["cameras"][0]["sigma"][1] is None  # held
+    assert found["relative"][0]["covariance"] == pytest.approx(cov.relative(1, 3))
+
+
+def test_parts_rules_and_losses(model, tmp_path):
+    target = tmp_path / "c.npz"
+    flags = ("--of", "intrinsics", "--set", "cameras *: k fixed", "--loss", "cauchy")
+    assert run("covariance", model, "-o", target, "--robust", "sandwich", *flags) == 0
+    with np.load(target) as file:
+        assert len(file["pose_ids"]) == len(file["point_ids"]) == 0
+        assert np.isnan(file["camera_covariance"][:, 3, 3]).all()
+        assert str(file["robust"]) == "sandwich"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--gauge", "none"),
+        ("--gauge", "some"),
+        ("--of", "lenses"),
+        ("--relative", "1-3"),
+        ("--relative", "1:77"),
+        ("--scale", "sigma0", "--robust", "sandwich"),
+        ("--fix-images", "88"),
+    ],
+)
+def test_wrong_words_are_one_line_and_write_nothing(model, tmp_path, capsys, words):
+    target = tmp_path / "c.npz"
+    assert run("covariance", model, "-o", target, "--quiet", *words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    assert words[0] in error
+    assert not target.exists()
+
+
+def test_it_replaces_no_model(model, capsys):
+    assert run("covariance", model, "-o", model / "points3D.bin") == 2
+    assert capsys.readouterr().err.startswith("error: ")
