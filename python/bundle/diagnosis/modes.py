@@ -256,7 +256,7 @@ def _describe(
         )
         return WeakMode(
             kind=kind,
-            sentence=f"Undetermined: {names} of {named('camera', _camera_ids(unknowns, cameras))}; "
+            sentence=f"Unobserved: {names} of {named('camera', _camera_ids(unknowns, cameras))}; "
             f"{reason}. Hold one of them (--set 'camera {key}: {names.split(', ')[-1]} fixed').",
             image_ids=(),
             camera_ids=_camera_ids(unknowns, cameras),
