@@ -108,7 +108,8 @@ def diagnose(
     modes += weak_modes(unknowns, found["eigenvalues"], found["directions"], tracks, modes)
     points = check_points(start, tracks)
     null = np.asarray(found["null_points"], np.int64)
-    parallel = start.point_ids[null[tracks.lengths[null] > 1]]
+    # At a camera, any ray fits: that is another matter than rays that are one.
+    parallel = np.setdiff1d(start.point_ids[null[tracks.lengths[null] > 1]], points.at_cameras)
     parts: dict[str, Any] = {
         "nullity": int(found["nullity"]),
         "expected_nullity": expected,
