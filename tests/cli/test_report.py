@@ -5,6 +5,8 @@ import json
 import pytest
 
 import bundle
+from tests.cli.test_gps import write_geo
+from tests.georeference.test_prior_alignment import problem_and_goal
 from tests.pictures.test_placement_numbers import RECORD
 from tests.scenes import make_problem
 
@@ -48,6 +50,16 @@ def test_what_refine_said_of_positions_is_on_the_page(run, model, tmp_path):
     assert "Control points and positions" not in page.read_text()
     (note,) = json.loads(report.read_text())["notes"]
     assert "georeference.json" in note
+
+
+def test_positions_are_on_the_page_of_refine(run, tmp_path):
+    problem, goal = problem_and_goal(noise=0.1)
+    bundle.save(problem, tmp_path / "model", "colmap")
+    write_geo(tmp_path / "geo.txt", problem.image_names, goal.projection_centers)
+    page = tmp_path / "page.html"
+    words = ("refine", tmp_path / "model", "-o", tmp_path / "out/", "--gps", tmp_path / "geo.txt")
+    assert run(*words, "--html", page, "--images", tmp_path, "--quiet").code == 0
+    assert "Measured positions of images" in page.read_text()
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import bundle
 from bundle import InputError
 from bundle.figures import residual_fields, residuals
 from bundle.html import write_report
+from bundle.html.photographs import photograph
 from tests.html.browser import check_nothing_is_clipped
 from tests.html.reader import Page
 from tests.pictures.test_placement_numbers import RECORD, covariances
@@ -35,9 +36,9 @@ def written(solved, tmp_path):
     path = tmp_path / "report.html"
     photographs = tmp_path / "photographs"
     photographs.mkdir()
-    for name in ("image0.jpg", "image1.jpg"):
-        Image.new("RGB", (400, 300), (90, 120, 150)).save(photographs / name)
-    Image.new("RGB", (300, 400)).save(photographs / "image2.jpg")  # of another shape
+    first, second = (image.name for image in solved.worst_images[:2])
+    Image.new("RGB", (400, 300), (90, 120, 150)).save(photographs / first)
+    Image.new("RGB", (300, 400)).save(photographs / second)  # of another shape
     notes = write_report(solved, path, images=photographs, name="<b>scene")
     return path, Page(path), notes
 
@@ -70,10 +71,34 @@ def test_the_page_loads_nothing_and_leads_to_its_sections(written):
 
 def test_photographs_are_shown_and_missed(written):
     _, page, notes = written
-    assert page.source.count("data:image/jpeg;base64,") <= 2
-    assert any("No photograph" in words for words in notes)
+    assert page.source.count("data:image/jpeg;base64,") == 1
+    missing, misfit = notes
+    assert "No photograph" in missing and "300 x 400" in misfit
     for words in notes:
         assert words in page.text
+
+
+def test_photographs_outside_of_the_folder_and_broken_ones_are_none(tmp_path):
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    Image.new("RGB", (40, 30)).save(tmp_path / "outside.jpg")
+    Image.new("RGB", (40, 30)).save(folder / "inside.png")
+    (folder / "broken.jpg").write_bytes(b"no picture")
+    outside = str(tmp_path / "outside.jpg")
+    for name in ("../outside.jpg", outside, "broken.jpg", "", "none.jpg"):
+        assert photograph(folder, name) is None
+    assert photograph(folder, "inside.png").size == (40, 30)
+    assert photograph(folder, "left/inside.png").size == (40, 30)
+
+
+def test_histograms_are_those_before_and_after(written, solved):
+    held = data_of(written[1])["histogram"]
+    for label, problem in (("before", solved.initial_problem), ("after", solved.problem)):
+        values = residuals(problem).xy.ravel()
+        expected = np.histogram(values, held["edges"])[0]
+        np.testing.assert_allclose(held["coordinates"][label], expected, atol=1)
+        sigma = 1.4826 * np.median(np.abs(values))
+        assert held["sigma"][label] == pytest.approx(sigma)
 
 
 def test_every_drawn_cell_is_that_of_the_numbers_of_the_page(written, solved, browser):

@@ -46,6 +46,14 @@ def test_a_fisheye_is_compared_to_theta():
     np.testing.assert_allclose(curve.distortion, expected, atol=1e-3)
 
 
+def test_terms_that_are_not_symmetric_cancel():
+    straight = lens_curve(lens("OPENCV", [500.0, 500.0, 400.0, 300.0, -0.1, 0.01, 0.0, 0.0]), 0)
+    skewed = lens_curve(lens("OPENCV", [500.0, 500.0, 400.0, 300.0, -0.1, 0.01, 1e-3, 2e-3]), 0)
+    again = np.interp(straight.radius, skewed.radius, skewed.distortion)
+    np.testing.assert_allclose(again, straight.distortion, atol=0.02)
+    assert np.abs(straight.distortion).max() > 10
+
+
 def test_the_band_is_that_of_the_derivatives():
     f, k = 500.0, -0.1
     covariance = np.full((4, 4), np.nan)
@@ -87,6 +95,12 @@ def test_the_view_has_every_camera_and_point_where_it_is():
     np.testing.assert_allclose(np.linalg.norm([view.up, view.forward], axis=1), 1.0)
     assert view.up @ view.forward == pytest.approx(0.0, abs=1e-12)
     assert view.up @ [0, -1, 0] > 0.9  # images are upright, y down
+
+
+def test_up_is_z_where_the_world_says_so():
+    view = scene_view(make_problem(), None, z_is_up=True)
+    assert view.up.tolist() == [0.0, 0.0, 1.0]
+    assert view.forward @ view.up == 0.0
 
 
 def test_every_kth_point_is_drawn_of_many():

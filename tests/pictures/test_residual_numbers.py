@@ -117,13 +117,16 @@ def test_many_cameras_are_pooled_first():
 
 
 def test_histograms_hold_every_residual():
-    found = {"before": residuals(make_problem(noise=3.0)), "after": residuals(make_problem())}
+    found = {"before": residuals(make_problem(noise=60.0)), "after": residuals(make_problem())}
     histogram = residual_histogram(found)
     for label, of in found.items():
         count = of.xy.size
         inside = histogram.coordinates[label].sum()
         assert inside == pytest.approx(count * (1 - histogram.share_outside[label]))
         assert histogram.lengths[label].sum() == count // 2
+    widths = [np.quantile(np.abs(found[label].xy), 0.99) for label in found]
+    assert widths[0] > 4 * widths[1]
+    assert histogram.edges[-1] == pytest.approx(4 * widths[1])
     normal = np.random.default_rng(0).normal(0.0, 2.0, (20_000, 2))
     made = type(found["after"])(normal, np.ones(20_000, bool))
     assert residual_histogram({"now": made}).sigma["now"] == pytest.approx(2.0, rel=0.03)
@@ -144,6 +147,13 @@ def test_tracks_and_angles_are_those_of_a_loop():
         angle = np.degrees(np.arcsin(max(sines)))
         expected[np.searchsorted(tracks.angle_limits, angle, side="right")] += 1
     assert tracks.angles.tolist() == expected.tolist()
+
+
+def test_points_seen_once_have_no_angle():
+    problem = make_problem(num_images=4, num_points=20, track=1)
+    tracks = track_statistics(problem)
+    assert tracks.lengths.tolist() == [0, 20]
+    assert tracks.angles.sum() == 0
 
 
 def test_worst_images_come_first_with_their_largest_residuals():

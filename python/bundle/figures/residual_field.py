@@ -260,9 +260,7 @@ def _profile(offset: NDArray[np.float64], residual: NDArray[np.float64]) -> Radi
             mean = np.bincount(ring, part, RINGS) / count
             spread = np.bincount(ring, (part - mean[ring]) ** 2, RINGS)
             means.append(mean)
-            errors.append(np.sqrt(spread / ((count - 1.0) * count)))
-    for error in errors:
-        error[count < 2] = np.nan
+            errors.append(np.sqrt(spread / ((count - 1.0) * count)))  # 0 / 0 below two
     return RadialProfile(
         radius=(edges[1:] + edges[:-1]) / 2,
         count=count,
