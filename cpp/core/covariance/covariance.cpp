@@ -93,8 +93,9 @@ class Computation {
 
   static void Check(const LinearSolution& solution) {
     if (solution.status == LinearSolution::Status::kSuccess) return;
-    throw InputError("problem: expected normal equations of full rank but for the gauge: " +
-                     solution.message);
+    std::string why = solution.message;
+    if (!why.empty() && why.back() == '.') why.pop_back();
+    throw InputError("problem: expected normal equations of full rank but for the gauge: " + why);
   }
 
   void Factorize() {
