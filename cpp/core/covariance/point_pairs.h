@@ -1,0 +1,35 @@
+#pragma once
+
+/// Sums over the pairs of a point's blocks: W^T A W for a matrix A with the structure of S.
+
+#include <cstddef>
+#include <vector>
+
+#include "core/covariance/point_blocks.h"
+#include "core/covariance/reduced_system.h"
+
+namespace bundle {
+
+/// Four numbers that a processor adds at once, at any address.
+using Four = double __attribute__((vector_size(32), aligned(8)));
+
+/// W or Y of a point, four numbers a row, the last zero.
+struct PaddedRows {
+  std::vector<double> values;
+
+  void Set(const std::vector<double>& rows) {
+    values.resize(rows.size() / 3 * 4);
+    for (size_t i = 0; i < rows.size() / 3; ++i) {
+      for (int k = 0; k < 3; ++k) values[4 * i + k] = rows[3 * i + k];
+      values[4 * i + 3] = 0;
+    }
+  }
+  const Four* row(int i) const { return reinterpret_cast<const Four*>(&values[4 * size_t(i)]); }
+};
+
+/// sum += X^T A Z, 3 x 3 row-major, for a symmetric A. `is_same`: X is Z.
+void AddPairs(const ReducedSystem& system, const std::vector<double>& values,
+              const PointBlocks& blocks, const PaddedRows& x, const PaddedRows& z, bool is_same,
+              double sum[9]);
+
+}  // namespace bundle

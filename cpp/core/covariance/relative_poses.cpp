@@ -1,0 +1,83 @@
+/// Covariances of relative poses: their images' joint covariance is no block of S, so that columns
+/// of S^-1 are solved for.
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <vector>
+
+#include "core/covariance/covariance_computation.h"
+#include "core/parallel/thread_pool.h"
+
+namespace bundle {
+
+/// The covariance of all unknowns with the pose of an image: unknowns x 6.
+CovarianceComputation::Matrix CovarianceComputation::ColumnsOfImage(int image) {
+  const int n = system_.num_unknowns();
+  Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(n, 6), x(n, 6);
+  for (const LocalMap& map : system_.evaluator().maps(image)) {
+    rhs.middleRows(layout().blocks()[map.block].offset, map.size) +=
+        WholeMap(map).topRows<6>().transpose();
+  }
+  x.setZero();
+  Check(system_.Solve(rhs.data(), 6, x.data()));
+  if (wanted_.sandwich) {
+    FullVectors with_points;  // M H^-1, whose points follow from the cameras
+    with_points.num_columns = 6;
+    with_points.cameras.assign(rhs.data(), rhs.data() + rhs.size());
+    with_points.points.assign(18 * size_t(view().num_points), 0.0);
+    FullVectors once, twice;
+    Check(system_.Solve(with_points, &once));
+    Check(system_.Solve(MeatTimes(system_, once), &twice));
+    x = Eigen::Map<const Eigen::MatrixXd>(twice.cameras.data(), n, 6);
+  }
+  Matrix columns = x;
+  if (const InnerConstraints* const inner = constraints(); inner != nullptr && n > 0) {
+    // The transformation of the columns' own unknowns, by the image's maps.
+    const int d = inner->degrees();
+    std::vector<double> na(size_t(n) * d), ya(na);
+    inner->RowsOfUnknowns(0, n, na.data(), ya.data());
+    const Eigen::Map<const Matrix> all_n(na.data(), n, d), all_y(ya.data(), n, d);
+    const Matrix own_n = rhs.transpose() * all_n, own_y = rhs.transpose() * all_y;
+    inner->Transform(n, na.data(), ya.data(), 6, own_n.data(), own_y.data(), columns.data());
+  }
+  return columns;
+}
+
+/// The rows of an image's pose: 6 x 6.
+CovarianceComputation::Matrix CovarianceComputation::LocalRows(int image,
+                                                               const Matrix& columns) const {
+  Matrix rows = Matrix::Zero(6, 6);
+  for (const LocalMap& map : system_.evaluator().maps(image)) {
+    rows += WholeMap(map).topRows<6>() *
+            columns.middleRows(layout().blocks()[map.block].offset, map.size);
+  }
+  return rows;
+}
+
+CovarianceComputation::Matrix6 CovarianceComputation::OfRelativePose(int a, int b,
+                                                                     const Matrix& from_a,
+                                                                     const Matrix& from_b) const {
+  const PoseState &pose_a = system_.states().pose(a), &pose_b = system_.states().pose(b);
+  const Matrix3 relative = Eigen::Map<const Matrix3>(pose_b.rotation) *
+                           Eigen::Map<const Matrix3>(pose_a.rotation).transpose();
+  const Matrix3 arm = Skew(relative * Eigen::Map<const Vector3>(pose_a.translation));
+  Matrix6 by_a = Matrix6::Zero(), by_b = Matrix6::Identity();
+  by_a.block<3, 3>(0, 0) = -relative;
+  by_a.block<3, 3>(3, 0) = -arm * relative;
+  by_a.block<3, 3>(3, 3) = -relative;
+  by_b.block<3, 3>(3, 0) = arm;
+  const Matrix6 aa = LocalRows(a, from_a), ba = LocalRows(b, from_a), bb = LocalRows(b, from_b);
+  const Matrix6 mixed = by_b * ba * by_a.transpose();
+  return by_a * aa * by_a.transpose() + by_b * bb * by_b.transpose() + mixed + mixed.transpose();
+}
+
+void CovarianceComputation::FindRelative() {
+  output_.relative.resize(36 * wanted_.relative.size());
+  for (size_t k = 0; k < wanted_.relative.size(); ++k) {
+    ThrowIfInterrupted();
+    const auto [a, b] = wanted_.relative[k];
+    Put(OfRelativePose(a, b, ColumnsOfImage(a), ColumnsOfImage(b)), k, &output_.relative);
+  }
+}
+
+}  // namespace bundle
