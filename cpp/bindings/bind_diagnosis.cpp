@@ -51,7 +51,10 @@ py::dict ReducedSpectrum(const py::object& problem, const py::dict& options,
   d["eigenvalues"] = ToImmutableNumpy(std::move(found.eigenvalues), {num_modes_found});
   d["directions"] = ToImmutableNumpy(std::move(found.directions), {num_unknowns, num_modes_found});
   py::list warnings;
-  for (const bundle::Warning& warning : found.warnings) warnings.append(warning.text);
+  for (const bundle::Warning& warning : found.warnings) {
+    warnings.append(
+        py::make_tuple(bundle::NameOf(warning.kind, bundle::kWarningKinds), warning.text));
+  }
   d["warnings"] = warnings;
 #define BUNDLE_FIELD(name) d[#name] = found.name
   BUNDLE_FIELD(expected_nullity);

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tests.campaigns import degenerate, jobs, kills, mutants
+from tests.campaigns import degenerate, healthy, jobs, kills, mutants
 
 
 def misbehave(job):
@@ -45,3 +45,8 @@ def test_kills_leave_the_old_or_the_new():
     cases = kills.campaign(10, num_points=40)
     assert [case.wrong for case in cases if case.wrong] == []
     assert {case.counts["old"] + case.counts["new"] for case in cases} == {2}
+
+
+def test_healthy_blocks_are_not_accused():
+    verdicts = healthy.campaign(12, seed=3)
+    assert [verdict for verdict in verdicts if verdict.accusations] == []

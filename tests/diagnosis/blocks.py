@@ -102,7 +102,7 @@ def component(seed):
     cut = int(rng.integers(2, 5))
     seen = np.zeros((8, 60), bool)
     seen[:cut, :25] = seen[cut:, 25:] = True
-    smaller = range(1, cut + 1) if cut <= 4 else range(cut + 1, 9)
+    smaller = range(1, cut + 1) if cut < 4 else range(cut + 1, 9)
     return Planted("component", block(seed=seed, seen=seen), 14, tuple(smaller))
 
 

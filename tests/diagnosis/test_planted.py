@@ -32,6 +32,8 @@ def test_planted_deficiency_is_named(made):
     if planted.what == "points_without_parallax":
         assert found.points_without_parallax.tolist() == list(planted.ids)
     elif planted.kind == "component":
+        (mode,) = found.weak_modes
+        assert (mode.kind, mode.image_ids, mode.dimension) == ("component", planted.ids, 7)
         sizes = [len(component.image_ids) for component in found.components]
         assert sorted(sizes) == sorted([len(planted.ids), 8 - len(planted.ids)])
         assert planted.ids in {component.image_ids for component in found.components}

@@ -24,8 +24,7 @@ Deflation::Deflation(std::vector<int> piece, const Eigen::MatrixXd& directions)
   }
 }
 
-double Deflation::KeepNull(const Eigen::MatrixXd& product, double tolerance) {
-  double largest = 0;
+void Deflation::KeepNull(const Eigen::MatrixXd& product, double tolerance) {
   for (size_t p = 0; p < rows_.size(); ++p) {
     const Eigen::MatrixXd basis = of_pieces_(rows_[p], Eigen::seqN(0, counts_[p]));
     const Eigen::MatrixXd energy =
@@ -38,11 +37,9 @@ double Deflation::KeepNull(const Eigen::MatrixXd& product, double tolerance) {
     const auto kept = (values.array() <= tolerance).count();
     if (kept > 0) {
       of_pieces_(rows_[p], Eigen::seqN(0, kept)) = basis * solver.eigenvectors().leftCols(kept);
-      largest = std::max(largest, values[kept - 1]);
     }
     counts_[p] = static_cast<int>(kept);
   }
-  return largest;
 }
 
 void Deflation::Add(const Eigen::MatrixXd& directions) {

@@ -15,8 +15,8 @@ class Deflation {
   Deflation(std::vector<int> piece, const Eigen::MatrixXd& directions);
 
   /// Goes to those combinations z of the directions of each piece for which z^T A z is at most
-  /// `tolerance`; `product` is A times directions(). Returns the largest that is kept.
-  double KeepNull(const Eigen::MatrixXd& product, double tolerance);
+  /// `tolerance`; `product` is A times directions().
+  void KeepNull(const Eigen::MatrixXd& product, double tolerance);
 
   /// Takes more, orthonormal and orthogonal to all so far.
   void Add(const Eigen::MatrixXd& directions);

@@ -5,10 +5,9 @@
 ///
 /// 1. Points without parallax are taken out, exactly (covariance/point_blocks.h), and unknowns that
 ///    nothing determines (scaled_system.cpp).
-/// 2. The similarities of the world, and of each piece of it that no point connects with the
-/// others,
-///    have derivatives that are known (model/gauge.h). Combinations z of them with z^T S z = 0 are
-///    null directions; S is positive semidefinite.
+/// 2. The similarities of the world, and of each piece that no point connects with the others, have
+///    derivatives that are known (model/gauge.h). Combinations z of them with z^T S z = 0, but for
+///    rounding (scaled_system.cpp), are null directions; S is positive semidefinite.
 /// 3. The directions beside them with the lowest eigenvalues are those with the highest of
 ///    (S + shift)^-1, projected beside what is known (krylov.h). Those with z^T S z = 0 are null
 ///    directions as well, which the search then leaves out in turn.
@@ -149,8 +148,10 @@ class SpectrumSearch {
 
     const MatrixXd similarities = WorldSimilarities();
     Deflation known(FindPieces(problem_, result_.unknowns, image_piece), similarities);
+    known.KeepNull(AboveRounding(known.directions()), kZeroEigenvalue);
+    const MatrixXd& null = known.directions();
     result_.max_null_eigenvalue =
-        known.KeepNull(system_.Multiply(known.directions()), kZeroEigenvalue);
+        null.cwiseProduct(system_.Multiply(null)).colwise().sum().cwiseAbs().maxCoeff();
     if (num_unseen < system_.size() && Factorize()) {
       FindLowest(num_unseen, num_modes, &known);
       FindHighest();
@@ -240,6 +241,8 @@ class SpectrumSearch {
     return x;
   }
 
+  MatrixXd AboveRounding(const MatrixXd& x) { return system_.Multiply(x) - system_.Rounding(x); }
+
   void FindLowest(int num_unseen, int num_modes, Deflation* known) {
     MatrixXd null(system_.size(), 0);
     for (;;) {
@@ -254,7 +257,9 @@ class SpectrumSearch {
       std::vector<int> is_null, is_weak;
       for (int k = 0; k < found.vectors.cols(); ++k) {
         const double value = found.vectors.col(k).dot(product.col(k));
-        if (value <= kZeroEigenvalue) {
+        const double rounding =
+            found.vectors.col(k).dot(system_.Rounding(found.vectors.col(k)).col(0));
+        if (value - rounding <= kZeroEigenvalue) {
           is_null.push_back(k);
           result_.max_null_eigenvalue = std::max(result_.max_null_eigenvalue, value);
         } else {

@@ -23,6 +23,8 @@ class ScaledSystem {
   int size() const { return static_cast<int>(scale_.size()); }
   /// d; 0 for unknowns that nothing determines.
   const std::vector<double>& scale() const { return scale_; }
+  /// What of z^T S z is rounding, for the columns z of a matrix, as a diagonal matrix times z.
+  Eigen::MatrixXd Rounding(const Eigen::MatrixXd& z) const { return rounding_.asDiagonal() * z; }
   bool is_seen(int unknown) const { return scale_[unknown] > 0; }
 
   Eigen::MatrixXd Multiply(const Eigen::MatrixXd& x);
@@ -39,6 +41,7 @@ class ScaledSystem {
   ReducedSystem* const reduced_;
   const BlockStructure compact_;  ///< of values_: without the fill of the factor
   std::vector<double> scale_;
+  Eigen::VectorXd rounding_;
   std::vector<double> values_;
   SymmetricProduct product_;
 };

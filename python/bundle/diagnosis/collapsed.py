@@ -2,15 +2,13 @@
 
 A solve can shrink a loosely connected part of a scene until its points sit on its cameras. Their
 depths are then orders of magnitude below the others, their derivatives as many above, and
-everything that hangs on them follows. Images that see points so are of one cluster where any common
-points connect them.
+everything that hangs on them follows: all of a connected component are one cluster.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from bundle.components import component_roots
 from bundle.diagnosis.diagnosis_result import CollapsedCluster
 from bundle.diagnosis.track_table import TrackTable
 from bundle.problem import Problem
@@ -26,12 +24,10 @@ def collapsed_clusters(problem: Problem, tracks: TrackTable) -> tuple[CollapsedC
     if not len(chosen):
         return ()
     images, points = problem.observation_image[chosen], problem.observation_point[chosen]
-    concerned = np.isin(tracks.images, images)
-    starts = np.flatnonzero(np.diff(tracks.points[concerned], prepend=-1))
-    root = component_roots(tracks.images[concerned], starts, problem.num_images)[images]
+    piece = tracks.pieces[images]
     clusters = []
-    for one in np.unique(root).tolist():
-        own = root == one
+    for one in np.unique(piece).tolist():
+        own = piece == one
         clusters.append(
             CollapsedCluster(
                 point_ids=_ids(problem.point_ids, points[own]),

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
 from bundle.diagnosis.collapsed import collapsed_clusters
+from bundle.diagnosis.component_modes import component_modes, rotation_modes
 from bundle.diagnosis.diagnosis_result import Component, Diagnosis
 from bundle.diagnosis.findings import findings
 from bundle.diagnosis.modes import null_modes, weak_modes
@@ -100,15 +101,20 @@ def diagnose(
     unknowns = Unknowns(start, found)
     collapsed = collapsed_clusters(start, tracks)
     modes = null_modes(unknowns, found["null_directions"], tracks, collapsed)
+    components = _components(start, tracks)
+    apart = component_modes(start, tracks, components)
+    is_loose = found["nullity"] > expected
+    modes = [*(apart if is_loose else ()), *rotation_modes(start, tracks), *modes]
     modes += weak_modes(unknowns, found["eigenvalues"], found["directions"], tracks, modes)
     points = check_points(start, tracks)
     null = np.asarray(found["null_points"], np.int64)
-    parallel = start.point_ids[null[tracks.lengths[null] > 1]]
+    # At a camera, any ray fits: that is another matter than rays that are one.
+    parallel = np.setdiff1d(start.point_ids[null[tracks.lengths[null] > 1]], points.at_cameras)
     parts: dict[str, Any] = {
         "nullity": int(found["nullity"]),
         "expected_nullity": expected,
         "nullity_is_exact": bool(found["nullity_is_exact"]),
-        "components": _components(start, tracks),
+        "components": components,
         "weak_modes": tuple(modes),
         "points_without_parallax": parallel,
         "collapsed": collapsed,
@@ -127,7 +133,8 @@ def diagnose(
         ],
     }
     bare = Diagnosis(**parts, findings=())
-    return Diagnosis(**parts, findings=findings(bare, start, tracks, unknowns, found, scale_change))
+    said = findings(bare, start, tracks, unknowns, found, apart, scale_change)
+    return Diagnosis(**parts, findings=said)
 
 
 def _held(problem: Problem, options: SolveOptions) -> NDArray[np.bool_]:

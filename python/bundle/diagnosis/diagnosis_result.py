@@ -27,7 +27,7 @@ class WeakMode:
         image_ids: images that move.
         camera_ids: cameras whose parameters move.
         eigenvalue: of the scaled reduced camera system; 0.0 where nothing is determined.
-        dimension: how many such directions there are.
+        dimension: how many such directions the reduced system has; 0 where points alone move.
     """
 
     kind: str

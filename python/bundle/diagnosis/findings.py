@@ -7,16 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from bundle.diagnosis.diagnosis_result import Diagnosis, Finding
+from bundle.diagnosis.diagnosis_result import Diagnosis, Finding, WeakMode
 from bundle.diagnosis.id_lists import named, noun
 from bundle.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.diagnosis.unknowns import Unknowns
-from bundle.diagnosis.viewing import viewing
 from bundle.problem import Problem
 from bundle.words import plural
 
 __all__ = ["findings"]
 
+MOST_COMPONENTS = 5
+"""Components that have a sentence of their own."""
+SAID = ("points_seen_once",)
+"""Warnings of a solve that the diagnosis has in words of its own."""
 DRIFT = 3.0
 """A solve that scales the world by more has drifted."""
 
@@ -27,13 +30,20 @@ def findings(
     tracks: TrackTable,
     unknowns: Unknowns,
     found: dict[str, Any],
+    apart: list[WeakMode],
     scale_change: float | None,
 ) -> tuple[Finding, ...]:
-    """Return what there is to say; `diagnosis` has everything else."""
+    """Return what there is to say; `diagnosis` has everything else.
+
+    ``apart``: what to say of components, whether or not they are loose.
+    """
     all_of_them = [
-        *_components(diagnosis, problem, tracks),
-        *_rotations(problem, tracks),
-        *(_problem(mode.kind, mode.sentence) for mode in diagnosis.weak_modes),
+        *_components(diagnosis, apart),
+        *(
+            _problem(mode.kind, mode.sentence)
+            for mode in diagnosis.weak_modes
+            if mode.kind != "component"
+        ),
         *_collapsed(diagnosis),
         *_points(diagnosis),
         *_images(diagnosis),
@@ -41,7 +51,7 @@ def findings(
         *_factorisation(problem, unknowns, found),
         *_drift(scale_change),
         *_conditioning(diagnosis),
-        *(Finding(kind="warning", is_problem=False, sentence=w) for w in found.get("warnings", [])),
+        *(_note(kind, words) for kind, words in found["warnings"] if kind not in SAID),
     ]
     return tuple(sorted(all_of_them, key=lambda finding: not finding.is_problem))
 
@@ -54,54 +64,17 @@ def _note(kind: str, sentence: str) -> Finding:
     return Finding(kind=kind, is_problem=False, sentence=sentence)
 
 
-def _components(diagnosis: Diagnosis, problem: Problem, tracks: TrackTable) -> Iterator[Finding]:
-    main, *others = diagnosis.components or (None,)
-    if main is None:
+def _components(diagnosis: Diagnosis, apart: list[WeakMode]) -> Iterator[Finding]:
+    if not diagnosis.components:
         yield _problem("no_observations", "There are no observations: nothing is determined.")
-        return
-    for part in others:
-        near = _nearest(problem, tracks, part.image_ids)
-        yield Finding(
-            kind="component",
-            is_problem=diagnosis.nullity > diagnosis.expected_nullity,
-            sentence=f"{named('Image', part.image_ids)} ({plural(part.num_points, 'point')}): "
-            f"another component than the largest, of {plural(len(main.image_ids), 'image')}, with "
-            "which no point is shared. Position, rotation and scale against it are arbitrary. "
-            f"Common points of images {near[0]} and {near[1]}, the nearest to each other, would "
-            f"join them ({plural(near[2], 'point')} of the former and {near[3]} of the latter are "
-            "seen by two images or fewer).",
-        )
-
-
-def _nearest(
-    problem: Problem, tracks: TrackTable, part: tuple[int, ...]
-) -> tuple[int, int, int, int]:
-    """Return the ids of the images of the part and of the main piece that stand nearest.
-
-    And how many points each of them sees that one other image at most sees.
-    """
-    own = np.flatnonzero(np.isin(problem.image_ids, part))[:200]
-    main = np.flatnonzero(tracks.pieces == 0)
-    centers = problem.projection_centers
-    gaps = np.linalg.norm(centers[own][:, None] - centers[main][None], axis=2)
-    first, second = np.unravel_index(int(gaps.argmin()), gaps.shape)
-    a, b = int(own[first]), int(main[second])
-    short = tracks.lengths[tracks.points] <= 2
-    counts = [int((short & (tracks.images == image)).sum()) for image in (a, b)]
-    return int(problem.image_ids[a]), int(problem.image_ids[b]), counts[0], counts[1]
-
-
-def _rotations(problem: Problem, tracks: TrackTable) -> Iterator[Finding]:
-    for piece in range(min(tracks.pieces.max(initial=-1) + 1, 100)):
-        images = np.flatnonzero(tracks.pieces == piece)
-        look = viewing(problem, images) if len(images) > 1 else None
-        if look is not None and look.cause == "pure_rotation":
-            yield _problem(
-                "pure_rotation",
-                f"Pure rotation: {named('image', problem.image_ids[images])} stand at one place "
-                f"(within {look.baseline:.1g} of the distance of their points): no point has a "
-                "depth and the scale is arbitrary. Add images from elsewhere, or hold the points.",
-            )
+    is_problem = diagnosis.nullity > diagnosis.expected_nullity
+    sentences = [mode.sentence for mode in apart[:MOST_COMPONENTS]]
+    rest = apart[MOST_COMPONENTS:]
+    if rest:
+        count = sum(len(mode.image_ids) for mode in rest)
+        sentences.append(f"{plural(len(rest), 'more component')} of {plural(count, 'image')}.")
+    for sentence in sentences:
+        yield Finding(kind="component", is_problem=is_problem, sentence=sentence)
 
 
 def _collapsed(diagnosis: Diagnosis) -> Iterator[Finding]:

@@ -256,7 +256,7 @@ def _describe(
         )
         return WeakMode(
             kind=kind,
-            sentence=f"Undetermined: {names} of {named('camera', _camera_ids(unknowns, cameras))}; "
+            sentence=f"Unobserved: {names} of {named('camera', _camera_ids(unknowns, cameras))}; "
             f"{reason}. Hold one of them (--set 'camera {key}: {names.split(', ')[-1]} fixed').",
             image_ids=(),
             camera_ids=_camera_ids(unknowns, cameras),
@@ -319,7 +319,7 @@ def _of_poses(
     """Return a mode in which poses alone move: parts that few points hold together."""
     ids = unknowns.problem.image_ids
     for kind, pieces, how in (
-        ("few_shared_points", tracks.firm_pieces, "position, rotation and scale"),
+        ("few_shared_points", tracks.firm_pieces, "position, rotation or scale"),
         ("scale_joint", tracks.rigid_pieces, "scale"),
     ):
         numbers, sizes = np.unique(pieces[images], return_counts=True)
@@ -338,8 +338,8 @@ def _of_poses(
         return WeakMode(
             kind=kind,
             sentence=f"{named('Image', _ids(ids, loose))} against the others, in "
-            f"{plural(dimension, 'direction')}: {what}; their {how} is not determined. Match more "
-            "points between them and the others, or hold them.",
+            f"{plural(dimension, 'direction')}: {what}, which leaves {how} open. Match more points "
+            "between them and the others, or hold them.",
             image_ids=_ids(ids, loose),
             camera_ids=(),
             eigenvalue=0.0,
