@@ -47,6 +47,14 @@ class Dense:
         sigma = 1.0 if problem.observation_sigma is None else problem.observation_sigma
         weight = np.sqrt(rho_prime(loss, loss_scale, s / sigma**2)) / sigma
         self.weigh(np.repeat(np.broadcast_to(weight, s.shape), 2))
+        # Along the residual a loss counts as rho' + 2 rho'' s, here beside rho'.
+        ratio = (loss_scale * sigma) ** 2 / s
+        curvature = {
+            "trivial": lambda: np.ones_like(s),
+            "huber": lambda: (ratio >= 1).astype(float),
+            "soft_l1": lambda: ratio / (ratio + 1),
+        }
+        self.along = curvature[loss]() if loss in curvature else None
 
     def weigh(self, weight):
         self.residual = self.residual * weight
@@ -92,6 +100,17 @@ class Dense:
         self.residual = np.concatenate([self.residual, residual])
         self.jacobian = np.vstack([self.jacobian, jacobian])
 
+    def _bent(self):
+        """J of the second derivatives of the loss."""
+        observed = 2 * len(self.along)
+        unit = self.residual[:observed].reshape(-1, 2)
+        unit = unit / np.linalg.norm(unit, axis=1, keepdims=True)
+        rows = self.jacobian[:observed].reshape(-1, 2, len(self.names))
+        part = np.einsum("ni,nij->nj", unit, rows)
+        shrink = np.sqrt(self.along) - 1
+        rows = rows + np.einsum("n,ni,nj->nij", shrink, unit, part)
+        return np.vstack([rows.reshape(observed, -1), self.jacobian[observed:]])
+
     def similarities(self):
         """What moving, turning and scaling the world does to the columns, held or not."""
         n = np.zeros((len(self.names), 7))
@@ -114,12 +133,13 @@ class Dense:
         ``basis``: (columns, unknowns), a column of the identity for each that is free, or sums of
         such. ``num_priors``: last rows, which enter the sandwich by their information.
         """
-        j = self.jacobian @ basis
+        j = (self._bent() if sandwich else self.jacobian) @ basis
         root = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
         inverse = root @ root.T
         if sandwich:
             observed = len(self.residual) - num_priors
-            scores = (j[:observed] * self.residual[:observed, None]).reshape(-1, 2, j.shape[1])
+            weighted = self.jacobian[:observed] @ basis
+            scores = (weighted * self.residual[:observed, None]).reshape(-1, 2, j.shape[1])
             psi = scores.sum(axis=1) @ root
             known = j[observed:] @ root
             inverse = root @ (psi.T @ psi + known.T @ known) @ root.T

@@ -47,6 +47,10 @@ class Computation {
         system_(centered_.view(), options) {}
 
   CovarianceOutput Run() {
+    if (wanted_.sandwich) {
+      system_.UseSecondOrder();
+      system_.SetSystem(SumBread(system_));
+    }
     HoldGauge();
     CountResiduals();
     Factorize();

@@ -154,6 +154,7 @@ bool ObservationEvaluator::Evaluate(int64_t observation, ObservationRows* rows) 
   const double weight = std::sqrt(rho[1]) / sigma;
   for (double& value : rows->residual) value *= weight;
   for (double& value : rows->point) value *= weight;
+  rows->bend = rho[2] == 0 || rho[1] == 0 ? 0 : 2 * rho[2] / (rho[1] * rho[1]);
   rows->num_blocks = 0;
   for (const LocalMap& map : maps_[image]) {
     const int b = rows->num_blocks++;

@@ -7,8 +7,9 @@
 ///
 ///   r~ = sqrt(rho'(||r / s||^2)) r / s,        J~ alike,
 ///
-/// so that J~^T J~ is its block of the Gauss-Newton matrix of the solvers (factors/loss.h). Rows by
-/// the local columns of its image, (w, t) and intrinsics, go to the blocks of the layout by the
+/// so that J~^T J~ is its block of the Gauss-Newton matrix of the solvers (factors/loss.h). The
+/// second derivative of the loss adds beta g g^T with g = J~^T r~ and beta = 2 rho'' / rho'^2. Rows
+/// by the local columns of its image, (w, t) and intrinsics, go to the blocks of the layout by the
 /// maps of schur/column_map.h and factors/rig_pose.h.
 
 #include <cstdint>
@@ -41,6 +42,7 @@ struct ObservationRows {
   static constexpr int kMaxBlocks = 4;
   double residual[2];
   double point[2 * 3];
+  double bend;  ///< beta
   int num_blocks = 0;
   int block[kMaxBlocks];
   int size[kMaxBlocks];

@@ -7,6 +7,8 @@
 /// over the point's observations, V also over factors of the point. Eliminating the point takes
 /// W V^-1 W^T from the camera parameters' matrix.
 ///
+/// With the second derivatives of the loss, beta g_p g_p^T and beta g_b g_p^T are added.
+///
 /// A point that its observations do not determine (one observation, rays without parallax) has
 /// directions n with V n = 0, hence J_p n = 0 in every row and W n = 0: they couple with nothing,
 /// and the exact elimination is that with the pseudo-inverse of V. A direction counts as null if
@@ -25,6 +27,10 @@
 namespace bundle {
 
 inline constexpr double kNullPoint = 1e-12;
+
+/// g = J~^T r~ of an observation: by the unknowns of its block b, and by its point.
+void ShareOf(const ObservationRows& rows, int b, double* share);
+void PointShare(const ObservationRows& rows, double share[3]);
 
 /// 3 x 3 and symmetric, so that rows are columns.
 struct PointBlocks {
@@ -54,7 +60,7 @@ class PointAssembler {
 
   /// Keeps references to all.
   PointAssembler(const ParameterLayout& layout, const ObservationEvaluator& evaluator,
-                 const Tracks& tracks);
+                 const Tracks& tracks, bool second_order = false);
 
   /// Of a free point.
   void Assemble(int point, PointBlocks* blocks);
@@ -65,10 +71,12 @@ class PointAssembler {
 
  private:
   void FindBlocks(PointBlocks* blocks);
+  void AddSecondOrder(const ObservationRows& rows, PointBlocks* blocks) const;
 
   const ParameterLayout& layout_;
   const ObservationEvaluator& evaluator_;
   const Tracks& tracks_;
+  const bool second_order_;
   std::vector<ObservationRows> rows_;  ///< the first num_rows_ of them
   int num_rows_ = 0;
   std::vector<int> place_;  ///< of each block of the layout in PointBlocks::blocks

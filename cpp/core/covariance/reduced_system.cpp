@@ -210,6 +210,12 @@ void ReducedSystem::LinearizeSchur(const SolveOptions& options) {
   held_ = schur_->active_columns();
   if (std::none_of(held_.begin(), held_.end(), [](uint8_t bit) { return bit != 0; })) held_.clear();
   if (!held_.empty()) evaluator_->Hold(held_);
+  ReadDiagonal();
+}
+
+/// And makes rows of what is held those of the identity.
+void ReducedSystem::ReadDiagonal() {
+  diagonal_.clear();
   std::vector<double>& s = values();
   for (int j = 0; j < structure_.num_blocks(); ++j) {
     const int64_t entry = structure_.Entry(j, j);
@@ -219,6 +225,12 @@ void ReducedSystem::LinearizeSchur(const SolveOptions& options) {
       diagonal_.push_back(on_diagonal);
     }
   }
+}
+
+void ReducedSystem::SetSystem(std::vector<double> values) {
+  if (schur_ == nullptr) return;
+  schur_->system().values = std::move(values);
+  ReadDiagonal();
 }
 
 std::vector<double>& ReducedSystem::values() {
@@ -317,7 +329,7 @@ void ReducedSystem::ForPoints(int num_threads, const PointVisitor& visit) const 
   }
   std::atomic<bool> abandoned{false};
   RunOnThreads(num_threads, [&](int64_t thread) {
-    PointAssembler assembler(layout_, *evaluator_, tracks_);
+    PointAssembler assembler(layout_, *evaluator_, tracks_, second_order_);
     PointBlocks blocks;
     try {
       for (size_t k = first[thread]; k < first[thread + 1]; ++k) {

@@ -92,6 +92,10 @@ class ReducedSystem {
   /// Entry (j, j) of S as it was summed up, of each unknown.
   const std::vector<double>& diagonal() const { return diagonal_; }
 
+  /// From now on, V and W have the second derivatives of the loss (sandwich.h); S is given.
+  void UseSecondOrder() { second_order_ = true; }
+  void SetSystem(std::vector<double> values);
+
   LinearSolution Factorize();
   /// X = S^-1 B, unknowns x num_rhs, column-major.
   LinearSolution Solve(const double* rhs, int num_rhs, double* x);
@@ -137,6 +141,7 @@ class ReducedSystem {
                     PointSums* sums) const;
   void HoldNullDirections();
   void LinearizeSchur(const SolveOptions& options);
+  void ReadDiagonal();
 
   const ProblemView& problem_;
   const int num_threads_;
@@ -152,6 +157,7 @@ class ReducedSystem {
   ProblemFactors factors_;  ///< the problem's, and those that hold null directions
   ProblemView view_;        ///< the problem with factors_
   std::unique_ptr<SchurProblem> schur_;
+  bool second_order_ = false;
   std::vector<uint8_t> held_;
   std::vector<double> diagonal_;
   std::vector<double> no_values_;  ///< of a system without unknowns

@@ -36,46 +36,34 @@ class SymmetricSum {
   std::vector<double>& values_;
 };
 
-/// sum over its two rows of the residual by those of a block: the share of an observation.
-void ShareOf(const ObservationRows& rows, int b, double* share) {
-  const double* const j = rows.jacobian[b];
-  for (int k = 0; k < rows.size[b]; ++k) {
-    share[k] = j[k] * rows.residual[0] + j[rows.size[b] + k] * rows.residual[1];
-  }
-}
+double Dot3(const double* a, const double* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-void PointShare(const ObservationRows& rows, double share[3]) {
-  for (int k = 0; k < 3; ++k) {
-    share[k] = rows.point[k] * rows.residual[0] + rows.point[3 + k] * rows.residual[1];
-  }
-}
-
-/// G_i G_i^T
-void AddOwn(const ObservationRows& rows, SymmetricSum* sum) {
+/// of_rows J_i^T J_i + of_scores G_i G_i^T
+void AddOwn(const ObservationRows& rows, double of_rows, double of_scores, SymmetricSum* sum) {
   double shares[ObservationRows::kMaxBlocks][BlockSystem::kMaxBlockSize];
   for (int b = 0; b < rows.num_blocks; ++b) ShareOf(rows, b, shares[b]);
   for (int a = 0; a < rows.num_blocks; ++a) {
     for (int b = 0; b < rows.num_blocks; ++b) {
       if (rows.block[a] < rows.block[b]) continue;
-      sum->Add(rows.block[a], rows.block[b],
-               [&](int r, int c) { return shares[a][r] * shares[b][c]; });
+      sum->Add(rows.block[a], rows.block[b], [&](int r, int c) {
+        const double *const x = rows.jacobian[a] + r, *const y = rows.jacobian[b] + c;
+        return of_rows * (x[0] * y[0] + x[rows.size[a]] * y[rows.size[b]]) +
+               of_scores * shares[a][r] * shares[b][c];
+      });
     }
   }
 }
 
 /// Y P Y^T - F Y^T - Y F^T
 void AddEliminated(const PointBlocks& blocks, const PointScores& scores, SymmetricSum* sum) {
-  const auto dot = [](const double* a, const double* b) {
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-  };
   for (size_t a = 0; a < blocks.blocks.size(); ++a) {
     for (size_t b = 0; b <= a; ++b) {
       sum->Add(blocks.blocks[a], blocks.blocks[b], [&](int r, int c) {
         const size_t at_r = 3 * size_t(blocks.begin[a] + r), at_c = 3 * size_t(blocks.begin[b] + c);
         double by_p[3];
         VectorMatrix3(&blocks.y[at_r], scores.p, by_p);
-        return dot(by_p, &blocks.y[at_c]) - dot(&scores.f[at_r], &blocks.y[at_c]) -
-               dot(&blocks.y[at_r], &scores.f[at_c]);
+        return Dot3(by_p, &blocks.y[at_c]) - Dot3(&scores.f[at_r], &blocks.y[at_c]) -
+               Dot3(&blocks.y[at_r], &scores.f[at_c]);
       });
     }
   }
@@ -106,6 +94,17 @@ void AddFactorRow(const BlockStructure& s, const std::vector<int>& unknowns, con
                              unknowns[b] - s.offset[column])] += j[a] * j[b];
     }
   }
+}
+
+/// J^T J of the factors of camera parameters.
+void AddFactors(const ReducedSystem& system, std::vector<double>* values) {
+  system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
+    if (!rows.points.empty()) return;  // of a point: in its V, or P
+    for (int row = 0; row < rows.num_rows; ++row) {
+      AddFactorRow(system.structure(), rows.unknowns, &rows.jacobian[row * rows.unknowns.size()],
+                   values);
+    }
+  });
 }
 
 /// Y = B X, of a symmetric matrix with the structure of S.
@@ -152,6 +151,27 @@ void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const
   }
 }
 
+std::vector<double> SumBread(const ReducedSystem& system) {
+  const BlockStructure& s = system.structure();
+  std::vector<double> bread(static_cast<size_t>(s.num_values), 0.0);
+  SymmetricSum sum(s, &bread);
+  system.ForPoints(1, [&](int, const PointBlocks& blocks, const PointAssembler& rows, int) {
+    for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), 1, rows.row(i).bend, &sum);
+    for (size_t a = 0; a < blocks.blocks.size(); ++a) {
+      for (size_t b = 0; b <= a; ++b) {
+        sum.Add(blocks.blocks[a], blocks.blocks[b], [&](int r, int c) {
+          return -Dot3(&blocks.y[3 * size_t(blocks.begin[a] + r)],
+                       &blocks.w[3 * size_t(blocks.begin[b] + c)]);
+        });
+      }
+    }
+  });
+  system.ForObservationsOfFixedPoints(
+      [&](const ObservationRows& rows) { AddOwn(rows, 1, rows.bend, &sum); });
+  AddFactors(system, &bread);
+  return bread;
+}
+
 std::vector<double> SumMeat(const ReducedSystem& system) {
   const BlockStructure& s = system.structure();
   std::vector<double> meat(static_cast<size_t>(s.num_values), 0.0);
@@ -161,16 +181,12 @@ std::vector<double> SumMeat(const ReducedSystem& system) {
   system.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& rows, int) {
     PointScores scores;
     SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(point)], &scores);
-    for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), &sum);
+    for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), 0, 1, &sum);
     AddEliminated(blocks, scores, &sum);
   });
-  system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) { AddOwn(rows, &sum); });
-  system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
-    if (!rows.points.empty()) return;  // of a point: in P
-    for (int row = 0; row < rows.num_rows; ++row) {
-      AddFactorRow(s, rows.unknowns, &rows.jacobian[row * rows.unknowns.size()], &meat);
-    }
-  });
+  system.ForObservationsOfFixedPoints(
+      [&](const ObservationRows& rows) { AddOwn(rows, 0, 1, &sum); });
+  AddFactors(system, &meat);
   return meat;
 }
 

@@ -8,6 +8,10 @@
 ///
 ///   cov delta = H^-1 M H^-1,        M = sum psi_i psi_i^T.
 ///
+/// H is the derivative of the gradient, second derivatives of the loss included, those of the
+/// residuals not: sum J^T (rho' I + 2 rho'' r r^T) J. With the weights rho' alone, as solvers have
+/// it, outliers would count as information, and the covariance be too small.
+///
 /// Factors that say what is known before (priors, control points) have a known sigma and enter M by
 /// their information J^T J, the expectation of psi psi^T.
 ///
@@ -37,6 +41,10 @@ struct PointScores {
 /// Of the point that was assembled last; `prior` as in PointAssembler::Tracks, or nullptr.
 void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const double* prior,
                PointScores* scores);
+
+/// S of H with the second derivatives of the loss; may be indefinite where there is no minimum. The
+/// system is one of second order.
+std::vector<double> SumBread(const ReducedSystem& system);
 
 /// B, with the structure of S.
 std::vector<double> SumMeat(const ReducedSystem& system);
