@@ -364,6 +364,7 @@ PYTHON_MAY_IMPORT = {
         "reprojection",
         "rotations",
         "rounds",
+        "uncertainty",
         "worst_images",
     },
     "html": {
@@ -382,6 +383,7 @@ PYTHON_MAY_IMPORT = {
         "reprojection",
         "result",
         "statistics",
+        "uncertainty",
         "words",
     },
     "report": {

@@ -57,6 +57,16 @@ def test_an_image_with_few_observations():
     assert kinds(found, True) == set()
 
 
+def test_an_image_that_is_held_needs_no_common_points():
+    seen = np.ones((8, 72), bool)
+    seen[3, 3:60] = False
+    seen[:3, 60:] = seen[4:, 60:] = False
+    problem = block(seen=seen, num_points=72)
+    assert bundle.diagnose(problem).images_with_few_shared_points.tolist() == [4]
+    held = bundle.diagnose(problem, fixed_image_ids=(4,))
+    assert held.images_with_few_shared_points.tolist() == []
+
+
 def test_a_solve_that_scales_the_world_is_said():
     problem = block()
     solved = bundle.solve(problem, max_num_iterations=2)
@@ -96,7 +106,7 @@ def test_causes(maker, cause):
 def test_images_over_relief_that_never_turn():
     rng = np.random.default_rng(3)
     centers = np.column_stack([rng.uniform(-2, 2, (7, 2)), rng.uniform(-0.3, 0.3, 7)])
-    problem = blocks._looking_down(3, centers, 2.5, np.zeros(7))
+    problem = blocks._looking_down(3, centers, 1.2, np.zeros(7))
     (mode,) = bundle.diagnose(problem).weak_modes
     assert (mode.kind, mode.dimension) == ("parallel_views", 1)
 

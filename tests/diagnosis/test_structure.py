@@ -79,6 +79,26 @@ def test_rigs_give_the_scale_unless_they_are_refined(refined, degrees):
     assert found.ok
 
 
+def test_frames_that_hang_on_few_points_are_named_by_their_images():
+    problem = rig_problem(perturbation=0, num_frames=4)
+    last = problem.image_frame[problem.observation_image] == 3
+    keep = ~last | (problem.observation_point < 2)
+    found = bundle.diagnose(
+        problem.replace(
+            observation_image=problem.observation_image[keep],
+            observation_point=problem.observation_point[keep],
+            observation_xy=problem.observation_xy[keep],
+            observation_keypoint=problem.observation_keypoint[keep],
+        ),
+        refine=POSES_AND_POINTS,
+    )
+    # Both images of the frame see both points: a stereo pair has the distances, not the turn about
+    # the line through the points.
+    assert (found.nullity, found.expected_nullity) == (7, 6)
+    (mode,) = found.weak_modes
+    assert set(mode.image_ids) == set(problem.image_ids[problem.image_frame == 3].tolist())
+
+
 @pytest.mark.parametrize(("count", "degrees"), [(1, 4), (2, 1), (3, 0)])
 def test_positions_take_the_gauge(count, degrees):
     problem = block()

@@ -60,7 +60,7 @@ def test_the_page_loads_nothing_and_leads_to_its_sections(written):
     _, page, _ = written
     inside = [address for address in page.loads if address.startswith("#")]
     assert {address[1:] for address in inside} <= set(page.ids)
-    assert len(inside) == 7
+    assert len(inside) == 8
     others = set(page.loads) - set(inside)
     assert all(address.startswith("data:image/") for address in others)
     rest = re.sub(r"http://www\.w3\.org/(2000/svg|1999/xhtml)", "", page.source)
@@ -185,11 +185,28 @@ def test_the_3d_view_paints_and_its_switches_change_it(written, solved, browser)
     colours, everything = browser.evaluate(painted)
     assert colours > 10 and everything > 300
     browser.click("[data-shows=points]")
+    _, others = browser.evaluate(painted)
+    browser.click("[data-shows=ellipsoids]")
     _, cameras = browser.evaluate(painted)
     browser.click("[data-shows=cameras]")
-    assert 0 < cameras < everything
+    assert 0 < cameras < others < everything
     assert browser.evaluate(painted)[1] == 0
     assert browser.complaints() == []
+
+
+def test_sigmas_are_those_of_the_library(written, solved):
+    _, page, _ = written
+    cov = bundle.covariance(solved, scale="sigma0")
+    sigmas = {row[2]: row[-1] for row in page.rows if len(row) == 6 and row[0] == "1"}
+    expected = np.sqrt(np.diag(cov.camera(1)))
+    assert float(sigmas["f"]) == pytest.approx(expected[0], rel=1e-3)
+    assert float(sigmas["k"]) == pytest.approx(expected[3], rel=1e-3)
+    (lens,) = data_of(page)["lenses"]
+    assert max(lens["sigma"]) > 0
+    assert "inner" in page.text
+    rotations = next(row for row in page.rows if "rotation of a camera" in row[0])
+    worst = [np.linalg.eigvalsh(block[:3, :3])[-1] for block in cov.pose_covariance]
+    assert float(rotations[2]) == pytest.approx(np.degrees(np.sqrt(np.median(worst))), rel=1e-2)
 
 
 def test_placement_and_certainty_are_on_the_page_where_they_are_known(solved, tmp_path, browser):
@@ -233,9 +250,9 @@ def nothing_observed():
 @pytest.mark.parametrize(
     ("problem", "num_notes"),
     [
-        (nothing_observed(), 1),
-        (make_problem(num_images=1, num_points=5), 0),
-        (make_problem(num_images=2, num_points=1), 0),
+        (nothing_observed(), 2),
+        (make_problem(num_images=1, num_points=5), 1),
+        (make_problem(num_images=2, num_points=1), 1),
         (scene(), 0),  # no sizes, no names
     ],
     ids=["nothing", "one image", "one point", "bal"],

@@ -58,6 +58,9 @@ def covariances(problem, rng):
         sigma0=0.5,
         dof=100,
         gauge="inner",
+        scale="sigma0",
+        notes=("A note.",),
+        null_point_ids=[7, 8],
     )  # fmt: skip
 
 

@@ -96,8 +96,6 @@ def diagnose(
     expected = int(found["expected_nullity"])
     if known is not None:
         expected = _expected_beside_factors(start, options, known.factors, tracks, found)
-    elif limits is not None and limits.held_pose_parts is not None:
-        expected = int(found["num_gauge"])
     unknowns = Unknowns(start, found)
     collapsed = collapsed_clusters(start, tracks)
     modes = null_modes(unknowns, found["null_directions"], tracks, collapsed)

@@ -8,7 +8,7 @@ covariance is J C J^T with J = [-R^T [t]x, -R^T].
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,24 +16,13 @@ from numpy.typing import NDArray
 from bundle.problem import Problem
 from bundle.rotations import rotation_matrices
 
-__all__ = ["Certainty", "Covariances", "certainty"]
+if TYPE_CHECKING:
+    from bundle.uncertainty import Covariance
+
+__all__ = ["Certainty", "certainty"]
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
-
-
-class Covariances(Protocol):
-    """Marginal covariances, as :func:`bundle.covariance` has them."""
-
-    pose_ids: Ids
-    pose_covariance: Array
-    point_ids: Ids
-    point_covariance: Array
-    camera_ids: Ids
-    camera_covariance: Array
-    sigma0: float
-    dof: int
-    gauge: str
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,6 +33,9 @@ class Certainty:
         sigma0: of an observation of unit weight [pixels].
         dof: degrees of freedom.
         gauge: in which covariances of poses and points hold.
+        scale: "sigma0" where they are scaled by sigma0, "unit" where not.
+        notes: sentences about what to know of them.
+        num_null_points: points without parallax, left out along the direction that nothing sees.
         images: (n,) indices.
         centers: (n, 3, 3) covariances of camera centres [length unit squared].
         angles: (n,) standard deviation of the rotation about its worst axis [degrees].
@@ -55,6 +47,9 @@ class Certainty:
     sigma0: float
     dof: int
     gauge: str
+    scale: str
+    notes: tuple[str, ...]
+    num_null_points: int
     images: Ids
     centers: Array
     angles: Array
@@ -63,7 +58,7 @@ class Certainty:
     cameras: dict[int, Array]
 
 
-def certainty(problem: Problem, given: Covariances) -> Certainty:
+def certainty(problem: Problem, given: Covariance) -> Certainty:
     """Return covariances as the report shows them."""
     images = _indices(problem.image_ids, given.pose_ids)
     poses = problem.cam_from_world[images]
@@ -74,7 +69,10 @@ def certainty(problem: Problem, given: Covariances) -> Certainty:
     return Certainty(
         sigma0=float(given.sigma0),
         dof=int(given.dof),
-        gauge=str(given.gauge),
+        gauge=given.gauge,
+        scale=given.scale,
+        notes=given.notes,
+        num_null_points=len(given.null_point_ids),
         images=images,
         centers=jacobian @ covariance @ np.swapaxes(jacobian, 1, 2),
         angles=np.rad2deg(np.sqrt(largest_eigenvalues(covariance[:, :3, :3]))),

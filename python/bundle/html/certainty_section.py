@@ -16,7 +16,7 @@ from bundle.html.page import tag
 from bundle.html.scene_section import packed
 from bundle.html.table import table
 from bundle.problem import Problem
-from bundle.words import number
+from bundle.words import number, plural
 
 __all__ = ["certainty_section", "scene_ellipsoids", "sigmas_of"]
 
@@ -27,10 +27,14 @@ LARGE = 0.02
 
 def certainty_section(problem: Problem, known: Certainty, cameras: Sequence[int]) -> str:
     """Return sigmas of poses and points, and the correlation matrix of each of some cameras."""
+    scaled = "times" if known.scale == "sigma0" else "not scaled by"
     words = (
-        f"Marginal standard deviations, scaled by sigma0 = {number(known.sigma0)} px "
+        f"Marginal standard deviations, {scaled} sigma0 = {number(known.sigma0)} "
         f"({known.dof:,} degrees of freedom); gauge: {known.gauge.replace('_', ' ')}."
     )
+    if known.num_null_points:
+        count = plural(known.num_null_points, "point", grouped=True)
+        words += f" {count} without parallax: left out along the direction that nothing sees."
     rows = [
         _row("position of a camera, worst direction [length unit]",
              np.sqrt(largest_eigenvalues(known.centers))),
@@ -39,7 +43,12 @@ def certainty_section(problem: Problem, known: Certainty, cameras: Sequence[int]
              np.sqrt(largest_eigenvalues(known.point_covariance))),
     ]  # fmt: skip
     head = ["standard deviation", "count", "median", "95th percentile", "largest"]
-    parts = [tag("p", escape(words), class_="quiet"), table(head, [row for row in rows if row])]
+    notes = [tag("p", escape(note), class_="warn") for note in known.notes]
+    parts = [
+        tag("p", escape(words), class_="quiet"),
+        *notes,
+        table(head, [row for row in rows if row]),
+    ]
     figures = [_correlations(problem, index, known.cameras[index])
                for index in cameras if index in known.cameras]  # fmt: skip
     figures = [figure for figure in figures if figure]
@@ -107,7 +116,7 @@ def ellipsoid_data(
 
 
 def _row(name: str, values: NDArray[np.float64]) -> list[str]:
-    known = values[np.isfinite(values)]
+    known = values[np.isfinite(values) & (values > 0)]  # what is held has none
     if len(known) == 0:
         return []
     shares = np.quantile(known, [0.5, 0.95, 1.0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import re
 from collections.abc import Mapping
@@ -47,11 +46,12 @@ from bundle.io import Source, as_path, as_problem
 from bundle.problem import Problem
 from bundle.result import Result
 from bundle.statistics import describe
+from bundle.uncertainty import covariance as compute_covariance
 from bundle.words import pixels
 
 if TYPE_CHECKING:
-    from bundle.figures.certainty import Covariances
     from bundle.georeference import Georeference
+    from bundle.uncertainty import Covariance
 
 __all__ = ["write_report"]
 
@@ -64,7 +64,7 @@ def write_report(
     *,
     images: str | os.PathLike[str] | None = None,
     georeference: Mapping[str, Any] | Georeference | None = None,
-    covariance: Covariances | None = None,
+    covariance: Covariance | None = None,
     name: str = "",
 ) -> tuple[str, ...]:
     """Write one HTML page about a reconstruction, which needs no network and no other file.
@@ -77,7 +77,8 @@ def write_report(
             there on.
         georeference: how well the model fits positions and control points: the content of
             ``georeference.json``, or what ``bundle.georeference`` makes of a result.
-        covariance: of this very problem; None computes it.
+        covariance: of this very problem, from :func:`bundle.covariance`; None computes it, which
+            takes what the solve was given beside the problem where priors took part.
         name: of the reconstruction, for the title.
 
     Returns:
@@ -221,15 +222,14 @@ class _Page:
         self.sections.append(tag("h2", "3-D view", id="scene"))
         self.sections.append(scene_section(view, self.problem.num_points, words))
 
-    def certainty_of(self, given: Covariances | None) -> Certainty | None:
+    def certainty_of(self, given: Covariance | None) -> Certainty | None:
         """Return what is known of the certainty; None, and a note, where it cannot be computed."""
-        # By name, as covariances are an addition that this page does without.
-        compute = getattr(importlib.import_module("bundle"), "covariance", None)
-        if given is None and callable(compute):
+        if given is None:
+            source = self.problem if self.result is None else self.result
             try:
-                given = compute(self.result or self.problem, scale="sigma0")
+                given = compute_covariance(source, scale="sigma0")
             except InputError as error:
-                self.no_certainty = f"No covariance: {error}."
+                self.no_certainty = f"No covariance: {str(error).rstrip('.')}."
         return None if given is None else certainty(self.problem, given)
 
     def _certainty(self) -> None:
