@@ -184,7 +184,8 @@ class _Recipe:
         sigma0 = float(np.sqrt(out["weighted_squares"] / dof)) if dof > 0 else float("nan")
         notes = list(out["warnings"])
         cost = 0.5 * out["weighted_squares"]
-        if out["predicted_decrease"] > AT_MINIMUM * cost:
+        # Control points start where the rays of their pixels meet, not where a solve had put them.
+        if placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
             share = 100 * out["predicted_decrease"] / cost if cost > 0 else float("inf")
             notes.append(
                 f"This is no minimum: a step of a solve would lower the cost by about "
