@@ -327,7 +327,7 @@ class SpectrumSearch {
     result_.num_gauge = vanish - (scale_is_seen ? 1 : 0);
     if (basis.cols() == 0) return;
     const MatrixXd rest = known.Project(basis);
-    const VectorXd sines = Eigen::BDCSVD<MatrixXd>(rest).singularValues();
+    const VectorXd sines = Eigen::JacobiSVD<MatrixXd>(rest).singularValues();
     result_.num_gauge += static_cast<int>((sines.array() < kZeroSine).count());
   }
 

@@ -222,7 +222,7 @@ class GaugeCount {
       const double squared = squares_[first + j];
       if (squared > 0) scaled.col(j) /= std::sqrt(squared);
     }
-    const Eigen::BDCSVD<MatrixXd> decomposition(scaled);
+    const Eigen::JacobiSVD<MatrixXd> decomposition(scaled);
     return static_cast<int>((decomposition.singularValues().array() < kZeroSingularValue).count());
   }
 
