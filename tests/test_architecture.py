@@ -357,6 +357,7 @@ PYTHON_MAY_IMPORT = {
         "statistics",
     },
     "figures": {
+        "_core",
         "camera_edits",
         "cameras",
         "errors",

@@ -56,6 +56,19 @@ py::tuple ReprojectionErrors(const py::object& problem, int num_threads) {
   return py::make_tuple(errors, behind);
 }
 
+py::tuple ReprojectionResiduals(const py::object& problem, int num_threads) {
+  const bundle::ProblemView view = ViewProblem(problem);
+  py::array_t<double> residuals({py::ssize_t{view.num_observations}, py::ssize_t{2}});
+  py::array_t<bool> behind(view.num_observations);
+  double* residuals_data = residuals.mutable_data();
+  auto* behind_data = reinterpret_cast<uint8_t*>(behind.mutable_data());
+  {
+    py::gil_scoped_release release;
+    bundle::ComputeReprojectionResiduals(view, num_threads, residuals_data, behind_data);
+  }
+  return py::make_tuple(residuals, behind);
+}
+
 /// Returns (residual, d_pose, d_params, d_point); `rotation_offsets` is (num_images, 3).
 py::tuple Linearize(const py::object& problem, bool algebraic,
                     const py::array_t<double, py::array::c_style>& rotation_offsets) {
@@ -83,6 +96,8 @@ void BindProblem(py::module_& m) {
   m.def("freeze", &Freeze, py::arg("array"));
   m.def("is_immutable", &IsImmutable, py::arg("array"));
   m.def("reprojection_errors", &ReprojectionErrors, py::arg("problem"), py::arg("num_threads"));
+  m.def("reprojection_residuals", &ReprojectionResiduals, py::arg("problem"),
+        py::arg("num_threads"));
   m.def("linearize", &Linearize, py::arg("problem"), py::arg("algebraic"),
         py::arg("rotation_offsets"));
 }

@@ -12,6 +12,7 @@ from bundle.figures import (
     track_statistics,
     worst_residuals,
 )
+from bundle.reprojection import reprojection_errors
 from tests.scenes import make_problem, scene
 from tests.scenes import residuals as by_formula
 
@@ -22,6 +23,17 @@ def test_residuals_are_those_of_the_formulas(model):
     found = residuals(problem)
     np.testing.assert_allclose(found.xy, by_formula(problem), rtol=1e-10, atol=1e-9)
     assert found.counted.all()
+
+
+def test_residuals_go_the_shorter_way_around_the_seam_of_a_panorama():
+    problem = make_problem(model="EQUIRECTANGULAR", num_points=30, noise=0.1)
+    xy = problem.observation_xy.copy()
+    width = problem.camera_params[problem.image_camera[problem.observation_image[7]], 0]
+    xy[7, 0] += width if xy[7, 0] < width / 2 else -width
+    found = residuals(problem.replace(observation_xy=xy))
+    np.testing.assert_allclose(found.xy, residuals(problem).xy, atol=1e-9)
+    errors, _ = reprojection_errors(problem.replace(observation_xy=xy))
+    np.testing.assert_allclose(found.lengths, errors, rtol=1e-12)
 
 
 def test_points_behind_cameras_count_only_where_it_is_algebraic():

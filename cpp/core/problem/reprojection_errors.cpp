@@ -52,24 +52,11 @@ void LinearizeOne(const ProblemView& problem, const PoseState& pose, int64_t i,
   }
 }
 
-}  // namespace
-
-void CheckCameraModelsKnown(const ProblemView& problem) {
-  const auto& models = problem.camera_models;
-  if (std::find(models.begin(), models.end(), nullptr) == models.end()) return;
-  for (int64_t i = 0; i < problem.num_observations; ++i) {
-    const int image = problem.observation_image[i];
-    const int camera = problem.image_camera[image];
-    if (problem.camera_models[camera] == nullptr) {
-      throw InputError("image " + std::to_string(problem.image_ids[image]) + ": camera " +
-                       std::to_string(problem.camera_ids[camera]) + " has the camera model " +
-                       problem.camera_model_names[camera] + ", which is not supported");
-    }
-  }
-}
-
-void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, double* errors,
-                               uint8_t* behind) {
+/// Calls visit(observation, residual) for every observation, on all threads; where the formula has
+/// no value the residual is NaN.
+template <typename Visit>
+void ForResiduals(const ProblemView& problem, int num_threads, uint8_t* behind,
+                  const Visit& visit) {
   CheckCameraModelsKnown(problem);
   std::vector<double> rotations(9 * static_cast<size_t>(problem.num_images));
   for (int64_t i = 0; i < problem.num_images; ++i) {
@@ -88,12 +75,42 @@ void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, doub
       const double* params = problem.ParamsOf(camera);
       const Projection projection = model.project(params, point, xy, nullptr, nullptr);
       behind[i] = projection != Projection::kValid;
-      errors[i] = std::numeric_limits<double>::quiet_NaN();
-      if (projection == Projection::kUndefined) continue;
-      double residual[2];
-      model.difference(params, xy, problem.observation_xy + 2 * i, residual);
-      errors[i] = Length(residual);
+      constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+      double residual[2] = {kNaN, kNaN};
+      if (projection != Projection::kUndefined) {
+        model.difference(params, xy, problem.observation_xy + 2 * i, residual);
+      }
+      visit(i, residual);
     }
+  });
+}
+
+}  // namespace
+
+void CheckCameraModelsKnown(const ProblemView& problem) {
+  const auto& models = problem.camera_models;
+  if (std::find(models.begin(), models.end(), nullptr) == models.end()) return;
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    const int image = problem.observation_image[i];
+    const int camera = problem.image_camera[image];
+    if (problem.camera_models[camera] == nullptr) {
+      throw InputError("image " + std::to_string(problem.image_ids[image]) + ": camera " +
+                       std::to_string(problem.camera_ids[camera]) + " has the camera model " +
+                       problem.camera_model_names[camera] + ", which is not supported");
+    }
+  }
+}
+
+void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, double* errors,
+                               uint8_t* behind) {
+  ForResiduals(problem, num_threads, behind,
+               [=](int64_t i, const double* residual) { errors[i] = Length(residual); });
+}
+
+void ComputeReprojectionResiduals(const ProblemView& problem, int num_threads, double* residuals,
+                                  uint8_t* behind) {
+  ForResiduals(problem, num_threads, behind, [=](int64_t i, const double* residual) {
+    std::copy_n(residual, 2, residuals + 2 * i);
   });
 }
 

@@ -18,6 +18,10 @@ namespace bundle {
 void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, double* errors,
                                uint8_t* behind);
 
+/// The same with r itself: residuals (num_observations x 2).
+void ComputeReprojectionResiduals(const ProblemView& problem, int num_threads, double* residuals,
+                                  uint8_t* behind);
+
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.
 void CheckCameraModelsKnown(const ProblemView& problem);
 
