@@ -17,7 +17,7 @@ void CovarianceComputation::FindPoints() {
   for (int p = 0; p < view().num_points; ++p) {
     if (begin[p] == begin[p + 1]) std::fill_n(&output_.points[9 * size_t(p)], 9, kUnknown);
   }
-  const std::vector<double>& c = system_values();
+  const std::vector<double>& c = system_.values();
   const std::vector<double>& prior = system_.tracks().prior;
   std::vector<PaddedRows> padded(system_.num_threads());
   system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int thread) {

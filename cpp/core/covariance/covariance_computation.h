@@ -31,8 +31,7 @@ class CovarianceComputation {
 
   CovarianceComputation(const ProblemView& problem, const SolveOptions& options,
                         const CovarianceOptions& wanted)
-      : problem_(problem),
-        frame_(problem),
+      : frame_(problem),
         centered_(problem, frame_),
         options_(options),
         wanted_(wanted),
@@ -53,8 +52,8 @@ class CovarianceComputation {
       Check(SolveForScatter(&system_, meat, &scatter_));
     }
     Check(system_.Invert());
-    FindPoses();
-    FindCameras();
+    FindImages();
+    FindRigs();
     if (wanted_.of_points) FindPoints();
     for (const NullPoint& null : system_.null_points()) output_.null_points.push_back(null.point);
     output_.warnings = system_.warnings();
@@ -156,13 +155,9 @@ class CovarianceComputation {
   Matrix BlockOf(int a, int b) const {
     Matrix block = Matrix::Zero(layout().blocks()[a].size, layout().blocks()[b].size);
     if (!system_.HasBlock(a, b)) return block;
-    system_.CopyBlock(wanted_.sandwich ? scatter_ : system_values(), a, b, block.data());
+    system_.CopyBlock(wanted_.sandwich ? scatter_ : system_.values(), a, b, block.data());
     Constrain(layout().blocks()[a].offset, layout().blocks()[b].offset, &block);
     return block;
-  }
-
-  const std::vector<double>& system_values() const {
-    return const_cast<ReducedSystem&>(system_).values();
   }
 
   /// M of one of an image's maps, all local columns x unknowns.
@@ -181,10 +176,11 @@ class CovarianceComputation {
   Matrix OfImage(int image) const {
     Matrix joint = Matrix::Zero(kLocal, kLocal);
     const std::vector<LocalMap>& maps = system_.evaluator().maps(image);
-    for (const LocalMap& a : maps) {
-      const Matrix from = WholeMap(a);
-      for (const LocalMap& b : maps) {
-        joint += from * BlockOf(a.block, b.block) * WholeMap(b).transpose();
+    std::vector<Matrix> whole;
+    for (const LocalMap& map : maps) whole.push_back(WholeMap(map));
+    for (size_t a = 0; a < maps.size(); ++a) {
+      for (size_t b = 0; b < maps.size(); ++b) {
+        joint += whole[a] * BlockOf(maps[a].block, maps[b].block) * whole[b].transpose();
       }
     }
     return joint;
@@ -205,18 +201,43 @@ class CovarianceComputation {
     Eigen::Map<Matrix6>(to->data() + 36 * index) = 0.5 * (covariance + covariance.transpose());
   }
 
-  void FindPoses() {
+  /// Poses of images, and cameras by the first image of each that is observed.
+  void FindImages() {
+    constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+    const int num_cameras = view().num_cameras, stride = view().camera_params_stride;
     output_.poses.resize(36 * size_t(view().num_images));
-    output_.frames.resize(36 * size_t(view().num_frames));
-    output_.sensors.resize(36 * size_t(view().num_sensors));
+    output_.cameras.assign(size_t(num_cameras) * stride * stride, kUnknown);
+    std::vector<uint8_t> is_done(num_cameras);
     const std::vector<uint8_t> is_observed = FindObservedImages(view());
     for (int i = 0; i < view().num_images; ++i) {
-      const Matrix6 covariance = OfImage(i).topLeftCorner<6, 6>();
-      Put(MovedBack(i, covariance), i, &output_.poses);
-      if (is_observed[i] == 0 && system_.evaluator().maps(i).empty()) {
-        std::fill_n(&output_.poses[36 * size_t(i)], 36, std::numeric_limits<double>::quiet_NaN());
+      const Matrix joint = OfImage(i);
+      Put(MovedBack(i, joint.topLeftCorner<6, 6>()), i, &output_.poses);
+      if (is_observed[i] == 0) {
+        const bool is_free = !system_.evaluator().maps(i).empty();
+        if (!is_free) std::fill_n(&output_.poses[36 * size_t(i)], 36, kUnknown);
+      } else if (const int camera = view().image_camera[i]; is_done[camera] == 0) {
+        is_done[camera] = 1;
+        PutCamera(i, joint, &output_.cameras[size_t(camera) * stride * stride]);
       }
     }
+  }
+
+  /// What is refined of the intrinsics, stride x stride.
+  void PutCamera(int image, const Matrix& joint, double* to) const {
+    const int stride = view().camera_params_stride;
+    const uint32_t refined = layout().RefinedColumns(view(), image) >> kPoseSize;
+    for (int a = 0; a < std::min(stride, kMaxCameraParams); ++a) {
+      for (int b = 0; b < std::min(stride, kMaxCameraParams); ++b) {
+        if ((refined >> a & refined >> b & 1) == 0) continue;
+        to[size_t(a) * stride + b] =
+            0.5 * (joint(kPoseSize + a, kPoseSize + b) + joint(kPoseSize + b, kPoseSize + a));
+      }
+    }
+  }
+
+  void FindRigs() {
+    output_.frames.resize(36 * size_t(view().num_frames));
+    output_.sensors.resize(36 * size_t(view().num_sensors));
     for (int pose = view().num_images; pose < NumPoses(view()); ++pose) {
       Matrix6 covariance = Matrix6::Zero();
       if (const int index = layout().pose_block(pose); index >= 0) {
@@ -232,29 +253,6 @@ class CovarianceComputation {
         Put(MovedBack(pose, covariance), frame, &output_.frames);
       } else {
         Put(covariance, sensor, &output_.sensors);
-      }
-    }
-  }
-
-  /// By the first image of each.
-  void FindCameras() {
-    const int stride = view().camera_params_stride;
-    const auto size = size_t(stride) * stride;
-    output_.cameras.assign(size * view().num_cameras, std::numeric_limits<double>::quiet_NaN());
-    std::vector<uint8_t> is_done(view().num_cameras);
-    const std::vector<uint8_t> is_observed = FindObservedImages(view());
-    for (int i = 0; i < view().num_images; ++i) {
-      const int camera = view().image_camera[i];
-      if (is_done[camera] != 0 || is_observed[i] == 0) continue;
-      is_done[camera] = 1;
-      const Matrix joint = OfImage(i);
-      const uint32_t refined = layout().RefinedColumns(view(), i) >> kPoseSize;
-      for (int a = 0; a < std::min(stride, kMaxCameraParams); ++a) {
-        for (int b = 0; b < std::min(stride, kMaxCameraParams); ++b) {
-          if ((refined >> a & refined >> b & 1) == 0) continue;
-          output_.cameras[size * camera + size_t(a) * stride + b] =
-              0.5 * (joint(kPoseSize + a, kPoseSize + b) + joint(kPoseSize + b, kPoseSize + a));
-        }
       }
     }
   }
@@ -275,7 +273,6 @@ class CovarianceComputation {
   Matrix ColumnsOfImage(int image);
   Matrix LocalRows(int image, const Matrix& columns) const;
 
-  const ProblemView& problem_;
   const SceneFrame frame_;
   const CenteredProblem centered_;
   const SolveOptions& options_;

@@ -36,26 +36,6 @@ World FindWorld(const ProblemView& problem) {
   return world;
 }
 
-/// Of (w, t) of a pose, six rows.
-void PoseRows(const PoseState& pose, const World& world, double rows[6][kCount]) {
-  double moved_center[3];
-  MatrixVector3(pose.rotation, world.center, moved_center);
-  for (int i = 0; i < 3; ++i) {
-    for (int k = 0; k < 3; ++k) {
-      double axis[3] = {0, 0, 0}, lever[3], turned[3];
-      axis[k] = 1;
-      Cross3(axis, world.center, lever);
-      MatrixVector3(pose.rotation, lever, turned);
-      rows[i][k] = 0;
-      rows[i][3 + k] = -pose.rotation[3 * i + k];
-      rows[3 + i][k] = -world.size * pose.rotation[3 * i + k];
-      rows[3 + i][3 + k] = turned[i];
-    }
-    rows[i][6] = 0;
-    rows[3 + i][6] = pose.translation[i] + moved_center[i];
-  }
-}
-
 void PointRows(const double* point, const World& world, double rows[3][kCount]) {
   const double arm[3] = {point[0] - world.center[0], point[1] - world.center[1],
                          point[2] - world.center[2]};
@@ -85,15 +65,19 @@ FullVectors AllDirections(const ReducedSystem& system) {
   for (int pose = 0; pose < NumPoses(problem); ++pose) {
     if (layout.pose_block(pose) < 0) continue;
     const CameraBlock& block = layout.blocks()[layout.pose_block(pose)];
-    double rows[kPoseSize][kCount] = {};
+    const PoseState& state = system.states().pose(pose);
+    double rows[kPoseSize * kCount] = {};
     if (pose < problem.num_images + problem.num_frames) {
-      PoseRows(system.states().pose(pose), world, rows);
+      GaugeRowsOfPose(state, world.center, rows);
+      for (int i = 0; i < kPoseSize; ++i) {
+        for (int m = 0; m < 3; ++m) rows[i * kCount + m] *= world.size;
+      }
     } else {  // a sensor's place on its rig scales with the world
-      for (int i = 0; i < 3; ++i) rows[3 + i][6] = system.states().pose(pose).translation[i];
+      for (int i = 0; i < 3; ++i) rows[(3 + i) * kCount + 6] = state.translation[i];
     }
     for (int k = 0; k < block.size && block.columns[k] < kPoseSize; ++k) {
       for (int m = 0; m < kCount; ++m) {
-        n.cameras[m * num_unknowns + block.offset + k] = rows[block.columns[k]][m];
+        n.cameras[m * num_unknowns + block.offset + k] = rows[block.columns[k] * kCount + m];
       }
     }
   }
@@ -112,7 +96,7 @@ FullVectors AllDirections(const ReducedSystem& system) {
 
 /// J N as the triangle of its QR factorisation, and the squares of its rows' parts. J^T J of N
 /// alone would lose half of the digits.
-class GaugeRows {
+class GaugeTriangle {
  public:
   void Add(const Row& by_cameras, const Row& by_points) {
     rows_.row(count_++) = by_cameras + by_points;
@@ -120,7 +104,7 @@ class GaugeRows {
     if (count_ == kRows) Fold();
   }
 
-  void Add(const GaugeRows& other) {
+  void Add(const GaugeTriangle& other) {
     parts_ += other.parts_;
     for (int i = 0; i < other.count_; ++i) {
       rows_.row(count_++) = other.rows_.row(i);
@@ -169,7 +153,7 @@ Row TimesPoint(const FullVectors& n, size_t num_coordinates, const double* row, 
 }
 
 void AddRows(const ReducedSystem& system, const FullVectors& n, const ObservationRows& rows,
-             int point, GaugeRows* gauge) {
+             int point, GaugeTriangle* gauge) {
   const auto num_unknowns = static_cast<size_t>(system.num_unknowns());
   for (int row = 0; row < 2; ++row) {
     Row by_cameras = Row::Zero(), by_point = Row::Zero();
@@ -185,15 +169,15 @@ void AddRows(const ReducedSystem& system, const FullVectors& n, const Observatio
   }
 }
 
-GaugeRows SumUp(const ReducedSystem& system, const FullVectors& n) {
-  std::vector<GaugeRows> of_thread(system.num_threads());
+GaugeTriangle SumUp(const ReducedSystem& system, const FullVectors& n) {
+  std::vector<GaugeTriangle> of_thread(system.num_threads());
   system.ForPoints([&](int point, const PointBlocks&, const PointAssembler& assembler, int thread) {
     for (int r = 0; r < assembler.num_rows(); ++r) {
       AddRows(system, n, assembler.row(r), point, &of_thread[thread]);
     }
   });
-  GaugeRows total;
-  for (const GaugeRows& rows : of_thread) total.Add(rows);
+  GaugeTriangle total;
+  for (const GaugeTriangle& rows : of_thread) total.Add(rows);
   system.ForObservationsOfFixedPoints(
       [&](const ObservationRows& rows) { AddRows(system, n, rows, -1, &total); });
   system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
@@ -215,7 +199,7 @@ GaugeRows SumUp(const ReducedSystem& system, const FullVectors& n) {
 }
 
 /// The combinations of the seven that nothing sees, 7 x degrees.
-Eigen::MatrixXd FindFree(GaugeRows rows) {
+Eigen::MatrixXd FindFree(GaugeTriangle rows) {
   const Square triangle = rows.Triangle();
   // A similarity that moves nothing that is seen is none: a scale without points, for instance.
   std::vector<int> kept;
@@ -301,8 +285,7 @@ void FreeGauge::Hold(ReducedSystem* system) const {
     return;
   }
   for (const int unknown : ChooseHeld(n_, diagonal)) {
-    const auto after = std::upper_bound(s.offset.begin(), s.offset.end(), unknown);
-    const auto block = static_cast<int>(after - s.offset.begin()) - 1;
+    const int block = s.BlockOf(unknown);
     const int k = unknown - s.offset[block];
     system->values()[s.ValueIndex(block, s.Entry(block, block), k, k)] += diagonal[unknown];
   }

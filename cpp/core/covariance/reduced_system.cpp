@@ -132,6 +132,10 @@ std::vector<double>& ReducedSystem::values() {
   return schur_ == nullptr ? no_values_ : schur_->system().values;
 }
 
+const std::vector<double>& ReducedSystem::values() const {
+  return schur_ == nullptr ? no_values_ : schur_->system().values;
+}
+
 const std::vector<double>& ReducedSystem::rhs() const {
   return schur_ == nullptr ? no_values_ : schur_->system().rhs;
 }
@@ -277,7 +281,6 @@ void ReducedSystem::ForFactors(const std::function<void(const FactorRows&)>& vis
 
 bool ReducedSystem::HasBlock(int row, int column) const {
   if (row < column) std::swap(row, column);
-  if (structure_.dense) return true;
   const auto first = structure_.row_block.begin() + structure_.column_begin[column];
   const auto last = structure_.row_block.begin() + structure_.column_begin[column + 1];
   return std::binary_search(first, last, row);

@@ -87,6 +87,7 @@ class ReducedSystem {
   const BlockStructure& structure() const { return structure_; }
   /// S; after Factorize what the solver makes of it, after Invert the same blocks of S^-1.
   std::vector<double>& values();
+  const std::vector<double>& values() const;
   /// The right-hand side of a step: minus the gradient, points eliminated.
   const std::vector<double>& rhs() const;
   /// Entry (j, j) of S as it was summed up, of each unknown.

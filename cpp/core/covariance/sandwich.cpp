@@ -69,26 +69,12 @@ void AddEliminated(const PointBlocks& blocks, const PointScores& scores, Symmetr
   }
 }
 
-/// Calls visit(block row, entry) for the blocks of a block column.
-template <typename Visit>
-void ForBlocks(const BlockStructure& s, int j, const Visit& visit) {
-  if (s.dense) {
-    for (int i = j; i < s.num_blocks(); ++i) visit(i, s.Entry(j, i));
-    return;
-  }
-  for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) visit(s.row_block[e], e);
-}
-
 /// j^T j of one row of a factor.
 void AddFactorRow(const BlockStructure& s, const std::vector<int>& unknowns, const double* j,
                   std::vector<double>* values) {
-  const auto block_of = [&s](int unknown) {
-    const auto after = std::upper_bound(s.offset.begin(), s.offset.end(), unknown);
-    return static_cast<int>(after - s.offset.begin()) - 1;
-  };
   for (size_t a = 0; a < unknowns.size(); ++a) {
     for (size_t b = 0; b < unknowns.size(); ++b) {
-      const int row = block_of(unknowns[a]), column = block_of(unknowns[b]);
+      const int row = s.BlockOf(unknowns[a]), column = s.BlockOf(unknowns[b]);
       if (row < column) continue;
       (*values)[s.ValueIndex(column, s.Entry(column, row), unknowns[a] - s.offset[row],
                              unknowns[b] - s.offset[column])] += j[a] * j[b];
@@ -105,27 +91,6 @@ void AddFactors(const ReducedSystem& system, std::vector<double>* values) {
                    values);
     }
   });
-}
-
-/// Y = B X, of a symmetric matrix with the structure of S.
-void Multiply(const BlockStructure& s, const std::vector<double>& values, const double* x,
-              int num_columns, double* y) {
-  const auto n = static_cast<size_t>(s.num_columns());
-  std::fill_n(y, n * num_columns, 0.0);
-  for (int j = 0; j < s.num_blocks(); ++j) {
-    ForBlocks(s, j, [&](int i, int64_t e) {
-      for (int c = 0; c < s.block_size(j); ++c) {
-        for (int r = i == j ? c : 0; r < s.block_size(i); ++r) {
-          const double value = values[s.ValueIndex(j, e, r, c)];
-          const int row = s.offset[i] + r, column = s.offset[j] + c;
-          for (int m = 0; m < num_columns; ++m) {
-            y[m * n + row] += value * x[m * n + column];
-            if (row != column) y[m * n + column] += value * x[m * n + row];
-          }
-        }
-      }
-    });
-  }
 }
 
 }  // namespace
@@ -195,6 +160,7 @@ LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>&
   const BlockStructure& s = system->structure();
   const auto n = static_cast<size_t>(s.num_columns());
   scatter->assign(meat.size(), 0.0);
+  SymmetricProduct product(s, system->num_threads());
   std::vector<double> x, y;
   for (int first = 0; first < s.num_blocks();) {
     ThrowIfInterrupted();
@@ -204,20 +170,21 @@ LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>&
     x.assign(n * columns, 0.0);
     y.assign(n * columns, 0.0);
     for (int c = 0; c < columns; ++c) y[c * n + s.offset[first] + c] = 1;
-    for (const bool is_second : {false, true}) {
-      const LinearSolution solution = system->Solve(y.data(), columns, x.data());
-      if (solution.status != LinearSolution::Status::kSuccess) return solution;
-      if (!is_second) Multiply(s, meat, x.data(), columns, y.data());
-    }
+    LinearSolution solution = system->Solve(y.data(), columns, x.data());
+    if (solution.status != LinearSolution::Status::kSuccess) return solution;
+    for (int c = 0; c < columns; ++c) product.Multiply(meat, &x[c * n], &y[c * n]);
+    solution = system->Solve(y.data(), columns, x.data());
+    if (solution.status != LinearSolution::Status::kSuccess) return solution;
     for (int j = first; j < last; ++j) {
-      ForBlocks(s, j, [&](int i, int64_t e) {
+      for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) {
+        const int i = s.row_block[e];
         for (int c = 0; c < s.block_size(j); ++c) {
           const double* const from = &x[(s.offset[j] - s.offset[first] + c) * n + s.offset[i]];
           for (int r = 0; r < s.block_size(i); ++r) {
             (*scatter)[s.ValueIndex(j, e, r, c)] = from[r];
           }
         }
-      });
+      }
     }
     first = last;
   }

@@ -46,6 +46,11 @@ struct BlockStructure {
     return std::lower_bound(first, last, row) - row_block.begin();
   }
 
+  /// The block that has row or column `j` of the matrix.
+  int BlockOf(int j) const {
+    return static_cast<int>(std::upper_bound(offset.begin(), offset.end(), j) - offset.begin()) - 1;
+  }
+
   /// Offset of entry (r, c) of block e in block column j.
   int64_t ValueIndex(int j, int64_t e, int r, int c) const {
     return panel_begin[j] + static_cast<int64_t>(c) * panel_stride[j] + row_in_panel[e] + r;

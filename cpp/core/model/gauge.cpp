@@ -159,7 +159,6 @@ std::string FixThreePoints(const ProblemView& problem, const std::vector<int>& p
 }
 
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-using PoseRows = Eigen::Matrix<double, kPoseSize, kNumGaugeDirections>;
 
 Eigen::Vector3d MeanCentre(const CameraStates& cameras, int num_images) {
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
@@ -169,20 +168,6 @@ Eigen::Vector3d MeanCentre(const CameraStates& cameras, int num_images) {
            Eigen::Map<const Eigen::Vector3d>(pose.translation);
   }
   return num_images == 0 ? sum : Eigen::Vector3d(sum / num_images);
-}
-
-PoseRows OfPose(const PoseState& pose, const Eigen::Vector3d& centre) {
-  const Matrix3 rotation = Eigen::Map<const Matrix3>(pose.rotation);
-  const Eigen::Vector3d translation = Eigen::Map<const Eigen::Vector3d>(pose.translation);
-  const Matrix3 left_jacobian = Eigen::Map<const Matrix3>(pose.left_jacobian);
-  PoseRows rows = PoseRows::Zero();
-  rows.block<3, 3>(3, 0) = -rotation;
-  rows.block<3, 3>(0, 3) = -left_jacobian.inverse() * rotation;
-  for (int k = 0; k < 3; ++k) {
-    rows.block<3, 1>(3, 3 + k) = rotation * Eigen::Vector3d::Unit(k).cross(centre);
-  }
-  rows.block<3, 1>(3, 6) = translation + rotation * centre;
-  return rows;
 }
 
 /// Holds the free coordinate of a pose's translation in which `direction` is largest. False where
@@ -249,6 +234,22 @@ std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* fr
                                      : FixThreePoints(problem, points, free);
 }
 
+void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
+                     double rows[kPoseSize * kNumGaugeDirections]) {
+  const Matrix3 rotation = Eigen::Map<const Matrix3>(pose.rotation);
+  const Eigen::Vector3d translation = Eigen::Map<const Eigen::Vector3d>(pose.translation);
+  const Matrix3 left_jacobian = Eigen::Map<const Matrix3>(pose.left_jacobian);
+  const Eigen::Vector3d c = Eigen::Map<const Eigen::Vector3d>(centre);
+  Eigen::Map<Eigen::Matrix<double, kPoseSize, kNumGaugeDirections, Eigen::RowMajor>> out(rows);
+  out.setZero();
+  out.block<3, 3>(3, 0) = -rotation;
+  out.block<3, 3>(0, 3) = -left_jacobian.inverse() * rotation;
+  for (int k = 0; k < 3; ++k) {
+    out.block<3, 1>(3, 3 + k) = rotation * Eigen::Vector3d::Unit(k).cross(c);
+  }
+  out.block<3, 1>(3, 6) = translation + rotation * c;
+}
+
 std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras) {
   constexpr int kCount = kNumGaugeDirections;
@@ -259,11 +260,12 @@ std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterL
   for (int i = 0; i < problem.num_images + problem.num_frames; ++i) {
     if (layout.pose_block(i) < 0) continue;
     const CameraBlock& block = layout.blocks()[layout.pose_block(i)];
-    const PoseRows rows = OfPose(cameras.pose(i), centre);
+    double rows[kPoseSize * kCount];
+    GaugeRowsOfPose(cameras.pose(i), centre.data(), rows);
     for (int k = 0; k < block.size; ++k) {
       if (block.columns[k] >= kPoseSize) break;
       double* const to = &gauge_directions[static_cast<size_t>(block.offset + k) * kCount];
-      for (int m = 0; m < kCount; ++m) to[m] = rows(block.columns[k], m);
+      for (int m = 0; m < kCount; ++m) to[m] = rows[block.columns[k] * kCount + m];
     }
   }
   return gauge_directions;

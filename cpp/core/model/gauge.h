@@ -24,6 +24,11 @@ std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* fr
 /// Translations, rotations and the scale of the world.
 inline constexpr int kNumGaugeDirections = 7;
 
+/// What they do to the chart (w, t) of a pose that is not a sensor's, turned and scaled about a
+/// point: (w, t) x directions, row-major.
+void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
+                     double rows[kPoseSize * kNumGaugeDirections]);
+
 /// What moving, turning and scaling the world does to the camera parameters: for each column of
 /// the layout, its derivative by three translations, three rotations and the scale.
 std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterLayout& layout,
