@@ -36,7 +36,7 @@ from bundle.display import Display, Displayed
 from bundle.io import Source, as_problem
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.rotations import rotation_matrices
+from bundle.rotations import cross_matrices, rotation_matrices
 from bundle.words import plural
 
 if TYPE_CHECKING:
@@ -270,7 +270,7 @@ class _Count:
             arm = self._problem.sensor_from_rig[sensor, 4:] / self._size
             column = self._sensor_column[sensor]
             rows[:3, column : column + 3] = -np.eye(3)
-            rows[3:, column : column + 3] = _cross(translation - arm)
+            rows[3:, column : column + 3] = cross_matrices(translation - arm)
             rows[3:, column + 3 : column + 6] = -np.eye(3)
         return rows
 
@@ -318,12 +318,12 @@ class _Count:
         """
         rotation = rotation_matrices(pose[None, :4])[0]
         turn, shift = rows[:3], self._size * rows[3:]
-        shift = shift + _cross(rotation @ middle) @ turn
+        shift = shift + cross_matrices(rotation @ middle) @ turn
         moved = np.vstack([rotation.T @ turn, rotation.T @ shift])
         return np.asarray(moved, np.float64)
 
     def _point_motion(self, point: _Matrix) -> _Matrix:
-        return np.hstack([np.eye(3), -_cross(point), point[:, None]])
+        return np.hstack([np.eye(3), -cross_matrices(point), point[:, None]])
 
     def _add(self, rows: _Matrix) -> None:
         self._waiting.append(rows)
@@ -346,9 +346,3 @@ def _nullity(rows: _Matrix, squares: _Matrix) -> int:
     scaled = rows / np.sqrt(np.where(squares > 0, squares, 1.0))
     values = np.linalg.svd(scaled, compute_uv=False)
     return width - int((values > RANK_TOLERANCE).sum())
-
-
-def _cross(v: _Matrix) -> _Matrix:
-    """Return the matrix of v x."""
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -101,3 +101,11 @@ def rotation_matrices(quaternions: Array) -> Array:
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), 2, 0)
+
+
+def cross_matrices(vectors: Array) -> Array:
+    """Return (..., 3, 3) matrices [v]x of (..., 3) vectors, [v]x a = v x a."""
+    x, y, z = np.moveaxis(np.asarray(vectors), -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))

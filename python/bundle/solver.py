@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Set
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,9 +33,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "STATE",
+    "Prepared",
     "Progress",
     "Solver",
     "constrained",
+    "prepare",
     "resolve_defaults",
     "settle",
     "solve",
@@ -141,11 +143,9 @@ def solve(
     problem = as_problem(problem)
     options = SolveOptions.of(options, changes, "solve")
     check_function("progress", progress)
-    placed = place_at_priors(problem, factors, priors, align)
-    start, options, applied = constrained(placed.problem, options, constraints)
-    options, known, limits = settle(start, options, placed.factors, bounds, applied)
-    given = None if known is None else known.core()
-    output = _core.solve(start, options.asdict(), progress, limits, given)
+    ready = prepare(problem, options, factors, priors, align, bounds, constraints)
+    placed, options, limits = ready.placed, ready.options, ready.limits
+    output = _core.solve(ready.start, options.asdict(), progress, limits, ready.core_factors())
     return with_priors(_result(placed.problem, options, output, limits), placed, problem)
 
 
@@ -371,6 +371,43 @@ def with_priors(result: Result, start: Start, given: Problem) -> Result:
         similarity=start.similarity,
         control_points=start.control_points(refined),
     )
+
+
+class Prepared(NamedTuple):
+    """What a solve with priors, factors and rules begins with.
+
+    Attributes:
+        placed: the problem in the frame of the priors.
+        start: the same as the rules have it.
+        options: nothing left to choose.
+        known: the factors, those of priors and rules too; None without any.
+        limits: bounds, and what the rules hold and tie; None without any.
+    """
+
+    placed: Start
+    start: Problem
+    options: SolveOptions
+    known: ProblemFactors | None
+    limits: Restrictions | None
+
+    def core_factors(self) -> Any:
+        """Return the factors as the core takes them."""
+        return None if self.known is None else self.known.core()
+
+
+def prepare(
+    problem: Problem,
+    options: SolveOptions,
+    factors: Iterable[Factor],
+    priors: Iterable[Prior],
+    align: bool | None,
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None,
+    constraints: Constraints | Iterable[str | Rule] | Applied,
+) -> Prepared:
+    """Place a problem at its priors, apply the rules, check factors and fill in the options."""
+    placed = place_at_priors(problem, factors, priors, align)
+    start, options, applied = constrained(placed.problem, options, constraints)
+    return Prepared(placed, start, *settle(start, options, placed.factors, bounds, applied))
 
 
 def settle(

@@ -7,7 +7,13 @@ from time import perf_counter
 
 from bundle.cli.constraint_flags import add_constraint_flags, as_options, constraints_given
 from bundle.cli.error_lines import EXIT_DONE
-from bundle.cli.option_flags import add_options, naming_flags, options_given, with_named_images
+from bundle.cli.option_flags import (
+    WHAT_IS_REFINED,
+    add_options,
+    naming_flags,
+    options_given,
+    with_named_images,
+)
 from bundle.cli.parser import a_path, add_input
 from bundle.options import SolveOptions
 
@@ -16,17 +22,7 @@ __all__ = ["HELP", "NAME", "add_arguments", "run"]
 NAME = "covariance"
 HELP = "how certain poses, points and intrinsics are: their marginal covariances"
 
-OPTIONS = (
-    "num_threads",
-    "loss",
-    "loss_scale",
-    "refine",
-    "fixed_camera_ids",
-    "fixed_image_ids",
-    "fixed_point_ids",
-    "refine_sensor_from_rig",
-    "fixed_sensors",
-)
+OPTIONS = (*WHAT_IS_REFINED, "loss", "loss_scale")
 """What decides the information of a problem."""
 
 FLAGS = {name: f"--{name}" for name in ("of", "relative", "gauge", "scale", "robust")}

@@ -8,6 +8,7 @@ from time import perf_counter
 from bundle.cli.constraint_flags import add_constraint_flags, as_options, constraints_given
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import (
+    WHAT_IS_REFINED,
     add_options,
     naming_flags,
     options_given,
@@ -22,18 +23,7 @@ NAME = "diagnose"
 HELP = "what the observations do not determine, and why: rank, weak directions, pieces, points"
 
 # What the linearisation depends on.
-OPTIONS = (
-    "num_threads",
-    "refine",
-    "fixed_camera_ids",
-    "fixed_image_ids",
-    "fixed_point_ids",
-    "refine_sensor_from_rig",
-    "fixed_sensors",
-    "gauge",
-    "loss",
-    "loss_scale",
-)
+OPTIONS = (*WHAT_IS_REFINED, "gauge", "loss", "loss_scale")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

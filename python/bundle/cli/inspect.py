@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import (
+    WHAT_IS_REFINED,
     add_options,
     naming_flags,
     options_given,
@@ -26,16 +27,7 @@ NAME = "inspect"
 HELP = "what each way to solve a problem will cost: nonzeros, fill, flops, memory, time per step"
 
 # What decides the pattern, and how many threads the times are for.
-OPTIONS = (
-    "num_threads",
-    "refine",
-    "fixed_camera_ids",
-    "fixed_image_ids",
-    "fixed_point_ids",
-    "refine_sensor_from_rig",
-    "fixed_sensors",
-    "gauge",
-)
+OPTIONS = (*WHAT_IS_REFINED, "gauge")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

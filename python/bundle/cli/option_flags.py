@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from bundle.problem import Problem
 
 __all__ = [
+    "WHAT_IS_REFINED",
     "add_options",
     "choice_word",
     "naming_flags",
@@ -28,6 +29,17 @@ __all__ = [
 ]
 
 Options = TypeVar("Options")
+
+WHAT_IS_REFINED = (
+    "num_threads",
+    "refine",
+    "fixed_camera_ids",
+    "fixed_image_ids",
+    "fixed_point_ids",
+    "refine_sensor_from_rig",
+    "fixed_sensors",
+)
+"""Options of the commands that look at a problem without solving it, and for how many threads."""
 
 
 def add_options(

@@ -21,10 +21,9 @@ from bundle.diagnosis.unknowns import Unknowns
 from bundle.free_degrees import gauge_freedom
 from bundle.io import Source, as_problem
 from bundle.options import SolveOptions
-from bundle.placement import place_at_priors
 from bundle.problem import Problem
 from bundle.result import Result
-from bundle.solver import constrained, settle
+from bundle.solver import prepare
 
 if TYPE_CHECKING:
     from bundle.constraints import Constraints, Rule
@@ -86,16 +85,16 @@ def diagnose(
     options = SolveOptions.of(options, changes, "diagnose")
     if options.gauge == "auto":
         options = options.replace(gauge="none")
-    placed = place_at_priors(problem, factors, priors, align)
-    start, options, applied = constrained(placed.problem, options, constraints)
-    options, known, limits = settle(start, options, placed.factors, bounds, applied)
+    ready = prepare(problem, options, factors, priors, align, bounds, constraints)
+    start, options = ready.start, ready.options
 
     tracks = TrackTable(start)
-    given = None if known is None else known.core()
-    found = _core.reduced_spectrum(start, options.asdict(), tracks.pieces, limits, given)
+    found = _core.reduced_spectrum(
+        start, options.asdict(), tracks.pieces, ready.limits, ready.core_factors()
+    )
     expected = int(found["expected_nullity"])
-    if known is not None:
-        expected = _expected_beside_factors(start, options, known.factors, tracks, found)
+    if ready.known is not None:
+        expected = _expected_beside_factors(start, options, ready.known.factors, tracks, found)
     unknowns = Unknowns(start, found)
     collapsed = collapsed_clusters(start, tracks)
     modes = null_modes(unknowns, found["null_directions"], tracks, collapsed)

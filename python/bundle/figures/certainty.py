@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.problem import Problem
-from bundle.rotations import rotation_matrices
+from bundle.rotations import cross_matrices, rotation_matrices
 
 if TYPE_CHECKING:
     from bundle.uncertainty import Covariance
@@ -64,7 +64,7 @@ def certainty(problem: Problem, given: Covariance) -> Certainty:
     poses = problem.cam_from_world[images]
     rotation = rotation_matrices(poses[:, :4])
     back = np.swapaxes(rotation, 1, 2)
-    jacobian = -np.concatenate([back @ _cross(poses[:, 4:]), back], axis=2)
+    jacobian = -np.concatenate([back @ cross_matrices(poses[:, 4:]), back], axis=2)
     covariance = np.asarray(given.pose_covariance, float).reshape(-1, 6, 6)
     return Certainty(
         sigma0=float(given.sigma0),
@@ -96,13 +96,6 @@ def largest_eigenvalues(covariance: Array) -> Array:
         values[known] = np.linalg.eigvalsh(covariance[known])[:, -1]
     result: Array = np.maximum(values, 0.0)
     return result
-
-
-def _cross(vectors: Array) -> Array:
-    x, y, z = vectors.T
-    zero = np.zeros(len(vectors))
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 def _indices(ids: Ids, wanted: Ids) -> Ids:

@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 
 from bundle.camera_edits.exact_image import PERSPECTIVE, focal_and_center
 from bundle.cameras import camera_models, project
-from bundle.figures.residual_field import MOST_CAMERAS, principal_point
+from bundle.figures.residual_field import (
+    MOST_CAMERAS,
+    by_observations,
+    observations_of_cameras,
+    principal_point,
+)
 from bundle.problem import Problem
 
 __all__ = ["LensCurve", "lens_curve", "most_observed_cameras"]
@@ -60,10 +65,7 @@ class LensCurve:
 
 def most_observed_cameras(problem: Problem, most: int = MOST_CAMERAS) -> list[int]:
     """Return indices of at most ``most`` observed cameras, most observations first."""
-    camera = problem.image_camera[problem.observation_image]
-    number = np.bincount(camera, minlength=problem.num_cameras)
-    observed = np.flatnonzero(number)
-    return [int(i) for i in observed[np.argsort(-number[observed], kind="stable")][:most]]
+    return by_observations(observations_of_cameras(problem))[:most]
 
 
 def lens_curve(

@@ -26,7 +26,9 @@ __all__ = [
     "SIGNIFICANT",
     "RadialProfile",
     "ResidualField",
+    "by_observations",
     "field_of",
+    "observations_of_cameras",
     "principal_point",
     "residual_fields",
 ]
@@ -149,19 +151,32 @@ def residual_fields(
         found: its residuals.
         most: fields.
     """
-    camera = problem.image_camera[problem.observation_image]
-    number = np.bincount(camera[found.counted], minlength=problem.num_cameras)
-    observed = np.flatnonzero(number)
-    by_number = observed[np.argsort(-number[observed], kind="stable")]
-    groups: list[Sequence[int]] = [[int(index)] for index in by_number[:most]]
+    number = observations_of_cameras(problem, found.counted)
+    observed = by_observations(number)
+    groups: list[Sequence[int]] = [[index] for index in observed[:most]]
     if len(observed) > most:
         kinds: dict[tuple[str, int, int], list[int]] = {}
-        for index in observed:
+        for index in sorted(observed):
             width, height = problem.camera_sizes[index].tolist()
-            kinds.setdefault((problem.camera_models[index], width, height), []).append(int(index))
+            kinds.setdefault((problem.camera_models[index], width, height), []).append(index)
         commonest = max(kinds.values(), key=lambda cameras: int(number[cameras].sum()))
         groups = [commonest, *groups[: most - 1]] if len(commonest) > 1 else groups
     return [field_of(problem, found, group) for group in groups]
+
+
+def observations_of_cameras(
+    problem: Problem, counted: NDArray[np.bool_] | None = None
+) -> NDArray[np.int64]:
+    """Return (num_cameras,) how many observations each camera has, or how many of those counted."""
+    image = problem.observation_image if counted is None else problem.observation_image[counted]
+    return np.bincount(problem.image_camera[image], minlength=problem.num_cameras)
+
+
+def by_observations(number: NDArray[np.int64]) -> list[int]:
+    """Return indices of the cameras that have some, most observations first."""
+    observed = np.flatnonzero(number)
+    ordered: list[int] = observed[np.argsort(-number[observed], kind="stable")].tolist()
+    return ordered
 
 
 def field_of(problem: Problem, found: Residuals, cameras: Sequence[int]) -> ResidualField:

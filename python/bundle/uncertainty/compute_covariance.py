@@ -14,10 +14,9 @@ from bundle.arrays import freeze
 from bundle.errors import InputError, brief
 from bundle.io import Source, as_problem
 from bundle.options import SolveOptions
-from bundle.placement import place_at_priors
 from bundle.problem import Problem
 from bundle.result import Result
-from bundle.solver import constrained, settle
+from bundle.solver import prepare
 from bundle.uncertainty.covariance_choices import (
     GAUGES,
     PARTS,
@@ -159,33 +158,37 @@ class _Recipe:
     def compute(self, pairs: list[tuple[int, int]]) -> Covariance:
         """Return the covariance, with the relative poses of these pairs of image ids."""
         rows = _rows_of(self.given, pairs)
-        placed = place_at_priors(
-            self.given, self.factors, self.priors, None if not self.priors else False
+        align = False if self.priors else None
+        ready = prepare(
+            self.given,
+            self.options,
+            self.factors,
+            self.priors,
+            align,
+            self.bounds,
+            self.constraints,
         )
-        start, options, applied = constrained(placed.problem, self.options, self.constraints)
-        options, known, limits = settle(start, options, placed.factors, self.bounds, applied)
-        core = None if known is None else known.core()
+        factors = ready.core_factors()
 
         def run(problem: Problem, options: SolveOptions) -> dict[str, Any]:
-            given = None if core is None else known.core()  # type: ignore[union-attr]
             return _core.covariance(
                 problem,
                 options.asdict(),
-                limits,
-                given,
+                ready.limits,
+                factors,
                 self.gauge == "inner",
                 self.robust == "sandwich",
                 "points" in self.of,
                 rows,
             )
 
-        out = run(start, options)
+        out = run(ready.start, ready.options)
         dof = out["num_residuals"] - out["num_parameters"] + out["gauge_degrees"]
         sigma0 = float(np.sqrt(out["weighted_squares"] / dof)) if dof > 0 else float("nan")
         notes = list(out["warnings"])
         cost = 0.5 * out["weighted_squares"]
         # Control points start where the rays of their pixels meet, not where a solve had put them.
-        if placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
+        if ready.placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
             share = 100 * out["predicted_decrease"] / cost if cost > 0 else float("inf")
             notes.append(
                 f"This is no minimum: a step of a solve would lower the cost by about "
@@ -198,10 +201,10 @@ class _Recipe:
                     f"scale: expected degrees of freedom to estimate sigma0 from, found {dof} "
                     f"({out['num_residuals']} residuals); use unit"
                 )
-            if core is None:
+            if factors is None:
                 factor = sigma0 * sigma0
             else:
-                out = run(*_scaled(start, options, sigma0))
+                out = run(*_scaled(ready.start, ready.options, sigma0))
         return self._result(out, pairs, dof, sigma0, factor, tuple(notes))
 
     def _result(
