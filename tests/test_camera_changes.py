@@ -5,7 +5,7 @@ import pytest
 
 import bundle
 from bundle.camera_changes import camera_changes
-from tests.report import fakes
+from tests.reports import fakes
 from tests.scenes import make_problem
 
 

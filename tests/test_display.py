@@ -7,7 +7,7 @@ import pytest
 import bundle
 from bundle.comparison import Method
 from bundle.display import Display
-from bundle.report.compare import compared
+from bundle.reports.compare import compared
 from bundle.tables import render
 from tests import scenes
 from tests.comparison.fakes import comparison, done, failed

@@ -31,7 +31,7 @@ import bundle
 # What `refine` imports, once here and not in every child.
 import bundle.cli.output
 import bundle.cli.progress
-import bundle.report.refine
+import bundle.reports.refine
 from bundle.cli.main import main
 from bundle.io import exchange
 from bundle.io.model_files import MODEL_FILES

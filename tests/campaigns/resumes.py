@@ -26,7 +26,7 @@ import bundle
 # What `refine` imports, once here and not in every child.
 import bundle.cli.output
 import bundle.cli.progress
-import bundle.report.refine
+import bundle.reports.refine
 import bundle.rounds
 from bundle.cli.main import main
 from bundle.problem import Problem

@@ -44,6 +44,6 @@ def test_refining_a_model_needs_no_pycolmap(tmp_path: Path, format: str) -> None
     bundle.save(make_problem(), tmp_path / "in", format)
     words = ("refine", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--quiet")
     found = imported(*words, "--json", str(tmp_path / "report.json"))
-    assert "bundle.report.refine" in found
+    assert "bundle.reports.refine" in found
     assert not found & (HEAVY | {"bundle.statistics", "rich.live", "bundle.checking", "numpy.ma"})
     assert (tmp_path / "out").is_dir()

@@ -11,7 +11,7 @@ from bundle.options import SolveOptions
 from bundle.result import Result
 from bundle.summary import Summary
 from tests.figures import figures, table
-from tests.report import fakes
+from tests.reports import fakes
 from tests.scenes import scene
 
 ITERATION = [

@@ -6,7 +6,7 @@ import numpy as np
 
 from bundle.comparison import ComparedProblem, Comparison, Measurement, Method, Prediction, Run
 from bundle.options import SolveOptions
-from tests.report import fakes
+from tests.reports import fakes
 
 DENSE = Method(backend="fused", linear_solver_type="dense_schur", num_threads=2)
 SPARSE = Method(backend="fused", linear_solver_type="sparse_schur", num_threads=2)

@@ -12,8 +12,8 @@ import pytest
 import bundle
 from bundle.comparison import compare, process
 from bundle.errors import InputError
-from bundle.report.compare import compared
-from bundle.report.compare_json import as_json
+from bundle.reports.compare import compared
+from bundle.reports.compare_json import as_json
 from bundle.tables import render
 from tests.figures import figures
 from tests.scenes import make_problem, scene

@@ -19,7 +19,7 @@ from bundle.comparison.process import WorkerEnd, _listen, _take
 from bundle.comparison.work import Work
 from bundle.options import SolveOptions
 from tests.comparison.fakes import DENSE, SPARSE
-from tests.report import fakes
+from tests.reports import fakes
 from tests.scenes import make_problem, scene
 
 MIB = 2**20

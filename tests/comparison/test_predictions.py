@@ -11,7 +11,7 @@ from bundle.comparison.combinations import expand
 from bundle.comparison.foresee import foresee, taken_by_auto
 from bundle.comparison.predictions import predict
 from bundle.options import SolveOptions
-from bundle.report.compare import compared
+from bundle.reports.compare import compared
 from bundle.tables import number, render
 from tests.comparison.fakes import CERES, DENSE, ITERATIVE, SPARSE, prediction
 from tests.scenes import make_problem

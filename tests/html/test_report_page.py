@@ -280,8 +280,8 @@ def test_bad_arguments_write_nothing(solved, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_package_of_reports_can_be_called(solved, tmp_path):
-    import bundle.report.report
+def test_reports_of_commands_do_not_hide_the_function(solved, tmp_path):
+    import bundle.reports.report
 
     bundle.report(solved, tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size > 10_000

@@ -18,7 +18,7 @@ from bundle.comparison import (
     Run,
 )
 from bundle.options import SolveOptions
-from tests.report.fakes import summary
+from tests.reports.fakes import summary
 
 HOSTILE = "a</script><script>document.title='owned'</script>&<b>$\\frac$.txt"
 

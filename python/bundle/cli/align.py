@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.errors import shown
     from bundle.georeference import align
     from bundle.io import check_target, load, output_format, save
-    from bundle.report.align import alignment, as_json
+    from bundle.reports.align import alignment, as_json
 
     source, target = arguments.input, arguments.output
     check_json(arguments.json, source, target)

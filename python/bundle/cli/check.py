@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import load
-    from bundle.report.check import as_json, checked
+    from bundle.reports.check import as_json, checked
 
     check_json(arguments.json, arguments.input)
     for flag, value, least in (("--samples", arguments.samples, 1), ("--seed", arguments.seed, 0)):

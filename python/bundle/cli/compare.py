@@ -97,8 +97,8 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.comparison import compare
-    from bundle.report.compare import compared
-    from bundle.report.compare_json import as_json
+    from bundle.reports.compare import compared
+    from bundle.reports.compare_json import as_json
 
     options = options_given(arguments, SolveOptions)
     cap = _memory_cap(arguments.memory_cap)

@@ -28,8 +28,8 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io import check_target, load, output_format, save
-    from bundle.report import json
-    from bundle.report.convert import conversion
+    from bundle.reports import json
+    from bundle.reports.convert import conversion
 
     path = arguments.output
     check_json(arguments.json, arguments.input, path)

@@ -112,7 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io import load
-    from bundle.report.covariance import as_json, uncertainties
+    from bundle.reports.covariance import as_json, uncertainties
     from bundle.uncertainty import covariance
 
     source, target = arguments.input, arguments.output

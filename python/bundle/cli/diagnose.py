@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.diagnosis import diagnose
     from bundle.errors import shown
     from bundle.io import load
-    from bundle.report.diagnose import as_json, diagnosed
+    from bundle.reports.diagnose import as_json, diagnosed
 
     options = options_given(arguments, SolveOptions, names_follow=True)
     constraints = constraints_given(arguments)

@@ -206,7 +206,7 @@ def check_georeference(path: str, format: str, json: str | None) -> None:
 def write_georeference(georeference: Georeference | Alignment, path: str, format: str) -> None:
     """Write the file, whole or not at all."""
     from bundle.io import atomic
-    from bundle.report import json
+    from bundle.reports import json
 
     text = json.dumps(json.plain(georeference.asdict()))
     atomic.write_text(georeference_path(path, format), text)

@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io import load
-    from bundle.report import info, json
+    from bundle.reports import info, json
     from bundle.statistics import describe
 
     check_json(arguments.json, *arguments.inputs)

@@ -113,7 +113,7 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
     from bundle.errors import shown
     from bundle.inspection import inspect
     from bundle.io import load
-    from bundle.report.inspect import as_json, inspected
+    from bundle.reports.inspect import as_json, inspected
 
     options = options_given(arguments, SolveOptions, names_follow=True)
     with Progress(quiet=arguments.quiet) as progress:
@@ -140,7 +140,7 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
 def _inspect_graph(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.output import show, write_json
-    from bundle.report.inspect_graph import as_json, inspected
+    from bundle.reports.inspect_graph import as_json, inspected
 
     graph = _eliminate(arguments)
     if arguments.html is not None:

@@ -15,7 +15,7 @@ from bundle.io import atomic
 from bundle.io.model_files import MODEL_FILES
 from bundle.io.recognition import reconstruction_at
 from bundle.io.streams import is_stream
-from bundle.report import json
+from bundle.reports import json
 from bundle.tables import console, render
 
 __all__ = ["check_json", "check_new", "show", "write_json"]

@@ -112,9 +112,9 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import check_target, load, output_format, save
-    from bundle.report import json
-    from bundle.report.refine import outcome, refinement
-    from bundle.report.timing import WallTime
+    from bundle.reports import json
+    from bundle.reports.refine import outcome, refinement
+    from bundle.reports.timing import WallTime
     from bundle.rounds import solve_rounds
 
     options = options_given(arguments, SolveOptions, names_follow=True)
@@ -277,7 +277,7 @@ def _wrong_jacobians(
     from bundle.checking.gradient_report import outcome
     from bundle.cli.output import show, write_json
     from bundle.cli.standard_streams import complain
-    from bundle.report.check import as_json, checked
+    from bundle.reports.check import as_json, checked
 
     begun = perf_counter()
     report = check_jacobians(

@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.errors import InputError, shown
     from bundle.html import write_report
     from bundle.io import load
-    from bundle.report.report import as_json, reported
+    from bundle.reports.report import as_json, reported
 
     source, page = arguments.input, arguments.output
     if page == "-":

@@ -103,7 +103,7 @@ def _beside(path: str) -> str:
 def _report(scene: SyntheticScene, output: dict[str, str], truth: dict[str, str]) -> dict[str, Any]:
     """Return the report for programs, which is also what the table for people shows."""
     from bundle import __version__
-    from bundle.report.json import SCHEMA, plain
+    from bundle.reports.json import SCHEMA, plain
 
     problem = scene.problem
     report: dict[str, Any] = plain(

@@ -12,8 +12,8 @@ from bundle.errors import shown
 from bundle.georeference import Alignment, ImageError
 from bundle.georeference.alignment_result import metres
 from bundle.problem import Problem
-from bundle.report import json
-from bundle.report.control_points import control_point_table, plain_metres, suspicions
+from bundle.reports import json
+from bundle.reports.control_points import control_point_table, plain_metres, suspicions
 from bundle.tables import columns, facts, format_name, notes, plural
 from bundle.words import contents, number
 

@@ -19,19 +19,19 @@ from bundle.cli import synth
 from bundle.georeference import align
 from bundle.inspection import inspect, inspect_graph
 from bundle.options import SolveOptions
-from bundle.report import align as align_report
-from bundle.report import check, compare, convert, info, refine
-from bundle.report import inspect as inspect_report
-from bundle.report import inspect_graph as inspect_graph_report
-from bundle.report.timing import WallTime
+from bundle.reports import align as align_report
+from bundle.reports import check, compare, convert, info, refine
+from bundle.reports import inspect as inspect_report
+from bundle.reports import inspect_graph as inspect_graph_report
+from bundle.reports.timing import WallTime
 from bundle.statistics import describe
 from bundle.synthetic import SceneOptions, synthesize
 from bundle.tables import render
 from bundle.termination import sentence
 from tests.georeference.blocks import block
 from tests.pictures.comparisons import comparison
-from tests.report import fakes
-from tests.report.test_report import ENDS
+from tests.reports import fakes
+from tests.reports.test_report import ENDS
 from tests.scenes import make_problem, scene
 
 GOLDEN = Path(__file__).parent / "golden"

@@ -7,7 +7,7 @@ from rich.console import RenderableType
 from bundle.camera_edits import CameraEdits
 from bundle.errors import shown
 from bundle.problem import Problem
-from bundle.report.camera_edit_rows import edit_rows
+from bundle.reports.camera_edit_rows import edit_rows
 from bundle.tables import facts, format_name, notes
 from bundle.words import contents
 

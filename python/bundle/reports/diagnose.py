@@ -12,8 +12,8 @@ from bundle.diagnosis import Diagnosis
 from bundle.errors import shown
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.report import json
-from bundle.report.rig_tables import rig_fact
+from bundle.reports import json
+from bundle.reports.rig_tables import rig_fact
 from bundle.tables import columns, facts, format_name, notes
 from bundle.words import contents, number, plural
 

@@ -8,7 +8,7 @@ from rich.console import RenderableType
 from bundle.errors import shown
 from bundle.georeference import Georeference
 from bundle.georeference.alignment_result import metres
-from bundle.report.control_points import control_point_table, suspicions
+from bundle.reports.control_points import control_point_table, suspicions
 from bundle.tables import columns, facts, notes, number, plural
 
 __all__ = ["gps_report"]

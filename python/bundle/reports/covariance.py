@@ -12,7 +12,7 @@ from rich.console import RenderableType
 from bundle.cameras import camera_models
 from bundle.errors import shown
 from bundle.problem import Problem
-from bundle.report import json
+from bundle.reports import json
 from bundle.tables import columns, facts, format_name, notes, plural
 from bundle.uncertainty import Covariance
 from bundle.words import contents, number

@@ -15,7 +15,7 @@ from bundle._core import __version__
 from bundle.camera_changes import camera_changes
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.report.timing import WallTime
+from bundle.reports.timing import WallTime
 from bundle.result import Result
 from bundle.sensor_changes import sensor_changes
 

@@ -11,8 +11,8 @@ from rich.console import RenderableType
 from bundle.errors import shown
 from bundle.memory_sizes import format_size
 from bundle.problem import Problem
-from bundle.report import json
-from bundle.report.rig_tables import rig_fact
+from bundle.reports import json
+from bundle.reports.rig_tables import rig_fact
 from bundle.tables import facts, format_name
 from bundle.tables import notes as note_lines
 from bundle.words import contents

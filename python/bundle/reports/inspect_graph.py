@@ -10,8 +10,8 @@ from rich.console import RenderableType
 from bundle._core import __version__
 from bundle.errors import shown
 from bundle.inspection import GraphInspection
-from bundle.report import json
-from bundle.report.inspect import CONVENTION
+from bundle.reports import json
+from bundle.reports.inspect import CONVENTION
 from bundle.tables import columns, facts, number, plural
 
 __all__ = ["as_json", "inspected"]

@@ -9,8 +9,8 @@ from rich.console import RenderableType
 
 from bundle.errors import shown
 from bundle.problem import Problem
-from bundle.report.refine import worst_table
-from bundle.report.rig_tables import rig_fact, rig_table
+from bundle.reports.refine import worst_table
+from bundle.reports.rig_tables import rig_fact, rig_table
 from bundle.statistics import CameraGroup, Covisibility, Description, Distribution
 from bundle.statistics.depths import COLLAPSED
 from bundle.tables import Bar, Columns, columns, facts, format_name, notes, number, pixels, plural

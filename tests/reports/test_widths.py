@@ -10,7 +10,7 @@ import bundle
 from bundle import _core
 from bundle.cli.main import main
 from bundle.inspection import problem_inspection
-from bundle.report.compare import compared
+from bundle.reports.compare import compared
 from bundle.tables import columns, render
 from tests.comparison.fakes import CERES, DENSE, ITERATIVE, comparison, done, failed, prediction
 from tests.inspection.conftest import RATES

@@ -12,9 +12,9 @@ from bundle.errors import shown
 from bundle.free_degrees import gauge_freedom
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.report.camera_edit_rows import edit_rows
-from bundle.report.rig_tables import rig_fact, sensor_table
-from bundle.report.timing import WallTime, wall_table
+from bundle.reports.camera_edit_rows import edit_rows
+from bundle.reports.rig_tables import rig_fact, sensor_table
+from bundle.reports.timing import WallTime, wall_table
 from bundle.result import Result
 from bundle.sensor_changes import sensor_changes
 from bundle.summary import Summary, sizes
@@ -98,7 +98,7 @@ def refinement(
 def _positions(georeference: Georeference | None) -> list[RenderableType]:
     if georeference is None:
         return []
-    from bundle.report.gps import gps_report
+    from bundle.reports.gps import gps_report
 
     return gps_report(georeference)
 
@@ -106,7 +106,7 @@ def _positions(georeference: Georeference | None) -> list[RenderableType]:
 def _constraints(solved: Result) -> list[RenderableType]:
     if not solved.constraints:
         return []
-    from bundle.report.constraint_tables import constraint_report
+    from bundle.reports.constraint_tables import constraint_report
 
     return constraint_report(solved.constraints)
 

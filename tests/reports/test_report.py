@@ -10,15 +10,15 @@ import pytest
 
 from bundle.camera_changes import CameraChange
 from bundle.problem import Problem
-from bundle.report import json as json_report
-from bundle.report import refine
-from bundle.report.refine import refinement
-from bundle.report.timing import WallTime
+from bundle.reports import json as json_report
+from bundle.reports import refine
+from bundle.reports.refine import refinement
+from bundle.reports.timing import WallTime
 from bundle.summary import solver_phases
 from bundle.tables import number, pixels, plural, render, seconds
 from bundle.termination import sentence
 from tests.figures import figures
-from tests.report import fakes
+from tests.reports import fakes
 
 WALL = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, total=2.0)
 

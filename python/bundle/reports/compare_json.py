@@ -7,7 +7,7 @@ from typing import Any
 
 from bundle._core import __version__
 from bundle.comparison import GAPS, ComparedProblem, Comparison, Measurement, Method, Run
-from bundle.report import json
+from bundle.reports import json
 
 __all__ = ["as_json"]
 

@@ -14,8 +14,8 @@ from bundle.inspection import Inspection, MethodInspection
 from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.report import json
-from bundle.report.rig_tables import rig_fact
+from bundle.reports import json
+from bundle.reports.rig_tables import rig_fact
 from bundle.tables import Columns, CommandLine, columns, facts, format_name, notes, number
 from bundle.words import contents, duration, plural
 

@@ -11,7 +11,7 @@ from bundle.checking import GradientReport
 from bundle.checking.gradient_report import explanation
 from bundle.errors import shown
 from bundle.problem import Problem
-from bundle.report import json
+from bundle.reports import json
 from bundle.tables import facts, format_name
 from bundle.words import contents
 
