@@ -529,7 +529,7 @@ def test_python_imports_follow_the_layers(path: Path) -> None:
 
 
 def test_modules_have_names_of_their_own() -> None:
-    """A command has its name in cli/ and, for what it prints, in reports/; no other name repeats."""
+    """A command has its name in cli/ and, for what it prints, in reports/; no other repeats."""
     homes: dict[str, list[str]] = {}
     for path in PYTHON_FILES:
         if path.name != "__init__.py":

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from bundle.diagnosis.diagnosis_result import CollapsedCluster
+from bundle.diagnosis.id_lists import sorted_ids
 from bundle.diagnosis.track_table import TrackTable
 from bundle.problem import Problem
 from bundle.statistics.depths import collapsed_observations, depths_of_observations
@@ -30,13 +31,9 @@ def collapsed_clusters(problem: Problem, tracks: TrackTable) -> tuple[CollapsedC
         own = piece == one
         clusters.append(
             CollapsedCluster(
-                point_ids=_ids(problem.point_ids, points[own]),
-                image_ids=_ids(problem.image_ids, images[own]),
+                point_ids=sorted_ids(problem.point_ids, np.unique(points[own])),
+                image_ids=sorted_ids(problem.image_ids, np.unique(images[own])),
                 num_observations=int(own.sum()),
             )
         )
     return tuple(sorted(clusters, key=lambda cluster: -cluster.num_observations))
-
-
-def _ids(ids: np.ndarray, rows: np.ndarray) -> tuple[int, ...]:
-    return tuple(sorted(ids[np.unique(rows)].tolist()))

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
-__all__ = ["named", "noun"]
+from numpy.typing import NDArray
+
+__all__ = ["named", "noun", "sorted_ids"]
 
 _MOST = 5
 
@@ -20,3 +23,8 @@ def named(what: str, ids: Iterable[int]) -> str:
 def noun(count: int, one: str, many: str) -> str:
     """Return the word that goes with a count."""
     return one if count == 1 else many
+
+
+def sorted_ids(ids: NDArray[Any], rows: NDArray[Any]) -> tuple[int, ...]:
+    """Return the ids in some rows, ascending."""
+    return tuple(sorted(ids[rows].tolist()))

@@ -11,15 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.components import component_roots
 from bundle.diagnosis.diagnosis_result import CollapsedCluster, WeakMode
-from bundle.diagnosis.id_lists import named
-from bundle.diagnosis.track_table import FEW_SHARED, TrackTable
+from bundle.diagnosis.id_lists import named, sorted_ids
+from bundle.diagnosis.mode_sentences import (
+    camera_ids,
+    dominant_parts,
+    mode_against_poses,
+    mode_of_poses,
+    part_names,
+)
+from bundle.diagnosis.track_table import TrackTable
 from bundle.diagnosis.unknowns import CameraPart, Unknowns
 from bundle.diagnosis.viewing import Viewing, viewing
 from bundle.problem import Problem
@@ -33,33 +39,7 @@ WEAK = 1e-4
 """Eigenvalues above are no weakness."""
 UNCERTAIN = 1e-3
 """Of the focal length: a share that one weak direction leaves open at one pixel of noise."""
-DOMINANT = 0.3
-"""Of the largest: parameters that move pixels by less are not named."""
-
 Floats = NDArray[np.float64]
-
-_CAUSES = {
-    "flat_scene": (
-        "height",
-        "the scene is flat and the images look along one direction, so that a longer focal length "
-        "higher up gives the same images",
-    ),
-    "forward_motion": (
-        "depth",
-        "forward motion: the images go along their viewing direction without turning, so that a "
-        "longer focal length in a deeper scene gives the same images",
-    ),
-    "parallel_views": (
-        "depth",
-        "the images look along one direction, so that a longer focal length in a deeper scene "
-        "gives the same images",
-    ),
-    "pure_rotation": (
-        "rotation",
-        "pure rotation: the images stand at one place",
-    ),
-    "": ("the poses", "these images do not tell them apart"),
-}
 
 
 def null_modes(
@@ -143,7 +123,9 @@ def _weak(unknowns: Unknowns, weakness: _Weakness) -> WeakMode:
     )
     images = unknowns.images_of_cameras(weakness.cameras)
     look, value = weakness.look, weakness.eigenvalue
-    return _against(unknowns, weakness.parts, weakness.cameras, images, look, value, 1, known)
+    return mode_against_poses(
+        unknowns, weakness.parts, weakness.cameras, images, look, value, 1, known
+    )
 
 
 def _without_collapsed(
@@ -200,13 +182,14 @@ def _unseen(unknowns: Unknowns, tracks: TrackTable) -> Iterator[WeakMode]:
             )
             continue
         images = unknowns.images(rows)
+        ids = sorted_ids(problem.image_ids, images)
         shared = int(tracks.shared[images].sum())
         yield WeakMode(
             kind="unobserved_pose",
-            sentence=f"{named('Image', _ids(problem.image_ids, images))}: nothing determines the "
-            f"pose in {plural(len(rows), 'direction')}; {plural(shared, 'point')} shared with "
+            sentence=f"{named('Image', ids)}: nothing determines the pose in "
+            f"{plural(len(rows), 'direction')}; {plural(shared, 'point')} shared with "
             "other images.",
-            image_ids=_ids(problem.image_ids, images),
+            image_ids=ids,
             camera_ids=(),
             eigenvalue=0.0,
             dimension=len(rows),
@@ -242,12 +225,12 @@ def _describe(
     poses = rows[unknowns.of_pose[rows]]
     images = unknowns.images(poses)
     if not parts:
-        return _of_poses(unknowns, images, direction, dimension, tracks)
-    dominant = _dominant(parts)
+        return mode_of_poses(unknowns, images, direction, dimension, tracks)
+    dominant = dominant_parts(parts)
     cameras = sorted({part.camera for part in dominant})
     if not len(poses):
         kind = "unobserved_parameter"
-        names = _names(unknowns, dominant, spoken=False)
+        names = part_names(unknowns, dominant, spoken=False)
         key = ", ".join(str(unknowns.problem.camera_ids[camera]) for camera in cameras)
         reason = (
             "no observation depends on it"
@@ -256,134 +239,13 @@ def _describe(
         )
         return WeakMode(
             kind=kind,
-            sentence=f"Unobserved: {names} of {named('camera', _camera_ids(unknowns, cameras))}; "
+            sentence=f"Unobserved: {names} of {named('camera', camera_ids(unknowns, cameras))}; "
             f"{reason}. Hold one of them (--set 'camera {key}: {names.split(', ')[-1]} fixed').",
             image_ids=(),
-            camera_ids=_camera_ids(unknowns, cameras),
+            camera_ids=camera_ids(unknowns, cameras),
             eigenvalue=0.0,
             dimension=dimension,
         )
     seen = unknowns.images_of_cameras(cameras)
     look = viewing(unknowns.problem, seen)
-    return _against(unknowns, parts, cameras, images, look, 0.0, dimension, "")
-
-
-def _against(
-    unknowns: Unknowns,
-    parts: list[CameraPart],
-    cameras: list[int],
-    images: NDArray[np.int64],
-    look: Viewing | None,
-    eigenvalue: float,
-    dimension: int,
-    known: str,
-) -> WeakMode:
-    """Return a mode of cameras' parameters against poses."""
-    dominant = _dominant(parts)
-    has_focal = any(unknowns.parameter_kind(part) == "focal" for part in dominant)
-    if eigenvalue > 0:  # chosen for its focal length
-        dominant = sorted(
-            {*dominant, *(p for p in parts if unknowns.parameter_kind(p) == "focal")},
-            key=lambda part: (part.camera, part.parameter),
-        )
-        has_focal = True
-    cause = look.cause if look is not None and has_focal else ""
-    against, reason = _CAUSES[cause]
-    names = _names(unknowns, dominant, spoken=True)
-    keys = _camera_ids(unknowns, cameras)
-    fixed = _names(unknowns, dominant, spoken=False).replace(" ", "")
-    target = f"camera {keys[0]}" if len(keys) == 1 else "cameras *"
-    sentence = (
-        f"{names[0].upper()}{names[1:]} of {named('camera', keys)} against {against}: {reason}. "
-        f"{known}{' ' if known else ''}"
-        f"Fix {'the focal length' if has_focal else 'it'} or give it a prior "
-        f"(--set '{target}: {fixed} fixed')."
-    )
-    return WeakMode(
-        kind=cause or "parameters_against_poses",
-        sentence=sentence,
-        image_ids=_ids(unknowns.problem.image_ids, images),
-        camera_ids=keys,
-        eigenvalue=eigenvalue,
-        dimension=dimension,
-    )
-
-
-def _of_poses(
-    unknowns: Unknowns,
-    images: NDArray[np.int64],
-    direction: Floats,
-    dimension: int,
-    tracks: TrackTable,
-) -> WeakMode:
-    """Return a mode in which poses alone move: parts that few points hold together."""
-    ids = unknowns.problem.image_ids
-    for kind, pieces, how in (
-        ("few_shared_points", tracks.firm_pieces, "position, rotation or scale"),
-        ("scale_joint", tracks.rigid_pieces, "scale"),
-    ):
-        numbers, sizes = np.unique(pieces[images], return_counts=True)
-        if len(numbers) < 2:
-            continue
-        kept = numbers[np.argmax(sizes)]
-        loose = np.flatnonzero(np.isin(pieces, numbers[numbers != kept]))
-        count = tracks.count_between(loose)
-        if kind == "few_shared_points" and count >= FEW_SHARED:
-            continue
-        what = (
-            f"only {plural(count, 'point')} shared with the others"
-            if kind == "few_shared_points"
-            else "no point is seen by two of the others as well"
-        )
-        return WeakMode(
-            kind=kind,
-            sentence=f"{named('Image', _ids(ids, loose))} against the others, in "
-            f"{plural(dimension, 'direction')}: {what}, which leaves {how} open. Match more points "
-            "between them and the others, or hold them.",
-            image_ids=_ids(ids, loose),
-            camera_ids=(),
-            eigenvalue=0.0,
-            dimension=dimension,
-        )
-    energy = np.zeros(len(ids))
-    for image in images.tolist():
-        rows = (unknowns.kind == 0) & (unknowns.index == image)
-        energy[image] = float((direction[rows] ** 2).sum())
-    moved = np.flatnonzero(energy > DOMINANT * energy.max()) if energy.any() else images
-    return WeakMode(
-        kind="undetermined_poses",
-        sentence=f"{named('Image', _ids(ids, moved))}: the observations leave "
-        f"{plural(dimension, 'direction')} of the poses open.",
-        image_ids=_ids(ids, moved),
-        camera_ids=(),
-        eigenvalue=0.0,
-        dimension=dimension,
-    )
-
-
-def _dominant(parts: list[CameraPart]) -> list[CameraPart]:
-    """Return the parameters that move pixels the most."""
-    most = max(part.pixels for part in parts)
-    return [part for part in parts if part.pixels >= DOMINANT * most]
-
-
-def _names(unknowns: Unknowns, parts: list[CameraPart], *, spoken: bool) -> str:
-    names = []
-    for part in parts:
-        name = unknowns.parameter_name(part)
-        if spoken:
-            spoken_names = {"focal": "focal length", "principal_point": "principal point"}
-            name = spoken_names.get(unknowns.parameter_kind(part), name)
-        names.append(name)
-    different = list(dict.fromkeys(names))
-    if not spoken or len(different) == 1:
-        return ", ".join(different)
-    return f"{', '.join(different[:-1])} and {different[-1]}"
-
-
-def _camera_ids(unknowns: Unknowns, cameras: list[int]) -> tuple[int, ...]:
-    return _ids(unknowns.problem.camera_ids, np.array(cameras, np.int64))
-
-
-def _ids(ids: NDArray[Any], rows: NDArray[np.int64]) -> tuple[int, ...]:
-    return tuple(sorted(ids[rows].tolist()))
+    return mode_against_poses(unknowns, parts, cameras, images, look, 0.0, dimension, "")
