@@ -17,6 +17,7 @@ void BindInspection(py::module_& m);
 void BindDiagnosis(py::module_& m);
 void BindSymbolic(py::module_& m);
 void BindGraph(py::module_& m);
+void BindPoseGraph(py::module_& m);
 void BindProcess(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
@@ -35,5 +36,6 @@ PYBIND11_MODULE(_core, m) {
   BindDiagnosis(m);
   BindSymbolic(m);
   BindGraph(m);
+  BindPoseGraph(m);
   BindProcess(m);
 }

@@ -48,7 +48,8 @@ class IdTable {
   int32_t Find(int64_t id) const {
     const auto below = [&](int32_t position, int64_t value) { return ids_[position] < value; };
     // Ids mostly count up from one place to the next.
-    const auto guess = static_cast<uint64_t>(id) - static_cast<uint64_t>(ids_.empty() ? 0 : First());
+    const auto guess =
+        static_cast<uint64_t>(id) - static_cast<uint64_t>(ids_.empty() ? 0 : First());
     if (guess < order_.size() && ids_[order_[guess]] == id) return order_[guess];
     const auto found = std::lower_bound(order_.begin(), order_.end(), id, below);
     return found != order_.end() && ids_[*found] == id ? *found : -1;
@@ -190,9 +191,9 @@ class G2oReader {
     const auto position = [&](int64_t id, int64_t line) {
       const int32_t found = table.Find(id);
       if (found < 0) {
-        cursor_.FailAt(line, "a vertex of the file", "vertex " + std::to_string(id) +
-                                                         ", which has no line " +
-                                                         std::string(kind_->vertex));
+        cursor_.FailAt(
+            line, "a vertex of the file",
+            "vertex " + std::to_string(id) + ", which has no line " + std::string(kind_->vertex));
       }
       return found;
     };

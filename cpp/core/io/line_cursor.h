@@ -67,7 +67,8 @@ class LineCursor {
     return true;
   }
 
-  /// Throws the InputError `NAME:LINE: expected EXPECTED, found ...` for the token under the cursor.
+  /// Throws the InputError `NAME:LINE: expected EXPECTED, found ...` for the token under the
+  /// cursor.
   [[noreturn]] void Fail(const std::string& expected) {
     const std::string_view token = Token();
     FailWith(expected, token.empty() ? "the end of the line" : Quoted(token));
@@ -92,8 +93,7 @@ class LineCursor {
     size_t searched = 0;
     for (;;) {
       const auto ahead = static_cast<size_t>(end_ - next_line_);
-      stop = static_cast<const char*>(
-          std::memchr(next_line_ + searched, '\n', ahead - searched));
+      stop = static_cast<const char*>(std::memchr(next_line_ + searched, '\n', ahead - searched));
       if (stop != nullptr) break;
       searched = ahead;
       if (Refill()) continue;

@@ -27,8 +27,8 @@ EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::st
   }
   const BlockStructure structure =
       SparseStructure(std::vector<int>(free.size(), block_size), columns);
-  pattern.ordering = ordering == "auto" ? FindFillOrdering(structure)
-                                        : FindFillOrdering(structure, ordering);
+  pattern.ordering =
+      ordering == "auto" ? FindFillOrdering(structure) : FindFillOrdering(structure, ordering);
   pattern.structure = Reorder(structure, pattern.ordering.order);
   for (size_t k = 0; k < free.size(); ++k) {
     const int pose = free[pattern.ordering.order[k]];

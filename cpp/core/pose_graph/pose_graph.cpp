@@ -76,9 +76,9 @@ std::vector<double> Normalized(const Retraction& retraction, const char* name, i
     double* const value = result.data() + i * n;
     const bool finite = std::all_of(value, value + n, [](double v) { return std::isfinite(v); });
     if (finite && retraction.Normalize(value)) continue;
-    throw InputError(std::string(name) + "[" + std::to_string(i) + "]: expected " +
-                     (finite ? "a quaternion, found one of norm 0"
-                             : "finite numbers, found one that is not"));
+    throw InputError(
+        std::string(name) + "[" + std::to_string(i) + "]: expected " +
+        (finite ? "a quaternion, found one of norm 0" : "finite numbers, found one that is not"));
   }
   return result;
 }

@@ -33,8 +33,8 @@ int CountThreads(int64_t num_edges, int num_threads) {
 /// Where an edge's blocks are. Of a held pose there is none: column -1.
 struct EdgePlace {
   int64_t edge = 0;
-  int i = -1, j = -1;     ///< block columns of its poses
-  int64_t below = 0;      ///< values of the block below the diagonal
+  int i = -1, j = -1;  ///< block columns of its poses
+  int64_t below = 0;   ///< values of the block below the diagonal
   int stride_below = 0;
 };
 
@@ -61,8 +61,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     const size_t columns = structure_.num_columns();
     ReserveHugePages(structure_.num_values, &system_.values);
     system_.values.resize(structure_.num_values);
-    for (std::vector<double>* v : {&system_.rhs, &gradient_, &scale_, &d_squared_,
-                                   &newton_, &direction_, &step_}) {
+    for (std::vector<double>* v :
+         {&system_.rhs, &gradient_, &scale_, &d_squared_, &newton_, &direction_, &step_}) {
       v->resize(columns);
     }
     terms_.resize(std::min<int64_t>(kEdgesAtATime, places_.size()));
@@ -78,7 +78,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     for (int64_t begin = 0; begin < num_edges; begin += kEdgesAtATime) {
       ThrowIfInterrupted();
       const int64_t end = std::min(num_edges, begin + kEdgesAtATime);
-      pool_.Run([&](int thread) { Evaluate(begin, end, thread); });
+      pool_.Run([&](int thread) { EvaluateEdges(begin, end, thread); });
       pool_.Run([&](int thread) { Add(begin, end, thread); });
       for (int64_t k = 0; k < end - begin; ++k) result.cost += terms_[k].cost;
     }
@@ -130,8 +130,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     for (size_t c = 0; c < step_.size(); ++c) step_[c] = a * direction_[c] + b * newton_[c];
     Candidate result = Evaluate(step_);
     const DoglegProducts& p = products_;
-    result.model_cost_change = -(a * p.d_pp + b * p.d_pq) -
-                               0.5 * (a * a * p.j_pp + 2 * a * b * p.j_pq + b * b * p.j_qq);
+    result.model_cost_change =
+        -(a * p.d_pp + b * p.d_pq) - 0.5 * (a * a * p.j_pp + 2 * a * b * p.j_pq + b * b * p.j_qq);
     return result;
   }
 
@@ -183,7 +183,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     return {begin + count * thread / threads, begin + count * (thread + 1) / threads};
   }
 
-  void Evaluate(int64_t begin, int64_t end, int thread) {
+  void EvaluateEdges(int64_t begin, int64_t end, int thread) {
     const auto [first, last] = Share(begin, end, thread);
     for (int64_t k = first; k < last; ++k) {
       LinearizeEdge<Group>(graph_, places_[k].edge, x_.data(), &terms_[k - begin]);
@@ -210,7 +210,9 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
     }
   }
 
-  double* Diagonal(int b) { return system_.values.data() + structure_.panel_begin[b] + DiagonalRow(b); }
+  double* Diagonal(int b) {
+    return system_.values.data() + structure_.panel_begin[b] + DiagonalRow(b);
+  }
   int DiagonalRow(int b) const { return structure_.row_in_panel[structure_.column_begin[b]]; }
 
   void AddPose(int b, const double* matrix, const double* gradient) {
@@ -253,8 +255,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
       const EdgePlace& place = places_[k];
       double residual[kSize], a[kSize * kSize], adjoint[kSize * kSize], moved[kSize] = {}, rho[3];
       EvaluateWhitened<Group>(graph_, place.edge, x_.data(), residual, a, adjoint);
-      ValueOfLoss(graph_.LossOf(place.edge), graph_.errors.loss_scale,
-                  SquaredNorm(residual, kSize), rho);
+      ValueOfLoss(graph_.LossOf(place.edge), graph_.errors.loss_scale, SquaredNorm(residual, kSize),
+                  rho);
       for (int r = 0; r < kSize; ++r) {
         if (place.j >= 0) moved[r] = d[int64_t{kSize} * place.j + r];
         for (int c = 0; place.i >= 0 && c < kSize; ++c) {

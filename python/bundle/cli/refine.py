@@ -19,6 +19,8 @@ from bundle.cli.option_flags import (
     with_named_images,
 )
 from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, with_rigs
+from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
+from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
 
@@ -32,7 +34,10 @@ if TYPE_CHECKING:
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "refine"
-HELP = "bundle adjustment: poses, points and intrinsics that explain the observations best"
+HELP = (
+    "bundle adjustment: poses, points and intrinsics that explain the observations best; of a pose "
+    "graph (.g2o) the poses that explain its edges best"
+)
 
 # Arguments of bundle.solve_rounds that are no options.
 ARGUMENTS = {
@@ -50,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser, "-o", "--output", required=True)
     add_rig_config(parser)
     add_options(parser, SolveOptions, "options of the solve")
+    add_pose_graph_flags(parser)
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
     add_constraint_flags(parser)
     add_gps_flags(parser)
@@ -101,6 +107,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Refine INPUT into OUTPUT."""
+    if is_pose_graph_file(arguments.input):
+        from bundle.cli.pose_graph_commands import refine_graph
+
+        return refine_graph(arguments)
+    refuse_flags_of_graphs(arguments)
     started = perf_counter()
     from bundle.cli.gps_flags import (
         check_georeference,
