@@ -22,16 +22,20 @@ PACKAGE = ROOT / "python" / "bundle"
 CORE_MAY_INCLUDE = {
     "geometry": set(),
     "parallel": set(),
+    "dense": set(),
     "symbolic": set(),
     "cameras": {"geometry"},
-    "factors": {"cameras", "geometry"},
+    "factors": {"cameras", "geometry", "dense"},
     "graph": {"factors", "geometry"},
     "problem": {"factors", "cameras", "geometry", "parallel"},
     "io": {"cameras"},
     "interface": {"problem", "factors"},
-    "model": {"interface", "problem", "factors", "cameras", "geometry", "symbolic", "parallel"},
+    "model": {
+        *{"interface", "problem", "factors", "cameras", "geometry", "symbolic", "parallel"},
+        "dense",
+    },
     "linear": {"interface", "symbolic", "parallel", "cameras"},
-    "minimize": {"interface", "parallel"},
+    "minimize": {"interface", "parallel", "dense"},
     "checking": {"model", "interface", "problem", "factors", "cameras"},
     "prepare": {
         *{"checking", "linear", "model", "interface", "problem", "factors"},
@@ -43,9 +47,9 @@ CORE_MAY_INCLUDE = {
     },
     "covariance": {
         *{"prepare", "schur", "linear", "model", "interface", "problem", "factors"},
-        *{"cameras", "geometry", "parallel"},
+        *{"cameras", "geometry", "parallel", "dense"},
     },
-    "diagnosis": {"covariance", "model", "linear", "interface", "problem"},
+    "diagnosis": {"covariance", "model", "linear", "interface", "problem", "dense"},
     "ceres": {
         *{"prepare", "checking", "graph", "model", "interface", "problem", "factors"},
         *{"cameras", "symbolic", "parallel"},
