@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,7 +54,9 @@ from bundle.uncertainty import covariance as compute_covariance
 from bundle.words import pixels
 
 if TYPE_CHECKING:
+    from bundle.constraints import Constraints, Rule
     from bundle.georeference import Georeference
+    from bundle.placement import Prior
     from bundle.uncertainty import Covariance
 
 __all__ = ["write_report"]
@@ -69,6 +71,8 @@ def write_report(
     images: str | os.PathLike[str] | None = None,
     georeference: Mapping[str, Any] | Georeference | None = None,
     covariance: Covariance | None = None,
+    priors: Iterable[Prior] = (),
+    constraints: Constraints | Iterable[str | Rule] = (),
     name: str = "",
 ) -> tuple[str, ...]:
     """Write one HTML page about a reconstruction, which needs no network and no other file.
@@ -81,8 +85,9 @@ def write_report(
             there on.
         georeference: how well the model fits positions and control points: the content of
             ``georeference.json``, or what ``bundle.georeference`` makes of a result.
-        covariance: of this very problem, from :func:`bundle.covariance`; None computes it, which
-            takes what the solve was given beside the problem where priors took part.
+        covariance: of this very problem, from :func:`bundle.covariance`; None computes it.
+        priors: that the solve had; the covariance counts them.
+        constraints: likewise.
         name: of the reconstruction, for the title.
 
     Returns:
@@ -103,7 +108,7 @@ def write_report(
     if georeference is not None:
         given = georeference if isinstance(georeference, Mapping) else georeference.asdict()
         page.place = placement(problem, given)
-    page.certainty = page.certainty_of(covariance)
+    page.certainty = page.certainty_of(covariance, priors, constraints)
     page.write(target, name, images)
     return tuple(page.notes)
 
@@ -226,12 +231,19 @@ class _Page:
         self.sections.append(tag("h2", "3-D view", id="scene"))
         self.sections.append(scene_section(view, self.problem.num_points, words))
 
-    def certainty_of(self, given: Covariance | None) -> Certainty | None:
+    def certainty_of(
+        self,
+        given: Covariance | None,
+        priors: Iterable[Prior],
+        constraints: Constraints | Iterable[str | Rule],
+    ) -> Certainty | None:
         """Return what is known of the certainty; None, and a note, where it cannot be computed."""
         if given is None:
             source = self.problem if self.result is None else self.result
             try:
-                given = compute_covariance(source, scale="sigma0")
+                given = compute_covariance(
+                    source, priors=priors, constraints=constraints, scale="sigma0"
+                )
             except InputError as error:
                 self.no_certainty = f"No covariance: {str(error).rstrip('.')}."
         return None if given is None else certainty(self.problem, given)
