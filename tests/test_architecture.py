@@ -365,6 +365,7 @@ PYTHON_MAY_IMPORT = {
         "camera_edits",
         "cameras",
         "errors",
+        "losses",
         "problem",
         "reprojection",
         "rotations",
