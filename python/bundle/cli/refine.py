@@ -25,11 +25,7 @@ from bundle.options import SolveOptions
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
 
 if TYPE_CHECKING:
-    from bundle.constraints import Constraints
-    from bundle.georeference import GcpPriors, GpsPriors
     from bundle.problem import Problem
-    from bundle.result import Result
-    from bundle.uncertainty import Covariance
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -198,7 +194,8 @@ def run(arguments: argparse.Namespace) -> int:
                 solved,
                 arguments.html,
                 images=arguments.images,
-                covariance=_covariance(solved, known, constraints),
+                priors=() if known is None else known.priors,
+                constraints=constraints,
                 georeference=georeference,
                 name=str(source),
             )
@@ -223,20 +220,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json == "-":  # the report that people read was not printed
         complain(outcome(solved))
     return EXIT_NO_SOLUTION
-
-
-def _covariance(
-    solved: Result, known: GcpPriors | GpsPriors | None, constraints: Constraints | tuple[()]
-) -> Covariance | None:
-    """Return the covariance with what the solve was given; None where the page may try without."""
-    from bundle.errors import InputError
-    from bundle.uncertainty import covariance
-
-    priors = () if known is None else known.priors
-    try:
-        return covariance(solved, priors=priors, constraints=constraints, scale="sigma0")
-    except InputError:  # the page says why not
-        return None
 
 
 def _rounds_given(arguments: argparse.Namespace) -> RoundOptions:
