@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tests.campaigns import degenerate, healthy, jobs, kills, mutants
+from tests.campaigns import covariance, degenerate, healthy, jobs, kills, mutants
 
 
 def misbehave(job):
@@ -50,3 +50,8 @@ def test_kills_leave_the_old_or_the_new():
 def test_healthy_blocks_are_not_accused():
     verdicts = healthy.campaign(12, seed=3)
     assert [verdict for verdict in verdicts if verdict.accusations] == []
+
+
+def test_covariances_are_those_of_dense_algebra():
+    verdicts = covariance.campaign(8, seed=300)
+    assert [verdict for verdict in verdicts if not verdict.error < covariance.LIMIT] == []

@@ -48,13 +48,15 @@ class Dense:
         weight = np.sqrt(rho_prime(loss, loss_scale, s / sigma**2)) / sigma
         self.weigh(np.repeat(np.broadcast_to(weight, s.shape), 2))
         # Along the residual a loss counts as rho' + 2 rho'' s, here beside rho'.
-        ratio = (loss_scale * sigma) ** 2 / s
-        curvature = {
+        u = s / (loss_scale * sigma) ** 2
+        self.along = {
             "trivial": lambda: np.ones_like(s),
-            "huber": lambda: (ratio >= 1).astype(float),
-            "soft_l1": lambda: ratio / (ratio + 1),
-        }
-        self.along = curvature[loss]() if loss in curvature else None
+            "huber": lambda: (u <= 1).astype(float),
+            "soft_l1": lambda: 1 / (1 + u),
+            "cauchy": lambda: (1 - u) / (1 + u),
+            "arctan": lambda: (1 - 3 * u**2) / (1 + u**2),
+            "tukey": lambda: np.where(u < 1, (1 - 5 * u) / np.maximum(1 - u, 1e-300), 1),
+        }[loss]()
 
     def weigh(self, weight):
         self.residual = self.residual * weight
@@ -134,7 +136,7 @@ class Dense:
         such. ``num_priors``: last rows, which enter the sandwich by their information.
         """
         j = (self._bent() if sandwich else self.jacobian) @ basis
-        root = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
+        root, self.degrees = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
         inverse = root @ root.T
         if sandwich:
             observed = len(self.residual) - num_priors
@@ -147,7 +149,9 @@ class Dense:
 
 
 def _root_of_inverse(jacobian, similarities):
-    """A with A A^T the pseudo-inverse of J^T J, by singular values of a J of comparable columns.
+    """A with A A^T the pseudo-inverse of J^T J, and its nullity.
+
+    By singular values of a J of comparable columns.
 
     Vectors of small singular values are known to rounding over their distance from zero only, 1e-11
     and less beside a weak mode. The null space is therefore that of the similarities, exactly.
@@ -163,7 +167,7 @@ def _root_of_inverse(jacobian, similarities):
     assert degrees == (~seen).sum()
     null, _ = np.linalg.qr(similarities @ combinations[len(combinations) - degrees :].T)
     root = scale[:, None] * vectors[seen].T / values[seen]
-    return root - null @ (null.T @ root)
+    return root - null @ (null.T @ root), degrees
 
 
 def rho_prime(loss, scale, s):
