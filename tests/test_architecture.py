@@ -210,7 +210,10 @@ PYTHON_MAY_IMPORT = {
         "words",
     },
     "rounds": {
+        "_core",
         "arguments",
+        "arrays",
+        "cameras",
         "constraint_record",
         "constraints",
         "display",
@@ -405,6 +408,7 @@ PYTHON_MAY_IMPORT = {
         "options",
         "problem",
         "result",
+        "round_record",
         "sensor_changes",
         "statistics",
         "summary",
