@@ -18,6 +18,7 @@ void BindInspection(py::module_& m);
 void BindDiagnosis(py::module_& m);
 void BindSymbolic(py::module_& m);
 void BindGraph(py::module_& m);
+void BindPoseGraph(py::module_& m);
 void BindProcess(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
@@ -37,5 +38,6 @@ PYBIND11_MODULE(_core, m) {
   BindDiagnosis(m);
   BindSymbolic(m);
   BindGraph(m);
+  BindPoseGraph(m);
   BindProcess(m);
 }

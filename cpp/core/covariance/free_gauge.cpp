@@ -1,13 +1,11 @@
 #include "core/covariance/free_gauge.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
-#include <Eigen/QR>
-#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 
+#include "core/dense/decompositions.h"
 #include "core/geometry/rotation.h"
 #include "core/model/gauge.h"
 #include "core/model/scene_frame.h"
@@ -123,8 +121,7 @@ class GaugeTriangle {
 
   void Fold() {
     rows_.bottomRows(kRows - count_).setZero();
-    const Eigen::HouseholderQR<Eigen::Matrix<double, kRows, kCount>> qr(rows_);
-    rows_.topRows<kCount>() = qr.matrixQR().topRows<kCount>().triangularView<Eigen::Upper>();
+    rows_.topRows<kCount>() = TriangleOfQr(rows_);
     count_ = kCount;
   }
 
@@ -214,17 +211,18 @@ Eigen::MatrixXd FindFree(GaugeTriangle rows) {
     scale[i] = 1 / std::sqrt(rows.parts()[kept[i]]);
     scaled.col(i) = scale[i] * triangle.col(kept[i]);
   }
-  const Eigen::JacobiSVD<Eigen::MatrixXd> svd(scaled, Eigen::ComputeFullV);
-  int degrees = 0;  // singular values descend
-  while (degrees < count && svd.singularValues()[count - 1 - degrees] < kNull) ++degrees;
+  const RightSingularVectors singular = DecomposeSingular(scaled);
+  int degrees = 0;
+  while (degrees < count && singular.values[count - 1 - degrees] < kNull) ++degrees;
   Eigen::MatrixXd free = Eigen::MatrixXd::Zero(kCount, degrees);
   for (int i = 0; i < count; ++i) {
-    free.row(kept[i]) = scale[i] * svd.matrixV().row(i).tail(degrees);
+    free.row(kept[i]) = scale[i] * singular.vectors.row(i).tail(degrees);
   }
   return free;
 }
 
 using Columns = Eigen::Map<Eigen::MatrixXd>;
+using ConstMap = Eigen::Map<const Eigen::MatrixXd>;
 
 /// `degrees` unknowns by which the directions differ most, in their own sigmas.
 std::vector<int> ChooseHeld(const FullVectors& n, const std::vector<double>& diagonal) {
@@ -255,18 +253,18 @@ FreeGauge::FreeGauge(const ReducedSystem& system) {
   n_.points.resize(static_cast<size_t>(num_coordinates * degrees));
   Columns cameras(n_.cameras.data(), num_unknowns, degrees);
   Columns points(n_.points.data(), num_coordinates, degrees);
-  cameras = Eigen::Map<const Eigen::MatrixXd>(all.cameras.data(), num_unknowns, kCount) * free;
-  points = Eigen::Map<const Eigen::MatrixXd>(all.points.data(), num_coordinates, kCount) * free;
+  cameras = Multiply(ConstMap(all.cameras.data(), num_unknowns, kCount), free);
+  points = Multiply(ConstMap(all.points.data(), num_coordinates, kCount), free);
   // What nothing says of a point is no part of the world's freedom.
   for (const NullPoint& null : system.null_points()) {
     points.middleRows(3 * Eigen::Index{null.point}, 3) =
         (Eigen::Matrix3d::Identity() - Eigen::Map<const Eigen::Matrix3d>(null.projector)) *
         points.middleRows(3 * Eigen::Index{null.point}, 3);
   }
-  const Eigen::MatrixXd gram = cameras.transpose() * cameras + points.transpose() * points;
-  const Eigen::MatrixXd upper = gram.llt().matrixU();
-  upper.triangularView<Eigen::Upper>().solveInPlace<Eigen::OnTheRight>(cameras);
-  upper.triangularView<Eigen::Upper>().solveInPlace<Eigen::OnTheRight>(points);
+  const Eigen::MatrixXd inverse =
+      InverseOfCholesky(MultiplyTransposed(cameras, cameras) + MultiplyTransposed(points, points));
+  cameras = Multiply(cameras, inverse);
+  points = Multiply(points, inverse);
 }
 
 void FreeGauge::Hold(ReducedSystem* system) const {
@@ -278,10 +276,8 @@ void FreeGauge::Hold(ReducedSystem* system) const {
         Eigen::Map<const Eigen::VectorXd>(diagonal.data(), size).cwiseMax(0).cwiseSqrt();
     const Eigen::MatrixXd scaled =
         root.asDiagonal() * Eigen::Map<const Eigen::MatrixXd>(n_.cameras.data(), size, degrees());
-    const Eigen::HouseholderQR<Eigen::MatrixXd> qr(scaled);
-    const Eigen::MatrixXd b =
-        root.asDiagonal() * (qr.householderQ() * Eigen::MatrixXd::Identity(size, degrees()));
-    Eigen::Map<Eigen::MatrixXd>(system->values().data(), size, size) += b * b.transpose();
+    const Eigen::MatrixXd b = root.asDiagonal() * OrthonormalColumns(scaled);
+    Columns(system->values().data(), size, size) += Multiply(b, b.transpose());
     return;
   }
   for (const int unknown : ChooseHeld(n_, diagonal)) {

@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "core/covariance/free_gauge.h"
+#include "core/dense/decompositions.h"
 
 namespace bundle {
 
@@ -12,9 +13,9 @@ InnerConstraints::InnerConstraints(const FullVectors& directions, const FullVect
   const auto map = [d](const std::vector<double>& v) {
     return Eigen::Map<const Eigen::MatrixXd>(v.data(), d == 0 ? 0 : Eigen::Index(v.size()) / d, d);
   };
-  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(k_.data(), d,
-                                                                                     d) =
-      map(n_.cameras).transpose() * map(y_.cameras) + map(n_.points).transpose() * map(y_.points);
+  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
+      k_.data(), d, d) = MultiplyTransposed(map(n_.cameras), map(y_.cameras)) +
+                         MultiplyTransposed(map(n_.points), map(y_.points));
 }
 
 void InnerConstraints::RowsOfUnknowns(int first, int count, double* n, double* y) const {

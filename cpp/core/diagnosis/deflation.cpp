@@ -1,9 +1,9 @@
 #include "core/diagnosis/deflation.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <numeric>
 
+#include "core/dense/decompositions.h"
 #include "core/diagnosis/krylov.h"
 
 namespace bundle {
@@ -28,15 +28,13 @@ void Deflation::KeepNull(const Eigen::MatrixXd& product, double tolerance) {
   for (size_t p = 0; p < rows_.size(); ++p) {
     const Eigen::MatrixXd basis = of_pieces_(rows_[p], Eigen::seqN(0, counts_[p]));
     const Eigen::MatrixXd energy =
-        basis.transpose() * product(rows_[p], Eigen::seqN(0, counts_[p]));
+        MultiplyTransposed(basis, product(rows_[p], Eigen::seqN(0, counts_[p])));
     of_pieces_(rows_[p], Eigen::all).setZero();
     if (counts_[p] == 0) continue;
-    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(0.5 *
-                                                                (energy + energy.transpose()));
-    const Eigen::VectorXd& values = solver.eigenvalues();  // ascending
-    const auto kept = (values.array() <= tolerance).count();
+    const SymmetricEigen pairs = DecomposeSymmetric(0.5 * (energy + energy.transpose()));
+    const auto kept = (pairs.values.array() <= tolerance).count();
     if (kept > 0) {
-      of_pieces_(rows_[p], Eigen::seqN(0, kept)) = basis * solver.eigenvectors().leftCols(kept);
+      of_pieces_(rows_[p], Eigen::seqN(0, kept)) = Multiply(basis, pairs.vectors.leftCols(kept));
     }
     counts_[p] = static_cast<int>(kept);
   }
@@ -58,9 +56,9 @@ Eigen::MatrixXd Deflation::Project(Eigen::MatrixXd x) const {
       if (counts_[p] == 0) continue;
       const Eigen::MatrixXd basis = of_pieces_(rows_[p], Eigen::seqN(0, counts_[p]));
       const Eigen::MatrixXd own = RowsOf(static_cast<int>(p), x);
-      x(rows_[p], Eigen::all) = own - basis * (basis.transpose() * own);
+      x(rows_[p], Eigen::all) = own - Multiply(basis, MultiplyTransposed(basis, own));
     }
-    if (others_.cols() > 0) x -= others_ * (others_.transpose() * x);
+    if (others_.cols() > 0) x -= Multiply(others_, MultiplyTransposed(others_, x));
   }
   return x;
 }

@@ -10,9 +10,10 @@
 
 #include "core/diagnosis/krylov.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <random>
+
+#include "core/dense/decompositions.h"
 
 namespace bundle {
 namespace {
@@ -34,7 +35,9 @@ Eigen::MatrixXd Orthonormalize(const Eigen::MatrixXd& basis, Eigen::MatrixXd vec
   Eigen::Index kept = 0;
   const Eigen::VectorXd before = vectors.colwise().norm();
   if (basis.cols() > 0) {
-    for (int twice = 0; twice < 2; ++twice) vectors -= basis * (basis.transpose() * vectors);
+    for (int twice = 0; twice < 2; ++twice) {
+      vectors -= Multiply(basis, MultiplyTransposed(basis, vectors));
+    }
   }
   for (Eigen::Index j = 0; j < vectors.cols(); ++j) {
     Eigen::VectorXd column = vectors.col(j);
@@ -64,18 +67,16 @@ EigenPairs FindLargest(int size, int wanted, int block, int max_dimension, doubl
     basis.rightCols(next.cols()) = next;
     image.rightCols(next.cols()) = product;
 
-    const Eigen::MatrixXd projected = basis.transpose() * image;
-    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> small(0.5 *
-                                                               (projected + projected.transpose()));
+    const Eigen::MatrixXd projected = MultiplyTransposed(basis, image);
+    const SymmetricEigen small = DecomposeSymmetric(0.5 * (projected + projected.transpose()));
     const Eigen::Index count = std::min<Eigen::Index>(wanted, basis.cols());
-    // Eigen's are ascending.
-    const Eigen::MatrixXd chosen = small.eigenvectors().rightCols(count).rowwise().reverse();
-    const Eigen::VectorXd values = small.eigenvalues().tail(count).reverse();
+    const Eigen::MatrixXd chosen = small.vectors.rightCols(count).rowwise().reverse();
+    const Eigen::VectorXd values = small.values.tail(count).reverse();
     const bool is_full = basis.cols() + block > max_dimension;
     next = is_full ? Eigen::MatrixXd(size, 0) : Orthonormalize(basis, product);
-    const Eigen::MatrixXd vectors = basis * chosen;
+    const Eigen::MatrixXd vectors = Multiply(basis, chosen);
     const Eigen::VectorXd residuals =
-        (image * chosen - vectors * values.asDiagonal()).colwise().norm();
+        (Multiply(image, chosen) - vectors * values.asDiagonal()).colwise().norm();
     const bool is_done =
         count == wanted && (residuals.array() <= tolerance * values.array().abs()).all();
     if (!is_done && next.cols() > 0) continue;

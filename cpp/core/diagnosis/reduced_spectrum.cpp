@@ -23,12 +23,12 @@
 #include "core/diagnosis/reduced_spectrum.h"
 
 #include <Eigen/Geometry>
-#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <utility>
 
+#include "core/dense/decompositions.h"
 #include "core/diagnosis/deflation.h"
 #include "core/diagnosis/krylov.h"
 #include "core/diagnosis/scaled_system.h"
@@ -309,7 +309,9 @@ class SpectrumSearch {
     const MatrixXd null =
         Orthonormalize(MatrixXd(system_.size(), 0), d.asDiagonal() * known.Dense());
     const auto project = [&](MatrixXd x) {
-      for (int twice = 0; twice < 2; ++twice) x -= null * (null.transpose() * x);
+      for (int twice = 0; twice < 2; ++twice) {
+        x -= Multiply(null, MultiplyTransposed(null, x));
+      }
       return x;
     };
     const EigenPairs low = FindLargest(system_.size(), 1, 2, 80, 1e-4, [&](const MatrixXd& x) {
@@ -327,7 +329,7 @@ class SpectrumSearch {
     result_.num_gauge = vanish - (scale_is_seen ? 1 : 0);
     if (basis.cols() == 0) return;
     const MatrixXd rest = known.Project(basis);
-    const VectorXd sines = Eigen::JacobiSVD<MatrixXd>(rest).singularValues();
+    const VectorXd sines = SingularValues(rest);
     result_.num_gauge += static_cast<int>((sines.array() < kZeroSine).count());
   }
 

@@ -1,11 +1,12 @@
 #include "core/factors/factor.h"
 
-#include <Eigen/Eigenvalues>
+#include <Eigen/Core>
 #include <cmath>
 #include <cstdio>
 #include <limits>
 #include <utility>
 
+#include "core/dense/decompositions.h"
 #include "core/error.h"
 
 namespace bundle {
@@ -18,11 +19,11 @@ constexpr double kAsymmetry = 1e-9;
 
 [[noreturn]] void RefuseIndefinite(const std::string& subject, const std::vector<double>& matrix,
                                    int n) {
-  const Eigen::SelfAdjointEigenSolver<RowMajor> solver(
-      Eigen::Map<const RowMajor>(matrix.data(), n, n), Eigen::EigenvaluesOnly);
+  const Eigen::VectorXd eigenvalues =
+      DecomposeSymmetric(Eigen::Map<const RowMajor>(matrix.data(), n, n)).values;
   throw InputError(subject + ": expected a positive definite matrix, found eigenvalues from " +
-                   ShortNumber(solver.eigenvalues().minCoeff()) + " to " +
-                   ShortNumber(solver.eigenvalues().maxCoeff()));
+                   ShortNumber(eigenvalues.minCoeff()) + " to " +
+                   ShortNumber(eigenvalues.maxCoeff()));
 }
 
 }  // namespace

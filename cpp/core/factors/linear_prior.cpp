@@ -16,11 +16,12 @@
 /// and dr/dX_k = A_k J_r(d_k)^-1. The constant makes the least cost 0. eta must not point along a
 /// direction that Lambda leaves free: the cost would have no minimum.
 
-#include <Eigen/Eigenvalues>
+#include <Eigen/Core>
 #include <cmath>
 #include <limits>
 #include <utility>
 
+#include "core/dense/decompositions.h"
 #include "core/factors/factor.h"
 #include "core/factors/measurement_factors.h"
 
@@ -54,8 +55,7 @@ LinearPrior::Root LinearPrior::SquareRoot(const std::string& subject, int n,
   const Eigen::VectorXd inverse_scale = scale.cwiseInverse();
   const RowMajor scaled =
       inverse_scale.asDiagonal() * (0.5 * (given + given.transpose())) * inverse_scale.asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<RowMajor> solver(scaled);
-  const Eigen::VectorXd& eigenvalues = solver.eigenvalues();  // ascending
+  const auto [eigenvalues, eigenvectors] = DecomposeSymmetric(scaled);
   const double largest = eigenvalues[n - 1];
   const double rounding = 16 * n * std::numeric_limits<double>::epsilon() * std::abs(largest);
   if (eigenvalues[0] < -kNegative * std::abs(largest)) {
@@ -69,7 +69,7 @@ LinearPrior::Root LinearPrior::SquareRoot(const std::string& subject, int n,
   if (num_free == n) throw InputError(subject + ": Lambda: expected some information, found none");
 
   const Eigen::VectorXd turned =
-      solver.eigenvectors().transpose() *
+      eigenvectors.transpose() *
       (inverse_scale.asDiagonal() * Eigen::Map<const Eigen::VectorXd>(eta.data(), n));
   if (turned.head(num_free).norm() > kOutsideRange * turned.norm()) {
     throw InputError(subject +
@@ -85,7 +85,7 @@ LinearPrior::Root LinearPrior::SquareRoot(const std::string& subject, int n,
   for (int r = 0; r < root.rows; ++r) {
     const double root_of_eigenvalue = std::sqrt(eigenvalues[num_free + r]);
     for (int c = 0; c < n; ++c) {
-      root.a[r * n + c] = root_of_eigenvalue * solver.eigenvectors()(c, num_free + r) * scale[c];
+      root.a[r * n + c] = root_of_eigenvalue * eigenvectors(c, num_free + r) * scale[c];
     }
     root.b[r] = turned[num_free + r] / root_of_eigenvalue;
   }

@@ -1,4 +1,4 @@
-#include "core/minimize/trust_region.h"
+#include "core/dense/decompositions.h"
 
 /// A step d that disregards the bounds leads to P(x + d), P the projection onto them. The model of
 /// the cost knows nothing of the projection, so that P(x + d) may have a higher cost than the model
@@ -24,11 +24,12 @@
 /// the cost by more than a thousandth of that: by more than 1e-4 (-s).
 
 #include <Eigen/Core>
-#include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <vector>
+
+#include "core/minimize/trust_region.h"
 
 namespace bundle {
 namespace {
@@ -62,8 +63,7 @@ Polynomial Interpolate(const std::array<Sample, 3>& samples) {
     values[row + 1] = sample.slope;
     row += 2;
   }
-  Eigen::FullPivLU<Eigen::MatrixXd> lu(conditions);
-  return lu.setThreshold(0.0).solve(values);
+  return SolveByFullPivoting(conditions, values);
 }
 
 double Evaluate(const Polynomial& polynomial, double a) {

@@ -24,13 +24,12 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
-#include <Eigen/QR>
-#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <map>
 #include <vector>
 
+#include "core/dense/decompositions.h"
 #include "core/factors/rig_pose.h"
 #include "core/geometry/rotation.h"
 #include "core/model/gauge.h"
@@ -191,9 +190,10 @@ class GaugeCount {
       squares_[columns[j]] += wanted.col(static_cast<Eigen::Index>(j)).squaredNorm();
     }
     if (reached.cols() > 0) {
-      const MatrixXd q = Eigen::HouseholderQR<MatrixXd>(reached).householderQ() *
-                         MatrixXd::Identity(reached.rows(), reached.cols());
-      for (int twice = 0; twice < 2; ++twice) wanted -= q * (q.transpose() * wanted);
+      const MatrixXd q = OrthonormalColumns(reached);
+      for (int twice = 0; twice < 2; ++twice) {
+        wanted -= Multiply(q, MultiplyTransposed(q, wanted));
+      }
     }
     for (Eigen::Index i = 0; i < wanted.rows(); ++i) {
       if (num_rows_ == rows_.rows()) Factorize();
@@ -207,11 +207,7 @@ class GaugeCount {
 
   void Factorize() {
     const Eigen::Index n = rows_.cols();
-    const MatrixXd triangle = Eigen::HouseholderQR<MatrixXd>(rows_.topRows(num_rows_))
-                                  .matrixQR()
-                                  .topRows(n)
-                                  .template triangularView<Eigen::Upper>();
-    rows_.topRows(n) = triangle;
+    rows_.topRows(n) = TriangleOfQr(rows_.topRows(num_rows_));
     num_rows_ = n;
   }
 
@@ -222,8 +218,7 @@ class GaugeCount {
       const double squared = squares_[first + j];
       if (squared > 0) scaled.col(j) /= std::sqrt(squared);
     }
-    const Eigen::JacobiSVD<MatrixXd> decomposition(scaled);
-    return static_cast<int>((decomposition.singularValues().array() < kZeroSingularValue).count());
+    return static_cast<int>((SingularValues(scaled).array() < kZeroSingularValue).count());
   }
 
   const ProblemView& problem_;

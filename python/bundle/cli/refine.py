@@ -19,20 +19,21 @@ from bundle.cli.option_flags import (
     with_named_images,
 )
 from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, with_rigs
+from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
+from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
 
 if TYPE_CHECKING:
-    from bundle.constraints import Constraints
-    from bundle.georeference import GcpPriors, GpsPriors
     from bundle.problem import Problem
-    from bundle.result import Result
-    from bundle.uncertainty import Covariance
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "refine"
-HELP = "bundle adjustment: poses, points and intrinsics that explain the observations best"
+HELP = (
+    "bundle adjustment: poses, points and intrinsics that explain the observations best; of a pose "
+    "graph (.g2o) the poses that explain its edges best"
+)
 
 # Arguments of bundle.solve_rounds that are no options.
 ARGUMENTS = {
@@ -51,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser, "-o", "--output", required=True)
     add_rig_config(parser)
     add_options(parser, SolveOptions, "options of the solve")
+    add_pose_graph_flags(parser)
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
     add_constraint_flags(parser)
     add_gps_flags(parser)
@@ -111,6 +113,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Refine INPUT into OUTPUT."""
+    if is_pose_graph_file(arguments.input):
+        from bundle.cli.pose_graph_commands import refine_graph
+
+        return refine_graph(arguments)
+    refuse_flags_of_graphs(arguments)
     started = perf_counter()
     from bundle.cli.gps_flags import (
         check_georeference,
@@ -200,7 +207,8 @@ def run(arguments: argparse.Namespace) -> int:
                 solved,
                 arguments.html,
                 images=arguments.images,
-                covariance=_covariance(solved, known, constraints),
+                priors=() if known is None else known.priors,
+                constraints=constraints,
                 georeference=georeference,
                 name=str(source),
             )
@@ -225,20 +233,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json == "-":  # the report that people read was not printed
         complain(outcome(solved))
     return EXIT_NO_SOLUTION
-
-
-def _covariance(
-    solved: Result, known: GcpPriors | GpsPriors | None, constraints: Constraints | tuple[()]
-) -> Covariance | None:
-    """Return the covariance with what the solve was given; None where the page may try without."""
-    from bundle.errors import InputError
-    from bundle.uncertainty import covariance
-
-    priors = () if known is None else known.priors
-    try:
-        return covariance(solved, priors=priors, constraints=constraints, scale="sigma0")
-    except InputError:  # the page says why not
-        return None
 
 
 def _rounds_given(arguments: argparse.Namespace) -> RoundOptions:

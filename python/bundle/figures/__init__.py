@@ -4,6 +4,10 @@ from bundle.figures.certainty import Certainty, certainty
 from bundle.figures.image_residuals import ImageResiduals, image_residuals, worst_residuals
 from bundle.figures.lens_curves import LensCurve, lens_curve, most_observed_cameras
 from bundle.figures.placement_errors import Placement, placement
+from bundle.figures.projection_uncertainty import (
+    ProjectionUncertainty,
+    projection_uncertainty,
+)
 from bundle.figures.residual_field import RadialProfile, ResidualField, residual_fields
 from bundle.figures.residual_histogram import ResidualHistogram, residual_histogram
 from bundle.figures.residuals import Residuals, residuals
@@ -15,6 +19,7 @@ __all__ = [
     "ImageResiduals",
     "LensCurve",
     "Placement",
+    "ProjectionUncertainty",
     "RadialProfile",
     "ResidualField",
     "ResidualHistogram",
@@ -26,6 +31,7 @@ __all__ = [
     "lens_curve",
     "most_observed_cameras",
     "placement",
+    "projection_uncertainty",
     "residual_fields",
     "residual_histogram",
     "residuals",

@@ -28,6 +28,7 @@ __all__ = [
     "ResidualField",
     "by_observations",
     "field_of",
+    "image_box",
     "observations_of_cameras",
     "principal_point",
     "residual_fields",
@@ -184,7 +185,7 @@ def field_of(problem: Problem, found: Residuals, cameras: Sequence[int]) -> Resi
     members = np.isin(problem.image_camera, cameras)
     chosen = np.flatnonzero(found.counted & members[problem.observation_image])
     xy, residual = problem.observation_xy[chosen], found.xy[chosen]
-    box = _box(xy, problem.camera_sizes[cameras[0]])
+    box = image_box(xy, problem.camera_sizes[cameras[0]])
     centers = [principal_point(problem, index) for index in cameras]
     known = [center for center in centers if center is not None]
     center = np.mean(known, axis=0) if known else (box[:2] + box[2:]) / 2
@@ -217,7 +218,7 @@ def principal_point(problem: Problem, camera: int) -> NDArray[np.float64] | None
     return problem.camera_params[camera, places] if len(places) == 2 else None
 
 
-def _box(xy: NDArray[np.float64], size: NDArray[np.int64]) -> NDArray[np.float64]:
+def image_box(xy: NDArray[np.float64], size: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the image; that of the observations where its size is unknown or not in use."""
     inside = ((xy >= 0) & (xy <= size)).all(axis=1)
     if (size > 0).all() and 2 * inside.sum() >= len(xy):

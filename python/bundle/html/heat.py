@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from html import escape
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from bundle.html.page import tag
 from bundle.html.scale import short
 from bundle.pictures.directions import direction_colours
 
-__all__ = ["cells", "directions", "plane", "vectors"]
+__all__ = ["PAD", "Boxed", "cells", "directions", "plane", "plane_size", "vectors"]
 
 WIDTH = 400.0
 PAD = 2.0
@@ -23,9 +24,17 @@ BELOW = 18.0
 DOTS_WIDE = 560
 
 
-def plane(field: ResidualField, *content: str, label: str, scale: str = "") -> str:
+class Boxed(Protocol):
+    """Numbers over an image plane."""
+
+    @property
+    def box(self) -> NDArray[np.float64]:
+        """(4,) left, top, right, bottom [pixels]."""
+
+
+def plane(field: Boxed, *content: str, label: str, scale: str = "") -> str:
     """Return a drawing in the shape of the image, its corners written below."""
-    width, height = _size(field)
+    width, height = plane_size(field)
     left, top, right, bottom = field.box
     y = height + 2 * PAD + 13
     frame = tag("rect", class_="plane", x=PAD, y=PAD, width=f"{width:.1f}", height=f"{height:.1f}")
@@ -40,17 +49,21 @@ def plane(field: ResidualField, *content: str, label: str, scale: str = "") -> s
 
 
 def cells(
-    field: ResidualField,
+    field: Boxed,
     values: NDArray[np.float64],
     top: float,
     name: str,
     unit: str,
     *,
     titles: Callable[[int, int], str] | None = None,
+    overlay: str = "",
 ) -> str:
-    """Return cells, the fuller the larger the value, from 0 to ``top``; empty where nan."""
+    """Return cells, the fuller the larger the value, from 0 to ``top``; empty where nan.
+
+    ``overlay`` is drawn on top.
+    """
     rows, columns = values.shape
-    width, height = _size(field)
+    width, height = plane_size(field)
     wide, high = width / columns, height / rows
     drawn = []
     for row in range(rows):
@@ -69,7 +82,7 @@ def cells(
                 )
             )  # fmt: skip
     group = tag("g", *drawn, class_="heat")
-    return plane(field, group, label=name, scale=_ramp(top, unit))
+    return plane(field, group, overlay, label=name, scale=_ramp(top, unit))
 
 
 def vectors(field: ResidualField, factor: float, titles: Callable[[int, int], str]) -> str:
@@ -78,7 +91,7 @@ def vectors(field: ResidualField, factor: float, titles: Callable[[int, int], st
     A line is bold where the mean is significant, faint where it is not or cannot be said.
     """
     rows, columns = field.count.shape
-    width, height = _size(field)
+    width, height = plane_size(field)
     wide, high = width / columns, height / rows
     pixel = width / float(field.box[2] - field.box[0])
     drawn, areas = [], []
@@ -106,7 +119,7 @@ def vectors(field: ResidualField, factor: float, titles: Callable[[int, int], st
 
 def directions(field: ResidualField) -> str:
     """Return some observations as dots, coloured by the direction of their residuals."""
-    width, height = _size(field)
+    width, height = plane_size(field)
     across, down = DOTS_WIDE, max(round(DOTS_WIDE * height / width), 1)
     image = np.zeros((down, across, 4), np.uint8)
     share = (field.dots - field.box[:2]) / (field.box[2:] - field.box[:2])
@@ -125,7 +138,8 @@ def directions(field: ResidualField) -> str:
     return plane(field, picture, label="directions of residuals", scale=_wheel())
 
 
-def _size(field: ResidualField) -> tuple[float, float]:
+def plane_size(field: Boxed) -> tuple[float, float]:
+    """Return width and height of a plane as it is drawn, within its margin ``PAD``."""
     left, top, right, bottom = field.box
     height = WIDTH * float((bottom - top) / (right - left))
     limit = 1.5 * WIDTH

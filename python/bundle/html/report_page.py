@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,11 +16,13 @@ from bundle.errors import InputError, shown
 from bundle.figures import (
     Certainty,
     Placement,
+    ProjectionUncertainty,
     Residuals,
     certainty,
     lens_curve,
     most_observed_cameras,
     placement,
+    projection_uncertainty,
     residual_fields,
     residual_histogram,
     residuals,
@@ -33,6 +35,7 @@ from bundle.html.lens_section import lens_data, lens_section, parameter_table
 from bundle.html.overview_section import overview_section
 from bundle.html.page import asset, tag, write_page
 from bundle.html.placement_section import placement_data, placement_section
+from bundle.html.projection_section import projection_data, projection_section
 from bundle.html.residual_section import (
     field_data,
     field_section,
@@ -43,6 +46,7 @@ from bundle.html.scene_section import scene_data, scene_script, scene_section
 from bundle.html.structure_section import structure_section
 from bundle.html.worst_section import worst_section
 from bundle.io import Source, as_path, as_problem
+from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.result import Result
 from bundle.statistics import describe
@@ -50,7 +54,9 @@ from bundle.uncertainty import covariance as compute_covariance
 from bundle.words import pixels
 
 if TYPE_CHECKING:
+    from bundle.constraints import Constraints, Rule
     from bundle.georeference import Georeference
+    from bundle.placement import Prior
     from bundle.uncertainty import Covariance
 
 __all__ = ["write_report"]
@@ -65,6 +71,8 @@ def write_report(
     images: str | os.PathLike[str] | None = None,
     georeference: Mapping[str, Any] | Georeference | None = None,
     covariance: Covariance | None = None,
+    priors: Iterable[Prior] = (),
+    constraints: Constraints | Iterable[str | Rule] = (),
     name: str = "",
 ) -> tuple[str, ...]:
     """Write one HTML page about a reconstruction, which needs no network and no other file.
@@ -77,8 +85,9 @@ def write_report(
             there on.
         georeference: how well the model fits positions and control points: the content of
             ``georeference.json``, or what ``bundle.georeference`` makes of a result.
-        covariance: of this very problem, from :func:`bundle.covariance`; None computes it, which
-            takes what the solve was given beside the problem where priors took part.
+        covariance: of this very problem, from :func:`bundle.covariance`; None computes it.
+        priors: that the solve had; the covariance counts them.
+        constraints: likewise.
         name: of the reconstruction, for the title.
 
     Returns:
@@ -99,7 +108,7 @@ def write_report(
     if georeference is not None:
         given = georeference if isinstance(georeference, Mapping) else georeference.asdict()
         page.place = placement(problem, given)
-    page.certainty = page.certainty_of(covariance)
+    page.certainty = page.certainty_of(covariance, priors, constraints)
     page.write(target, name, images)
     return tuple(page.notes)
 
@@ -127,7 +136,7 @@ class _Page:
             self._residual_sections(found)
             self._worst(found, images)
         self._lenses()
-        self._certainty()
+        self._certainty(found)
         self.sections += structure_section(problem, description, track_statistics(problem))
         if self.place is not None:
             self.sections.append(tag("h2", "Control points and positions", id="placement"))
@@ -222,17 +231,24 @@ class _Page:
         self.sections.append(tag("h2", "3-D view", id="scene"))
         self.sections.append(scene_section(view, self.problem.num_points, words))
 
-    def certainty_of(self, given: Covariance | None) -> Certainty | None:
+    def certainty_of(
+        self,
+        given: Covariance | None,
+        priors: Iterable[Prior],
+        constraints: Constraints | Iterable[str | Rule],
+    ) -> Certainty | None:
         """Return what is known of the certainty; None, and a note, where it cannot be computed."""
         if given is None:
             source = self.problem if self.result is None else self.result
             try:
-                given = compute_covariance(source, scale="sigma0")
+                given = compute_covariance(
+                    source, priors=priors, constraints=constraints, scale="sigma0"
+                )
             except InputError as error:
                 self.no_certainty = f"No covariance: {str(error).rstrip('.')}."
         return None if given is None else certainty(self.problem, given)
 
-    def _certainty(self) -> None:
+    def _certainty(self, found: Residuals | None) -> None:
         if self.certainty is None and not self.no_certainty:
             return
         self.sections.append(tag("h2", "Certainty", id="certainty"))
@@ -241,6 +257,24 @@ class _Page:
             return
         cameras = most_observed_cameras(self.problem)
         self.sections.append(certainty_section(self.problem, self.certainty, cameras))
+        made = (self._projection(index, self.certainty, found) for index in cameras)
+        known = [one for one in made if one is not None]
+        if known:
+            observed = np.unique(self.problem.image_camera[self.problem.observation_image])
+            self.sections.append(projection_section(known, len(observed)))
+            self.data["projection"] = projection_data(known)
+
+    def _projection(
+        self, camera: int, known: Certainty, found: Residuals | None
+    ) -> ProjectionUncertainty | None:
+        if camera not in known.cameras:
+            return None
+        options = SolveOptions() if self.result is None else self.result.options
+        return projection_uncertainty(
+            self.problem, camera, known.cameras[camera], found=found,
+            sigma=known.sigma0 if known.scale == "sigma0" else 1.0,
+            loss=options.loss, loss_scale=options.loss_scale,
+        )  # fmt: skip
 
     def _note(self, words: str) -> None:
         self.notes.append(words)

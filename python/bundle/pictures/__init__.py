@@ -30,6 +30,10 @@ from bundle.pictures.problem_patterns import (
     order_blocks,
     reduced_pattern,
 )
+from bundle.pictures.projection_pictures import (
+    draw_projection_uncertainty,
+    draw_uncertainty_against_distance,
+)
 from bundle.pictures.residual_pictures import (
     draw_image_residuals,
     draw_radial_profile,
@@ -58,6 +62,7 @@ __all__ = [
     "draw_orderings",
     "draw_performance_profile",
     "draw_position_errors",
+    "draw_projection_uncertainty",
     "draw_radial_profile",
     "draw_residual_cells",
     "draw_residual_directions",
@@ -68,6 +73,7 @@ __all__ = [
     "draw_target_errors",
     "draw_track_lengths",
     "draw_triangulation_angles",
+    "draw_uncertainty_against_distance",
     "figure",
     "information_pattern",
     "order_blocks",

@@ -2,9 +2,9 @@
 
 #include <gtest/gtest.h>
 
-#include <Eigen/Eigenvalues>
-#include <Eigen/QR>
 #include <random>
+
+#include "core/dense/decompositions.h"
 
 namespace bundle {
 namespace {
@@ -20,7 +20,7 @@ Eigen::MatrixXd Random(int rows, int columns, int seed) {
 /// Symmetric, with these eigenvalues.
 Eigen::MatrixXd WithEigenvalues(const Eigen::VectorXd& values) {
   const auto n = static_cast<int>(values.size());
-  const Eigen::MatrixXd q = Eigen::HouseholderQR<Eigen::MatrixXd>(Random(n, n, 1)).householderQ();
+  const Eigen::MatrixXd q = OrthonormalColumns(Random(n, n, 1));
   return q * values.asDiagonal() * q.transpose();
 }
 

@@ -59,7 +59,7 @@ std::function<VectorXd(VectorXd)> DensePreconditioner(const RandomSystem& system
   const MatrixXd s = scale.asDiagonal() * system.s * scale.asDiagonal();
   const MatrixXd u = scale.asDiagonal() * system.u * scale.asDiagonal();
   MatrixXd inverse = MatrixXd::Identity(n, n);
-  if (type == PreconditionerType::kJacobi) inverse = u.inverse();
+  if (type == PreconditionerType::kJacobi) inverse = oracle::Inverse(u);
   if (type == PreconditionerType::kSchurJacobi) {
     MatrixXd diagonal = MatrixXd::Zero(n, n);
     int first = 0;
@@ -67,10 +67,10 @@ std::function<VectorXd(VectorXd)> DensePreconditioner(const RandomSystem& system
       diagonal.block(first, first, size, size) = s.block(first, first, size, size);
       first += size;
     }
-    inverse = diagonal.inverse();
+    inverse = oracle::Inverse(diagonal);
   }
   if (type == PreconditionerType::kSchurPowerSeriesExpansion) {
-    const MatrixXd u_inverse = u.inverse();
+    const MatrixXd u_inverse = oracle::Inverse(u);
     const MatrixXd step = u_inverse * (u - s);
     MatrixXd term = u_inverse;
     inverse = term;

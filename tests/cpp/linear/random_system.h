@@ -1,13 +1,13 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <Eigen/Dense>
 #include <cstdint>
 #include <limits>
 #include <random>
 #include <vector>
 
 #include "core/linear/block_structure.h"
+#include "support/dense_oracle.h"
 
 namespace bundle {
 
@@ -60,7 +60,7 @@ inline RandomSystem MakeRandomSystem(const std::vector<int>& sizes, double coupl
   }
   const double norm = n > 0 ? k.cwiseAbs().rowwise().sum().maxCoeff() : 0;
   if (norm > 0) k *= 0.9 / norm;
-  const Eigen::MatrixXd l = n > 0 ? Eigen::MatrixXd(system.u.llt().matrixL()) : system.u;
+  const Eigen::MatrixXd l = oracle::CholeskyFactor(system.u);
   system.s = l * (Eigen::MatrixXd::Identity(n, n) - k) * l.transpose();
   system.b = Eigen::VectorXd::NullaryExpr(n, [&] { return normal(random); });
   for (int i = 0; i < n; ++i) system.scale.push_back(0.5 + uniform(random));
@@ -105,11 +105,8 @@ inline BlockSystem Store(const RandomSystem& from, const BlockStructure& structu
 
 /// S^-1 b in extended precision.
 inline Eigen::VectorXd ExactSolution(const RandomSystem& system) {
-  using Matrix = Eigen::Matrix<long double, Eigen::Dynamic, Eigen::Dynamic>;
-  using Vector = Eigen::Matrix<long double, Eigen::Dynamic, 1>;
-  const Matrix s = system.s.cast<long double>();
-  const Vector b = system.b.cast<long double>();
-  return Vector(s.ldlt().solve(b)).cast<double>();
+  return oracle::SolveSymmetric(system.s.cast<oracle::Real>(), system.b.cast<oracle::Real>())
+      .cast<double>();
 }
 
 }  // namespace bundle

@@ -4,7 +4,6 @@
 /// it and the linear algebra that of Ceres' DENSE_QR.
 
 #include <Eigen/Core>
-#include <Eigen/QR>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -12,6 +11,7 @@
 
 #include "core/minimize/least_squares.h"
 #include "minimize/classic_functions.h"
+#include "support/dense_oracle.h"
 
 namespace bundle {
 
@@ -45,7 +45,7 @@ class DenseProblem final : public LeastSquares {
     lhs.bottomRows(n).diagonal() = scaled_d_ * std::sqrt(damping_);
     Eigen::VectorXd rhs = Eigen::VectorXd::Zero(m + n);
     rhs.head(m) = r_;
-    q_ = -scale_ * lhs.householderQr().solve(rhs).array();
+    q_ = -scale_ * oracle::SolveLeastSquares(lhs, rhs).array();
     if (!q_.allFinite()) return {NewtonResult::Status::kFailure, 1, "not finite"};
     return {NewtonResult::Status::kSuccess, 1, ""};
   }

@@ -3,11 +3,11 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Core>
-#include <Eigen/LU>
 #include <cmath>
 #include <random>
 
 #include "core/minimize/strategy.h"
+#include "support/dense_oracle.h"
 
 namespace bundle {
 namespace {
@@ -23,7 +23,7 @@ struct Model {
 
   Model(Matrix h, Vector g, double damping) : hessian(std::move(h)), gradient(std::move(g)) {
     const Matrix identity = Matrix::Identity(hessian.rows(), hessian.cols());
-    newton = -(hessian + damping * identity).fullPivLu().solve(gradient);
+    newton = -(oracle::Inverse(hessian + damping * identity) * gradient);
     const Vector hg = hessian * gradient, hn = hessian * newton;
     products = {gradient.dot(gradient), gradient.dot(newton), newton.dot(newton),
                 gradient.dot(hg),       gradient.dot(hn),     newton.dot(hn)};

@@ -19,15 +19,15 @@ class CapturingSolver final : public LinearSolver {
 
   const std::vector<double>& scale() const { return scale_; }
 
-  testing::RealMatrix matrix, camera_diagonal;
-  testing::RealVector rhs;
+  oracle::RealMatrix matrix, camera_diagonal;
+  oracle::RealVector rhs;
 
  private:
   LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& scale) override {
     const int n = num_columns();
     scale_ = scale;
-    matrix = testing::RealMatrix::Zero(n, n);
-    camera_diagonal = testing::RealMatrix::Zero(n, n);
+    matrix = oracle::RealMatrix::Zero(n, n);
+    camera_diagonal = oracle::RealMatrix::Zero(n, n);
     rhs.resize(n);
     for (int i = 0; i < n; ++i) rhs[i] = system->rhs[i];
     int64_t diagonal_at = 0;
@@ -55,8 +55,8 @@ class CapturingSolver final : public LinearSolver {
   LinearSolution DoSolve(const double* /*rhs*/, int /*num_rhs*/, double /*eta*/,
                          double* x) override {
     const int n = num_columns();
-    const testing::RealVector solution =
-        n > 0 ? testing::RealVector(matrix.ldlt().solve(rhs)) : testing::RealVector();
+    const oracle::RealVector solution =
+        n > 0 ? oracle::RealVector(oracle::SolveSymmetric(matrix, rhs)) : oracle::RealVector();
     for (int i = 0; i < n; ++i) x[i] = static_cast<double>(solution[i]);
     return {};
   }

@@ -3,7 +3,6 @@
 /// The normal equations of a bundle adjustment problem as least_squares.h writes them, in extended
 /// precision, out of EvaluateReprojection (factors/reprojection.h) one observation at a time.
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
@@ -17,12 +16,13 @@
 #include "core/model/problem_factors.h"
 #include "core/problem/problem_view.h"
 #include "support/cost.h"
+#include "support/dense_oracle.h"
 
 namespace bundle::testing {
 
-using Real = long double;
-using RealMatrix = Eigen::Matrix<Real, Eigen::Dynamic, Eigen::Dynamic>;
-using RealVector = Eigen::Matrix<Real, Eigen::Dynamic, 1>;
+using oracle::Real;
+using oracle::RealMatrix;
+using oracle::RealVector;
 
 /// One row of J, corrected for the loss, and its residual.
 struct SparseRow {
@@ -256,8 +256,8 @@ class EliminatedEquations {
     for (int p = 0; p < num_points; ++p) {
       for (int k = 0; k < 3; ++k) v_[p](k, k) += damping * d_squared[n + 3 * p + k];
       if (n == 0) continue;
-      const RealMatrix v_inverse_w = v_[p].ldlt().solve(w_[p].transpose());
-      reduced -= w_[p] * v_inverse_w;
+      const RealMatrix v_inverse_w = oracle::SolveSymmetric(v_[p], w_[p].transpose());
+      reduced -= oracle::Product(w_[p], v_inverse_w);
       rhs += v_inverse_w.transpose() * problem.gradient.segment(n + 3 * p, 3);
     }
   }
@@ -266,12 +266,12 @@ class EliminatedEquations {
   RealVector Solve() const {
     const int n = problem_.num_camera_columns;
     RealVector q(problem_.num_columns);
-    if (n > 0) q.head(n) = reduced.ldlt().solve(rhs);
+    if (n > 0) q.head(n) = oracle::SolveSymmetric(reduced, rhs);
     for (size_t p = 0; p < v_.size(); ++p) {
       const Eigen::Index at = n + 3 * static_cast<Eigen::Index>(p);
       RealVector right = -problem_.gradient.segment(at, 3);
       if (n > 0) right -= w_[p].transpose() * q.head(n);
-      q.segment(at, 3) = v_[p].ldlt().solve(right);
+      q.segment(at, 3) = oracle::SolveSymmetric(v_[p], right);
     }
     return q;
   }
