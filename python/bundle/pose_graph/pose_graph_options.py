@@ -60,8 +60,8 @@ class PoseGraphOptions(Options):
     loss_scale: float = option(
         1.0,
         "--loss-scale",
-        "error at which the loss begins to bend, in sigmas; gnc-tls: in radii that hold 99 % of "
-        "the errors of right edges",
+        "error at which the loss begins to bend, in sigmas; gnc-tls: in radii that hold 99.95 % "
+        "of the errors of right edges",
         above=0.0,
         metavar="X",
         only_with=("loss", GRAPH_LOSSES[1:]),

@@ -11,7 +11,7 @@ from bundle import _core
 from bundle.arguments import check_function, check_type
 from bundle.arrays import freeze
 from bundle.option_fields import choice
-from bundle.pose_graph.gnc import QUANTILES_99, graduate
+from bundle.pose_graph.gnc import QUANTILES, graduate
 from bundle.pose_graph.information import checked_information
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph.pose_graph_options import PoseGraphOptions
@@ -24,7 +24,7 @@ __all__ = ["initial_poses", "pose_graph_chi2", "solve_pose_graph"]
 
 SEVERAL_COMPONENTS = "several_components"
 
-BEYOND_DOUBT = {3: 30.66484969, 6: 38.25835948}
+BEYOND_DOUBT = {3: 30.664849706213598, 6: 38.25833637720969}
 """Of chi2, by degrees of freedom: beyond it is one right edge in a million."""
 
 
@@ -144,7 +144,7 @@ def _solve_gnc(
     progress: Progress | None,
 ) -> dict[str, Any]:
     """Solve with weights in between, then once more with edges in or out; see ``gnc``."""
-    c_squared = options.loss_scale**2 * QUANTILES_99[graph.tangent_size]
+    c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
     plain = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
     rough = plain.replace(function_tolerance=max(plain.function_tolerance, 1e-6))
     none = np.zeros(graph.num_edges, bool)
