@@ -149,6 +149,26 @@ def covariance(
     relative: list[tuple[int, int]],
 ) -> dict[str, Any]: ...
 
+# bind_rest.cpp
+def marginalize_rest(
+    problem: Problem,
+    options: dict[str, Any],
+    restrictions: Restrictions | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    images: list[int],
+    frames: list[int],
+    cameras: list[int],
+) -> dict[str, Any]: ...
+def free_similarities(
+    problem: Problem,
+    options: dict[str, Any],
+    restrictions: Restrictions | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    images: list[int],
+    frames: list[int],
+    cameras: list[int],
+) -> NDArray[np.float64]: ...
+
 # bind_check.cpp
 def richardson_jacobian(
     function: Callable[[list[NDArray[np.float64]], bool], Any],
