@@ -426,6 +426,37 @@ def test_what_is_refused(settings, named):
         bundle.solve_rounds(chain(), num_rounds=0, **settings)
 
 
+def test_a_wide_prior_is_the_same_to_both_backends():
+    """Its matrix products are of another kind than those of small factors."""
+    problem = in_a_row(make_problem(num_images=24, num_points=200, perturbation=1e-3), 8)
+    ends = []
+    for backend in ("ceres", "fused"):
+        result = bundle.solve_rounds(problem, only_images=[12], backend=backend, **SOLVE)
+        assert result.part.rest.prior_size > 100
+        ends.append(result)
+    np.testing.assert_allclose(ends[0].problem.points, ends[1].problem.points, atol=1e-6)
+    assert ends[0].summary.final_cost == pytest.approx(ends[1].summary.final_cost, rel=1e-9)
+
+
+def test_too_large_a_prior_is_refused_beforehand(monkeypatch):
+    monkeypatch.setattr("bundle._core.available_memory", lambda: 1e4)
+    with pytest.raises(bundle.InputError, match=r"^rest: marginal needs [0-9.]+ kB [^\n]*fewer"):
+        bundle.solve_rounds(chain(), only_images=[5], **SOLVE)
+
+
+@pytest.mark.parametrize("refine", [("points",), ("poses",), ("poses", "points"), ("focal",)])
+def test_what_is_not_refined_is_no_part_of_the_prior(refine):
+    problem = chain()
+    _, prior = prior_of(problem, [5], refine=refine)
+    kinds = set() if prior.factor is None else {kind for kind, _ in prior.factor.keys}
+    assert kinds == {
+        *(["image"] if "poses" in refine else []),
+        *(["camera"] if "focal" in refine else []),
+    }
+    result = bundle.solve_rounds(problem, only_images=[5], refine=refine, **SOLVE)
+    assert result.summary.is_solution_usable
+
+
 def test_the_command(run, tmp_path):
     bundle.save(chain(), tmp_path / "model")
     report = tmp_path / "report.json"

@@ -36,14 +36,17 @@ from numpy.typing import NDArray
 
 from bundle import _core, solver
 from bundle.arrays import freeze
-from bundle.cameras import camera_models
+from bundle.errors import InputError
 from bundle.graph.linear_prior import LinearPrior
+from bundle.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
+from bundle.problem_keys import parameter_names
 from bundle.result import Result
 from bundle.round_record import PartRecord, RestRecord
 from bundle.rounds.extract import Extract
 from bundle.rounds.local_part import LocalPart, touched_ids
+from bundle.words import plural
 
 __all__ = ["RestPrior", "marginalize_rest", "without_prior"]
 
@@ -53,6 +56,9 @@ _Mask = NDArray[np.bool_]
 FREE = 1e-10
 """Information along a similarity of the world beside the sum of that of single unknowns, below
 which nothing holds it."""
+
+COPIES = 10
+"""Matrices of its size that a prior takes while it is made: eigenvectors, roots, Jacobians."""
 
 SMALLEST = 64 * np.finfo(float).eps
 """Of an eigenvalue of the scaled information, times its size: rounding."""
@@ -94,6 +100,7 @@ def marginalize_rest(
     rest = _rest_of(whole, part, options)
     near = _Near.find(whole, part, options)
     size = near.size(whole)
+    _refuse_too_much(size, int(part.neighbours.sum()))
     information, eta = np.zeros((size, size)), np.zeros(size)
     counts = {"num_eliminated": 0, "num_points": 0, "num_null_points": 0}
     if rest is not None:
@@ -133,6 +140,17 @@ def without_prior(
     return result, dataclasses.replace(record, rest=rest)
 
 
+def _refuse_too_much(size: int, num_neighbours: int) -> None:
+    """Raise an InputError if a prior on so many unknowns does not fit into the memory."""
+    needed, free = 8.0 * size * size * COPIES, _core.available_memory()
+    if needed > SHARE_OF_FREE_MEMORY * free:
+        raise InputError(
+            f"rest: marginal needs {format_size(needed)} for a dense prior on {size} unknowns of "
+            f"{plural(num_neighbours, 'neighbouring image')} and their cameras, of which this "
+            f"machine has {format_size(free)} free; name fewer images, or use fixed"
+        )
+
+
 @dataclass(frozen=True)
 class _Near:
     """Neighbours that are free, as masks in the whole; images without a frame."""
@@ -166,7 +184,7 @@ class _Near:
         found = [(("image", key), 6) for key in whole.image_ids[self.images].tolist()]
         found += [(("frame", key), 6) for key in whole.frame_ids[self.frames].tolist()]
         for row in np.flatnonzero(self.cameras).tolist():
-            width = len(camera_models()[whole.camera_models[row]])
+            width = len(parameter_names("rest", whole, row))
             found.append((("camera", int(whole.camera_ids[row])), width))
         return found
 
@@ -321,6 +339,6 @@ def _as_factor(
 def _values(whole: Problem, near: _Near) -> list[tuple[tuple[str, int], _Floats]]:
     rows = [*whole.cam_from_world[near.images], *whole.rig_from_world[near.frames]]
     for row in np.flatnonzero(near.cameras).tolist():
-        width = len(camera_models()[whole.camera_models[row]])
+        width = len(parameter_names("rest", whole, row))
         rows.append(whole.camera_params[row, :width])
     return [(key, value) for (key, _), value in zip(near.variables(whole), rows, strict=True)]
