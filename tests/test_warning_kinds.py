@@ -15,7 +15,7 @@ DECLARED = re.findall(
 )
 
 
-IN_PYTHON = ["weak_baseline"]
+IN_PYTHON = ["weak_baseline", "several_components"]
 """Kinds that the core does not know, after its own."""
 
 

@@ -2,13 +2,13 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl/filesystem.h>
 
-#include <cerrno>
 #include <filesystem>
 #include <string>
 #include <system_error>
 #include <utility>
 #include <vector>
 
+#include "bindings/file_access.h"
 #include "bindings/immutable_array.h"
 #include "core/error.h"
 #include "core/io/bal.h"
@@ -20,20 +20,6 @@ namespace {
 
 template <typename T>
 using Array = py::array_t<T, py::array::c_style>;
-
-/// Lets Ctrl-C end the reading or writing of a large file.
-void CheckSignals() {
-  const py::gil_scoped_acquire acquire;
-  if (PyErr_CheckSignals() != 0) throw py::error_already_set();
-}
-
-[[noreturn]] void ThrowOsError(const std::system_error& error, const std::filesystem::path& path) {
-  const py::str name(py::cast(path));
-  errno = error.code().value();
-  // A string: OSError prints the representation, and that of a pathlib.Path is not for users.
-  PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, name.ptr());
-  throw py::error_already_set();
-}
 
 py::tuple ReadBalFile(const std::filesystem::path& path) {
   BalProblem problem;
@@ -65,13 +51,6 @@ const T* Checked(const Array<T>& array, const char* name, int64_t rows, int64_t 
                      std::to_string(width) + " numbers");
   }
   return array.data();
-}
-
-Compression CompressionFromName(const std::string& name) {
-  if (name == "gzip") return Compression::kGzip;
-  if (name == "bzip2") return Compression::kBzip2;
-  if (name.empty()) return Compression::kNone;
-  throw InputError("compression: expected gzip, bzip2 or nothing, found " + name);
 }
 
 /// Values, indices among them, are those of a bundle.Problem, which has checked them.

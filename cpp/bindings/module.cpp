@@ -12,11 +12,13 @@ void BindColmap(py::module_& m);
 void BindLosses(py::module_& m);
 void BindSolve(py::module_& m);
 void BindCovariance(py::module_& m);
+void BindRest(py::module_& m);
 void BindCheck(py::module_& m);
 void BindInspection(py::module_& m);
 void BindDiagnosis(py::module_& m);
 void BindSymbolic(py::module_& m);
 void BindGraph(py::module_& m);
+void BindPoseGraph(py::module_& m);
 void BindProcess(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
@@ -30,10 +32,12 @@ PYBIND11_MODULE(_core, m) {
   BindLosses(m);
   BindSolve(m);
   BindCovariance(m);
+  BindRest(m);
   BindCheck(m);
   BindInspection(m);
   BindDiagnosis(m);
   BindSymbolic(m);
   BindGraph(m);
+  BindPoseGraph(m);
   BindProcess(m);
 }

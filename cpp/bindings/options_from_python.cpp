@@ -116,6 +116,24 @@ bundle::SolveOptions OptionsFromPython(const py::dict& options) {
   return result;
 }
 
+void ReadPoseGraphOptions(const py::dict& options, bundle::SolveOptions* result) {
+  const Reader read{options};
+  read("backend", result->backend, bundle::kBackends);
+  read("max_num_iterations", result->max_num_iterations);
+  read("function_tolerance", result->function_tolerance);
+  read("gradient_tolerance", result->gradient_tolerance);
+  read("parameter_tolerance", result->parameter_tolerance);
+  read("num_threads", result->num_threads);
+  const auto strategy = py::cast<std::string>(options["trust_region_strategy_type"]);
+  if (strategy == "gauss_newton") {
+    constexpr double kLargestRadius = 1e16;  // of Levenberg-Marquardt: no damping to speak of
+    result->initial_trust_region_radius = kLargestRadius;
+  } else {
+    read("trust_region_strategy_type", result->trust_region_strategy_type,
+         bundle::kTrustRegionStrategies);
+  }
+}
+
 py::dict DefaultOptions() {
   const bundle::SolveOptions defaults;
   py::dict result;

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from bundle.constraints import Constraints
     from bundle.diagnosis import Diagnosis, diagnose
     from bundle.errors import InputError
+    from bundle.files import load, save
     from bundle.free_degrees import GaugeFreedom, gauge_freedom
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
@@ -44,8 +45,15 @@ if TYPE_CHECKING:
         inspect,
         inspect_graph,
     )
-    from bundle.io import load, save
     from bundle.options import SolveOptions
+    from bundle.pose_graph import (
+        PoseGraph,
+        PoseGraphOptions,
+        PoseGraphResult,
+        PoseGraphSummary,
+        initial_poses,
+        pose_graph_chi2,
+    )
     from bundle.problem import Problem
     from bundle.reprojection import ReprojectionError, reprojection_errors
     from bundle.result import Result
@@ -79,6 +87,10 @@ __all__ = [
     "Inspection",
     "LinearPrior",
     "MethodInspection",
+    "PoseGraph",
+    "PoseGraphOptions",
+    "PoseGraphResult",
+    "PoseGraphSummary",
     "PositionFactor",
     "PositionPrior",
     "PriorFactor",
@@ -111,11 +123,13 @@ __all__ = [
     "georeference",
     "get_include",
     "html",
+    "initial_poses",
     "inspect",
     "inspect_graph",
     "load",
     "losses",
     "pictures",
+    "pose_graph_chi2",
     "project",
     "report",
     "reprojection_errors",
@@ -165,8 +179,16 @@ _DEFERRED = {
         "inspect",
         "inspect_graph",
     ),
-    "io": ("load", "save"),
+    "files": ("load", "save"),
     "options": ("SolveOptions",),
+    "pose_graph": (
+        "PoseGraph",
+        "PoseGraphOptions",
+        "PoseGraphResult",
+        "PoseGraphSummary",
+        "initial_poses",
+        "pose_graph_chi2",
+    ),
     "problem": ("Problem",),
     "reprojection": ("ReprojectionError", "reprojection_errors"),
     "result": ("Result",),

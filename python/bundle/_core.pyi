@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.problem import Problem
 from bundle.restrictions import Restrictions
 
@@ -148,6 +149,26 @@ def covariance(
     relative: list[tuple[int, int]],
 ) -> dict[str, Any]: ...
 
+# bind_rest.cpp
+def marginalize_rest(
+    problem: Problem,
+    options: dict[str, Any],
+    restrictions: Restrictions | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    images: list[int],
+    frames: list[int],
+    cameras: list[int],
+) -> dict[str, Any]: ...
+def free_similarities(
+    problem: Problem,
+    options: dict[str, Any],
+    restrictions: Restrictions | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    images: list[int],
+    frames: list[int],
+    cameras: list[int],
+) -> NDArray[np.float64]: ...
+
 # bind_check.cpp
 def richardson_jacobian(
     function: Callable[[list[NDArray[np.float64]], bool], Any],
@@ -280,3 +301,25 @@ def check_value(
     name: str, manifold: str, value: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], list[str]]: ...
 def check_variable(variable: tuple[Any, ...]) -> None: ...
+
+# bind_pose_graph.cpp
+def read_g2o(path: str | os.PathLike[str]) -> dict[str, Any]: ...
+def write_g2o(path: str | os.PathLike[str], graph: PoseGraph, compression: str) -> None: ...
+def solve_pose_graph(
+    graph: PoseGraph,
+    held: NDArray[np.bool_],
+    robust: NDArray[np.bool_],
+    options: dict[str, Any],
+    progress: Callable[[dict[str, Any]], None] | None,
+) -> dict[str, Any]: ...
+def hold_poses(graph: PoseGraph) -> tuple[NDArray[np.bool_], int, list[int]]: ...
+def find_bad_information(information: NDArray[np.float64]) -> list[int]: ...
+def edge_chi2(graph: PoseGraph, error: str) -> NDArray[np.float64]: ...
+def initial_poses(
+    graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: int
+) -> NDArray[np.float64]: ...
+def odometry_gap(graph: PoseGraph) -> tuple[int, int]: ...
+def edge_loss(loss: str, scale: float, chi2: float) -> list[float]: ...
+def relative_pose_error(
+    error: str, x_i: NDArray[np.float64], x_j: NDArray[np.float64], z: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Set
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,7 @@ from bundle.errors import InputError, brief, first_line
 from bundle.io import Source, as_problem
 from bundle.options import CHANGEABLE, SolveOptions
 from bundle.placement import Start, place_at_priors
+from bundle.pose_graph import PoseGraph, PoseGraphOptions, PoseGraphResult, solve_pose_graph
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.restrictions import Restrictions
@@ -48,6 +49,17 @@ __all__ = [
 STATE = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
 
 
+@overload
+def solve(
+    problem: PoseGraph,
+    options: PoseGraphOptions | None = None,
+    *,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> PoseGraphResult: ...
+
+
+@overload
 def solve(
     problem: Source,
     options: SolveOptions | None = None,
@@ -59,7 +71,21 @@ def solve(
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
     progress: Progress | None = None,
     **changes: Any,
-) -> Result:
+) -> Result: ...
+
+
+def solve(
+    problem: Source | PoseGraph,
+    options: SolveOptions | PoseGraphOptions | None = None,
+    *,
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    align: bool | None = None,
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] | Applied = (),
+    progress: Progress | None = None,
+    **changes: Any,
+) -> Result | PoseGraphResult:
     """Refine a problem: minimise 1/2 sum rho(||r||^2) over what ``options.refine`` names.
 
     r is the reprojection error of an observation in pixels, rho the loss. The GIL is released while
@@ -106,8 +132,14 @@ def solve(
         known = bundle.georeference.gcp_priors(problem, "gcp_list.txt")
         bundle.solve(problem, priors=known.priors).control_points
 
+    Of a :class:`bundle.PoseGraph` the poses are refined, the options are those of
+    :class:`bundle.PoseGraphOptions`, and the result is a :class:`bundle.PoseGraphResult`. Fixed
+    poses stay; in a connected component without one the first pose is held::
+
+        bundle.solve(bundle.load("x.g2o"), init="chordal", error="log").summary.chi2_final
+
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        problem: left untouched; also the path of a reconstruction, or a pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
         factors: beside the observations, such as :class:`bundle.PriorFactor`.
         priors: measured positions of images, and control points. Their costs come after those of
@@ -140,8 +172,19 @@ def solve(
             contradicts another one or the options, or excludes the start.
         OSError: the path cannot be read.
     """
+    if isinstance(problem, PoseGraph):
+        beside = {
+            "factors": factors,
+            "priors": priors,
+            "bounds": bounds,
+            "constraints": constraints,
+        }
+        for name, value in (beside | {"align": align}).items():
+            if value is not None and value != ():
+                raise InputError(f"{name}: expected none for a pose graph, found {brief(value)}")
+        return solve_pose_graph(problem, options, progress=progress, **changes)  # type: ignore[arg-type]
     problem = as_problem(problem)
-    options = SolveOptions.of(options, changes, "solve")
+    options = SolveOptions.of(options, changes, "solve")  # type: ignore[arg-type]
     check_function("progress", progress)
     ready = prepare(problem, options, factors, priors, align, bounds, constraints)
     placed, options, limits = ready.placed, ready.options, ready.limits

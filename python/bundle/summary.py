@@ -148,7 +148,14 @@ class Summary(Displayed):
 _PHASES = {
     "CERES": ("residual evaluation", "Jacobian evaluation", "linear solver"),
     "FUSED": ("back-substitution, residuals", "Jacobians, elimination", "reduced linear solver"),
+    "NORMAL": ("residuals", "Jacobians, normal equations", "linear solver"),
 }
+
+
+def _eliminates(summary: Summary) -> str:
+    """Return which phases a solve has: the own backend eliminates nothing of a pose graph."""
+    normal = summary.linear_solver_type_used.endswith("NORMAL_CHOLESKY")
+    return "NORMAL" if summary.backend_used == "FUSED" and normal else summary.backend_used
 
 
 def solver_phases(summary: Summary) -> list[tuple[str, float]]:
@@ -157,7 +164,7 @@ def solver_phases(summary: Summary) -> list[tuple[str, float]]:
     Evaluation and linear solver times are parts of the minimizer's time and do not add up to it:
     "other" is what is left of the total, so that the phases do add up.
     """
-    residuals, jacobians, linear_solver = _PHASES[summary.backend_used]
+    residuals, jacobians, linear_solver = _PHASES[_eliminates(summary)]
     phases = [
         ("preprocessor", summary.preprocessor_time_in_seconds),
         (residuals, summary.residual_evaluation_time_in_seconds),

@@ -29,5 +29,6 @@ WARNING_KINDS = {
     "too_many_behind": "more than 1 % of the observations went behind: not usable",
     "observations_left_out": "observations that were behind before are in front at the end",
     "weak_baseline": "focal lengths and baselines of rigs changed together, which is weak",
+    "several_components": "no edge joins parts of a pose graph: each has a gauge of its own",
 }
 """Each kind with what it means."""

@@ -299,6 +299,7 @@ ceres::Solver::Options TranslateOptions(const SolveOptions& options) {
   result.function_tolerance = options.function_tolerance;
   result.gradient_tolerance = options.gradient_tolerance;
   result.parameter_tolerance = options.parameter_tolerance;
+  result.initial_trust_region_radius = options.initial_trust_region_radius;
   result.num_threads = EffectiveNumThreads(options.num_threads);
   // A factorisation that fails because the damping has become too small is tried again with a
   // radius 2, 4, 8, ... times smaller. Ceres gives the whole solve up after five, COLMAP after ten:

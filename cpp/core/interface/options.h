@@ -92,6 +92,7 @@ struct SolveOptions {
   EliminationOrdering linear_solver_ordering = EliminationOrdering::kPointsFirst;
   PreconditionerType preconditioner_type = PreconditionerType::kAuto;
   TrustRegionStrategy trust_region_strategy_type = TrustRegionStrategy::kLevenbergMarquardt;
+  double initial_trust_region_radius = 1e4;  ///< no option of users; 1e16 is Gauss-Newton
   LossType loss = LossType::kTrivial;
   double loss_scale = 1.0;  ///< pixels
   int max_num_iterations = 100;

@@ -1,13 +1,13 @@
 #include "core/io/bal.h"
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <limits>
 #include <memory>
 #include <string>
 
 #include "core/io/files.h"
+#include "core/io/number_writer.h"
 #include "core/io/text_cursor.h"
 
 namespace bundle {
@@ -155,36 +155,6 @@ BalProblem ReadBal(const std::filesystem::path& path, const std::function<void()
 }
 
 namespace {
-
-/// Collects numbers as text and hands it on in blocks.
-class NumberWriter {
- public:
-  NumberWriter(OutputFile& file, const std::function<void()>& on_block)
-      : file_(file), on_block_(on_block), buffer_(OutputFile::kBlockSize, '\0') {}
-
-  template <typename T>
-  void Write(T value, char separator) {
-    if (buffer_.size() - used_ < kLongestNumber) Flush();
-    char* end = buffer_.data() + buffer_.size();
-    char* stop = std::to_chars(buffer_.data() + used_, end, value).ptr;
-    *stop++ = separator;
-    used_ = static_cast<size_t>(stop - buffer_.data());
-  }
-
-  void Flush() {
-    if (on_block_) on_block_();
-    file_.Write(std::string_view(buffer_).substr(0, used_));
-    used_ = 0;
-  }
-
- private:
-  static constexpr size_t kLongestNumber = 32;
-
-  OutputFile& file_;
-  const std::function<void()>& on_block_;
-  std::string buffer_;
-  size_t used_ = 0;
-};
 
 void WriteObservations(const BalView& problem, NumberWriter* writer) {
   for (int64_t i = 0; i < problem.num_observations; ++i) {

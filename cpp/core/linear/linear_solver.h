@@ -22,6 +22,9 @@ struct FillOrdering {
 /// The cheapest of the natural order, AMD's and METIS'.
 FillOrdering FindFillOrdering(const BlockStructure& structure);
 
+/// That of one method: "natural", "amd", "metis" or another of symbolic/symbolic.h.
+FillOrdering FindFillOrdering(const BlockStructure& structure, const std::string& method);
+
 struct LinearSolution {
   enum class Status {
     kSuccess,  ///< also where an iterative solver stopped at its limit, as in Ceres

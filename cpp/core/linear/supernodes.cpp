@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cstddef>
+#include <new>
 #include <utility>
 
 #include "core/linear/linear_solver.h"
@@ -23,13 +24,30 @@ FillOrdering Analyze(const BlockPatternView& pattern, const std::string& name,
   return result;
 }
 
-}  // namespace
-
-FillOrdering FindFillOrdering(const BlockStructure& structure) {
+std::vector<int> BlockSizes(const BlockStructure& structure) {
   std::vector<int> sizes(structure.num_blocks());
   for (int j = 0; j < structure.num_blocks(); ++j) sizes[j] = structure.block_size(j);
-  const BlockPatternView pattern{structure.num_blocks(), sizes.data(),
-                                 structure.column_begin.data(), structure.row_block.data()};
+  return sizes;
+}
+
+BlockPatternView ViewPattern(const BlockStructure& structure, const std::vector<int>& sizes) {
+  return {structure.num_blocks(), sizes.data(), structure.column_begin.data(),
+          structure.row_block.data()};
+}
+
+}  // namespace
+
+FillOrdering FindFillOrdering(const BlockStructure& structure, const std::string& method) {
+  const std::vector<int> sizes = BlockSizes(structure);
+  const BlockPatternView pattern = ViewPattern(structure, sizes);
+  const std::vector<int> order = FindOrder(pattern, OrderingFromName(method));
+  if (order.empty() && structure.num_blocks() > 0) throw std::bad_alloc();
+  return Analyze(pattern, method, order);
+}
+
+FillOrdering FindFillOrdering(const BlockStructure& structure) {
+  const std::vector<int> sizes = BlockSizes(structure);
+  const BlockPatternView pattern = ViewPattern(structure, sizes);
   FillOrdering best = Analyze(pattern, "natural", FindOrder(pattern, OrderingMethod::kNatural));
   if (structure.num_blocks() < 3) return best;
 

@@ -46,14 +46,14 @@ void LevenbergMarquardt::StepRejected() {
   damping_has_changed_ = true;
 }
 
-std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type) {
+std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type, double initial_radius) {
   switch (type) {
     case TrustRegionStrategy::kLevenbergMarquardt:
-      return std::make_unique<LevenbergMarquardt>();
+      return std::make_unique<LevenbergMarquardt>(initial_radius);
     case TrustRegionStrategy::kDogleg:
-      return std::make_unique<Dogleg>(TraditionalDogleg);
+      return std::make_unique<Dogleg>(TraditionalDogleg, initial_radius);
     case TrustRegionStrategy::kSubspaceDogleg:
-      return std::make_unique<Dogleg>(SubspaceDogleg);
+      return std::make_unique<Dogleg>(SubspaceDogleg, initial_radius);
   }
   throw InputError("trust_region_strategy_type: expected a strategy");
 }

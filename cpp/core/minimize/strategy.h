@@ -35,15 +35,14 @@ class Strategy {
   virtual void StepIsInvalid() = 0;
 
   virtual double Radius() const = 0;
-
- protected:
-  static constexpr double kInitialRadius = 1e4;
 };
 
-std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type);
+std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type, double initial_radius);
 
 class LevenbergMarquardt final : public Strategy {
  public:
+  explicit LevenbergMarquardt(double initial_radius) : radius_(initial_radius) {}
+
   double Damping() const override { return 1 / radius_; }
   Step ComputeStep(LeastSquares* problem) override;
   void StepAccepted(double quality) override;
@@ -52,7 +51,7 @@ class LevenbergMarquardt final : public Strategy {
   double Radius() const override { return radius_; }
 
  private:
-  double radius_ = kInitialRadius;
+  double radius_;
   double decrease_factor_ = 2;
   bool damping_has_changed_ = false;  ///< since the linearisation
 };
@@ -76,7 +75,7 @@ class Dogleg final : public Strategy {
   /// Where a combination of the two directions is best for a radius.
   using Path = Combination (*)(const DoglegProducts& products, double radius);
 
-  explicit Dogleg(Path path) : path_(path) {}
+  Dogleg(Path path, double initial_radius) : path_(path), radius_(initial_radius) {}
 
   double Damping() const override { return damping_; }
   Step ComputeStep(LeastSquares* problem) override;
@@ -92,7 +91,7 @@ class Dogleg final : public Strategy {
   static constexpr double kMinDamping = 1e-8;
 
   const Path path_;
-  double radius_ = kInitialRadius;
+  double radius_;
   double damping_ = kMinDamping;
   bool damping_has_changed_ = false;  ///< since the linearisation
   bool directions_are_known_ = false;

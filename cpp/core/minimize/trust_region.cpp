@@ -54,7 +54,8 @@ class TrustRegion {
       : options_(options),
         progress_(progress),
         problem_(problem, &minimum_),
-        strategy_(MakeStrategy(options.trust_region_strategy_type)) {}
+        strategy_(MakeStrategy(options.trust_region_strategy_type,
+                               options.initial_trust_region_radius)) {}
 
   MinimizerSummary Run() {
     bool has_iteration = IterationZero();

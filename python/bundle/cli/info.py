@@ -27,9 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Describe every INPUT."""
     from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.pose_graph_commands import describe_graph
+    from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io import load
+    from bundle.io.recognition import is_pose_graph_file
     from bundle.reports import info, json
     from bundle.statistics import describe
 
@@ -39,6 +42,12 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         for path in arguments.inputs:
             progress.stage(f"reading {shown(path)}")
+            if is_pose_graph_file(path):
+                refuse_flags_of_reconstructions(arguments)
+                described, report = describe_graph(path)
+                tables += ["", *described]
+                reports.append(report)
+                continue
             problem = with_rigs(load(path), arguments.rig_config)
             progress.stage("counting")
             description = describe(problem)

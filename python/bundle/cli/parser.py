@@ -128,8 +128,8 @@ def add_input(
         metavar="INPUT",
         nargs=nargs,
         type=a_path,
-        help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text); "
-        "told by its content",
+        help="a BAL file (plain, .gz or .bz2), the folder of a COLMAP model (binary or text) or, "
+        "for info, refine and convert, a pose graph (g2o, plain, .gz or .bz2); told by its content",
     )
 
 

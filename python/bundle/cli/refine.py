@@ -19,8 +19,10 @@ from bundle.cli.option_flags import (
     with_named_images,
 )
 from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, with_rigs
+from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
+from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
-from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
+from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
 
 if TYPE_CHECKING:
     from bundle.problem import Problem
@@ -28,11 +30,15 @@ if TYPE_CHECKING:
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "refine"
-HELP = "bundle adjustment: poses, points and intrinsics that explain the observations best"
+HELP = (
+    "bundle adjustment: poses, points and intrinsics that explain the observations best; of a pose "
+    "graph (.g2o) the poses that explain its edges best"
+)
 
 # Arguments of bundle.solve_rounds that are no options.
 ARGUMENTS = {
     "only_images": "--only-images",
+    "rest": "--rest",
     "checkpoint": "--checkpoint",
     "checkpoint_interval": "--checkpoint-interval",
     "resume": "--resume",
@@ -46,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser, "-o", "--output", required=True)
     add_rig_config(parser)
     add_options(parser, SolveOptions, "options of the solve")
+    add_pose_graph_flags(parser)
     add_options(parser, RoundOptions, "rounds of adjusting and filtering")
     add_constraint_flags(parser)
     add_gps_flags(parser)
@@ -56,6 +63,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="refine only these images, the points that they see and their cameras, and leave all "
         "else as it is, bit for bit; other images that see these points take part, held (ids and "
         "names, such as 1,5-9,left/*.jpg; default: all images)",
+    )
+    parser.add_argument(
+        "--rest",
+        choices=RESTS,
+        default=None,
+        help="with --only-images, what all else does. fixed: other images that see these points "
+        "are held. marginal: they and their cameras move too, under the exact marginal prior of "
+        "everything that does not take part; only the named images, their points and cameras are "
+        f"written (default: {RESTS[0]})",
     )
     group = parser.add_argument_group("runs that may be killed")
     group.add_argument(
@@ -97,6 +113,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Refine INPUT into OUTPUT."""
+    if is_pose_graph_file(arguments.input):
+        from bundle.cli.pose_graph_commands import refine_graph
+
+        return refine_graph(arguments)
+    refuse_flags_of_graphs(arguments)
     started = perf_counter()
     from bundle.cli.gps_flags import (
         check_georeference,
@@ -114,6 +135,8 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.rounds import solve_rounds
 
     options = options_given(arguments, SolveOptions, names_follow=True)
+    if arguments.rest is not None and arguments.only_images is None:
+        raise InputError(f"--rest: expected with --only-images only, found {arguments.rest}")
     rounds = _rounds_given(arguments)
     check_gps_flags(arguments, options)
     constraints = constraints_given(arguments)
@@ -158,6 +181,7 @@ def run(arguments: argparse.Namespace) -> int:
                 options,
                 **rounds.asdict(),
                 only_images=arguments.only_images,
+                rest=arguments.rest or RESTS[0],
                 priors=() if known is None else known.priors,
                 align=None if known is None else True,
                 constraints=constraints,
@@ -198,7 +222,7 @@ def run(arguments: argparse.Namespace) -> int:
     written = output if saved else None
     more = rounds.asdict() if rounds.num_rounds else {}
     if arguments.only_images is not None:
-        more["only_images"] = arguments.only_images
+        more |= {"only_images": arguments.only_images, "rest": arguments.rest or RESTS[0]}
     more |= checkpoints | as_options(arguments)
     if arguments.json != "-":
         show(*refinement(source, loaded, solved, wall, written, lost, georeference, edits))

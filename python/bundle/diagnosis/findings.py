@@ -167,7 +167,7 @@ def _images(diagnosis: Diagnosis) -> Iterator[Finding]:
 def _joints(problem: Problem, tracks: TrackTable) -> Iterator[Finding]:
     """Yield parts that hang on others by few points, but hang."""
     firm = tracks.firm_pieces
-    for piece in range(1, min(firm.max(initial=-1) + 1, 20)):
+    for piece in range(1, min(int(firm.max(initial=-1)) + 1, 20)):
         images = np.flatnonzero(firm == piece)
         count = tracks.count_between(images)
         if count >= FEW_SHARED or count == 0 or len(images) < 2:

@@ -22,6 +22,7 @@ from bundle.io.model_files import (
     models_below,
 )
 from bundle.io.problem_source import is_reconstruction
+from bundle.io.recognition import is_pose_graph_file
 from bundle.io.source import Source, as_path, as_problem, is_path
 from bundle.option_fields import choice
 from bundle.problem import Problem
@@ -65,6 +66,8 @@ def load(path: str | os.PathLike[str]) -> Problem:
         raise InputError(
             f"{shown(path)}: expected the folder of a COLMAP model, found one of its files"
         )
+    if is_pose_graph_file(path):
+        raise InputError(f"{shown(path)}: expected a reconstruction, found a pose graph")
     return bal.load(path)
 
 

@@ -1,27 +1,43 @@
-"""What stands at a path that something else is about to replace."""
+"""What stands at a path, told by its content."""
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
 from bundle.io.model_files import MODEL_FILES, missing_model_files
 
-__all__ = ["reconstruction_at"]
+__all__ = ["is_pose_graph_file", "reconstruction_at"]
 
 _HEADER = re.compile(rb"\s*\d+\s+\d+\s+\d+\s+\d+\s+\d+\s+[-+.\d]")  # counts, first observation
+_RECORD = re.compile(rb"(?:\s*#[^\n]*\n)*\s*(?:VERTEX_SE[23]|EDGE_SE[23]|FIX\s+\d|PARAMS_SE[23])")
+_SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
 _ENOUGH = 512
 
 
 def reconstruction_at(path: Path) -> str | None:
-    """Return "a COLMAP model", "a file of a COLMAP model", "a BAL file", or None for all else."""
+    """Return "a COLMAP model", "a file of a COLMAP model", "a BAL file", "a pose graph" or None."""
     if path.is_dir():
         return None if missing_model_files(path) else "a COLMAP model"
     if path.name in MODEL_FILES and path.exists() and not missing_model_files(path.parent):
         return "a file of a COLMAP model"
     if path.is_file() and _HEADER.match(_beginning(path)):
         return "a BAL file"
-    return None
+    return "a pose graph" if is_pose_graph_file(path) else None
+
+
+def is_pose_graph_file(path: object) -> bool:
+    """Tell whether a path is that of a g2o file; pipes are never looked into."""
+    if not isinstance(path, str | os.PathLike):
+        return False
+    try:
+        file = Path(os.fspath(path))
+        if not file.is_file():
+            return False
+    except (TypeError, ValueError, OSError):  # bytes, zeros in a name, a name too long
+        return False
+    return file.name.lower().endswith(_SUFFIXES) or bool(_RECORD.match(_beginning(file)))
 
 
 def _beginning(path: Path) -> bytes:

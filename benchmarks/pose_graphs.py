@@ -1,0 +1,162 @@
+"""Pose graphs: bundle's normal equations beside Ceres on the same residual, and GTSAM.
+
+Prints, for each data set and a synthetic graph of many poses, seconds from the graph in memory to
+the refined poses, linear systems solved, and chi2 at the end, whose errors are GTSAM's ("log").
+Everybody has one stopping rule, a relative change of the cost below 1e-6, and starts at the poses
+of the file. The solvers take turns; the table has medians.
+
+GTSAM's ``NonlinearFactorGraph`` is made outside the time, as is bundle's ``PoseGraph``. Ceres gets
+bundle's analytic Jacobians and a radius of 1e16, which makes its steps those of Gauss-Newton.
+
+Run: OPENBLAS_NUM_THREADS=1 python -m benchmarks.pose_graphs [--threads N] [--only NAME,...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import bz2
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import bundle
+
+DATA = Path(os.environ.get("BUNDLE_DATA", Path(__file__).parents[2] / "shared" / "data")) / "g2o"
+SETS = ("smallGrid3D", "parking-garage", "sphere2500", "intel", "M3500", "CSAIL")
+MANY = "synthetic"
+TOLERANCE = 1e-6
+
+
+class Measured(NamedTuple):
+    """Of one solve."""
+
+    seconds: float
+    solves: int
+    chi2: float
+
+
+def by_bundle(backend: str, threads: int) -> Callable[[bundle.PoseGraph, Path], Measured]:
+    """Return a solve by one of bundle's backends."""
+
+    def run(graph: bundle.PoseGraph, _: Path) -> Measured:
+        start = time.perf_counter()
+        result = bundle.solve(
+            graph,
+            backend=backend,
+            num_threads=threads,
+            trust_region_strategy_type="gauss_newton",
+            function_tolerance=TOLERANCE,
+        )
+        took = time.perf_counter() - start
+        summary = result.summary
+        return Measured(took, summary.num_linear_solves, summary.chi2_final)
+
+    return run
+
+
+def by_gtsam(_: bundle.PoseGraph, path: Path) -> Measured:
+    """Solve by GTSAM's Gauss-Newton, the first pose held by a strong prior."""
+    import gtsam
+
+    text = path.read_text()
+    space = "SE3" in text
+    factors, values = gtsam.readG2o(str(path), space)
+    first = min(values.keys())
+    kind = gtsam.Pose3 if space else gtsam.Pose2
+    noise = gtsam.noiseModel.Isotropic.Variance(6 if space else 3, 1e-12)
+    factor: Any = gtsam.PriorFactorPose3 if space else gtsam.PriorFactorPose2
+    held = getattr(values, f"at{kind.__name__}")(first)
+    factors.add(factor(first, held, noise))
+    parameters = gtsam.GaussNewtonParams()
+    parameters.setRelativeErrorTol(TOLERANCE)
+    parameters.setAbsoluteErrorTol(0)
+    start = time.perf_counter()
+    optimizer = gtsam.GaussNewtonOptimizer(factors, values, parameters)
+    solved = optimizer.optimize()
+    took = time.perf_counter() - start
+    return Measured(took, optimizer.iterations(), 2 * factors.error(solved))
+
+
+def many_poses(count: int, seed: int = 0) -> bundle.PoseGraph:
+    """Return a walk through a city of blocks in the plane, with closures between near places."""
+    rng = np.random.default_rng(seed)
+    side = max(int(np.sqrt(count / 8)), 4)
+    heading, place, truth = 0, np.zeros(2), []
+    for _ in range(count):
+        truth.append([*place, heading * np.pi / 2])
+        step = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])[heading % 4]
+        if rng.random() < 0.2 or np.abs(place + step).max() > side / 2:
+            heading += int(rng.choice([-1, 1]))
+        else:
+            place = place + step
+    poses = np.array(truth)
+    order = np.lexsort((poses[:, 1], poses[:, 0]))
+    same = np.flatnonzero((poses[order[1:], :2] == poses[order[:-1], :2]).all(axis=1))
+    pairs = np.sort(np.stack([order[same], order[same + 1]], axis=1), axis=1)
+    pairs = pairs[pairs[:, 1] - pairs[:, 0] > 10]
+    pairs = pairs[rng.permutation(len(pairs))[: count // 5]]
+    edges = np.concatenate([np.stack([np.arange(count - 1), np.arange(1, count)], 1), pairs])
+    first, second = poses[edges[:, 0]], poses[edges[:, 1]]
+    c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
+    apart = second - first
+    relative = np.stack(
+        [c * apart[:, 0] + s * apart[:, 1], c * apart[:, 1] - s * apart[:, 0], apart[:, 2]], 1
+    )
+    measured = relative + rng.normal(0, [0.02, 0.02, 0.002], relative.shape)
+    information = np.tile(np.diag([2500.0, 2500, 250000]), (len(edges), 1, 1))
+    return bundle.PoseGraph(
+        poses=poses, edges=edges, measurements=measured, information=information
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--only", default=",".join((*SETS, MANY)))
+    parser.add_argument("--poses", type=int, default=100_000, help="of the synthetic graph")
+    given = parser.parse_args()
+    solvers = {
+        "bundle": by_bundle("fused", given.threads),
+        "Ceres": by_bundle("ceres", given.threads),
+        "GTSAM": by_gtsam,
+    }
+    print(f"{'set':<16}{'solver':<10}{'seconds':>10}{'ratio':>8}{'solves':>8}{'chi2':>18}")
+    for name in given.only.split(","):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"{name}.g2o"
+            if name == MANY:
+                graph = many_poses(given.poses)
+                start = bundle.initial_poses(graph, "chordal")
+                graph = graph.replace(poses=start)
+            else:
+                path.write_bytes(bz2.decompress((DATA / f"{name}.g2o.bz2").read_bytes()))
+                graph = bundle.load(path)
+            bundle.save(graph, path)
+            runs: dict[str, list[Measured]] = {solver: [] for solver in solvers}
+            for _ in range(given.repeats):
+                for solver, solve in solvers.items():
+                    try:
+                        runs[solver].append(solve(graph, path))
+                    except (ImportError, RuntimeError) as error:
+                        print(f"{name:<16}{solver:<10}{str(error).splitlines()[0]}")
+        ours = statistics.median(run.seconds for run in runs["bundle"])
+        for solver, found in runs.items():
+            if found:
+                seconds = statistics.median(run.seconds for run in found)
+                print(
+                    f"{name:<16}{solver:<10}{seconds:>10.4f}{seconds / ours:>8.2f}"
+                    f"{found[-1].solves:>8}{found[-1].chi2:>18.9f}",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

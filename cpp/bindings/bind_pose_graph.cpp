@@ -1,0 +1,270 @@
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bindings/file_access.h"
+#include "bindings/immutable_array.h"
+#include "bindings/options_from_python.h"
+#include "bindings/python_progress.h"
+#include "bindings/summary_to_python.h"
+#include "core/error.h"
+#include "core/io/g2o.h"
+#include "core/pose_graph/edge_kernel.h"
+#include "core/pose_graph/initialise.h"
+#include "core/pose_graph/pose_graph.h"
+#include "core/solver/pose_graph_solver.h"
+
+namespace py = pybind11;
+
+namespace bundle {
+namespace {
+
+template <typename T>
+using Array = py::array_t<T, py::array::c_style>;
+
+py::dict ReadG2oFile(const std::filesystem::path& path) {
+  G2oGraph graph;
+  try {
+    const py::gil_scoped_release release;
+    graph = ReadG2o(path, CheckSignals);
+  } catch (const std::system_error& error) {
+    ThrowOsError(error, path);
+  }
+  const auto n = static_cast<py::ssize_t>(graph.ids.size());
+  const auto m = static_cast<py::ssize_t>(graph.edge_lines.size());
+  const py::ssize_t ambient = graph.dimension == 2 ? 3 : 7, tangent = graph.dimension == 2 ? 3 : 6;
+  std::vector<uint8_t> fixed = std::move(graph.fixed);
+  py::dict result;
+  result["has_vertices"] = graph.has_vertices;
+  result["ids"] = ToImmutableNumpy(std::move(graph.ids), {n});
+  result["poses"] = ToImmutableNumpy(std::move(graph.poses), {n, ambient});
+  result["fixed"] = ToImmutableNumpy(std::move(fixed), {n});
+  result["edges"] = ToImmutableNumpy(std::move(graph.edges), {m, 2});
+  result["measurements"] = ToImmutableNumpy(std::move(graph.measurements), {m, ambient});
+  result["information"] = ToImmutableNumpy(std::move(graph.information), {m, tangent, tangent});
+  result["edge_lines"] = ToImmutableNumpy(std::move(graph.edge_lines), {m});
+  return result;
+}
+
+/// Of a bundle.PoseGraph, which has checked shapes and values.
+struct GraphArrays {
+  explicit GraphArrays(const py::handle& graph)
+      : ids(py::cast<Array<int64_t>>(graph.attr("ids"))),
+        poses(py::cast<Array<double>>(graph.attr("poses"))),
+        fixed(py::cast<Array<bool>>(graph.attr("fixed"))),
+        edges(py::cast<Array<int32_t>>(graph.attr("edges"))),
+        measurements(py::cast<Array<double>>(graph.attr("measurements"))),
+        information(py::cast<Array<double>>(graph.attr("information"))) {}
+
+  int dimension() const { return poses.shape(1) == 3 ? 2 : 3; }
+  const uint8_t* fixed_data() const { return reinterpret_cast<const uint8_t*>(fixed.data()); }
+
+  Array<int64_t> ids;
+  Array<double> poses;
+  Array<bool> fixed;
+  Array<int32_t> edges;
+  Array<double> measurements;
+  Array<double> information;
+};
+
+void WriteG2oFile(const std::filesystem::path& path, const py::object& graph,
+                  const std::string& compression) {
+  const GraphArrays arrays(graph);
+  G2oView view;
+  view.dimension = arrays.dimension();
+  view.num_poses = arrays.poses.shape(0);
+  view.num_edges = arrays.edges.shape(0);
+  view.ids = arrays.ids.data();
+  view.poses = arrays.poses.data();
+  view.fixed = arrays.fixed_data();
+  view.edges = arrays.edges.data();
+  view.measurements = arrays.measurements.data();
+  view.information = arrays.information.data();
+  try {
+    const py::gil_scoped_release release;
+    WriteG2o(view, path, CompressionFromName(compression), CheckSignals);
+  } catch (const std::system_error& error) {
+    ThrowOsError(error, path);
+  }
+}
+
+PoseError PoseErrorFromName(const std::string& name) {
+  if (name == "log") return PoseError::kLog;
+  if (name == "g2o") return PoseError::kG2o;
+  throw InputError("error: expected log or g2o, found " + name);
+}
+
+EdgeLoss EdgeLossFromName(const std::string& name) {
+  // Switchable constraints are Geman and McClure's once their switches are eliminated.
+  if (name == "geman_mcclure" || name == "switchable") {
+    return {EdgeLoss::Kind::kGemanMcClure, LossType::kTrivial};
+  }
+  if (name == "dcs") return {EdgeLoss::Kind::kDcs, LossType::kTrivial};
+  return {EdgeLoss::Kind::kOfFactors, LossFromName(name)};
+}
+
+PoseErrorOptions ErrorsFromPython(const py::dict& options) {
+  PoseErrorOptions errors;
+  errors.error = PoseErrorFromName(py::cast<std::string>(options["error"]));
+  errors.loss = EdgeLossFromName(py::cast<std::string>(options["loss"]));
+  errors.loss_scale = py::cast<double>(options["loss_scale"]);
+  return errors;
+}
+
+/// `held` and `robust` may be replaced by other arrays than the graph's.
+PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& held) {
+  PoseGraphView view;
+  view.dimension = arrays.dimension();
+  view.num_poses = arrays.poses.shape(0);
+  view.num_edges = arrays.edges.shape(0);
+  view.poses = arrays.poses.data();
+  view.held = reinterpret_cast<const uint8_t*>(held.data());
+  view.edges = arrays.edges.data();
+  view.measurements = arrays.measurements.data();
+  view.information = arrays.information.data();
+  if (held.size() != view.num_poses) throw InputError("held: expected a flag for each pose");
+  return view;
+}
+
+py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& held,
+                                  const Array<bool>& robust, const py::dict& options,
+                                  const py::object& progress) {
+  const GraphArrays arrays(graph);
+  PoseGraphView view = ViewGraph(arrays, held);
+  if (robust.size() != view.num_edges) throw InputError("robust: expected a flag for each edge");
+  view.robust = reinterpret_cast<const uint8_t*>(robust.data());
+  const PoseErrorOptions errors = ErrorsFromPython(options);
+  SolveOptions solve_options;
+  ReadPoseGraphOptions(options, &solve_options);
+  const auto ordering = py::cast<std::string>(options["ordering"]);
+  PythonProgress report(progress);
+  PoseGraphOutput output = RunWatched(&report, [&] {
+    return SolvePoseGraph(view, errors, solve_options, ordering, std::ref(report));
+  });
+  report.Rethrow();
+  const py::ssize_t n = arrays.poses.shape(0), m = arrays.edges.shape(0);
+  py::dict result;
+  result["poses"] = ToImmutableNumpy(std::move(output.poses), {n, arrays.poses.shape(1)});
+  result["chi2_before"] = ToImmutableNumpy(std::move(output.chi2_before), {m});
+  result["weights"] = ToImmutableNumpy(std::move(output.weights), {m});
+  result["chi2_after"] = ToImmutableNumpy(std::move(output.chi2_after), {m});
+  PutRecord(output, &result);
+  return result;
+}
+
+py::tuple HoldPosesFromPython(const py::object& graph) {
+  const GraphArrays arrays(graph);
+  const HeldPoses found = HoldPoses(arrays.poses.shape(0), arrays.edges.shape(0),
+                                    arrays.edges.data(), arrays.fixed_data());
+  const auto n = static_cast<py::ssize_t>(found.held.size());
+  Array<bool> held(n);
+  std::copy(found.held.begin(), found.held.end(), held.mutable_data());
+  return py::make_tuple(held, found.num_components, found.for_gauge);
+}
+
+std::vector<int64_t> FindBadInformationFromPython(const Array<double>& information) {
+  return FindBadInformation(information.shape(0), static_cast<int>(information.shape(1)),
+                            information.data());
+}
+
+py::array EdgeChi2FromPython(const py::object& graph, const std::string& error) {
+  const GraphArrays arrays(graph);
+  const PoseGraphView view = ViewGraph(arrays, arrays.fixed);
+  PoseErrorOptions errors;
+  errors.error = PoseErrorFromName(error);
+  std::vector<double> chi2 = [&] {
+    const py::gil_scoped_release release;
+    const PoseGraph made = MakePoseGraph(view, errors);
+    return EdgeChi2(made, made.poses.data());
+  }();
+  return ToImmutableNumpy(std::move(chi2), {static_cast<py::ssize_t>(view.num_edges)});
+}
+
+py::array InitialPoses(const py::object& graph, const Array<bool>& held, const std::string& init,
+                       int num_threads) {
+  const GraphArrays arrays(graph);
+  const PoseGraphView view = ViewGraph(arrays, held);
+  PythonProgress report(py::none{});
+  std::vector<double> poses = RunWatched(&report, [&] {
+    const PoseGraph made = MakePoseGraph(view, {});
+    if (init == "odometry") return OdometryPoses(made, arrays.ids.data());
+    if (init == "spanning_tree") return SpanningTreePoses(made);
+    if (init == "chordal") return ChordalPoses(made, view.information, num_threads);
+    throw InputError("init: expected odometry, spanning_tree or chordal, found " + init);
+  });
+  const int n = view.ambient();
+  for (int64_t i = 0; i < view.num_poses; ++i) {
+    if (view.held[i] != 0) std::copy_n(view.poses + i * n, n, poses.begin() + i * n);
+  }
+  return ToImmutableNumpy(std::move(poses), {arrays.poses.shape(0), arrays.poses.shape(1)});
+}
+
+std::pair<int32_t, int32_t> OdometryGap(const py::object& graph) {
+  const GraphArrays arrays(graph);
+  const PoseGraph made = MakePoseGraph(ViewGraph(arrays, arrays.fixed), {});
+  return FindOdometryGap(made, arrays.ids.data());
+}
+
+template <typename Group>
+py::tuple EvaluateError(PoseError error, const Array<double>& x_i, const Array<double>& x_j,
+                        const Array<double>& z) {
+  constexpr int kSize = Group::kTangent;
+  if (x_i.size() != Group::kAmbient || x_j.size() != Group::kAmbient ||
+      z.size() != Group::kAmbient) {
+    throw InputError("expected three poses of one kind");
+  }
+  Array<double> residual(kSize), right({kSize, kSize}), left({kSize, kSize});
+  double adjoint[kSize * kSize];
+  EvaluateRelativePose<Group>(error, x_i.data(), x_j.data(), z.data(), residual.mutable_data(),
+                              right.mutable_data(), adjoint);
+  for (int r = 0; r < kSize; ++r) {
+    for (int c = 0; c < kSize; ++c) {
+      double sum = 0;
+      for (int k = 0; k < kSize; ++k) sum -= right.data()[r * kSize + k] * adjoint[k * kSize + c];
+      left.mutable_data()[r * kSize + c] = sum;
+    }
+  }
+  return py::make_tuple(residual, left, right);
+}
+
+/// The error of a relative pose, not whitened, and its Jacobians by x_i and x_j.
+py::tuple RelativePoseError(const std::string& error, const Array<double>& x_i,
+                            const Array<double>& x_j, const Array<double>& z) {
+  const PoseError kind = PoseErrorFromName(error);
+  return z.size() == 3 ? EvaluateError<Se2>(kind, x_i, x_j, z)
+                       : EvaluateError<Se3>(kind, x_i, x_j, z);
+}
+
+/// rho, rho', rho'' of a loss of edges.
+std::vector<double> EvaluateEdgeLoss(const std::string& loss, double scale, double chi2) {
+  std::vector<double> rho(3);
+  ValueOfEdgeLoss(EdgeLossFromName(loss), scale, chi2, rho.data());
+  return rho;
+}
+
+}  // namespace
+}  // namespace bundle
+
+void BindPoseGraph(py::module_& m) {
+  m.def("read_g2o", &bundle::ReadG2oFile, py::arg("path"));
+  m.def("write_g2o", &bundle::WriteG2oFile, py::arg("path"), py::arg("graph"),
+        py::arg("compression"));
+  m.def("solve_pose_graph", &bundle::SolvePoseGraphFromPython, py::arg("graph"), py::arg("held"),
+        py::arg("robust"), py::arg("options"), py::arg("progress"));
+  m.def("hold_poses", &bundle::HoldPosesFromPython, py::arg("graph"));
+  m.def("find_bad_information", &bundle::FindBadInformationFromPython, py::arg("information"));
+  m.def("edge_chi2", &bundle::EdgeChi2FromPython, py::arg("graph"), py::arg("error"));
+  m.def("initial_poses", &bundle::InitialPoses, py::arg("graph"), py::arg("held"), py::arg("init"),
+        py::arg("num_threads"));
+  m.def("odometry_gap", &bundle::OdometryGap, py::arg("graph"));
+  m.def("edge_loss", &bundle::EvaluateEdgeLoss, py::arg("loss"), py::arg("scale"), py::arg("chi2"));
+  m.def("relative_pose_error", &bundle::RelativePoseError, py::arg("error"), py::arg("x_i"),
+        py::arg("x_j"), py::arg("z"));
+}

@@ -1,0 +1,40 @@
+#pragma once
+
+/// What the readers and writers of files have in common towards Python.
+
+#include <pybind11/pybind11.h>
+#include <pybind11/stl/filesystem.h>
+
+#include <cerrno>
+#include <filesystem>
+#include <string>
+#include <system_error>
+
+#include "core/error.h"
+#include "core/io/files.h"
+
+namespace bundle {
+
+/// Lets Ctrl-C end the reading or writing of a large file.
+inline void CheckSignals() {
+  const pybind11::gil_scoped_acquire acquire;
+  if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
+}
+
+[[noreturn]] inline void ThrowOsError(const std::system_error& error,
+                                      const std::filesystem::path& path) {
+  const pybind11::str name(pybind11::cast(path));
+  errno = error.code().value();
+  // A string: OSError prints the representation, and that of a pathlib.Path is not for users.
+  PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, name.ptr());
+  throw pybind11::error_already_set();
+}
+
+inline Compression CompressionFromName(const std::string& name) {
+  if (name == "gzip") return Compression::kGzip;
+  if (name == "bzip2") return Compression::kBzip2;
+  if (name.empty()) return Compression::kNone;
+  throw InputError("compression: expected gzip, bzip2 or nothing, found " + name);
+}
+
+}  // namespace bundle

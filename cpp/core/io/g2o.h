@@ -1,0 +1,66 @@
+#pragma once
+
+/// Pose graphs in g2o's text format, read and written.
+///
+///   VERTEX_SE2 id x y angle
+///   EDGE_SE2 i j x y angle  I11 I12 I13 I22 I23 I33
+///   VERTEX_SE3:QUAT id x y z qx qy qz qw
+///   EDGE_SE3:QUAT i j x y z qx qy qz qw  I11 I12 ... I16 I22 ... I66
+///   FIX id ...
+///
+/// A pose is world_from_body; an edge measures X_i^-1 X_j. Information matrices are given by their
+/// upper triangle, in the plane over x y angle, in space over x y z qx qy qz. We store poses as
+/// COLMAP does (qx qy qz qw tx ty tz) and information in the order of the tangent coordinates of
+/// geometry/retraction.h (rotation, then translation): a permutation, exact in floating point. The
+/// numbers themselves stay as they are in the file, lengths of quaternions and turns of angles
+/// among them.
+///
+/// Lines of parameters (PARAMS_...) and comments (#) are passed over. The format is that of g2o's
+/// types slam2d and slam3d (https://github.com/RainerKuemmerle/g2o/wiki/File-Format).
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <vector>
+
+#include "core/io/files.h"
+
+namespace bundle {
+
+struct G2oGraph {
+  int dimension = 0;                 ///< 2 or 3
+  bool has_vertices = false;         ///< false: `poses` are zero, ids those of the edges, ascending
+  std::vector<int64_t> ids;          ///< num_poses, in the order of the file
+  std::vector<double> poses;         ///< num_poses x 3 (x y angle) or 7 (qx qy qz qw tx ty tz)
+  std::vector<uint8_t> fixed;        ///< num_poses, 1 where the file says FIX
+  std::vector<int32_t> edges;        ///< num_edges x 2: positions of poses
+  std::vector<double> measurements;  ///< num_edges x 3 or 7
+  std::vector<double> information;   ///< num_edges x d x d with d = 3 or 6, symmetric
+  std::vector<int64_t> edge_lines;   ///< num_edges: lines of the file
+};
+
+/// Reads a g2o file, plain or compressed by gzip or bzip2, as a stream. `on_block` is called
+/// between blocks of about a megabyte and may throw.
+///
+/// Throws InputError `NAME:LINE: expected ..., found ...` and std::system_error.
+G2oGraph ReadG2o(const std::filesystem::path& path, const std::function<void()>& on_block);
+
+/// What a g2o file holds; arrays owned by somebody else, as in G2oGraph.
+struct G2oView {
+  int dimension = 0;
+  int64_t num_poses = 0;
+  int64_t num_edges = 0;
+  const int64_t* ids = nullptr;
+  const double* poses = nullptr;
+  const uint8_t* fixed = nullptr;
+  const int32_t* edges = nullptr;
+  const double* measurements = nullptr;
+  const double* information = nullptr;  ///< the upper triangles count
+};
+
+/// Writes a g2o file. Numbers are the shortest that read back as the same double. `on_block` as
+/// above. Throws std::system_error.
+void WriteG2o(const G2oView& graph, const std::filesystem::path& path, Compression compression,
+              const std::function<void()>& on_block);
+
+}  // namespace bundle

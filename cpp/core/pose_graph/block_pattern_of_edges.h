@@ -1,0 +1,25 @@
+#pragma once
+
+/// The block pattern of a pose graph's normal equations, in the order of its elimination.
+
+#include <string>
+#include <vector>
+
+#include "core/linear/block_structure.h"
+#include "core/linear/linear_solver.h"
+#include "core/pose_graph/pose_graph.h"
+
+namespace bundle {
+
+struct EdgePattern {
+  BlockStructure structure;   ///< a block a free pose, in the order of the elimination
+  FillOrdering ordering;      ///< what it costs; `order` is by `free poses`, as it found them
+  std::vector<int> block_of;  ///< of each pose; -1 if it is held
+  std::vector<int> pose_of;   ///< of each block
+};
+
+/// `ordering`: "auto" for AMD's or, where a factorisation takes long, the cheapest; "natural",
+/// "amd" or "metis".
+EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::string& ordering);
+
+}  // namespace bundle

@@ -1,0 +1,312 @@
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "core/dense/decompositions.h"
+#include "core/error.h"
+#include "core/linear/linear_solver.h"
+#include "core/pose_graph/block_pattern_of_edges.h"
+#include "core/pose_graph/initialise.h"
+
+/// Chordal relaxation (Martinec and Pajdla, Robust rotation and translation estimation in multiview
+/// reconstruction, 2007; Carlone, Tron, Daniilidis, Dellaert, Initialization techniques for 3D
+/// SLAM, 2015). First the rotations, of which the distance along the chord is linear:
+///
+///   minimise  sum k_ij || R_j - R_i Z_ij ||_F^2     over all d x d matrices R,
+///
+/// k_ij the mean of the information's diagonal over the rotation; each R is then replaced by the
+/// nearest rotation. A row x of R and its neighbour's obey x_j = Z^T x_i, whatever the row: one
+/// factorisation with blocks of d serves all d rows. Then the translations at these rotations:
+///
+///   minimise  sum || Z_R^T (R_i^T (t_j - t_i) - z_t) ||^2_Omega_tt,
+///
+/// Omega_tt the information of the translation, which stands in the frame of M (relative_pose.h).
+///
+/// Edges whose information of the rotation is zero would leave a rotation undetermined: a billionth
+/// of the mean weight is added to every diagonal.
+
+namespace bundle {
+namespace {
+
+constexpr double kRegularization = 1e-9;
+
+/// Rotations are d x d, row-major.
+void RotationOf(int dimension, const double* pose, double* rotation) {
+  if (dimension == 3) return QuaternionToRotation(pose, rotation);
+  const double c = std::cos(pose[2]), s = std::sin(pose[2]);
+  rotation[0] = rotation[3] = c;
+  rotation[1] = -s;
+  rotation[2] = s;
+}
+
+const double* TranslationOf(int dimension, const double* pose) {
+  return dimension == 3 ? pose + 4 : pose;
+}
+
+/// Sets the rotation of a pose to the one nearest to a matrix: that which maximises tr(R^T M). Of a
+/// quaternion q = (v, s), R = (s^2 - v^T v) I + 2 v v^T + 2 s [v]x, so tr(R^T M) = q^T K q with
+///
+///   K = [ M + M^T - tr(M) I   a     ]
+///       [ a^T                 tr(M) ],      a = (M_21 - M_12, M_02 - M_20, M_10 - M_01)
+///
+/// (indices from 0), and q is an eigenvector of K's largest eigenvalue (Davenport's method).
+void SetNearestRotation(int dimension, const double* m, double* pose) {
+  if (dimension == 2) {
+    const double sine = m[2] - m[1], cosine = m[0] + m[3];
+    if (sine != 0 || cosine != 0) pose[2] = std::atan2(sine, cosine);
+    return;
+  }
+  Eigen::MatrixXd k(4, 4);
+  const double trace = m[0] + m[4] + m[8];
+  const double a[3] = {m[7] - m[5], m[2] - m[6], m[3] - m[1]};
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) k(r, c) = m[3 * r + c] + m[3 * c + r] - (r == c ? trace : 0);
+    k(r, 3) = k(3, r) = a[r];
+  }
+  k(3, 3) = trace;
+  if (!(k.norm() > 0)) return;
+  const SymmetricEigen eigen = DecomposeSymmetric(k);
+  for (int i = 0; i < 4; ++i) pose[i] = eigen.vectors(i, 3);
+}
+
+/// The linear least-squares problem of one stage: a block of d unknowns a free pose, some
+/// right-hand sides.
+class ChordalStage {
+ public:
+  ChordalStage(const EdgePattern& pattern, int dimension, int num_rhs, int num_threads)
+      : pattern_(pattern), d_(dimension), structure_(pattern.structure) {
+    solver_ = MakeSparseSolver(pattern.ordering, num_threads, &structure_);
+    system_.values.assign(structure_.num_values, 0.0);
+    rhs_.assign(int64_t{structure_.num_columns()} * num_rhs, 0.0);
+    num_rhs_ = num_rhs;
+  }
+
+  int BlockOf(int32_t pose) const { return pattern_.block_of[pose]; }
+
+  /// H_ii += m, symmetric.
+  void AddDiagonal(int block, const double* m) {
+    double* const values = Values(block, structure_.column_begin[block]);
+    for (int c = 0; c < d_; ++c) {
+      for (int r = 0; r < d_; ++r) values[c * structure_.panel_stride[block] + r] += m[r * d_ + c];
+    }
+  }
+
+  /// H_ij += m.
+  void AddPair(int i, int j, const double* m) {
+    const int column = std::min(i, j), row = std::max(i, j);
+    double* const values = Values(column, structure_.Entry(column, row));
+    for (int c = 0; c < d_; ++c) {
+      for (int r = 0; r < d_; ++r) {
+        values[c * structure_.panel_stride[column] + r] += i == row ? m[r * d_ + c] : m[c * d_ + r];
+      }
+    }
+  }
+
+  void AddRhs(int block, int rhs, int row, double value) { rhs_[Index(block, rhs, row)] += value; }
+
+  void Solve() {
+    double trace = 0;
+    ForDiagonal([&](double* entry) { trace += *entry; });
+    const double little = kRegularization * trace / std::max(structure_.num_columns(), 1);
+    ForDiagonal([&](double* entry) { *entry += little; });
+    solution_.resize(rhs_.size());
+    LinearSolution found = solver_->Factorize(&system_, {});
+    if (found.status == LinearSolution::Status::kSuccess) {
+      found = solver_->Solve(rhs_.data(), num_rhs_, 0, solution_.data());
+    }
+    if (found.status != LinearSolution::Status::kSuccess) {
+      throw InputError("init: the linear system of the chordal relaxation has no solution (" +
+                       found.message + ")");
+    }
+  }
+
+  double Solution(int block, int rhs, int row) const { return solution_[Index(block, rhs, row)]; }
+
+ private:
+  double* Values(int column, int64_t entry) {
+    return system_.values.data() + structure_.ValueIndex(column, entry, 0, 0);
+  }
+  size_t Index(int block, int rhs, int row) const {
+    return size_t{static_cast<size_t>(rhs)} * structure_.num_columns() + structure_.offset[block] +
+           row;
+  }
+  template <typename Visit>
+  void ForDiagonal(const Visit& visit) {
+    for (int b = 0; b < structure_.num_blocks(); ++b) {
+      double* const values = Values(b, structure_.column_begin[b]);
+      for (int c = 0; c < d_; ++c) visit(values + c * (structure_.panel_stride[b] + 1));
+    }
+  }
+
+  const EdgePattern& pattern_;
+  const int d_;
+  int num_rhs_ = 0;
+  BlockStructure structure_;
+  std::unique_ptr<LinearSolver> solver_;
+  BlockSystem system_;
+  std::vector<double> rhs_, solution_;
+};
+
+/// What the two stages read of an edge.
+struct ChordalEdge {
+  int32_t i, j;
+  double rotation[9];
+  const double* translation;
+  const double* information;
+};
+
+class Chordal {
+ public:
+  Chordal(const PoseGraph& graph, const double* information, int num_threads)
+      : graph_(graph),
+        information_(information),
+        num_threads_(num_threads),
+        d_(graph.dimension),
+        tangent_(graph.dimension == 2 ? 3 : 6),
+        ambient_(graph.dimension == 2 ? 3 : 7),
+        pattern_(PatternOfEdges(graph, graph.dimension, "auto")),
+        poses_(graph.poses) {}
+
+  std::vector<double> Poses() {
+    if (!pattern_.pose_of.empty()) {
+      FindRotations();
+      FindTranslations();
+    }
+    return std::move(poses_);
+  }
+
+ private:
+  ChordalEdge EdgeAt(int64_t e) const {
+    ChordalEdge edge{graph_.edges[2 * e], graph_.edges[2 * e + 1], {}, nullptr, nullptr};
+    const double* const z = graph_.measurements.data() + e * ambient_;
+    RotationOf(d_, z, edge.rotation);
+    edge.translation = TranslationOf(d_, z);
+    edge.information = information_ + e * tangent_ * tangent_;
+    return edge;
+  }
+
+  /// The mean of the rotation's diagonal: the rotation comes first in space, last in the plane.
+  double RotationWeight(const double* information) const {
+    if (d_ == 2) return information[8];
+    return (information[0] + information[7] + information[14]) / 3;
+  }
+
+  void FindRotations() {
+    ChordalStage stage(pattern_, d_, d_, num_threads_);
+    for (int64_t e = 0; e < graph_.num_edges(); ++e) {
+      const ChordalEdge edge = EdgeAt(e);
+      const double weight = RotationWeight(edge.information);
+      const int i = stage.BlockOf(edge.i), j = stage.BlockOf(edge.j);
+      double identity[9] = {}, coupling[9];
+      for (int k = 0; k < d_; ++k) identity[k * d_ + k] = weight;
+      for (int k = 0; k < d_ * d_; ++k) coupling[k] = -weight * edge.rotation[k];
+      if (i >= 0) stage.AddDiagonal(i, identity);
+      if (j >= 0) stage.AddDiagonal(j, identity);
+      if (i >= 0 && j >= 0) stage.AddPair(i, j, coupling);
+      if ((i >= 0) != (j >= 0)) AddKnownRotation(edge, weight, &stage);
+    }
+    stage.Solve();
+    for (size_t b = 0; b < pattern_.pose_of.size(); ++b) {
+      double matrix[9];
+      for (int row = 0; row < d_; ++row) {
+        for (int k = 0; k < d_; ++k) {
+          matrix[row * d_ + k] = stage.Solution(static_cast<int>(b), row, k);
+        }
+      }
+      SetNearestRotation(d_, matrix, poses_.data() + int64_t{pattern_.pose_of[b]} * ambient_);
+    }
+  }
+
+  /// x_j = Z^T x_i where one of the two is held.
+  void AddKnownRotation(const ChordalEdge& edge, double weight, ChordalStage* stage) const {
+    const int i = stage->BlockOf(edge.i), j = stage->BlockOf(edge.j);
+    double known[9];
+    RotationOf(d_, poses_.data() + int64_t{i >= 0 ? edge.j : edge.i} * ambient_, known);
+    for (int row = 0; row < d_; ++row) {
+      for (int k = 0; k < d_; ++k) {
+        double sum = 0;
+        for (int l = 0; l < d_; ++l) {
+          const double z = i >= 0 ? edge.rotation[k * d_ + l] : edge.rotation[l * d_ + k];
+          sum += z * known[row * d_ + l];
+        }
+        stage->AddRhs(std::max(i, j), row, k, weight * sum);
+      }
+    }
+  }
+
+  void FindTranslations() {
+    ChordalStage stage(pattern_, d_, 1, num_threads_);
+    for (int64_t e = 0; e < graph_.num_edges(); ++e) AddTranslation(EdgeAt(e), &stage);
+    stage.Solve();
+    for (size_t b = 0; b < pattern_.pose_of.size(); ++b) {
+      double* const pose = poses_.data() + int64_t{pattern_.pose_of[b]} * ambient_;
+      for (int k = 0; k < d_; ++k) {
+        pose[(d_ == 3 ? 4 : 0) + k] = stage.Solution(static_cast<int>(b), 0, k);
+      }
+    }
+  }
+
+  /// With T = R_i Z_R and W = T Omega_tt T^T: H_ii, H_jj += W, H_ij -= W, and W R_i z_t to the
+  /// right-hand side of j, its negative to that of i.
+  void AddTranslation(const ChordalEdge& edge, ChordalStage* stage) const {
+    const int i = stage->BlockOf(edge.i), j = stage->BlockOf(edge.j);
+    if (i < 0 && j < 0) return;
+    const int first = d_ == 3 ? 3 : 0;
+    double frame[9], turned[9], half[9] = {}, weight[9] = {}, negative[9], measured[3] = {};
+    RotationOf(d_, poses_.data() + int64_t{edge.i} * ambient_, frame);
+    for (int r = 0; r < d_; ++r) {
+      for (int c = 0; c < d_; ++c) {
+        turned[r * d_ + c] = 0;
+        for (int k = 0; k < d_; ++k) {
+          turned[r * d_ + c] += frame[r * d_ + k] * edge.rotation[k * d_ + c];
+        }
+        measured[r] += frame[r * d_ + c] * edge.translation[c];
+      }
+    }
+    for (int r = 0; r < d_; ++r) {
+      for (int c = 0; c < d_; ++c) {
+        for (int k = 0; k < d_; ++k) {
+          half[r * d_ + c] +=
+              turned[r * d_ + k] * edge.information[(first + k) * tangent_ + first + c];
+        }
+      }
+    }
+    for (int r = 0; r < d_; ++r) {
+      for (int c = 0; c < d_; ++c) {
+        for (int k = 0; k < d_; ++k) weight[r * d_ + c] += half[r * d_ + k] * turned[c * d_ + k];
+        negative[r * d_ + c] = -weight[r * d_ + c];
+      }
+    }
+    if (i >= 0) stage->AddDiagonal(i, weight);
+    if (j >= 0) stage->AddDiagonal(j, weight);
+    if (i >= 0 && j >= 0) stage->AddPair(i, j, negative);
+    const double* const t_i = TranslationOf(d_, poses_.data() + int64_t{edge.i} * ambient_);
+    const double* const t_j = TranslationOf(d_, poses_.data() + int64_t{edge.j} * ambient_);
+    for (int r = 0; r < d_; ++r) {
+      for (int c = 0; c < d_; ++c) {
+        const double w = weight[r * d_ + c];
+        if (i >= 0) stage->AddRhs(i, 0, r, w * ((j < 0 ? t_j[c] : 0) - measured[c]));
+        if (j >= 0) stage->AddRhs(j, 0, r, w * ((i < 0 ? t_i[c] : 0) + measured[c]));
+      }
+    }
+  }
+
+  const PoseGraph& graph_;
+  const double* information_;
+  const int num_threads_;
+  const int d_, tangent_, ambient_;
+  const EdgePattern pattern_;
+  std::vector<double> poses_;
+};
+
+}  // namespace
+
+std::vector<double> ChordalPoses(const PoseGraph& graph, const double* information,
+                                 int num_threads) {
+  return Chordal(graph, information, num_threads).Poses();
+}
+
+}  // namespace bundle

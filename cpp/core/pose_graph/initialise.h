@@ -1,0 +1,43 @@
+#pragma once
+
+/// Where a pose graph's solve may start, from its edges alone.
+///
+/// Odometry and spanning tree compose measurements along a path from a held pose: the chain of
+/// consecutive ids, or a tree of as few edges from the root as there can be.
+///
+/// Chordal (chordal.cpp) looks at all edges, in two linear least-squares problems.
+
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "core/pose_graph/pose_graph.h"
+
+namespace bundle {
+
+/// Which poses stay: those of `fixed`, and in each connected component without one the first, which
+/// takes the gauge away: 3 degrees of freedom in the plane, 6 in space.
+struct HeldPoses {
+  std::vector<uint8_t> held;
+  int num_components = 0;
+  std::vector<int32_t> for_gauge;  ///< those held besides the fixed ones
+};
+HeldPoses HoldPoses(int64_t num_poses, int64_t num_edges, const int32_t* edges,
+                    const uint8_t* fixed);
+
+/// Poses from the held ones, breadth first along the edges.
+std::vector<double> SpanningTreePoses(const PoseGraph& graph);
+
+/// The first two poses of consecutive ids, by position, that no edge joins; {-1, -1} if odometry
+/// joins all.
+std::pair<int32_t, int32_t> FindOdometryGap(const PoseGraph& graph, const int64_t* ids);
+
+/// Poses from the held ones along edges between consecutive ids, in the order of ids. Where
+/// several edges join the two, the first counts. Poses that it does not reach keep theirs.
+std::vector<double> OdometryPoses(const PoseGraph& graph, const int64_t* ids);
+
+/// Poses by chordal relaxation.
+std::vector<double> ChordalPoses(const PoseGraph& graph, const double* information,
+                                 int num_threads);
+
+}  // namespace bundle

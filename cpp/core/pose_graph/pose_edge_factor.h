@@ -1,0 +1,60 @@
+#pragma once
+
+/// An edge of a pose graph as a factor of any problem (factors/factor.h): Ceres takes it so.
+
+#include <cstdint>
+#include <string>
+
+#include "core/factors/factor.h"
+#include "core/pose_graph/edge_kernel.h"
+#include "core/pose_graph/pose_graph.h"
+
+namespace bundle {
+
+template <typename Group>
+class PoseEdgeFactor final : public Factor {
+ public:
+  /// Keeps a reference to the graph, whose loss is one of factors. Its variables are the poses, by
+  /// position.
+  PoseEdgeFactor(const PoseGraph& graph, int64_t edge)
+      : Factor({"edge " + std::to_string(edge),
+                {graph.edges[2 * edge], graph.edges[2 * edge + 1]},
+                graph.LossOf(edge).type,
+                graph.errors.loss_scale},
+               {Retraction(Group::kManifold, Group::kAmbient),
+                Retraction(Group::kManifold, Group::kAmbient)},
+               kSize),
+        graph_(graph),
+        edge_(edge) {}
+
+  bool Evaluate(const double* const* values, double* residual,
+                double* const* jacobians) const override {
+    double a[kSize * kSize], adjoint[kSize * kSize];
+    const bool wanted = jacobians != nullptr;
+    EvaluateRelativePose<Group>(graph_.errors.error, values[0], values[1],
+                                graph_.measurements.data() + edge_ * Group::kAmbient, residual,
+                                wanted ? a : nullptr, wanted ? adjoint : nullptr);
+    const double* const root = RootOf<Group>(graph_, edge_);
+    ApplyRoot<kSize, 1>(root, residual);
+    if (!wanted) return true;
+    ApplyRoot<kSize, kSize>(root, a);
+    for (int r = 0; r < kSize; ++r) {
+      for (int c = 0; c < kSize; ++c) {
+        if (jacobians[1] != nullptr) jacobians[1][r * kSize + c] = a[r * kSize + c];
+        if (jacobians[0] == nullptr) continue;
+        double sum = 0;
+        for (int k = 0; k < kSize; ++k) sum -= a[r * kSize + k] * adjoint[k * kSize + c];
+        jacobians[0][r * kSize + c] = sum;
+      }
+    }
+    return true;
+  }
+
+ private:
+  static constexpr int kSize = Group::kTangent;
+
+  const PoseGraph& graph_;
+  const int64_t edge_;
+};
+
+}  // namespace bundle

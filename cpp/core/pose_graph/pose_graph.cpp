@@ -1,0 +1,165 @@
+#include "core/pose_graph/pose_graph.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <string>
+
+#include "core/error.h"
+#include "core/factors/factor.h"
+#include "core/pose_graph/edge_kernel.h"
+
+namespace bundle {
+namespace {
+
+/// Two entries that should be equal may differ by this, relative to the diagonal's.
+constexpr double kAsymmetry = 1e-9;
+
+bool IsSymmetric(const double* matrix, int n) {
+  for (int r = 0; r < n; ++r) {
+    for (int c = 0; c <= r; ++c) {
+      const double one = matrix[r * n + c], other = matrix[c * n + r];
+      if (!std::isfinite(one) || !std::isfinite(other)) return false;
+      const double scale =
+          std::max({std::sqrt(std::abs(matrix[r * n + r] * matrix[c * n + c])), std::abs(one)});
+      if (!(std::abs(one - other) <= kAsymmetry * scale)) return false;
+    }
+  }
+  return true;
+}
+
+/// U with U^T U = A, its upper triangle by rows; false if A is not positive semidefinite. U_kk^2 is
+/// the pivot that the rows above leave of A_kk. A pivot that is rounding beside A_kk is 0, and so
+/// is its row: coordinates without information are allowed.
+bool FindRoot(const double* matrix, int n, double* root) {
+  double upper[36];
+  for (int k = 0; k < n; ++k) {
+    const double given = matrix[k * n + k];
+    const double rounding = 8 * n * std::numeric_limits<double>::epsilon() * given;
+    for (int c = k; c < n; ++c) {
+      double rest = matrix[k * n + c];
+      for (int i = 0; i < k; ++i) rest -= upper[i * n + k] * upper[i * n + c];
+      if (c == k) {
+        if (!(rest >= -rounding) || !std::isfinite(rest)) return false;
+        upper[k * n + k] = rest > rounding ? std::sqrt(rest) : 0;
+      } else if (upper[k * n + k] > 0) {
+        upper[k * n + c] = rest / upper[k * n + k];
+      } else {
+        const double scale = std::sqrt(std::abs(given * matrix[c * n + c]));
+        if (!(std::abs(rest) <= 1e-7 * scale)) return false;
+        upper[k * n + c] = 0;
+      }
+      *root++ = upper[k * n + c];
+    }
+  }
+  return true;
+}
+
+void CheckView(const PoseGraphView& view) {
+  for (int64_t e = 0; e < view.num_edges; ++e) {
+    const int32_t i = view.edges[2 * e], j = view.edges[2 * e + 1];
+    const bool exist = i >= 0 && j >= 0 && i < view.num_poses && j < view.num_poses;
+    if (exist && i != j) continue;
+    throw InputError("edges[" + std::to_string(e) + "]: expected two different poses of the " +
+                     std::to_string(view.num_poses) + ", found " + std::to_string(i) + " and " +
+                     std::to_string(j));
+  }
+}
+
+/// Quaternions of norm 1.
+std::vector<double> Normalized(const Retraction& retraction, const char* name, int64_t count,
+                               const double* values) {
+  const int n = retraction.ambient_size();
+  std::vector<double> result(values, values + count * n);
+  for (int64_t i = 0; i < count; ++i) {
+    double* const value = result.data() + i * n;
+    const bool finite = std::all_of(value, value + n, [](double v) { return std::isfinite(v); });
+    if (finite && retraction.Normalize(value)) continue;
+    throw InputError(
+        std::string(name) + "[" + std::to_string(i) + "]: expected " +
+        (finite ? "a quaternion, found one of norm 0" : "finite numbers, found one that is not"));
+  }
+  return result;
+}
+
+}  // namespace
+
+std::vector<int64_t> FindBadInformation(int64_t num_edges, int tangent, const double* information) {
+  std::vector<int64_t> bad;
+  double root[21];
+  for (int64_t e = 0; e < num_edges; ++e) {
+    const double* const matrix = information + e * tangent * tangent;
+    if (!IsSymmetric(matrix, tangent) || !FindRoot(matrix, tangent, root)) bad.push_back(e);
+  }
+  return bad;
+}
+
+PoseGraph MakePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors) {
+  CheckView(view);
+  const int n = view.tangent(), root_size = n * (n + 1) / 2;
+  const Retraction retraction = view.retraction();
+  PoseGraph graph;
+  graph.dimension = view.dimension;
+  graph.errors = errors;
+  graph.poses = Normalized(retraction, "poses", view.num_poses, view.poses);
+  graph.measurements = Normalized(retraction, "measurements", view.num_edges, view.measurements);
+  graph.held.assign(view.held, view.held + view.num_poses);
+  graph.edges.assign(view.edges, view.edges + 2 * view.num_edges);
+  graph.robust.assign(view.num_edges, 0);
+  if (view.robust != nullptr) graph.robust.assign(view.robust, view.robust + view.num_edges);
+  graph.roots.resize(view.num_edges * root_size);
+  for (int64_t e = 0; e < view.num_edges; ++e) {
+    const double* const matrix = view.information + e * n * n;
+    if (IsSymmetric(matrix, n) && FindRoot(matrix, n, graph.roots.data() + e * root_size)) continue;
+    throw InputError("information[" + std::to_string(e) +
+                     "]: expected a symmetric positive semidefinite matrix");
+  }
+  return graph;
+}
+
+std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const int32_t* edges) {
+  std::vector<int32_t> parent(num_poses);
+  std::iota(parent.begin(), parent.end(), 0);
+  const auto root = [&](int32_t pose) {
+    while (parent[pose] != pose) pose = parent[pose] = parent[parent[pose]];
+    return pose;
+  };
+  for (int64_t e = 0; e < num_edges; ++e) {
+    const int32_t a = root(edges[2 * e]), b = root(edges[2 * e + 1]);
+    parent[std::max(a, b)] = std::min(a, b);
+  }
+  for (int64_t i = 0; i < num_poses; ++i) parent[i] = root(static_cast<int32_t>(i));
+  return parent;
+}
+
+namespace {
+
+template <typename Group>
+std::vector<double> EdgeChi2Of(const PoseGraph& graph, const double* poses) {
+  std::vector<double> chi2(graph.num_edges());
+  for (int64_t e = 0; e < graph.num_edges(); ++e) {
+    double residual[Group::kTangent];
+    EvaluateWhitened<Group>(graph, e, poses, residual);
+    chi2[e] = SquaredNorm(residual, Group::kTangent);
+  }
+  return chi2;
+}
+
+}  // namespace
+
+std::vector<double> EdgeChi2(const PoseGraph& graph, const double* poses) {
+  return graph.dimension == 2 ? EdgeChi2Of<Se2>(graph, poses) : EdgeChi2Of<Se3>(graph, poses);
+}
+
+std::vector<double> EdgeWeights(const PoseGraph& graph, const std::vector<double>& chi2) {
+  std::vector<double> weights(chi2.size());
+  for (size_t e = 0; e < chi2.size(); ++e) {
+    double rho[3];
+    ValueOfEdgeLoss(graph.LossOf(static_cast<int64_t>(e)), graph.errors.loss_scale, chi2[e], rho);
+    weights[e] = rho[1];
+  }
+  return weights;
+}
+
+}  // namespace bundle

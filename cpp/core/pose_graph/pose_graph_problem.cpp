@@ -1,0 +1,348 @@
+#include "core/pose_graph/pose_graph_problem.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <utility>
+
+#include "core/interface/summary.h"
+#include "core/linear/block_structure.h"
+#include "core/parallel/thread_pool.h"
+#include "core/pose_graph/block_pattern_of_edges.h"
+#include "core/pose_graph/edge_kernel.h"
+
+namespace bundle {
+namespace {
+
+// Ceres' min_lm_diagonal and max_lm_diagonal.
+constexpr double kLeastDiagonal = 1e-6, kLargestDiagonal = 1e32;
+constexpr int64_t kEdgesAtATime = 4096;
+/// Edges, each the square of its coordinates, below which waking a thread takes longer than a pass.
+constexpr int64_t kWorkOfAThread = 70000;
+
+double DotOf(const std::vector<double>& a, const std::vector<double>& b) {
+  double sum = 0;
+  for (size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
+  return sum;
+}
+
+int CountThreads(int64_t num_edges, int tangent, int num_threads) {
+  const int64_t worth = std::max<int64_t>(num_edges * tangent * tangent / kWorkOfAThread, 1);
+  return static_cast<int>(std::min<int64_t>(EffectiveNumThreads(num_threads), worth));
+}
+
+/// Where an edge's blocks are. Of a held pose there is none: column -1.
+struct EdgePlace {
+  int64_t edge = 0;
+  int i = -1, j = -1;  ///< block columns of its poses
+  int64_t below = 0;   ///< values of the block below the diagonal
+  int stride_below = 0;
+};
+
+template <typename Group>
+class PoseGraphProblemOf final : public PoseGraphProblem {
+  static constexpr int kSize = Group::kTangent;
+  static constexpr int kAmbient = Group::kAmbient;
+  using Terms = EdgeTerms<Group>;
+
+ public:
+  PoseGraphProblemOf(const PoseGraph& graph, const std::string& ordering, int num_threads)
+      : graph_(graph),
+        retraction_(Group::kManifold, kAmbient),
+        x_(graph.poses),
+        candidate_(graph.poses),
+        pool_(CountThreads(graph.num_edges(), kSize, num_threads)) {
+    const Stopwatch symbolic;
+    EdgePattern pattern = PatternOfEdges(graph, kSize, ordering);
+    structure_ = std::move(pattern.structure);
+    solver_ = MakeSparseSolver(pattern.ordering, num_threads, &structure_);
+    symbolic_time_ = symbolic.seconds();
+    pose_of_ = std::move(pattern.pose_of);
+    PlaceEdges(pattern.block_of);
+    const size_t columns = structure_.num_columns();
+    ReserveHugePages(structure_.num_values, &system_.values);
+    system_.values.resize(structure_.num_values);
+    for (std::vector<double>* v :
+         {&system_.rhs, &gradient_, &scale_, &d_squared_, &newton_, &direction_, &step_}) {
+      v->resize(columns);
+    }
+    terms_.resize(std::min<int64_t>(kEdgesAtATime, places_.size()));
+    state_norm_ = NormOf(x_);
+  }
+
+  Linearization Linearize(double damping) override {
+    damping_ = damping;
+    std::fill(system_.values.begin(), system_.values.end(), 0.0);
+    std::fill(gradient_.begin(), gradient_.end(), 0.0);
+    Linearization result;
+    const auto num_edges = static_cast<int64_t>(places_.size());
+    for (int64_t begin = 0; begin < num_edges; begin += kEdgesAtATime) {
+      ThrowIfInterrupted();
+      const int64_t end = std::min(num_edges, begin + kEdgesAtATime);
+      pool_.Run([&](int thread) { EvaluateEdges(begin, end, thread); });
+      pool_.Run([&](int thread) { Add(begin, end, thread); });
+      for (int64_t k = 0; k < end - begin; ++k) result.cost += terms_[k].cost;
+    }
+    Damp(damping);
+    double squared = 0;
+    for (size_t c = 0; c < gradient_.size(); ++c) {
+      system_.rhs[c] = -gradient_[c];
+      squared += gradient_[c] * gradient_[c];
+      const double size = std::abs(gradient_[c]);
+      if (!(size <= result.gradient_max_norm)) result.gradient_max_norm = size;
+    }
+    result.gradient_norm = std::sqrt(squared);
+    result.is_finite = std::isfinite(result.cost) && std::isfinite(result.gradient_norm);
+    return result;
+  }
+
+  NewtonResult SolveNewton(double eta) override {
+    const LinearSolution solution = solver_->Solve(&system_, scale_, eta, newton_.data());
+    NewtonResult result;
+    result.num_iterations = solution.num_iterations;
+    result.message = solution.message;
+    if (solution.status == LinearSolution::Status::kFatal) {
+      result.status = NewtonResult::Status::kFatal;
+    } else if (solution.status == LinearSolution::Status::kFailure) {
+      result.status = NewtonResult::Status::kFailure;
+    }
+    return result;
+  }
+
+  Candidate EvaluateNewtonStep() override {
+    Candidate result = Evaluate(newton_);
+    result.model_cost_change = 0.5 * (damping_ * Weighted(newton_) - DotOf(gradient_, newton_));
+    return result;
+  }
+
+  DoglegProducts Products() override {
+    for (size_t c = 0; c < direction_.size(); ++c) direction_[c] = gradient_[c] / d_squared_[c];
+    DoglegProducts& p = products_;
+    p.d_pp = DotOf(direction_, gradient_);
+    p.d_pq = DotOf(newton_, gradient_);
+    p.d_qq = Weighted(newton_);
+    p.j_pp = SquaredNormAlong(direction_);
+    p.j_pq = -p.d_pp - damping_ * p.d_pq;
+    p.j_qq = -p.d_pq - damping_ * p.d_qq;
+    return p;
+  }
+
+  Candidate EvaluateDoglegStep(double a, double b) override {
+    for (size_t c = 0; c < step_.size(); ++c) step_[c] = a * direction_[c] + b * newton_[c];
+    Candidate result = Evaluate(step_);
+    const DoglegProducts& p = products_;
+    result.model_cost_change =
+        -(a * p.d_pp + b * p.d_pq) - 0.5 * (a * a * p.j_pp + 2 * a * b * p.j_pq + b * b * p.j_qq);
+    return result;
+  }
+
+  void Accept() override {
+    std::swap(x_, candidate_);
+    std::swap(state_norm_, candidate_norm_);
+  }
+
+  double StateNorm() const override { return state_norm_; }
+
+  const std::vector<double>& poses() const override { return x_; }
+  double fixed_cost() const override { return fixed_cost_; }
+  int num_free_poses() const override { return structure_.num_blocks(); }
+  int64_t num_active_edges() const override { return static_cast<int64_t>(places_.size()); }
+  const BlockStructure& structure() const override { return structure_; }
+  FactorStatistics factor_statistics() const override { return solver_->factor_statistics(); }
+  double symbolic_time_in_seconds() const override { return symbolic_time_; }
+
+ private:
+  void PlaceEdges(const std::vector<int>& block_of) {
+    for (int64_t e = 0; e < graph_.num_edges(); ++e) {
+      EdgePlace place;
+      place.edge = e;
+      place.i = block_of[graph_.edges[2 * e]];
+      place.j = block_of[graph_.edges[2 * e + 1]];
+      if (place.i < 0 && place.j < 0) {
+        fixed_cost_ += CostOf(e, x_.data());
+        continue;
+      }
+      if (place.i >= 0 && place.j >= 0) {
+        const int column = std::min(place.i, place.j), row = std::max(place.i, place.j);
+        place.below = structure_.ValueIndex(column, structure_.Entry(column, row), 0, 0);
+        place.stride_below = structure_.panel_stride[column];
+      }
+      places_.push_back(place);
+    }
+  }
+
+  double CostOf(int64_t edge, const double* poses) const {
+    double residual[kSize], rho[3];
+    EvaluateWhitened<Group>(graph_, edge, poses, residual);
+    ValueOfEdgeLoss(graph_.LossOf(edge), graph_.errors.loss_scale, SquaredNorm(residual, kSize),
+                    rho);
+    return 0.5 * rho[0];
+  }
+
+  /// The share of a thread in [begin, end).
+  std::pair<int64_t, int64_t> Share(int64_t begin, int64_t end, int thread) const {
+    const int64_t count = end - begin, threads = pool_.num_threads();
+    return {begin + count * thread / threads, begin + count * (thread + 1) / threads};
+  }
+
+  void EvaluateEdges(int64_t begin, int64_t end, int thread) {
+    const auto [first, last] = Share(begin, end, thread);
+    for (int64_t k = first; k < last; ++k) {
+      LinearizeEdge<Group>(graph_, places_[k].edge, x_.data(), &terms_[k - begin]);
+    }
+  }
+
+  void Add(int64_t begin, int64_t end, int thread) {
+    const auto [first, last] = Share(0, structure_.num_blocks(), thread);
+    const auto is_mine = [first = first, last = last](int b) { return b >= first && b < last; };
+    for (int64_t k = begin; k < end; ++k) {
+      const EdgePlace& place = places_[k];
+      const Terms& terms = terms_[k - begin];
+      if (is_mine(place.i)) AddPose(place.i, terms.h_ii, terms.g_i);
+      if (is_mine(place.j)) AddPose(place.j, terms.h_jj, terms.g_j);
+      if (place.i < 0 || place.j < 0 || !is_mine(std::min(place.i, place.j))) continue;
+      double* const block = system_.values.data() + place.below;
+      const bool rows_are_j = place.j > place.i;
+      for (int c = 0; c < kSize; ++c) {
+        double* const column = block + int64_t{c} * place.stride_below;
+        for (int r = 0; r < kSize; ++r) {
+          column[r] += terms.h_ij[rows_are_j ? c * kSize + r : r * kSize + c];
+        }
+      }
+    }
+  }
+
+  double* Diagonal(int b) {
+    return system_.values.data() + structure_.panel_begin[b] + DiagonalRow(b);
+  }
+  int DiagonalRow(int b) const { return structure_.row_in_panel[structure_.column_begin[b]]; }
+
+  void AddPose(int b, const double* matrix, const double* gradient) {
+    double* const block = Diagonal(b);
+    const int64_t stride = structure_.panel_stride[b];
+    for (int c = 0; c < kSize; ++c) {
+      for (int r = c; r < kSize; ++r) block[c * stride + r] += matrix[c * kSize + r];
+      gradient_[int64_t{b} * kSize + c] += gradient[c];
+    }
+  }
+
+  void Damp(double damping) {
+    for (int b = 0; b < structure_.num_blocks(); ++b) {
+      double* const block = Diagonal(b);
+      const int64_t stride = structure_.panel_stride[b] + 1;
+      for (int c = 0; c < kSize; ++c) {
+        const size_t k = size_t{kSize} * b + c;
+        double& entry = block[c * stride];
+        if (!is_scaled_) scale_[k] = 1 / (1 + std::sqrt(entry));
+        const double squared_scale = scale_[k] * scale_[k];
+        d_squared_[k] =
+            std::clamp(squared_scale * entry, kLeastDiagonal, kLargestDiagonal) / squared_scale;
+        entry += damping * d_squared_[k];
+      }
+    }
+    is_scaled_ = true;
+  }
+
+  /// d^T D^2 d
+  double Weighted(const std::vector<double>& d) const {
+    double sum = 0;
+    for (size_t c = 0; c < d.size(); ++c) sum += d[c] * d[c] * d_squared_[c];
+    return sum;
+  }
+
+  /// ||J d||^2 at x, losses included.
+  double SquaredNormAlong(const std::vector<double>& d) {
+    std::vector<double> parts(places_.size());
+    ForEdges([&](int64_t k) {
+      const EdgePlace& place = places_[k];
+      double residual[kSize], a[kSize * kSize], adjoint[kSize * kSize], moved[kSize] = {}, rho[3];
+      EvaluateWhitened<Group>(graph_, place.edge, x_.data(), residual, a, adjoint);
+      ValueOfEdgeLoss(graph_.LossOf(place.edge), graph_.errors.loss_scale,
+                      SquaredNorm(residual, kSize), rho);
+      for (int r = 0; r < kSize; ++r) {
+        if (place.j >= 0) moved[r] = d[int64_t{kSize} * place.j + r];
+        for (int c = 0; place.i >= 0 && c < kSize; ++c) {
+          moved[r] -= adjoint[r * kSize + c] * d[int64_t{kSize} * place.i + c];
+        }
+      }
+      for (int r = 0; r < kSize; ++r) {
+        double row = 0;
+        for (int c = 0; c < kSize; ++c) row += a[r * kSize + c] * moved[c];
+        parts[k] += rho[1] * row * row;
+      }
+    });
+    double sum = 0;
+    for (const double part : parts) sum += part;
+    return sum;
+  }
+
+  template <typename Visit>
+  void ForEdges(const Visit& visit) {
+    ThrowIfInterrupted();
+    pool_.Run([&](int thread) {
+      const auto [first, last] = Share(0, places_.size(), thread);
+      for (int64_t k = first; k < last; ++k) visit(k);
+    });
+  }
+
+  /// The candidate X Exp(d).
+  Candidate Evaluate(const std::vector<double>& d) {
+    pool_.Run([&](int thread) {
+      const auto [first, last] = Share(0, structure_.num_blocks(), thread);
+      for (int64_t b = first; b < last; ++b) {
+        const int64_t pose = int64_t{pose_of_[b]} * kAmbient;
+        retraction_.Plus(x_.data() + pose, d.data() + b * kSize, candidate_.data() + pose);
+      }
+    });
+    costs_.resize(places_.size());
+    ForEdges([&](int64_t k) { costs_[k] = CostOf(places_[k].edge, candidate_.data()); });
+    Candidate result;
+    for (const double cost : costs_) result.cost += cost;
+    result.step_norm = std::sqrt(DotOf(d, d));
+    candidate_norm_ = NormOf(candidate_);
+    return result;
+  }
+
+  double NormOf(const std::vector<double>& poses) const {
+    double sum = 0;
+    for (const int pose : pose_of_) {
+      for (int k = 0; k < kAmbient; ++k) {
+        const double value = poses[int64_t{pose} * kAmbient + k];
+        sum += value * value;
+      }
+    }
+    return std::sqrt(sum);
+  }
+
+  const PoseGraph& graph_;
+  const Retraction retraction_;
+  std::vector<double> x_, candidate_;
+  ThreadPool pool_;
+  BlockStructure structure_;
+  std::unique_ptr<LinearSolver> solver_;
+  double symbolic_time_ = 0;
+  std::vector<int> pose_of_;  ///< of each block
+  std::vector<EdgePlace> places_;
+  double fixed_cost_ = 0;
+  BlockSystem system_;
+  std::vector<double> gradient_, scale_, d_squared_, newton_, direction_, step_;
+  std::vector<Terms> terms_;
+  std::vector<double> costs_;
+  DoglegProducts products_;
+  double damping_ = 0;
+  double state_norm_ = 0, candidate_norm_ = 0;
+  bool is_scaled_ = false;
+};
+
+}  // namespace
+
+std::unique_ptr<PoseGraphProblem> MakePoseGraphProblem(const PoseGraph& graph,
+                                                       const std::string& ordering,
+                                                       int num_threads) {
+  if (graph.dimension == 2) {
+    return std::make_unique<PoseGraphProblemOf<Se2>>(graph, ordering, num_threads);
+  }
+  return std::make_unique<PoseGraphProblemOf<Se3>>(graph, ordering, num_threads);
+}
+
+}  // namespace bundle

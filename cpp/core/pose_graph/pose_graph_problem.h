@@ -1,0 +1,51 @@
+#pragma once
+
+/// A pose graph as what a trust region minimises (minimize/least_squares.h), its normal equations
+/// block-sparse with one block a free pose, factorised by linear/supernodal_cholesky.h.
+///
+/// Poses move by X Exp(d), the chart anew at each state. Held poses have no block; the cost of an
+/// edge between two of them is constant.
+///
+/// With H = J^T J, g = J^T r and the Newton direction q of (H + l D^2) q = -g, products with H need
+/// no second look at J:
+///
+///   H q = -g - l D^2 q,    q^T H q = -g^T q - l q^T D^2 q,    p^T H q = -p^T g - l p^T D^2 q,
+///
+/// so a Newton step promises -(g^T q + 1/2 q^T H q) = 1/2 (l q^T D^2 q - g^T q), both terms of
+/// which are positive. Doglegs take p^T H p besides, by a pass over the edges.
+///
+/// The pass that linearises takes some thousand edges at a time: threads evaluate them, each its
+/// share, then add them up, each thread in block columns of its own and in the order of the edges.
+/// No bit depends on the number of threads.
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/linear/linear_solver.h"
+#include "core/minimize/least_squares.h"
+#include "core/pose_graph/pose_graph.h"
+
+namespace bundle {
+
+class PoseGraphProblem : public LeastSquares {
+ public:
+  /// As the graph stores them, at x.
+  virtual const std::vector<double>& poses() const = 0;
+  /// Of edges between held poses.
+  virtual double fixed_cost() const = 0;
+  virtual int num_free_poses() const = 0;
+  virtual int64_t num_active_edges() const = 0;
+  virtual const BlockStructure& structure() const = 0;
+  virtual FactorStatistics factor_statistics() const = 0;
+  /// Of finding the pattern, the ordering and the factor's structure.
+  virtual double symbolic_time_in_seconds() const = 0;
+};
+
+/// Keeps a reference to the graph, which has a pose that is not held. `ordering`: "auto" for the
+/// cheapest, "natural", "amd" or "metis".
+std::unique_ptr<PoseGraphProblem> MakePoseGraphProblem(const PoseGraph& graph,
+                                                       const std::string& ordering,
+                                                       int num_threads);
+
+}  // namespace bundle

@@ -1,0 +1,124 @@
+#pragma once
+
+/// The error of a relative pose, and its Jacobians.
+///
+/// Poses X are world_from_body, an edge from i to j measures Z = X_i^-1 X_j. With
+///
+///   B = X_i^-1 X_j,      M = Z^-1 B,
+///
+/// M is the identity where the measurement is met. Two errors are in use:
+///
+///   log   r = Log(M), the logarithm of SE(2) or SE(3) as a whole (rigid_motion.h), which couples
+///         translation and rotation; GTSAM's BetweenFactor, in the plane included.
+///   g2o   r = (t, theta) of M in the plane, r = (q_v, t) of M in space, q_v the vector part of the
+///         quaternion (q_v, q_w) of M with q_w >= 0: half the rotation vector at small angles, so
+///         that the same information weighs rotations a quarter as much.
+///
+/// Both are in the order of the tangent coordinates (geometry/retraction.h): in space the rotation
+/// comes first. Poses move by the right perturbation X Exp(d). Of X_j,
+///
+///   M -> M Exp(d):      dr = E d + O(|d|^2),
+///
+/// and of X_i, with B^-1 = X_j^-1 X_i and X Exp(d) X^-1 = Exp(Ad_X d),
+///
+///   M -> Z^-1 Exp(-d) X_i^-1 X_j = M Exp(-Ad(B^-1) d).
+///
+/// So one matrix has both Jacobians, J_j = E and J_i = -E Ad(B^-1), where
+///
+///   log   E = J_r(r)^-1, the inverse right Jacobian;
+///   g2o   in the plane, from t -> t + R_M v and theta -> theta + a, E = diag(R_M, 1);
+///         in space, from q -> q (w/2, 1) and t -> t + R_M v (both to first order),
+///         E = diag(1/2 (q_w I + [q_v]x), R_M).
+///
+/// The angle of M is in [-pi, pi] whatever turns the poses' angles have: errors do not jump where
+/// angles wrap, but at half a turn between prediction and measurement, where no error is smooth.
+
+#include <cmath>
+
+#include "core/geometry/retraction.h"
+#include "core/geometry/rigid_motion.h"
+
+namespace bundle {
+
+enum class PoseError { kLog, kG2o };
+
+struct Se2 {
+  static constexpr Manifold kManifold = Manifold::kSe2;
+  static constexpr int kAmbient = 3;
+  static constexpr int kTangent = 3;
+};
+
+struct Se3 {
+  static constexpr Manifold kManifold = Manifold::kSe3;
+  static constexpr int kAmbient = 7;
+  static constexpr int kTangent = 6;
+};
+
+/// `residual`: kTangent numbers. `right` is E and `adjoint` Ad(B^-1), kTangent squared, row-major;
+/// both or neither may be nullptr. Quaternions have norm 1.
+template <typename Group>
+void EvaluateRelativePose(PoseError error, const double* x_i, const double* x_j, const double* z,
+                          double* residual, double* right, double* adjoint);
+
+template <>
+inline void EvaluateRelativePose<Se2>(PoseError error, const double* x_i, const double* x_j,
+                                      const double* z, double* residual, double* right,
+                                      double* adjoint) {
+  double between[3], motion[3];
+  PlanarMotionBetween(x_i, x_j, between);
+  PlanarMotionBetween(z, between, motion);
+  if (error == PoseError::kLog) {
+    LogPlanarMotion(motion, residual);
+  } else {
+    residual[0] = motion[0], residual[1] = motion[1], residual[2] = WrapAngle(motion[2]);
+  }
+  if (right == nullptr) return;
+  if (error == PoseError::kLog) {
+    InverseRightJacobianOfPlanarMotion(residual, right);
+  } else {
+    const double c = std::cos(motion[2]), s = std::sin(motion[2]);
+    const double rotated[9] = {c, -s, 0, s, c, 0, 0, 0, 1};
+    for (int i = 0; i < 9; ++i) right[i] = rotated[i];
+  }
+  double back[3];
+  PlanarMotionBetween(x_j, x_i, back);
+  AdjointOfPlanarMotion(back, adjoint);
+}
+
+template <>
+inline void EvaluateRelativePose<Se3>(PoseError error, const double* x_i, const double* x_j,
+                                      const double* z, double* residual, double* right,
+                                      double* adjoint) {
+  double between[7], motion[7];
+  RigidMotionBetween(x_i, x_j, between);
+  RigidMotionBetween(z, between, motion);
+  const double sign = motion[3] < 0 ? -1 : 1;
+  if (error == PoseError::kLog) {
+    LogRigidMotion(motion, residual);
+  } else {
+    for (int i = 0; i < 3; ++i) residual[i] = sign * motion[i], residual[3 + i] = motion[4 + i];
+  }
+  if (right == nullptr) return;
+  if (error == PoseError::kLog) {
+    double negative[6];
+    for (int i = 0; i < 6; ++i) negative[i] = -residual[i];
+    InverseLeftJacobianOfRigidMotion(negative, right);
+  } else {
+    double rotation[9], skew[9];
+    QuaternionToRotation(motion, rotation);
+    Skew(residual, skew);
+    for (int r = 0; r < 3; ++r) {
+      for (int c = 0; c < 3; ++c) {
+        const double diagonal = r == c ? sign * motion[3] : 0;
+        right[6 * r + c] = 0.5 * (diagonal + skew[3 * r + c]);
+        right[6 * (r + 3) + c + 3] = rotation[3 * r + c];
+        right[6 * r + c + 3] = right[6 * (r + 3) + c] = 0;
+      }
+    }
+  }
+  double back[7];
+  RigidMotionBetween(x_j, x_i, back);
+  AdjointOfRigidMotion(back, adjoint);
+}
+
+}  // namespace bundle

@@ -1,0 +1,202 @@
+#include "core/solver/pose_graph_solver.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <memory>
+#include <utility>
+
+#include "core/ceres/solve_with_ceres.h"
+#include "core/error.h"
+#include "core/minimize/trust_region.h"
+#include "core/pose_graph/pose_edge_factor.h"
+#include "core/pose_graph/pose_graph_problem.h"
+#include "core/solver/fused_solver.h"
+
+namespace bundle {
+namespace {
+
+void SetPoseGraphSizes(const PoseGraph& graph, const PoseGraphProblem& problem,
+                       SolveSummary* result) {
+  const int tangent = graph.dimension == 2 ? Se2::kTangent : Se3::kTangent;
+  result->num_parameter_blocks = problem.num_free_poses();
+  result->num_parameters =
+      (graph.dimension == 2 ? Se2::kAmbient : Se3::kAmbient) * problem.num_free_poses();
+  result->num_residual_blocks = static_cast<int>(problem.num_active_edges());
+  result->num_residuals = static_cast<int>(tangent * problem.num_active_edges());
+  result->num_parameter_blocks_reduced = result->num_parameter_blocks;
+  result->num_parameters_reduced = result->num_parameters;
+  result->num_residual_blocks_reduced = result->num_residual_blocks;
+  result->num_residuals_reduced = result->num_residuals;
+}
+
+void SetPoseGraphCosts(const MinimizerSummary& minimum, double fixed_cost, SolveSummary* result) {
+  result->fixed_cost = fixed_cost;
+  if (minimum.iterations.empty()) return;
+  double least = minimum.iterations.front().cost;
+  for (const IterationRecord& record : minimum.iterations) {
+    if (record.step_is_successful) least = std::min(least, record.cost);
+  }
+  result->initial_cost = minimum.iterations.front().cost + fixed_cost;
+  result->final_cost = least + fixed_cost;
+}
+
+SolveSummary SummarizePoseGraph(const PoseGraph& graph, const PoseGraphProblem& problem,
+                                const SolveOptions& options, const MinimizerSummary& minimum) {
+  SolveSummary result;
+  SetPoseGraphCosts(minimum, problem.fixed_cost(), &result);
+  SetPoseGraphSizes(graph, problem, &result);
+  const TrustRegionStrategy strategy = options.trust_region_strategy_type;
+  result.trust_region_strategy_type =
+      strategy == TrustRegionStrategy::kLevenbergMarquardt ? "LEVENBERG_MARQUARDT" : "DOGLEG";
+  result.dogleg_type =
+      strategy == TrustRegionStrategy::kSubspaceDogleg ? "SUBSPACE_DOGLEG" : "TRADITIONAL_DOGLEG";
+  result.linear_solver_type_given = UpperName(options.linear_solver_type, kLinearSolverTypes);
+  result.linear_solver_type_used = "SPARSE_NORMAL_CHOLESKY";
+  result.linear_solver_ordering_given = {problem.num_free_poses()};
+  result.linear_solver_ordering_used = {problem.num_free_poses()};
+  result.preconditioner_type_given = "JACOBI";
+  result.preconditioner_type_used = "JACOBI";
+  result.dense_linear_algebra_library_type = "LAPACK";
+  result.sparse_linear_algebra_library_type = "SUPERNODAL";
+  result.num_threads_given = result.num_threads_used = options.num_threads;
+  result.residual_evaluation_time_in_seconds = minimum.candidate_time_in_seconds;
+  result.jacobian_evaluation_time_in_seconds = minimum.linearization_time_in_seconds;
+  result.linear_solver_time_in_seconds = minimum.solve_time_in_seconds;
+  result.num_residual_evaluations = minimum.num_candidates;
+  result.num_jacobian_evaluations = minimum.num_linearizations;
+  result.num_linear_solves = minimum.num_linear_solves;
+  result.termination_type = minimum.termination_type;
+  result.message = minimum.message;
+  result.is_solution_usable = minimum.termination_type != "FAILURE";
+  result.interrupted = minimum.interrupted;
+  result.num_successful_steps = minimum.num_successful_steps;
+  result.num_unsuccessful_steps = minimum.num_unsuccessful_steps;
+  result.factor = SummarizeFactor(problem.structure(), problem.factor_statistics(),
+                                  problem.symbolic_time_in_seconds());
+  result.num_information_nonzeros = result.factor.num_reduced_nonzeros.value_or(-1);
+  result.backend_used = UpperName(Backend::kFused, kBackends);
+  return result;
+}
+
+void SolveByNormalEquations(const PoseGraph& graph, const SolveOptions& options,
+                            const std::string& ordering, const ProgressCallback& progress,
+                            PoseGraphOutput* output) {
+  const Stopwatch setup;
+  const std::unique_ptr<PoseGraphProblem> problem =
+      MakePoseGraphProblem(graph, ordering, options.num_threads);
+  const double fixed_cost = problem->fixed_cost();
+  ProgressCallback report;
+  if (progress) {
+    report = [&progress, fixed_cost](IterationRecord record) {
+      record.cost += fixed_cost;
+      return progress(record);
+    };
+  }
+  const double setup_time = setup.seconds();
+  const Stopwatch minimizer;
+  MinimizerSummary minimum = Minimize(options, report, problem.get());
+  output->summary = SummarizePoseGraph(graph, *problem, options, minimum);
+  output->summary.preprocessor_time_in_seconds = setup_time;
+  output->summary.minimizer_time_in_seconds = minimizer.seconds();
+  output->summary.postprocessor_time_in_seconds = 0;
+  output->summary.total_time_in_seconds = setup.seconds();
+  output->solve_time_in_seconds = setup.seconds();
+  output->iterations = std::move(minimum.iterations);
+  for (IterationRecord& record : output->iterations) record.cost += fixed_cost;
+  output->poses = problem->poses();
+}
+
+template <typename Group>
+void SolveByCeres(const PoseGraph& graph, const SolveOptions& options,
+                  const ProgressCallback& progress, PoseGraphOutput* output) {
+  FactorGraph factors;
+  for (int64_t i = 0; i < graph.num_poses(); ++i) {
+    Block block{
+        "pose " + std::to_string(i), Retraction(Group::kManifold, Group::kAmbient), {}, {}, {}, {}};
+    const double* const pose = graph.poses.data() + i * Group::kAmbient;
+    block.value.assign(pose, pose + Group::kAmbient);
+    if (graph.held[i] != 0) block.held.assign(Group::kTangent, true);
+    factors.blocks.push_back(std::move(block));
+  }
+  for (int64_t e = 0; e < graph.num_edges(); ++e) {
+    factors.factors.push_back(std::make_unique<PoseEdgeFactor<Group>>(graph, e));
+  }
+  GraphOutput solved = SolveGraph(factors, options, progress);
+  static_cast<SolveRecord&>(*output) = std::move(static_cast<SolveRecord&>(solved));
+  for (const std::vector<double>& value : solved.values) {
+    output->poses.insert(output->poses.end(), value.begin(), value.end());
+  }
+}
+
+/// A graph with nothing to refine.
+void ReportNothingToRefine(const SolveOptions& options, double cost, PoseGraphOutput* output) {
+  SolveSummary& summary = output->summary;
+  summary.initial_cost = summary.final_cost = summary.fixed_cost = cost;
+  summary.termination_type = "CONVERGENCE";
+  summary.message = "Function tolerance reached. No non-constant parameter blocks found.";
+  summary.is_solution_usable = true;
+  summary.num_successful_steps = 1;  // the start, as Ceres counts
+  summary.num_unsuccessful_steps = 0;
+  for (int* size :
+       {&summary.num_parameter_blocks, &summary.num_parameters, &summary.num_residual_blocks,
+        &summary.num_residuals, &summary.num_parameter_blocks_reduced,
+        &summary.num_parameters_reduced, &summary.num_residual_blocks_reduced,
+        &summary.num_residuals_reduced, &summary.num_linear_solves}) {
+    *size = 0;
+  }
+  summary.linear_solver_type_used = summary.linear_solver_type_given = "SPARSE_NORMAL_CHOLESKY";
+  summary.trust_region_strategy_type = "LEVENBERG_MARQUARDT";
+  summary.dogleg_type = "TRADITIONAL_DOGLEG";
+  summary.num_threads_given = summary.num_threads_used = options.num_threads;
+  summary.total_time_in_seconds = 0;
+  summary.backend_used = UpperName(Backend::kFused, kBackends);
+  IterationRecord start;
+  start.cost = cost;
+  start.step_is_successful = true;
+  output->iterations.push_back(start);
+}
+
+}  // namespace
+
+PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
+                               const SolveOptions& given, const std::string& ordering,
+                               const ProgressCallback& progress) {
+  const Stopwatch time;
+  SolveOptions options = given;
+  options.num_threads = EffectiveNumThreads(options.num_threads);
+  if (options.backend == Backend::kCeres && errors.loss.kind != EdgeLoss::Kind::kOfFactors) {
+    throw InputError("backend: expected auto or fused with this loss, found ceres");
+  }
+  const PoseGraph graph = MakePoseGraph(view, errors);
+  PoseGraphOutput output;
+  output.chi2_before = EdgeChi2(graph, graph.poses.data());
+  const bool any_free =
+      std::any_of(graph.held.begin(), graph.held.end(), [](uint8_t held) { return held == 0; });
+  if (!any_free) {
+    double cost = 0;
+    for (const double chi2 : output.chi2_before) cost += 0.5 * chi2;
+    output.poses = graph.poses;
+    ReportNothingToRefine(options, cost, &output);
+  } else if (options.backend != Backend::kCeres) {
+    SolveByNormalEquations(graph, options, ordering, progress, &output);
+  } else if (graph.dimension == 2) {
+    SolveByCeres<Se2>(graph, options, progress, &output);
+  } else {
+    SolveByCeres<Se3>(graph, options, progress, &output);
+  }
+  output.summary.backend_given = UpperName(given.backend, kBackends);
+  if (given.backend == Backend::kAuto) {
+    output.summary.backend_choice = "Pose graphs have normal equations of their own.";
+  }
+  output.chi2_after = EdgeChi2(graph, output.poses.data());
+  output.weights = EdgeWeights(graph, output.chi2_after);
+  const int n = view.ambient();
+  for (int64_t i = 0; i < view.num_poses; ++i) {
+    if (graph.held[i] != 0) std::copy_n(view.poses + i * n, n, output.poses.begin() + i * n);
+  }
+  output.build_time_in_seconds = time.seconds() - output.solve_time_in_seconds;
+  return output;
+}
+
+}  // namespace bundle

@@ -1,0 +1,106 @@
+"""What `bundle refine`, `info` and `convert` do with a pose graph."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.option_flags import naming_flags, options_given
+from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
+from bundle.pose_graph import PoseGraphOptions
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+__all__ = ["convert_graph", "describe_graph", "refine_graph"]
+
+_OPTIONS = {field.name for field in dataclasses.fields(PoseGraphOptions)}
+
+
+def refine_graph(arguments: argparse.Namespace) -> int:
+    """Refine the pose graph INPUT into OUTPUT."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.cli.standard_streams import complain
+    from bundle.errors import shown
+    from bundle.pose_graph import solve_pose_graph
+    from bundle.pose_graph.g2o_files import check_g2o_target, load_g2o, save_g2o
+    from bundle.reports.pose_graph_json import refinement_of_graph
+    from bundle.reports.pose_graph_tables import refined_graph
+    from bundle.reports.timing import WallTime
+
+    refuse_flags_of_reconstructions(arguments, _OPTIONS)
+    options = options_given(arguments, PoseGraphOptions)
+    source, target = arguments.input, arguments.output
+    check_json(arguments.json, source, target)
+    check_g2o_target(target)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(source)}")
+        begun = perf_counter()
+        graph = load_g2o(source)
+        load_time = perf_counter() - begun
+        progress.stage("building the problem")
+        with naming_flags(PoseGraphOptions):
+            solved = solve_pose_graph(graph, options, progress=progress.iteration)
+        begun = perf_counter()
+        saved = solved.summary.is_solution_usable or solved.summary.interrupted
+        if saved:
+            progress.stage(f"writing {shown(target)}")
+            save_g2o(solved.problem, target)
+        save_time = perf_counter() - begun
+    wall = WallTime(
+        load=load_time,
+        build=solved.build_time_in_seconds,
+        solve=solved.solve_time_in_seconds,
+        save=save_time,
+        total=perf_counter() - started,
+    )
+    written = {"path": target, "format": "g2o"} if saved else None
+    if arguments.json != "-":
+        show(*refined_graph(source, solved, wall, written))
+    write_json(arguments.json, refinement_of_graph(source, solved, wall, written))
+    if solved.summary.is_solution_usable and not solved.summary.interrupted:
+        return EXIT_DONE
+    if arguments.json == "-":
+        complain(solved.outcome)
+    return EXIT_NO_SOLUTION
+
+
+def describe_graph(path: str) -> tuple[list[RenderableType], dict[str, Any]]:
+    """Return what `bundle info` says of a pose graph, for people and for programs."""
+    from bundle.pose_graph.g2o_files import load_g2o
+    from bundle.reports.pose_graph_json import information_of_graph
+    from bundle.reports.pose_graph_tables import described_graph
+
+    graph = load_g2o(path)
+    report = information_of_graph(path, graph)
+    return described_graph(path, graph, report), report
+
+
+def convert_graph(arguments: argparse.Namespace) -> int:
+    """Write the pose graph INPUT anew: compressed or not, with poses where it had none."""
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.errors import shown
+    from bundle.pose_graph.g2o_files import check_g2o_target, load_g2o, save_g2o
+    from bundle.reports.pose_graph_json import conversion_of_graph
+    from bundle.reports.pose_graph_tables import converted_graph
+
+    refuse_flags_of_reconstructions(arguments)
+    path = arguments.output
+    check_json(arguments.json, arguments.input, path)
+    check_g2o_target(path)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(arguments.input)}")
+        graph = load_g2o(arguments.input)
+        progress.stage(f"writing {shown(path)}")
+        lost = save_g2o(graph, path)
+    output = {"path": path, "format": "g2o"}
+    if arguments.json != "-":
+        show(*converted_graph(arguments.input, graph, output))
+    write_json(arguments.json, conversion_of_graph(arguments.input, graph, output, lost))
+    return EXIT_DONE

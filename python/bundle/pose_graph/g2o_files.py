@@ -1,0 +1,78 @@
+"""g2o files, read and written; ``cpp/core/io/g2o.h`` has the format."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from bundle import _core
+from bundle.errors import InputError, shown
+from bundle.io import as_path, atomic
+from bundle.pose_graph.pose_graph_arrays import PoseGraph
+from bundle.pose_graph.starts import start_without_poses
+
+__all__ = ["check_g2o_target", "load_g2o", "save_g2o"]
+
+_SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
+
+
+def load_g2o(path: str | os.PathLike[str]) -> PoseGraph:
+    """Read a pose graph, plain or compressed by gzip or bzip2, told by the content.
+
+    Raises:
+        InputError: the content is not what the format says: unknown or duplicate vertices, a wrong
+            number of fields, numbers that are not finite, zero quaternions, edges of a vertex with
+            itself; one line with file and line.
+        OSError: the file cannot be read.
+    """
+    path = as_path(path)
+    read = _core.read_g2o(path)
+    graph = PoseGraph(
+        poses=read["poses"],
+        edges=read["edges"],
+        measurements=read["measurements"],
+        information=read["information"],
+        ids=read["ids"],
+        fixed=read["fixed"].astype(bool),
+        edge_lines=read["edge_lines"],
+        path=shown(path),
+        has_poses=read["has_vertices"],
+    )
+    return graph if graph.has_poses else start_without_poses(graph)
+
+
+def save_g2o(graph: PoseGraph, path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Write a pose graph; ".gz" and ".bz2" at the end of the name compress.
+
+    What stood at ``path`` is replaced only when the new content is whole on the disk. Numbers are
+    the shortest that read back as the same. Returns what the format does not keep: nothing.
+
+    Raises:
+        InputError: the path is a folder.
+        OSError: the system refuses.
+    """
+    path = as_path(path)
+    with atomic.replace_file(path) as temporary:
+        _core.write_g2o(temporary, graph, _compression(path))
+    return ()
+
+
+def check_g2o_target(path: str | os.PathLike[str]) -> None:
+    """Refuse now what :func:`save_g2o` would refuse later.
+
+    Raises:
+        InputError: the path is a folder, or its name says another format.
+        OSError: there is no permission to write.
+    """
+    path = as_path(path)
+    name = str(path).lower()
+    if name.endswith((".txt", ".txt.gz", ".txt.bz2")):
+        raise InputError(
+            f"{shown(path)}: expected a name such as {', '.join(_SUFFIXES)} for a pose graph, "
+            "found that of a BAL file"
+        )
+    atomic.check_file(path)
+
+
+def _compression(path: Path) -> str:
+    return {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix.lower(), "")

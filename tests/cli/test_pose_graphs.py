@@ -1,0 +1,135 @@
+"""`refine`, `info` and `convert` of pose graphs."""
+
+import json
+
+import numpy as np
+import pytest
+
+import bundle
+from tests.pose_graph import graphs
+
+
+@pytest.fixture
+def source(tmp_path):
+    graph = graphs.loop(3, noise=0.01, start_noise=0.3)
+    bundle.save(graph, tmp_path / "x.g2o")
+    return tmp_path / "x.g2o"
+
+
+def test_refine_writes_the_graph_and_reports(run, source, tmp_path):
+    target, report = tmp_path / "y.g2o.bz2", tmp_path / "report.json"
+    done = run("refine", source, "-o", target, "--json", report)
+    assert done.code == 0 and "12 poses, 17 edges, 6 closures" in done.out
+    assert "6 degrees of freedom: pose 0 held" in done.out and "iteration" in done.err
+    found = json.loads(report.read_text())
+    expected = bundle.solve(bundle.load(source))
+    assert found["command"] == "refine" and found["schema"] == 1
+    assert found["input"]["format"] == "g2o" and found["input"]["num_edges"] == 17
+    assert found["options"]["error"] == "LOG" and found["options"]["init"] == "FILE"
+    summary = found["summary"]
+    for name in ("chi2_initial", "chi2_final", "initial_cost", "final_cost"):
+        np.testing.assert_allclose(summary[name], getattr(expected.summary, name), rtol=1e-12)
+    np.testing.assert_allclose(summary["final_cost"], summary["chi2_final"] / 2, rtol=1e-12)
+    assert summary["termination_type"] == "CONVERGENCE" and summary["num_gauge_freedoms"] == 6
+    assert len(found["iterations"]) == len(expected.iterations["cost"])
+    assert set(found["wall_time"]) == {"load", "build", "solve", "save", "total"}
+    assert found["output"] == {"path": str(target), "format": "g2o"}
+    again = bundle.load(target)
+    np.testing.assert_array_equal(again.poses, expected.problem.poses)
+    np.testing.assert_array_equal(again.information, bundle.load(source).information)
+
+
+def test_flags_of_pose_graphs(run, source, tmp_path):
+    flags = ["--error", "g2o", "--init", "chordal", "--information", "isotropic"]
+    flags += ["--trust-region", "gauss-newton", "--loss", "huber", "--loss-on", "all"]
+    flags += ["--backend", "fused", "--pose-ordering", "natural", "--threads", "1"]
+    done = run("refine", source, "-o", tmp_path / "y.g2o", "--json", "-", "--quiet", *flags)
+    assert done.code == 0 and done.err == ""
+    found = json.loads(done.out)
+    options = {"error": "G2O", "init": "CHORDAL", "information": "ISOTROPIC", "loss": "HUBER"}
+    options |= {"trust_region_strategy_type": "GAUSS_NEWTON", "loss_on": "ALL"}
+    assert found["options"].items() >= options.items()
+    assert found["summary"]["init"] == "chordal"
+    assert found["summary"]["factor_ordering"] == "natural"
+
+
+def test_a_solve_that_does_not_end_is_a_result(run, source, tmp_path):
+    done = run("refine", source, "-o", tmp_path / "y.g2o", "--max-iterations", 1, "--quiet")
+    assert done.code == 0 and "Not converged" in done.out
+
+
+@pytest.mark.parametrize(
+    ("flags", "flag"),
+    [
+        (["--refine", "poses"], "--refine"),
+        (["--rounds", "2"], "--rounds"),
+        (["--set", "cameras *: f fixed"], "--set"),
+        (["--check-gradients"], "--check-gradients"),
+        (["--solver", "dense-qr"], "--solver"),
+        (["--format", "bal"], "--format"),
+        (["--init", "odometri"], "--init"),
+        (["--loss-on", "all"], "--loss-on"),
+    ],
+)
+def test_flags_that_do_not_fit_are_refused(run, source, tmp_path, flags, flag):
+    done = run("refine", source, "-o", tmp_path / "y.g2o", *flags)
+    assert done.code == 2 and flag in done.err.splitlines()[-1]
+    assert not (tmp_path / "y.g2o").exists()
+
+
+def test_flags_of_graphs_are_none_of_reconstructions(run, tmp_path):
+    run("synth", tmp_path / "s.txt", "--images", 4, "--points", 20, "--quiet")
+    for flags in (["--init", "chordal"], ["--trust-region", "gauss-newton"]):
+        done = run("refine", tmp_path / "s.txt", "-o", tmp_path / "t.txt", *flags)
+        assert done.code == 2 and flags[0] in done.err and not (tmp_path / "t.txt").exists()
+
+
+@pytest.mark.parametrize("name", ["y.txt", "y.txt.gz"])
+def test_the_name_of_another_format_is_refused(run, source, tmp_path, name):
+    for arguments in (
+        ("refine", source, "-o", tmp_path / name),
+        ("convert", source, tmp_path / name),
+    ):
+        done = run(*arguments)
+        assert done.code == 2 and "BAL" in done.err and not (tmp_path / name).exists()
+
+
+def test_bad_information_is_one_line_with_file_and_line(run, source, tmp_path):
+    lines = source.read_text().splitlines()
+    words = lines[15].split()
+    words[-1] = "-1e9"
+    lines[15] = " ".join(words)
+    source.write_text("\n".join(lines))
+    done = run("refine", source, "-o", tmp_path / "y.g2o", "--quiet")
+    assert done.code == 2 and done.err.count("\n") == 1
+    assert done.err.startswith(f"error: {source}:16: edge 3 4: information: expected ")
+    done = run("info", source, "--json", "-")
+    found = json.loads(done.out)
+    assert found["num_bad_information"] == 1 and found["bad_information"][0]["line"] == 16
+    assert found["chi2"] == {"log": None, "g2o": None}
+    assert "looks wrong" in run("info", source).out
+
+
+def test_info_and_convert(run, source, tmp_path):
+    found = json.loads(run("info", source, "--json", "-", "--quiet").out)
+    graph = bundle.load(source)
+    assert found["input"]["num_poses"] == 12 and found["num_components"] == 1
+    assert found["degrees_of_freedom"] == 6 * (17 - 11) and found["bad_information"] == []
+    for error in ("log", "g2o"):
+        expected = graphs.chi2_by_matrices(graph, error).sum()
+        np.testing.assert_allclose(found["chi2"][error], expected, rtol=1e-9)
+    assert "nothing found" in run("info", source).out
+    done = run("convert", source, tmp_path / "z.g2o.gz", "--json", "-", "--quiet")
+    assert done.code == 0 and json.loads(done.out)["lost"] == []
+    np.testing.assert_array_equal(bundle.load(tmp_path / "z.g2o.gz").poses, graph.poses)
+    mixed = run("info", source, source, "--json", "-", "--quiet")
+    assert len(json.loads(mixed.out)["reports"]) == 2
+
+
+def test_a_report_never_replaces_a_graph(run, source, tmp_path):
+    before = source.read_bytes()
+    done = run("info", tmp_path / "x.g2o", "--json", source)
+    assert done.code == 2 and source.read_bytes() == before
+    bundle.save(graphs.loop(2), tmp_path / "other.g2o")
+    done = run("info", source, "--json", tmp_path / "other.g2o")
+    assert done.code == 2 and "a pose graph" in done.err
