@@ -12,6 +12,7 @@ void BindColmap(py::module_& m);
 void BindLosses(py::module_& m);
 void BindSolve(py::module_& m);
 void BindCovariance(py::module_& m);
+void BindRest(py::module_& m);
 void BindCheck(py::module_& m);
 void BindInspection(py::module_& m);
 void BindDiagnosis(py::module_& m);
@@ -31,6 +32,7 @@ PYBIND11_MODULE(_core, m) {
   BindLosses(m);
   BindSolve(m);
   BindCovariance(m);
+  BindRest(m);
   BindCheck(m);
   BindInspection(m);
   BindDiagnosis(m);

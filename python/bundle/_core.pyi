@@ -149,6 +149,26 @@ def covariance(
     relative: list[tuple[int, int]],
 ) -> dict[str, Any]: ...
 
+# bind_rest.cpp
+def marginalize_rest(
+    problem: Problem,
+    options: dict[str, Any],
+    restrictions: Restrictions | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    images: list[int],
+    frames: list[int],
+    cameras: list[int],
+) -> dict[str, Any]: ...
+def free_similarities(
+    problem: Problem,
+    options: dict[str, Any],
+    restrictions: Restrictions | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    images: list[int],
+    frames: list[int],
+    cameras: list[int],
+) -> NDArray[np.float64]: ...
+
 # bind_check.cpp
 def richardson_jacobian(
     function: Callable[[list[NDArray[np.float64]], bool], Any],
@@ -299,6 +319,7 @@ def initial_poses(
     graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: int
 ) -> NDArray[np.float64]: ...
 def odometry_gap(graph: PoseGraph) -> tuple[int, int]: ...
+def edge_loss(loss: str, scale: float, chi2: float) -> list[float]: ...
 def relative_pose_error(
     error: str, x_i: NDArray[np.float64], x_j: NDArray[np.float64], z: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["PartRecord", "Round"]
+__all__ = ["PartRecord", "RestRecord", "Round"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,16 +35,46 @@ class Round:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RestRecord:
+    """What was marginalised beside an adjustment of some images, and the prior that it left.
+
+    Attributes:
+        num_images: eliminated, neighbours of the part not included.
+        num_points: eliminated.
+        num_points_without_parallax: of these, left out along the direction that nothing sees.
+        prior_size: unknowns of the prior, poses of neighbours and parameters of cameras; 0 without
+            a prior: what is left out says nothing of the part.
+        prior_rank: of its information matrix, the held gauge included.
+        prior_bytes: of that matrix.
+        gauge_degrees: degrees of freedom of the world that nothing determines; in these the
+            neighbours stay where they are on average.
+        cost_before: of the prior, above its minimum, at the start.
+        cost_after: the same at the end.
+    """
+
+    num_images: int
+    num_points: int
+    num_points_without_parallax: int
+    prior_size: int
+    prior_rank: int
+    prior_bytes: int
+    gauge_degrees: int
+    cost_before: float = 0.0
+    cost_after: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class PartRecord:
     """What took part in an adjustment of some images only.
 
     Attributes:
         num_images: refined.
-        num_images_held: others that see a point of these, held.
+        num_images_held: others that see a point of these; held, or under the prior of the rest.
         num_points: seen by a refined image; refined.
         num_observations: of these points.
         shared_camera_ids: cameras of refined images that also took others: if their intrinsics are
             refined, projections into images that are held change.
+        rest: what was marginalised; None where the rest was held.
     """
 
     num_images: int
@@ -52,3 +82,4 @@ class PartRecord:
     num_points: int
     num_observations: int
     shared_camera_ids: tuple[int, ...]
+    rest: RestRecord | None = None

@@ -52,6 +52,7 @@ def test_healthy_blocks_are_not_accused():
     assert [verdict for verdict in verdicts if verdict.accusations] == []
 
 
-def test_covariances_are_those_of_dense_algebra():
-    verdicts = covariance.campaign(8, seed=300)
-    assert [verdict for verdict in verdicts if not verdict.error < covariance.LIMIT] == []
+def test_covariances_are_the_dense_ones():
+    found = covariance.campaign(8, seed=100)
+    assert [entry for entry in found if entry.is_wrong] == []
+    assert {entry.kind for entry in found} > {"refused"}  # seed 105 leaves an intrinsic free

@@ -10,6 +10,10 @@ from scipy.spatial.transform import Rotation
 from tests.scenes import exp, project
 
 
+class SingularError(ValueError):
+    """More than similarities of the world is free."""
+
+
 class Dense:
     """J, r and names of the columns: (kind, index, coordinate)."""
 
@@ -48,15 +52,13 @@ class Dense:
         weight = np.sqrt(rho_prime(loss, loss_scale, s / sigma**2)) / sigma
         self.weigh(np.repeat(np.broadcast_to(weight, s.shape), 2))
         # Along the residual a loss counts as rho' + 2 rho'' s, here beside rho'.
-        u = s / (loss_scale * sigma) ** 2
-        self.along = {
+        ratio = (loss_scale * sigma) ** 2 / s
+        curvature = {
             "trivial": lambda: np.ones_like(s),
-            "huber": lambda: (u <= 1).astype(float),
-            "soft_l1": lambda: 1 / (1 + u),
-            "cauchy": lambda: (1 - u) / (1 + u),
-            "arctan": lambda: (1 - 3 * u**2) / (1 + u**2),
-            "tukey": lambda: np.where(u < 1, (1 - 5 * u) / np.maximum(1 - u, 1e-300), 1),
-        }[loss]()
+            "huber": lambda: (ratio >= 1).astype(float),
+            "soft_l1": lambda: ratio / (ratio + 1),
+        }
+        self.along = curvature[loss]() if loss in curvature else None
 
     def weigh(self, weight):
         self.residual = self.residual * weight
@@ -129,6 +131,28 @@ class Dense:
             n[j : j + 3, 6] = point
         return n
 
+    def rounding(self, basis, *, sandwich=False, num_priors=0):
+        """Of variances, relative: what forming sums of squares, H and M, may cost.
+
+        A sum A^T A in floating point is off by up to eps |A|^T |A|, entry by entry; between two
+        inverses of H, which may cancel, that is eps |H^+| |A|^T |A| |H^+|.
+        """
+        j = (self._bent() if sandwich else self.jacobian) @ basis
+        root = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
+        inverse = root @ root.T
+        rows = self._scores(basis, num_priors) if sandwich else j
+        variance = np.diag(inverse @ (rows.T @ rows) @ inverse)
+        sums = (np.abs(rows) @ np.abs(inverse)) ** 2
+        return np.finfo(float).eps * (sums.sum(axis=0) / variance).max()
+
+    def _scores(self, basis, num_priors):
+        """Rows whose squares sum up to M."""
+        observed = len(self.residual) - num_priors
+        weighted = (self.jacobian[:observed] @ basis) * self.residual[:observed, None]
+        return np.vstack(
+            [weighted.reshape(-1, 2, basis.shape[1]).sum(axis=1), self.jacobian[observed:] @ basis]
+        )
+
     def covariance(self, basis, *, sandwich=False, num_priors=0):
         """Return the covariance of all columns; those that are not free have none.
 
@@ -136,22 +160,16 @@ class Dense:
         such. ``num_priors``: last rows, which enter the sandwich by their information.
         """
         j = (self._bent() if sandwich else self.jacobian) @ basis
-        root, self.degrees = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
+        root = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
         inverse = root @ root.T
         if sandwich:
-            observed = len(self.residual) - num_priors
-            weighted = self.jacobian[:observed] @ basis
-            scores = (weighted * self.residual[:observed, None]).reshape(-1, 2, j.shape[1])
-            psi = scores.sum(axis=1) @ root
-            known = j[observed:] @ root
-            inverse = root @ (psi.T @ psi + known.T @ known) @ root.T
+            scores = self._scores(basis, num_priors) @ root
+            inverse = root @ (scores.T @ scores) @ root.T
         return basis @ inverse @ basis.T
 
 
 def _root_of_inverse(jacobian, similarities):
-    """A with A A^T the pseudo-inverse of J^T J, and its nullity.
-
-    By singular values of a J of comparable columns.
+    """A with A A^T the pseudo-inverse of J^T J, by singular values of a J of comparable columns.
 
     Vectors of small singular values are known to rounding over their distance from zero only, 1e-11
     and less beside a weak mode. The null space is therefore that of the similarities, exactly.
@@ -164,10 +182,11 @@ def _root_of_inverse(jacobian, similarities):
     _, moved, combinations = np.linalg.svd(jacobian @ similarities)
     degrees = (moved < 1e-9 * moved.max(initial=1e-9 * np.abs(jacobian).max())).sum()
     degrees = len(moved) if moved[0] < 1e-9 * np.abs(jacobian).max() else degrees
-    assert degrees == (~seen).sum()
+    if degrees != (~seen).sum():
+        raise SingularError
     null, _ = np.linalg.qr(similarities @ combinations[len(combinations) - degrees :].T)
     root = scale[:, None] * vectors[seen].T / values[seen]
-    return root - null @ (null.T @ root), degrees
+    return root - null @ (null.T @ root)
 
 
 def rho_prime(loss, scale, s):

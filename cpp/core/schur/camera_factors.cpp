@@ -1,14 +1,28 @@
 #include "core/schur/camera_factors.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <limits>
 #include <utility>
+
+#include "core/parallel/blas.h"
 
 namespace bundle {
 namespace {
 
 constexpr double kNoValue = std::numeric_limits<double>::quiet_NaN();
 constexpr int kPriorSums = 12;
+/// From so many columns on, J^T J is a matrix product of the BLAS.
+constexpr int kColumnsWorthBlas = 64;
+
+/// J^T J of a row-major J; on one thread, so that no bit depends on their number.
+void SquareOf(const double* jacobian, int rows, int columns, std::vector<double>* square) {
+  square->resize(static_cast<size_t>(columns) * columns);
+  const double one = 1, zero = 0;
+  const ScopedBlasThreads blas_threads(1);
+  dgemm_("N", "T", &columns, &columns, &rows, &one, jacobian, &columns, jacobian, &columns, &zero,
+         square->data(), &columns);
+}
 
 }  // namespace
 
@@ -103,11 +117,14 @@ double CameraFactors::Linearize(const CameraStates& cameras, const double* point
 void CameraFactors::AddTo(CameraSums* sums) const {
   double* const values = sums->system.values.data();
   std::vector<double>& camera_diagonal = sums->system.camera_diagonal;
+  std::vector<double> square;
   for (const OfCameras& of : of_cameras_) {
     const double* const residual = residuals_.data() + of.first_residual;
     const double* const jacobian = jacobians_.data() + of.first_entry;
     const int rows = of.factor.num_residuals(), columns = of.factor.num_columns();
+    if (columns >= kColumnsWorthBlas) SquareOf(jacobian, rows, columns, &square);
     const auto product = [&](int i, int j) {
+      if (columns >= kColumnsWorthBlas) return square[static_cast<size_t>(i) * columns + j];
       double sum = 0;
       for (int r = 0; r < rows; ++r) sum += jacobian[r * columns + i] * jacobian[r * columns + j];
       return sum;

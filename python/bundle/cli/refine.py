@@ -22,7 +22,7 @@ from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, wit
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
 from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
-from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
+from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
 
 if TYPE_CHECKING:
     from bundle.problem import Problem
@@ -38,6 +38,7 @@ HELP = (
 # Arguments of bundle.solve_rounds that are no options.
 ARGUMENTS = {
     "only_images": "--only-images",
+    "rest": "--rest",
     "checkpoint": "--checkpoint",
     "checkpoint_interval": "--checkpoint-interval",
     "resume": "--resume",
@@ -62,6 +63,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="refine only these images, the points that they see and their cameras, and leave all "
         "else as it is, bit for bit; other images that see these points take part, held (ids and "
         "names, such as 1,5-9,left/*.jpg; default: all images)",
+    )
+    parser.add_argument(
+        "--rest",
+        choices=RESTS,
+        default=None,
+        help="with --only-images, what all else does. fixed: other images that see these points "
+        "are held. marginal: they and their cameras move too, under the exact marginal prior of "
+        "everything that does not take part; only the named images, their points and cameras are "
+        f"written (default: {RESTS[0]})",
     )
     group = parser.add_argument_group("runs that may be killed")
     group.add_argument(
@@ -125,6 +135,8 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.rounds import solve_rounds
 
     options = options_given(arguments, SolveOptions, names_follow=True)
+    if arguments.rest is not None and arguments.only_images is None:
+        raise InputError(f"--rest: expected with --only-images only, found {arguments.rest}")
     rounds = _rounds_given(arguments)
     check_gps_flags(arguments, options)
     constraints = constraints_given(arguments)
@@ -169,6 +181,7 @@ def run(arguments: argparse.Namespace) -> int:
                 options,
                 **rounds.asdict(),
                 only_images=arguments.only_images,
+                rest=arguments.rest or RESTS[0],
                 priors=() if known is None else known.priors,
                 align=None if known is None else True,
                 constraints=constraints,
@@ -209,7 +222,7 @@ def run(arguments: argparse.Namespace) -> int:
     written = output if saved else None
     more = rounds.asdict() if rounds.num_rounds else {}
     if arguments.only_images is not None:
-        more["only_images"] = arguments.only_images
+        more |= {"only_images": arguments.only_images, "rest": arguments.rest or RESTS[0]}
     more |= checkpoints | as_options(arguments)
     if arguments.json != "-":
         show(*refinement(source, loaded, solved, wall, written, lost, georeference, edits))

@@ -48,7 +48,7 @@ def component_modes(
 def rotation_modes(problem: Problem, tracks: TrackTable) -> list[WeakMode]:
     """Return a mode for each component whose images stand at one place."""
     modes = []
-    for piece in range(min(tracks.pieces.max(initial=-1) + 1, MOST_PIECES)):
+    for piece in range(min(int(tracks.pieces.max(initial=-1)) + 1, MOST_PIECES)):
         images = np.flatnonzero(tracks.pieces == piece)
         look = viewing(problem, images) if len(images) > 1 else None
         if look is None or look.cause != "pure_rotation":

@@ -40,7 +40,7 @@ def track_statistics(problem: Problem) -> TrackStatistics:
     from bundle.rounds.ray_angles import enclose_angle
 
     length = np.bincount(problem.observation_point, minlength=problem.num_points)
-    longest = int(min(length.max(initial=0), LONGEST))
+    longest = min(int(length.max(initial=0)), LONGEST)
     order = np.argsort(problem.observation_point, kind="stable")
     reached = [int(enclose_angle(problem, order, limit).sum()) for limit in ANGLES]
     twice = int((length >= 2).sum())

@@ -10,12 +10,14 @@ from rich.console import RenderableType
 from bundle.camera_changes import CameraChange, camera_changes
 from bundle.errors import shown
 from bundle.free_degrees import gauge_freedom
+from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.reports.camera_edit_rows import edit_rows
 from bundle.reports.rig_tables import rig_fact, sensor_table
 from bundle.reports.timing import WallTime, wall_table
 from bundle.result import Result
+from bundle.round_record import RestRecord
 from bundle.sensor_changes import sensor_changes
 from bundle.summary import Summary, sizes
 from bundle.tables import (
@@ -29,7 +31,7 @@ from bundle.tables import (
     plural,
     seconds,
 )
-from bundle.words import contents
+from bundle.words import change, contents
 from bundle.worst_images import ImageError
 
 if TYPE_CHECKING:
@@ -116,11 +118,14 @@ def _part(solved: Result) -> list[tuple[str, str]]:
     part = solved.part
     if part is None:
         return []
+    neighbours = plural(part.num_images_held, "image")
     adjusted = (
         f"only {plural(part.num_images, 'image')}, {plural(part.num_points, 'point')}; "
-        f"{plural(part.num_observations, 'observation')} of these points, with "
-        f"{plural(part.num_images_held, 'image')} held"
+        f"{plural(part.num_observations, 'observation')} of these points, with {neighbours} "
+        f"{'held' if part.rest is None else 'under a marginal prior'}"
     )
+    if part.rest is not None:
+        return [("", adjusted), *_rest(part.rest)]
     held = set(solved.options.fixed_camera_ids)
     shared = [str(key) for key in part.shared_camera_ids if key not in held]
     if not shared or not {"focal", "principal_point", "extra"} & set(solved.options.refine):
@@ -131,6 +136,22 @@ def _part(solved: Result) -> list[tuple[str, str]]:
         ("", adjusted),
         ("", f"{cameras} also took images that are held, whose errors change (--fix-cameras)"),
     ]
+
+
+def _rest(rest: RestRecord) -> list[tuple[str, str]]:
+    """Return what the marginal prior of the rest is made of."""
+    gone = f"{plural(rest.num_images, 'image')} and {plural(rest.num_points, 'point')} marginalised"
+    if rest.prior_size == 0:
+        return [("", f"{gone}, which say nothing of these")]
+    prior = (
+        f"{gone} at their values: a prior on {plural(rest.prior_size, 'unknown')} (rank "
+        f"{rest.prior_rank}, {format_size(rest.prior_bytes)}), cost "
+        f"{change(rest.cost_before, rest.cost_after)}"
+    )
+    if rest.gauge_degrees == 0:
+        return [("", prior)]
+    degrees = plural(rest.gauge_degrees, "degree")
+    return [("", prior), ("gauge", f"neighbours stay on average, {degrees} of freedom")]
 
 
 def _rounds(solved: Result) -> list[RenderableType]:
@@ -174,10 +195,10 @@ def _cameras(changes: Sequence[CameraChange]) -> list[RenderableType]:
     if not changes:
         return []
     rows = []
-    for change in changes[:MOST_CAMERAS]:
-        label = f"{change.camera_id} {change.model}"
-        for name, before in change.before.items():
-            after = change.after[name]
+    for changed in changes[:MOST_CAMERAS]:
+        label = f"{changed.camera_id} {changed.model}"
+        for name, before in changed.before.items():
+            after = changed.after[name]
             if after != before:
                 rows.append(
                     (label, name, f"{before:.7g}", f"{after:.7g}", f"{after - before:+.3g}")

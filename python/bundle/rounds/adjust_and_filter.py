@@ -13,13 +13,14 @@ from bundle import solver
 from bundle.errors import InputError, first_line
 from bundle.image_selection import ImageSelection, find_images
 from bundle.io import Source, as_path, as_problem
-from bundle.option_fields import number
+from bundle.option_fields import choice, number
 from bundle.options import SolveOptions
 from bundle.placement import place_at_priors
 from bundle.result import Result
 from bundle.rounds.checkpoint import digest, fingerprint_of_options
 from bundle.rounds.local_part import LocalPart
-from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RoundOptions
+from bundle.rounds.rest_prior import marginalize_rest, without_prior
+from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
 from bundle.rounds.round_run import Bounds, RoundRun
 from bundle.solve_record import Progress
 from bundle.words import plural
@@ -44,6 +45,7 @@ def solve_rounds(
     min_angle: float = 1.5,
     min_track_length: int = 2,
     only_images: ImageSelection | None = None,
+    rest: str = "fixed",
     factors: Iterable[Factor] = (),
     priors: Iterable[Prior] = (),
     align: bool | None = None,
@@ -78,7 +80,15 @@ def solve_rounds(
             or ``[1, 5, "left/*.jpg"]``. Only these points, with all their observations, go to the
             solver and the filter. A camera that also took other images is refined, too, unless it
             is in ``fixed_camera_ids`` (``part`` of the result names it).
-        factors: beside the observations, as in :func:`bundle.solve`.
+        rest: with ``only_images``, what all else does. "fixed": other images that see one of these
+            points take part, held. "marginal": these neighbours and their cameras move, under the
+            exact marginal prior of all that does not take part, linearised at its present values;
+            only the named images, their points and cameras are in the result, all else is left bit
+            for bit as well. Where nothing holds the world, the neighbours stay where they are on
+            average. The cost includes the prior's; ``part.rest`` of the result tells of it.
+        factors: beside the observations, as in :func:`bundle.solve`. With the rest marginal those
+            that touch neither what is refined nor neighbours alone go into the prior, and have no
+            place in ``factor_costs_before`` and ``_after``.
         priors: measured positions of images and control points, as in :func:`bundle.solve`. No
             filter removes a measurement of a control point; counts of points and observations in
             ``rounds`` include control points.
@@ -86,7 +96,7 @@ def solve_rounds(
         bounds: of camera parameters, as in :func:`bundle.solve`.
         constraints: rules, as in :func:`bundle.solve`. What they say of the start they say of the
             start of the first round. With ``only_images`` a parameter that is shared with a camera
-            outside of the part is held.
+            outside of the part is held. Not with the rest marginal.
         checkpoint: file that is replaced, whole or not at all, after each round and each
             ``checkpoint_interval`` iterations, so that a run that was killed can go on. The solver
             starts anew from what the file holds, whether the run is killed or not: with the option
@@ -116,6 +126,9 @@ def solve_rounds(
         min_angle=min_angle,
         min_track_length=min_track_length,
     )
+    rest = choice("rest", rest, RESTS)
+    if rest == "marginal" and only_images is None:
+        raise InputError("rest: expected with only_images only, found marginal without")
     interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
     checkpoint = None if checkpoint is None else as_path(checkpoint, "checkpoint")
     resume = None if resume is None else as_path(resume, "resume")
@@ -125,7 +138,7 @@ def solve_rounds(
             raise InputError("align: expected without only_images, which leave the rest in place")
         align = False
     placed = place_at_priors(given, factors, priors, align)
-    factors = _listed(placed.factors)
+    factors = given_factors = _listed(placed.factors)
     part = None
     if only_images is not None:
         if placed.control_point_ids:
@@ -134,16 +147,24 @@ def solve_rounds(
                 "place"
             )
         named = find_images("only_images", given, only_images)
-        part = LocalPart(given, named, factors)
+        part = LocalPart(given, named, factors, marginal=rest == "marginal")
     start, used, applied = solver.constrained(
         placed.problem, options, constraints, None if part is None else part.refined_ids
     )
+    prior, given_bounds = None, bounds
     if part is not None:
         if start is not given:
             part = LocalPart(start, named, factors)
+        check_observed(part)
+        factors = part.factors
+        if rest == "marginal":
+            if applied is not None:
+                raise InputError("rest: expected fixed with constraints, found marginal")
+            prior = marginalize_rest(given, part, used, bounds)
+            used = used.replace(gauge="none") if prior.holds_gauge else used
+            factors += () if prior.factor is None else (prior.factor,)
         start, used, bounds = part.problem, part.options(used), part.bounds(bounds)
         applied = None if applied is None else applied.restricted(start)
-        check_observed(part)
     run = RoundRun(
         start, used, limits, factors, bounds, progress, placed.control_point_ids, applied
     )
@@ -154,12 +175,16 @@ def solve_rounds(
             **limits.asdict(),
             "checkpoint_interval": interval,
             "only_images": None if part is None else part.named_ids,
+            **({} if prior is None else {"rest": rest}),
             "factors and bounds": digest_of_pickle(
-                _without_places(factors, bounds, placed.targets, applied)
+                _without_places(given_factors, given_bounds, placed.targets, applied)
             ),
         }
         run.keep(checkpoint, resume, fingerprint, interval)
     state, result = run.to_the_end()
+    record = None if part is None else part.record
+    if prior is not None and record is not None:
+        result, record = without_prior(result, record, prior)
     refined = placed.result(state.problem)
     return dataclasses.replace(
         result,
@@ -172,7 +197,7 @@ def solve_rounds(
         similarity=placed.similarity,
         control_points=placed.control_points(refined) if part is None else (),
         constraints=() if applied is None else _rule_ends(applied, placed.problem, state.problem),
-        part=None if part is None else part.record,
+        part=record,
     )
 
 

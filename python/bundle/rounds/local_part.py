@@ -1,9 +1,17 @@
 """The part of a problem that moves when only some images do (COLMAP's local bundle adjustment).
 
-The named images and all points that they see are refined. Other images that see one of these points
-take part, held, so that a point stays where they see it; what none of the named images sees does
-not reach the solver. Intrinsics are refined of cameras that took a named image, held of others: a
-camera that also took held images changes their projections, which the record of the part says.
+The named images and all points that they see are refined. Other images that see one of these
+points, the neighbours, take part, so that a point stays where they see it. What becomes of the rest
+is one of two choices.
+
+"fixed": neighbours are held, and what none of the named images sees does not reach the solver.
+Intrinsics are refined of cameras that took a named image, held of others: a camera that also took
+held images changes their projections, which the record of the part says.
+
+"marginal": neighbours and their cameras are unknowns, too, under the prior that all else leaves
+when it is marginalised (rest_prior.py). What they become is not part of the result: only named
+images, their points and their cameras are. A factor takes part if it touches one of these, or
+nothing but neighbours and their cameras; other factors go into the prior.
 """
 
 from __future__ import annotations
@@ -18,6 +26,7 @@ from bundle.errors import InputError
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.round_record import PartRecord
+from bundle.rounds.extract import Extract, with_frames
 from bundle.rounds.filtering import subset
 
 if TYPE_CHECKING:
@@ -26,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = ["LocalPart", "touched_ids"]
 
 _Indices = NDArray[np.int64]
+_Mask = NDArray[np.bool_]
 
 
 class LocalPart:
@@ -34,68 +44,123 @@ class LocalPart:
     Args:
         whole: the problem.
         image_ids: of the images that are refined, all of them in the problem.
-        factors: whose variables have to be in the part; held, where they are nothing to the images.
+        factors: whose variables have to be in the part; with the rest fixed, those that are nothing
+            to the images are held.
+        marginal: whether the rest is marginalised.
 
     Attributes:
         problem: what goes to the solver.
         record: what that is, for reports.
         named_ids: of the images that are refined, in the order of the problem.
+        factors: that take part.
+        factors_of_rest: the others.
+        named: (num_images,) mask in the whole, as all others: the images that are refined.
+        neighbours: other images that take part.
+        seen: (num_points,) points that are refined.
+        cameras: (num_cameras,) cameras that take part.
+        extract: the problem of the part, with its places in the whole.
     """
 
     def __init__(
-        self, whole: Problem, image_ids: Iterable[int], factors: Iterable[Factor] = ()
+        self,
+        whole: Problem,
+        image_ids: Iterable[int],
+        factors: Iterable[Factor] = (),
+        *,
+        marginal: bool = False,
     ) -> None:
-        self._whole = whole
-        self.named_ids = list(image_ids)
-        named = with_frames(whole, np.isin(whole.image_ids, self.named_ids))
-        self.named_ids = whole.image_ids[named].tolist()
-        seen = np.zeros(whole.num_points, bool)
-        seen[whole.observation_point[named[whole.observation_image]]] = True
-        self._observations = np.flatnonzero(seen[whole.observation_point])
-        images = named.copy()
-        images[whole.observation_image[self._observations]] = True
-        points, refined_cameras = seen.copy(), np.zeros(whole.num_cameras, bool)
-        refined_cameras[whole.image_camera[named]] = True
-        touched = touched_ids(factors)
-        images |= np.isin(whole.image_ids, touched["image"])
-        points |= np.isin(whole.point_ids, touched["point"])
-        cameras = np.isin(whole.camera_ids, touched["camera"])
-        cameras[whole.image_camera[images]] = True
-        self._images, self._points, self._cameras = map(np.flatnonzero, (images, points, cameras))
-        self._named, self._seen = named[self._images], seen[self._points]
-        self._refined_cameras = refined_cameras[self._cameras]
-        self._take_rigs()
-        self.problem = self._extract()
-        shared = np.unique(whole.image_camera[~named])
+        self._whole, self._marginal = whole, marginal
+        self.named = with_frames(whole, np.isin(whole.image_ids, list(image_ids)))
+        self.named_ids: list[int] = whole.image_ids[self.named].tolist()
+        self.seen = np.zeros(whole.num_points, bool)
+        self.seen[whole.observation_point[self.named[whole.observation_image]]] = True
+        refined_cameras = np.zeros(whole.num_cameras, bool)
+        refined_cameras[whole.image_camera[self.named]] = True
+        self.factors: tuple[Factor, ...] = tuple(factors)
+        self.factors_of_rest: tuple[Factor, ...] = ()
+        if marginal:
+            self._split_factors()
+        touched = touched_ids(self.factors)
+        points = self.seen | np.isin(whole.point_ids, touched["point"])
+        if marginal:
+            self.seen = points
+        observations = self.seen[whole.observation_point]
+        images = self._observing(self.seen) | np.isin(whole.image_ids, touched["image"])
+        if whole.num_frames:
+            frames = np.flatnonzero(np.isin(whole.frame_ids, touched["frame"]))
+            images |= np.isin(whole.image_frame, frames)
+        self.neighbours = images & ~self.named
+        self.cameras = np.isin(whole.camera_ids, touched["camera"])
+        self.cameras[whole.image_camera[images]] = True
+        self.extract = Extract.take(
+            whole, images=images, cameras=self.cameras, points=points, observations=observations
+        )
+        self.problem = self.extract.problem
+        self._named, self._seen = self.named[self.extract.images], self.seen[self.extract.points]
+        self._refined_cameras = refined_cameras[self.extract.cameras]
+        shared = np.unique(whole.image_camera[~self.named])
         self.record = PartRecord(
-            num_images=int(named.sum()),
-            num_images_held=int(images.sum() - named.sum()),
-            num_points=int(seen.sum()),
-            num_observations=len(self._observations),
+            num_images=int(self.named.sum()),
+            num_images_held=int(self.neighbours.sum()),
+            num_points=int(self.seen.sum()),
+            num_observations=len(self.extract.observations),
             shared_camera_ids=tuple(whole.camera_ids[shared[refined_cameras[shared]]].tolist()),
         )
+
+    def _observing(self, points: _Mask) -> _Mask:
+        """Return the named images, and all that see one of these points."""
+        whole, images = self._whole, self.named.copy()
+        images[whole.observation_image[points[whole.observation_point]]] = True
+        return images
+
+    def _split_factors(self) -> None:
+        """Leave the factors that touch what is refined, or nothing but neighbours."""
+        whole = self._whole
+        near = self._observing(self.seen)
+        cameras = set(whole.camera_ids[np.unique(whole.image_camera[near])].tolist())
+        of_part = {("camera", key) for key in cameras}
+        of_rest = {("camera", key) for key in whole.camera_ids.tolist()}
+        kinds = [
+            ("image", whole.image_ids, self.named, near),
+            ("point", whole.point_ids, self.seen, self.seen),
+        ]
+        if whole.num_frames:
+            refined, in_part = _frames_of(whole, self.named), _frames_of(whole, near)
+            kinds.append(("frame", whole.frame_ids, refined, in_part))
+        for kind, ids, refined, in_part in kinds:
+            of_part |= {(kind, key) for key in ids[in_part & ~refined].tolist()}
+            of_rest |= {(kind, key) for key in ids[~refined].tolist()}
+        here: list[Factor] = []
+        there: list[Factor] = []
+        for factor in self.factors:
+            keys: set[Any] = set(factor.keys)
+            (there if keys <= of_rest and not keys <= of_part else here).append(factor)
+        self.factors, self.factors_of_rest = tuple(here), tuple(there)
 
     def options(self, options: SolveOptions) -> SolveOptions:
         """Return the options of a solve of the part: all that does not belong to it is held."""
         part, whole = self.problem, self._whole
-        return options.replace(
-            fixed_image_ids=_held(
-                "fixed_image_ids", options, whole.image_ids, part.image_ids, self._named
-            ),
-            fixed_camera_ids=_held(
-                "fixed_camera_ids",
-                options,
-                whole.camera_ids,
-                part.camera_ids,
-                self._refined_cameras,
-            ),
-            fixed_point_ids=_held(
-                "fixed_point_ids", options, whole.point_ids, part.point_ids, self._seen
-            ),
-            # To move a sensor on its rig is to move images of every frame.
-            refine_sensor_from_rig=False,
-            fixed_sensors=(),
-        )
+        if self._marginal:
+            options = self.whole_frames_fixed(options)
+        refined = {
+            "image": (whole.image_ids, part.image_ids, self._named),
+            "camera": (whole.camera_ids, part.camera_ids, self._refined_cameras),
+            "point": (whole.point_ids, part.point_ids, self._seen),
+        }
+        fixed: dict[str, Any] = {}
+        for kind, (known, ids, moves) in refined.items():
+            free = np.ones(len(ids), bool) if self._marginal else moves
+            name = f"fixed_{kind}_ids"
+            fixed[name] = _held(name, options, known, ids, free)
+        # To move a sensor on its rig is to move images of every frame.
+        return options.replace(**fixed, refine_sensor_from_rig=False, fixed_sensors=())
+
+    def whole_frames_fixed(self, options: SolveOptions) -> SolveOptions:
+        """Return the options with all images of a frame held where one is."""
+        whole = self._whole
+        held = with_frames(whole, np.isin(whole.image_ids, options.fixed_image_ids))
+        ids = {*options.fixed_image_ids, *whole.image_ids[held].tolist()}
+        return options.replace(fixed_image_ids=tuple(sorted(ids)))
 
     @property
     def refined_ids(self) -> dict[str, set[int]]:
@@ -123,104 +188,48 @@ class LocalPart:
             observations: which observations of the part are left.
             points: which points of the part are left.
         """
-        whole = self._whole
+        whole, taken = self._whole, self.extract
         pose, params = whole.cam_from_world.copy(), whole.camera_params.copy()
         xyz = whole.points.copy()
-        pose[self._images[self._named]] = refined.cam_from_world[self._named]
+        pose[taken.images[self._named]] = refined.cam_from_world[self._named]
         rigs: dict[str, Any] = {}
-        if len(self._frames):
-            frames, arms = whole.rig_from_world.copy(), whole.sensor_from_rig.copy()
-            frames[self._frames] = refined.rig_from_world
-            arms[self._sensors] = refined.sensor_from_rig
-            rigs = {"rig_from_world": frames, "sensor_from_rig": arms}
+        moving = _frames_of(whole, self.named)[taken.frames] if len(taken.frames) else ()
+        if np.any(moving):
+            frames = whole.rig_from_world.copy()
+            frames[taken.frames[moving]] = refined.rig_from_world[moving]
+            rigs = {"rig_from_world": frames, "sensor_from_rig": whole.sensor_from_rig}
         width = refined.camera_params.shape[1]
-        params[self._cameras[self._refined_cameras], :width] = refined.camera_params[
+        params[taken.cameras[self._refined_cameras], :width] = refined.camera_params[
             self._refined_cameras
         ]
         moved = self._seen[points]
-        xyz[self._points[points[moved]]] = refined.points[moved]
+        xyz[taken.points[points[moved]]] = refined.points[moved]
         values = whole.replace(cam_from_world=pose, camera_params=params, points=xyz, **rigs)
         left = np.ones(whole.num_observations, bool)
-        left[self._observations] = False
-        left[self._observations[observations]] = True
+        left[taken.observations] = False
+        left[taken.observations[observations]] = True
         stays = np.ones(whole.num_points, bool)
-        stays[self._points] = False
-        stays[self._points[points]] = True
+        stays[taken.points] = False
+        stays[taken.points[points]] = True
         return subset(values, left, stays)
 
-    def _extract(self) -> Problem:
-        whole = self._whole
-        image_row = np.zeros(whole.num_images, np.int32)
-        image_row[self._images] = np.arange(len(self._images))
-        camera_row = np.zeros(whole.num_cameras, np.int32)
-        camera_row[self._cameras] = np.arange(len(self._cameras))
-        point_row = np.zeros(whole.num_points, np.int32)
-        point_row[self._points] = np.arange(len(self._points))
-        seen, sigma = self._observations, whole.observation_sigma
-        return Problem(
-            cam_from_world=whole.cam_from_world[self._images],
-            image_ids=whole.image_ids[self._images],
-            image_names=tuple(whole.image_names[index] for index in self._images.tolist()),
-            image_camera=camera_row[whole.image_camera[self._images]],
-            camera_ids=whole.camera_ids[self._cameras],
-            camera_models=tuple(whole.camera_models[index] for index in self._cameras.tolist()),
-            camera_params=whole.camera_params[self._cameras],
-            camera_sizes=whole.camera_sizes[self._cameras],
-            points=whole.points[self._points],
-            point_ids=whole.point_ids[self._points],
-            observation_image=image_row[whole.observation_image[seen]],
-            observation_point=point_row[whole.observation_point[seen]],
-            observation_xy=whole.observation_xy[seen],
-            observation_sigma=None if sigma is None else sigma[seen],
-            format=whole.format,
-            **self._extract_rigs(),
-        )
 
-    def _take_rigs(self) -> None:
-        """Find frames and sensors of the part; sensors of rigs that have a frame in it."""
-        whole = self._whole
-        self._frames = self._sensors = np.empty(0, np.int64)
-        if not whole.num_frames:
-            return
-        frames = whole.image_frame[self._images]
-        self._frames = np.unique(frames[frames >= 0])
-        rigs = whole.frame_rig_ids[self._frames]
-        self._sensors = np.flatnonzero(np.isin(whole.sensor_rig_ids, rigs))
-
-    def _extract_rigs(self) -> dict[str, Any]:
-        whole = self._whole
-        if not len(self._frames):
-            return {}
-        frame_row = np.full(whole.num_frames + 1, -1, np.int32)  # the last for no frame, -1
-        frame_row[self._frames] = np.arange(len(self._frames))
-        sensor_row = np.full(whole.num_sensors + 1, -1, np.int32)
-        sensor_row[self._sensors] = np.arange(len(self._sensors))
-        return {
-            "rig_from_world": whole.rig_from_world[self._frames],
-            "frame_ids": whole.frame_ids[self._frames],
-            "frame_rig_ids": whole.frame_rig_ids[self._frames],
-            "image_frame": frame_row[whole.image_frame[self._images]],
-            "sensor_from_rig": whole.sensor_from_rig[self._sensors],
-            "sensor_rig_ids": whole.sensor_rig_ids[self._sensors],
-            "sensor_camera_ids": whole.sensor_camera_ids[self._sensors],
-            "image_sensor": sensor_row[whole.image_sensor[self._images]],
-        }
+def _frames_of(problem: Problem, images: _Mask) -> _Mask:
+    """Return the frames of images as a mask."""
+    frames = np.zeros(problem.num_frames, bool)
+    of_images = problem.image_frame[images]
+    frames[of_images[of_images >= 0]] = True
+    return frames
 
 
-def with_frames(problem: Problem, images: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the images, and those that share a frame with one of them."""
-    if not problem.num_frames:
-        return images
-    frames = problem.image_frame[images]
-    return images | np.isin(problem.image_frame, frames[frames >= 0])
-
-
-def touched_ids(factors: Iterable[Factor]) -> dict[str, list[int]]:
+def touched_ids(factors: Iterable[Factor]) -> dict[str, list[Any]]:
     """Return the ids of the variables of factors by kind."""
-    touched: dict[str, list[int]] = {"image": [], "camera": [], "point": []}
+    kinds = ("image", "camera", "point", "frame", "sensor")
+    touched: dict[str, list[Any]] = {kind: [] for kind in kinds}
     keys: list[Any] = [key for factor in factors for key in factor.keys]
-    for kind, number in keys:
-        touched[kind].append(number)
+    for key in keys:
+        if isinstance(key, tuple) and len(key) == 2 and key[0] in kinds:  # else refused later
+            touched[key[0]].append(key[1])
     return touched
 
 

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 
 from bundle.option_fields import Options, documented, option
 
-__all__ = ["CHECKPOINT_INTERVAL", "RoundOptions"]
+__all__ = ["CHECKPOINT_INTERVAL", "RESTS", "RoundOptions"]
 
 CHECKPOINT_INTERVAL = 20
 """Iterations from one checkpoint to the next within a round."""
+
+RESTS = ("fixed", "marginal")
+"""What happens to all that a local adjustment does not refine."""
 
 
 @documented
