@@ -285,3 +285,26 @@ def test_rounds_start_where_the_positions_are(run, model):
     assert len(report["rounds"]) == 2
     assert report["georeference"]["similarity"]["scale"] == pytest.approx(25, rel=0.05)
     assert max(report["georeference"]["rms_enu"]) < 0.2
+
+
+def test_covariance_counts_the_positions(run, model):
+    geo, out = model.parent / "geo.txt", model.parent / "out"
+    words = ["--gps", geo, "--gps-sigma", "0.1/0.2"]
+    assert refine(run, model, *words, "--function-tolerance", "1e-12")[0] == 0
+    target = model.parent / "c.npz"
+    code, printed, _ = run("covariance", out, "-o", target, "--gauge", "none", *words)
+    assert code == 0
+    assert "no minimum" not in printed
+    refined = bundle.load(out)
+    priors = bundle.georeference.gps_priors(refined, geo, gps_sigma="0.1/0.2").priors
+    expected = bundle.covariance(refined, gauge="none", priors=priors)
+    with np.load(target) as found:
+        np.testing.assert_allclose(found["pose_covariance"], expected.pose_covariance, rtol=1e-6)
+        assert found["dof"] == expected.dof
+    # Without them nothing holds the world; from where it was they pull.
+    code, _, error = run("covariance", out, "-o", target, "--gauge", "none")
+    assert code == 2 and "error: --gauge: " in error
+    code, printed, _ = run("covariance", model, "-o", target, *words)
+    assert "no minimum" in printed
+    code, _, error = run("covariance", out, "-o", target, "--gps-sigma", "2")
+    assert code == 2 and "--gps-sigma" in error

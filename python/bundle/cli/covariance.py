@@ -7,6 +7,7 @@ from time import perf_counter
 
 from bundle.cli.constraint_flags import add_constraint_flags, as_options, constraints_given
 from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
 from bundle.cli.option_flags import (
     WHAT_IS_REFINED,
     add_options,
@@ -103,11 +104,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(parser, SolveOptions, "what is refined, as in the solve", OPTIONS)
     add_constraint_flags(parser)
+    add_gps_flags(
+        parser,
+        "The priors of the refine that made INPUT, by the same flags: in metres east, north, up "
+        "about the middle of the control points, or of the positions where there are none, where "
+        "it has put INPUT. Nothing is moved.",
+    )
+    parser.set_defaults(html=None, only_images=None)  # of a refine
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute the covariances of INPUT."""
     started = perf_counter()
+    from bundle.cli.gps_flags import priors_given
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
@@ -119,13 +128,16 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(target, source, what="file")
     check_json(arguments.json, source, target)
     options = options_given(arguments, SolveOptions, names_follow=True)
+    check_gps_flags(arguments, options)
     rules = constraints_given(arguments)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         problem = load(source)
         options = with_named_images(options, arguments, problem)
+        known = priors_given(arguments, problem)
         progress.stage("inverting")
-        with naming_flags(SolveOptions, **FLAGS):
+        flags = {**FLAGS, **NAMED, "priors": main_flag(arguments)}
+        with naming_flags(SolveOptions, **flags):
             found = covariance(
                 problem,
                 options,
@@ -134,6 +146,7 @@ def run(arguments: argparse.Namespace) -> int:
                 gauge=arguments.covariance_gauge,
                 scale=arguments.scale,
                 robust=arguments.robust,
+                priors=() if known is None else known.priors,
                 constraints=rules,
             )
         progress.stage(f"writing {shown(target)}")

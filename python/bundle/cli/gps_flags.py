@@ -45,14 +45,16 @@ NAMED = {**GCP_FLAGS, **GPS_FLAGS}
 """Of the arguments of ``gps_priors`` and ``gcp_priors``."""
 
 
-def add_gps_flags(parser: argparse.ArgumentParser) -> None:
+MOVED = (
+    "The model is first moved into metres east, north, up about the middle of the control points, "
+    "or of the positions where there are none, and stays there. "
+    f"{FILE} in OUTPUT, or beside it if it is a file, says where that is."
+)
+
+
+def add_gps_flags(parser: argparse.ArgumentParser, what_becomes: str = MOVED) -> None:
     """Add the flags of ``bundle.georeference.gps_priors`` and ``gcp_priors``."""
-    group = parser.add_argument_group(
-        "positions of images",
-        "The model is first moved into metres east, north, up about the middle of the control "
-        "points, or of the positions where there are none, and stays there. "
-        f"{FILE} in OUTPUT, or beside it if it is a file, says where that is.",
-    )
+    group = parser.add_argument_group("positions of images", what_becomes)
     add_position_flags(group, "--gps exif and --html")
     add_gcp_flags(
         parser.add_argument_group(
