@@ -101,10 +101,19 @@ PoseError PoseErrorFromName(const std::string& name) {
   throw InputError("error: expected log or g2o, found " + name);
 }
 
+EdgeLoss EdgeLossFromName(const std::string& name) {
+  // Switchable constraints are Geman and McClure's once their switches are eliminated.
+  if (name == "geman_mcclure" || name == "switchable") {
+    return {EdgeLoss::Kind::kGemanMcClure, LossType::kTrivial};
+  }
+  if (name == "dcs") return {EdgeLoss::Kind::kDcs, LossType::kTrivial};
+  return {EdgeLoss::Kind::kOfFactors, LossFromName(name)};
+}
+
 PoseErrorOptions ErrorsFromPython(const py::dict& options) {
   PoseErrorOptions errors;
   errors.error = PoseErrorFromName(py::cast<std::string>(options["error"]));
-  errors.loss = LossFromName(py::cast<std::string>(options["loss"]));
+  errors.loss = EdgeLossFromName(py::cast<std::string>(options["loss"]));
   errors.loss_scale = py::cast<double>(options["loss_scale"]);
   return errors;
 }
@@ -144,6 +153,7 @@ py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& he
   py::dict result;
   result["poses"] = ToImmutableNumpy(std::move(output.poses), {n, arrays.poses.shape(1)});
   result["chi2_before"] = ToImmutableNumpy(std::move(output.chi2_before), {m});
+  result["weights"] = ToImmutableNumpy(std::move(output.weights), {m});
   result["chi2_after"] = ToImmutableNumpy(std::move(output.chi2_after), {m});
   PutRecord(output, &result);
   return result;
@@ -232,6 +242,13 @@ py::tuple RelativePoseError(const std::string& error, const Array<double>& x_i,
                        : EvaluateError<Se3>(kind, x_i, x_j, z);
 }
 
+/// rho, rho', rho'' of a loss of edges.
+std::vector<double> EvaluateEdgeLoss(const std::string& loss, double scale, double chi2) {
+  std::vector<double> rho(3);
+  ValueOfEdgeLoss(EdgeLossFromName(loss), scale, chi2, rho.data());
+  return rho;
+}
+
 }  // namespace
 }  // namespace bundle
 
@@ -247,6 +264,7 @@ void BindPoseGraph(py::module_& m) {
   m.def("initial_poses", &bundle::InitialPoses, py::arg("graph"), py::arg("held"), py::arg("init"),
         py::arg("num_threads"));
   m.def("odometry_gap", &bundle::OdometryGap, py::arg("graph"));
+  m.def("edge_loss", &bundle::EvaluateEdgeLoss, py::arg("loss"), py::arg("scale"), py::arg("chi2"));
   m.def("relative_pose_error", &bundle::RelativePoseError, py::arg("error"), py::arg("x_i"),
         py::arg("x_j"), py::arg("z"));
 }

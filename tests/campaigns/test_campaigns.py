@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tests.campaigns import degenerate, healthy, jobs, kills, mutants
+from tests.campaigns import covariance, degenerate, healthy, jobs, kills, mutants
 
 
 def misbehave(job):
@@ -50,3 +50,9 @@ def test_kills_leave_the_old_or_the_new():
 def test_healthy_blocks_are_not_accused():
     verdicts = healthy.campaign(12, seed=3)
     assert [verdict for verdict in verdicts if verdict.accusations] == []
+
+
+def test_covariances_are_the_dense_ones():
+    found = covariance.campaign(8, seed=100)
+    assert [entry for entry in found if entry.is_wrong] == []
+    assert {entry.kind for entry in found} > {"refused"}  # seed 105 leaves an intrinsic free

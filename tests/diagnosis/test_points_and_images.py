@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.diagnosis.findings import _rank
+from bundle.diagnosis.scale_drift import scale_drift
 from bundle.diagnosis.viewing import viewing
 from tests.diagnosis import blocks
 from tests.diagnosis.blocks import block
@@ -73,7 +75,27 @@ def test_a_solve_that_scales_the_world_is_said():
     start = problem.replace(cam_from_world=problem.cam_from_world * [1, 1, 1, 1, 10, 10, 10])
     grown = dataclasses.replace(solved, initial_problem=start)
     assert "scale_drift" in kinds(bundle.diagnose(grown), False)
+    drift = scale_drift(grown)
+    steps = int(np.count_nonzero(solved.iterations["step_is_successful"][1:]))
+    assert drift.num_steps == steps == 2
+    assert drift.factor == pytest.approx(0.1, rel=1e-3)
+    assert drift.per_step == pytest.approx(10**-0.5, rel=1e-3)
     assert "scale_drift" not in kinds(bundle.diagnose(solved), False)
+
+
+def test_a_rank_that_depends_on_the_threshold_is_said():
+    found = bundle.diagnose(block())
+    assert found.rank_gap == found.eigenvalues[0] / found.max_null_eigenvalue > 1e6
+    assert "unclear_rank" not in kinds(found, False)
+    near = dataclasses.replace(found, max_null_eigenvalue=found.eigenvalues[0] / 999)
+    assert near.rank_gap == pytest.approx(999)
+    (said,) = _rank(near)
+    assert "999 times" in said.sentence and not said.is_problem
+    far = dataclasses.replace(found, max_null_eigenvalue=found.eigenvalues[0] / 1001)
+    assert not [*_rank(far)]
+    assert dataclasses.replace(found, max_null_eigenvalue=0.0).rank_gap == np.inf
+    empty = dataclasses.replace(found, eigenvalues=np.zeros(0))
+    assert np.isnan(empty.rank_gap) and not [*_rank(empty)]
 
 
 def test_digits_follow_the_condition_number():

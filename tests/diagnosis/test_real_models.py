@@ -59,3 +59,5 @@ def test_a_collapsed_cluster_is_named(bundle_data):
     assert found.expected_nullity == 7
     assert not found.ok
     assert "collapsed_scale" in {mode.kind for mode in found.weak_modes}
+    assert found.rank_gap < 10  # rounding has eaten the gap: the count of null directions is vague
+    assert "unclear_rank" in {finding.kind for finding in found.findings}

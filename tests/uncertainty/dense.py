@@ -10,6 +10,10 @@ from scipy.spatial.transform import Rotation
 from tests.scenes import exp, project
 
 
+class SingularError(ValueError):
+    """More than similarities of the world is free."""
+
+
 class Dense:
     """J, r and names of the columns: (kind, index, coordinate)."""
 
@@ -127,6 +131,28 @@ class Dense:
             n[j : j + 3, 6] = point
         return n
 
+    def rounding(self, basis, *, sandwich=False, num_priors=0):
+        """Of variances, relative: what forming sums of squares, H and M, may cost.
+
+        A sum A^T A in floating point is off by up to eps |A|^T |A|, entry by entry; between two
+        inverses of H, which may cancel, that is eps |H^+| |A|^T |A| |H^+|.
+        """
+        j = (self._bent() if sandwich else self.jacobian) @ basis
+        root = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
+        inverse = root @ root.T
+        rows = self._scores(basis, num_priors) if sandwich else j
+        variance = np.diag(inverse @ (rows.T @ rows) @ inverse)
+        sums = (np.abs(rows) @ np.abs(inverse)) ** 2
+        return np.finfo(float).eps * (sums.sum(axis=0) / variance).max()
+
+    def _scores(self, basis, num_priors):
+        """Rows whose squares sum up to M."""
+        observed = len(self.residual) - num_priors
+        weighted = (self.jacobian[:observed] @ basis) * self.residual[:observed, None]
+        return np.vstack(
+            [weighted.reshape(-1, 2, basis.shape[1]).sum(axis=1), self.jacobian[observed:] @ basis]
+        )
+
     def covariance(self, basis, *, sandwich=False, num_priors=0):
         """Return the covariance of all columns; those that are not free have none.
 
@@ -137,12 +163,8 @@ class Dense:
         root = _root_of_inverse(j, np.linalg.pinv(basis) @ self.similarities())
         inverse = root @ root.T
         if sandwich:
-            observed = len(self.residual) - num_priors
-            weighted = self.jacobian[:observed] @ basis
-            scores = (weighted * self.residual[:observed, None]).reshape(-1, 2, j.shape[1])
-            psi = scores.sum(axis=1) @ root
-            known = j[observed:] @ root
-            inverse = root @ (psi.T @ psi + known.T @ known) @ root.T
+            scores = self._scores(basis, num_priors) @ root
+            inverse = root @ (scores.T @ scores) @ root.T
         return basis @ inverse @ basis.T
 
 
@@ -160,7 +182,8 @@ def _root_of_inverse(jacobian, similarities):
     _, moved, combinations = np.linalg.svd(jacobian @ similarities)
     degrees = (moved < 1e-9 * moved.max(initial=1e-9 * np.abs(jacobian).max())).sum()
     degrees = len(moved) if moved[0] < 1e-9 * np.abs(jacobian).max() else degrees
-    assert degrees == (~seen).sum()
+    if degrees != (~seen).sum():
+        raise SingularError
     null, _ = np.linalg.qr(similarities @ combinations[len(combinations) - degrees :].T)
     root = scale[:, None] * vectors[seen].T / values[seen]
     return root - null @ (null.T @ root)

@@ -2,13 +2,15 @@
 
 import pickle
 
+import mpmath
 import numpy as np
 import pytest
 
 import bundle
 from bundle.rotations import rotation_matrices
 from tests.scenes import make_problem
-from tests.uncertainty.random_problems import random_case
+from tests.uncertainty.dense import Dense
+from tests.uncertainty.random_problems import Case, random_case
 
 # COLMAP's data sets, two cameras: cost, dof, sigma0, sigma of the focal length, (rotation,
 # translation) of the third image, first point.
@@ -82,6 +84,28 @@ def test_blocks_are_those_of_the_dense_pseudo_inverse(seed):
     cov = bundle.covariance(case.problem, robust=robust, factors=case.factors, **case.settings)
     # The sandwich multiplies with the inverse twice.
     assert max(compare(case, dense, cov).values()) < (1e-6 if robust == "sandwich" else 1e-8)
+
+
+def test_a_small_problem_agrees_with_fifty_digits():
+    problem = make_problem(num_images=3, num_points=8, seed=5, model="SIMPLE_PINHOLE", shared=True)
+    dense = Dense(problem)
+    refined = [name for name in dense.names if name[::2] not in {("camera", 1), ("camera", 2)}]
+    columns = [dense.column[name] for name in refined]
+    scale = 1 / np.linalg.norm(dense.jacobian[:, columns], axis=0)
+    null, _ = np.linalg.qr(dense.similarities()[columns] / scale[:, None])
+    with mpmath.workdps(50):
+        jacobian = mpmath.matrix((dense.jacobian[:, columns] * scale).tolist())
+        n = mpmath.matrix(null.tolist())
+        held = (jacobian.T * jacobian + n * n.T) ** -1  # any generalised inverse; then least trace
+        free = mpmath.matrix(np.linalg.qr(dense.similarities()[columns])[0].tolist())
+        units = mpmath.diag(scale.tolist())
+        project = mpmath.eye(len(columns)) - free * (free.T * free) ** -1 * free.T
+        exact = np.array((project * units * held * units * project.T).tolist(), float)
+    cov = bundle.covariance(problem)
+    expected = np.zeros((len(dense.names), len(dense.names)))
+    expected[np.ix_(columns, columns)] = exact
+    case = Case(problem, {}, [], dense, np.eye(len(dense.names))[:, columns], 0)
+    assert max(compare(case, expected, cov).values()) < 1e-8
 
 
 @pytest.mark.parametrize("name", REFERENCE)

@@ -52,6 +52,10 @@ class CovarianceComputation {
       Check(SolveForScatter(&system_, meat, &scatter_));
     }
     Check(system_.Invert());
+    if (system_.LargestInflation() > 1 / kSingular) {
+      RefuseSingular("a variance " + ShortNumber(system_.LargestInflation()) +
+                     " times as large as with all else known");
+    }
     FindImages();
     FindRigs();
     if (wanted_.of_points) FindPoints();
@@ -89,6 +93,13 @@ class CovarianceComputation {
     throw InputError("problem: expected normal equations of full rank but for the gauge: " + why);
   }
 
+  [[noreturn]] static void RefuseSingular(const std::string& found) {
+    throw InputError("problem: expected normal equations of full rank but for the gauge, found " +
+                     found +
+                     ": something is not determined by what is observed; bundle diagnose says "
+                     "what");
+  }
+
   void Factorize() {
     Check(system_.Factorize());
     const double pivot = system_.SmallestPivot();
@@ -100,11 +111,7 @@ class CovarianceComputation {
       }
       return;
     }
-    throw InputError(
-        "problem: expected normal equations of full rank but for the gauge, found a pivot of " +
-        ShortNumber(pivot) +
-        " of its diagonal entry: something is not determined by what is observed; bundle diagnose "
-        "says what");
+    RefuseSingular("a pivot of " + ShortNumber(pivot) + " of its diagonal entry");
   }
 
   /// What the gauges of a solve leave free is seen when S is factorised.
@@ -263,7 +270,8 @@ class CovarianceComputation {
     return m;
   }
 
-  /// Of L_jj^2 beside S_jj: what rounding leaves of a pivot that should be zero is below.
+  /// Of L_jj^2 beside S_jj, and of S_jj^-1 beside a variance: where S is singular, rounding leaves
+  /// a pivot below, or variances above. Sound blocks stay below 1e10.
   static constexpr double kSingular = 1e-13;
   static constexpr int kLocal = kPoseSize + kMaxCameraParams;
 

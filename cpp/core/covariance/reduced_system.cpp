@@ -215,6 +215,22 @@ double ReducedSystem::SmallestPivot() const {
   return smallest;
 }
 
+double ReducedSystem::LargestInflation() const {
+  double largest = 0;
+  if (schur_ == nullptr) return largest;
+  const std::vector<double>& inverse = schur_->system().values;
+  for (int j = 0; j < structure_.num_blocks(); ++j) {
+    const int64_t entry = structure_.Entry(j, j);
+    for (int k = 0; k < structure_.block_size(j); ++k) {
+      const int unknown = structure_.offset[j] + k;
+      if (!held_.empty() && held_[unknown] != 0) continue;
+      const double variance = inverse[structure_.ValueIndex(j, entry, k, k)];
+      largest = std::max(largest, variance * diagonal_[unknown]);
+    }
+  }
+  return largest;
+}
+
 void ReducedSystem::ForPoints(int num_threads, const PointVisitor& visit) const {
   // Of each thread as many observations, about.
   std::vector<size_t> first(static_cast<size_t>(num_threads) + 1, point_order_.size());

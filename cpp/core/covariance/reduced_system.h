@@ -106,6 +106,9 @@ class ReducedSystem {
   LinearSolution Invert();
   /// The least of L_jj^2 / S_jj after Factorize: rounding alone where S is singular.
   double SmallestPivot() const;
+  /// The most of (S^-1)_jj S_jj after Invert: how much larger a variance is than with all else
+  /// known.
+  double LargestInflation() const;
 
   /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads, points
   /// of the same images one after the other: what they read of S is in the cache.

@@ -18,7 +18,8 @@ struct EdgePattern {
   std::vector<int> pose_of;   ///< of each block
 };
 
-/// `ordering`: "auto" for the cheapest, "natural", "amd" or "metis".
+/// `ordering`: "auto" for AMD's or, where a factorisation takes long, the cheapest; "natural",
+/// "amd" or "metis".
 EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::string& ordering);
 
 }  // namespace bundle

@@ -89,7 +89,7 @@ void LinearizeEdge(const PoseGraph& graph, int64_t edge, const double* poses,
   double residual[kSize], a[kSize * kSize], adjoint[kSize * kSize], half[kSize * kSize];
   EvaluateWhitened<Group>(graph, edge, poses, residual, a, adjoint);
   double rho[3];
-  ValueOfLoss(graph.LossOf(edge), graph.errors.loss_scale, SquaredNorm(residual, kSize), rho);
+  ValueOfEdgeLoss(graph.LossOf(edge), graph.errors.loss_scale, SquaredNorm(residual, kSize), rho);
   terms->cost = 0.5 * rho[0];
   TransposedProduct<kSize>(a, a, terms->h_jj);
   TransposedVector<kSize>(a, residual, terms->g_j);

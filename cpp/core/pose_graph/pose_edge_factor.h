@@ -14,11 +14,12 @@ namespace bundle {
 template <typename Group>
 class PoseEdgeFactor final : public Factor {
  public:
-  /// Keeps a reference to the graph. Its variables are the poses, by position.
+  /// Keeps a reference to the graph, whose loss is one of factors. Its variables are the poses, by
+  /// position.
   PoseEdgeFactor(const PoseGraph& graph, int64_t edge)
       : Factor({"edge " + std::to_string(edge),
                 {graph.edges[2 * edge], graph.edges[2 * edge + 1]},
-                graph.LossOf(edge),
+                graph.LossOf(edge).type,
                 graph.errors.loss_scale},
                {Retraction(Group::kManifold, Group::kAmbient),
                 Retraction(Group::kManifold, Group::kAmbient)},

@@ -152,4 +152,14 @@ std::vector<double> EdgeChi2(const PoseGraph& graph, const double* poses) {
   return graph.dimension == 2 ? EdgeChi2Of<Se2>(graph, poses) : EdgeChi2Of<Se3>(graph, poses);
 }
 
+std::vector<double> EdgeWeights(const PoseGraph& graph, const std::vector<double>& chi2) {
+  std::vector<double> weights(chi2.size());
+  for (size_t e = 0; e < chi2.size(); ++e) {
+    double rho[3];
+    ValueOfEdgeLoss(graph.LossOf(static_cast<int64_t>(e)), graph.errors.loss_scale, chi2[e], rho);
+    weights[e] = rho[1];
+  }
+  return weights;
+}
+
 }  // namespace bundle

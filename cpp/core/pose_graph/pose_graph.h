@@ -5,8 +5,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/factors/loss.h"
 #include "core/geometry/retraction.h"
+#include "core/pose_graph/edge_loss.h"
 #include "core/pose_graph/relative_pose.h"
 
 namespace bundle {
@@ -33,7 +33,7 @@ struct PoseGraphView {
 /// What the errors of a graph are.
 struct PoseErrorOptions {
   PoseError error = PoseError::kLog;
-  LossType loss = LossType::kTrivial;
+  EdgeLoss loss;
   double loss_scale = 1;  ///< in sigmas: of the whitened residual's norm
 };
 
@@ -50,9 +50,7 @@ struct PoseGraph {
 
   int64_t num_poses() const { return static_cast<int64_t>(held.size()); }
   int64_t num_edges() const { return static_cast<int64_t>(robust.size()); }
-  LossType LossOf(int64_t edge) const {
-    return robust[edge] != 0 ? errors.loss : LossType::kTrivial;
-  }
+  EdgeLoss LossOf(int64_t edge) const { return robust[edge] != 0 ? errors.loss : EdgeLoss(); }
 };
 
 /// Throws InputError if arrays contradict each other: an edge of a pose that does not exist or with
@@ -68,5 +66,8 @@ std::vector<int32_t> FindComponents(int64_t num_poses, int64_t num_edges, const 
 
 /// r^T Omega r of each edge at `poses`, no loss, no 1/2.
 std::vector<double> EdgeChi2(const PoseGraph& graph, const double* poses);
+
+/// What the loss leaves of the information of each edge, rho', with r^T Omega r as EdgeChi2 has it.
+std::vector<double> EdgeWeights(const PoseGraph& graph, const std::vector<double>& chi2);
 
 }  // namespace bundle

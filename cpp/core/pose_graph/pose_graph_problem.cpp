@@ -17,7 +17,8 @@ namespace {
 // Ceres' min_lm_diagonal and max_lm_diagonal.
 constexpr double kLeastDiagonal = 1e-6, kLargestDiagonal = 1e32;
 constexpr int64_t kEdgesAtATime = 4096;
-constexpr int64_t kEdgesWorthAThread = 256;
+/// Edges, each the square of its coordinates, below which waking a thread takes longer than a pass.
+constexpr int64_t kWorkOfAThread = 70000;
 
 double DotOf(const std::vector<double>& a, const std::vector<double>& b) {
   double sum = 0;
@@ -25,8 +26,8 @@ double DotOf(const std::vector<double>& a, const std::vector<double>& b) {
   return sum;
 }
 
-int CountThreads(int64_t num_edges, int num_threads) {
-  const int64_t worth = std::max<int64_t>(num_edges / kEdgesWorthAThread, 1);
+int CountThreads(int64_t num_edges, int tangent, int num_threads) {
+  const int64_t worth = std::max<int64_t>(num_edges * tangent * tangent / kWorkOfAThread, 1);
   return static_cast<int>(std::min<int64_t>(EffectiveNumThreads(num_threads), worth));
 }
 
@@ -50,7 +51,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
         retraction_(Group::kManifold, kAmbient),
         x_(graph.poses),
         candidate_(graph.poses),
-        pool_(CountThreads(graph.num_edges(), num_threads)) {
+        pool_(CountThreads(graph.num_edges(), kSize, num_threads)) {
     const Stopwatch symbolic;
     EdgePattern pattern = PatternOfEdges(graph, kSize, ordering);
     structure_ = std::move(pattern.structure);
@@ -173,7 +174,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   double CostOf(int64_t edge, const double* poses) const {
     double residual[kSize], rho[3];
     EvaluateWhitened<Group>(graph_, edge, poses, residual);
-    ValueOfLoss(graph_.LossOf(edge), graph_.errors.loss_scale, SquaredNorm(residual, kSize), rho);
+    ValueOfEdgeLoss(graph_.LossOf(edge), graph_.errors.loss_scale, SquaredNorm(residual, kSize),
+                    rho);
     return 0.5 * rho[0];
   }
 
@@ -255,8 +257,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
       const EdgePlace& place = places_[k];
       double residual[kSize], a[kSize * kSize], adjoint[kSize * kSize], moved[kSize] = {}, rho[3];
       EvaluateWhitened<Group>(graph_, place.edge, x_.data(), residual, a, adjoint);
-      ValueOfLoss(graph_.LossOf(place.edge), graph_.errors.loss_scale, SquaredNorm(residual, kSize),
-                  rho);
+      ValueOfEdgeLoss(graph_.LossOf(place.edge), graph_.errors.loss_scale,
+                      SquaredNorm(residual, kSize), rho);
       for (int r = 0; r < kSize; ++r) {
         if (place.j >= 0) moved[r] = d[int64_t{kSize} * place.j + r];
         for (int c = 0; place.i >= 0 && c < kSize; ++c) {

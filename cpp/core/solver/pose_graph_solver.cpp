@@ -136,7 +136,15 @@ void ReportNothingToRefine(const SolveOptions& options, double cost, PoseGraphOu
   summary.termination_type = "CONVERGENCE";
   summary.message = "Function tolerance reached. No non-constant parameter blocks found.";
   summary.is_solution_usable = true;
-  summary.num_successful_steps = summary.num_unsuccessful_steps = 0;
+  summary.num_successful_steps = 1;  // the start, as Ceres counts
+  summary.num_unsuccessful_steps = 0;
+  for (int* size :
+       {&summary.num_parameter_blocks, &summary.num_parameters, &summary.num_residual_blocks,
+        &summary.num_residuals, &summary.num_parameter_blocks_reduced,
+        &summary.num_parameters_reduced, &summary.num_residual_blocks_reduced,
+        &summary.num_residuals_reduced, &summary.num_linear_solves}) {
+    *size = 0;
+  }
   summary.linear_solver_type_used = summary.linear_solver_type_given = "SPARSE_NORMAL_CHOLESKY";
   summary.trust_region_strategy_type = "LEVENBERG_MARQUARDT";
   summary.dogleg_type = "TRADITIONAL_DOGLEG";
@@ -157,6 +165,9 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
   const Stopwatch time;
   SolveOptions options = given;
   options.num_threads = EffectiveNumThreads(options.num_threads);
+  if (options.backend == Backend::kCeres && errors.loss.kind != EdgeLoss::Kind::kOfFactors) {
+    throw InputError("backend: expected auto or fused with this loss, found ceres");
+  }
   const PoseGraph graph = MakePoseGraph(view, errors);
   PoseGraphOutput output;
   output.chi2_before = EdgeChi2(graph, graph.poses.data());
@@ -175,7 +186,11 @@ PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions
     SolveByCeres<Se3>(graph, options, progress, &output);
   }
   output.summary.backend_given = UpperName(given.backend, kBackends);
+  if (given.backend == Backend::kAuto) {
+    output.summary.backend_choice = "Pose graphs have normal equations of their own.";
+  }
   output.chi2_after = EdgeChi2(graph, output.poses.data());
+  output.weights = EdgeWeights(graph, output.chi2_after);
   const int n = view.ambient();
   for (int64_t i = 0; i < view.num_poses; ++i) {
     if (graph.held[i] != 0) std::copy_n(view.poses + i * n, n, output.poses.begin() + i * n);

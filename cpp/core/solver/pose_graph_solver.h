@@ -13,6 +13,7 @@ struct PoseGraphOutput : SolveRecord {
   std::vector<double> poses;        ///< held ones as they were given, the others normalised
   std::vector<double> chi2_before;  ///< r^T Omega r of each edge, no loss
   std::vector<double> chi2_after;
+  std::vector<double> weights;  ///< what the loss leaves of each edge's information at the end
 };
 
 /// Minimises 1/2 sum rho(||r||^2) over the edges of a pose graph. Of the options count backend,
@@ -20,7 +21,8 @@ struct PoseGraphOutput : SolveRecord {
 /// "natural", "amd" or "metis". Poses that nothing holds are free: without a held one in each
 /// component the normal equations are singular but for the damping.
 ///
-/// Throws InputError if the graph's arrays contradict each other (MakePoseGraph).
+/// Throws InputError if the graph's arrays contradict each other (MakePoseGraph), or Ceres is asked
+/// for a loss that factors do not have.
 PoseGraphOutput SolvePoseGraph(const PoseGraphView& view, const PoseErrorOptions& errors,
                                const SolveOptions& options, const std::string& ordering,
                                const ProgressCallback& progress);

@@ -16,6 +16,7 @@ from bundle.diagnosis.diagnosis_result import Component, Diagnosis
 from bundle.diagnosis.findings import findings
 from bundle.diagnosis.modes import null_modes, weak_modes
 from bundle.diagnosis.point_checks import check_points
+from bundle.diagnosis.scale_drift import scale_drift
 from bundle.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.diagnosis.unknowns import Unknowns
 from bundle.free_degrees import gauge_freedom
@@ -76,9 +77,9 @@ def diagnose(
         >>> bundle.diagnose("sparse/0").nullity
         7
     """
-    scale_change = None
+    drift = None
     if isinstance(problem, Result):
-        scale_change = _scale_change(problem)
+        drift = scale_drift(problem)
         options = problem.options.replace(gauge="auto") if options is None else options
         problem = problem.problem
     problem = as_problem(problem)
@@ -130,7 +131,7 @@ def diagnose(
         ],
     }
     bare = Diagnosis(**parts, findings=())
-    said = findings(bare, start, tracks, unknowns, found, apart, scale_change)
+    said = findings(bare, start, tracks, unknowns, found, apart, drift)
     return Diagnosis(**parts, findings=said)
 
 
@@ -181,15 +182,3 @@ def _condition(found: dict[str, Any]) -> float:
 
 def _observations(problem: Problem) -> NDArray[np.int64]:
     return np.bincount(problem.observation_image, minlength=problem.num_images)
-
-
-def _scale_change(result: Result) -> float | None:
-    """Return by how much a solve scaled the world: the spread of its images after and before."""
-    before, after = (
-        float(np.linalg.norm(centers - centers.mean(axis=0)))
-        for centers in (
-            result.initial_problem.projection_centers,
-            result.problem.projection_centers,
-        )
-    )
-    return after / before if before > 0 and result.similarity is None else None

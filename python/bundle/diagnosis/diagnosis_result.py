@@ -139,6 +139,18 @@ class Diagnosis(Displayed):
         return not any(finding.is_problem for finding in self.findings)
 
     @property
+    def rank_gap(self) -> float:
+        """The lowest eigenvalue that is not zero by the largest that counts as zero.
+
+        Thousands and more where the rank is sharp; infinite where nothing counts as zero, NaN where
+        nothing else is left.
+        """
+        if len(self.eigenvalues) == 0:
+            return math.nan
+        lowest, highest = float(self.eigenvalues[0]), self.max_null_eigenvalue
+        return lowest / highest if highest > 0 else math.inf
+
+    @property
     def digits_normal_equations(self) -> int:
         """Digits that a step by the normal equations has: 16 - log10(cond S), at least 0."""
         return self._digits(1.0)

@@ -9,6 +9,7 @@ import numpy as np
 
 from bundle.diagnosis.diagnosis_result import Diagnosis, Finding, WeakMode
 from bundle.diagnosis.id_lists import named, noun
+from bundle.diagnosis.scale_drift import ScaleDrift
 from bundle.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.diagnosis.unknowns import Unknowns
 from bundle.problem import Problem
@@ -20,6 +21,8 @@ MOST_COMPONENTS = 5
 """Components that have a sentence of their own."""
 SAID = ("points_seen_once",)
 """Warnings of a solve that the diagnosis has in words of its own."""
+SHARP = 1000.0
+"""A gap between eigenvalues below which the number of null directions depends on the threshold."""
 DRIFT = 3.0
 """A solve that scales the world by more has drifted."""
 
@@ -31,7 +34,7 @@ def findings(
     unknowns: Unknowns,
     found: dict[str, Any],
     apart: list[WeakMode],
-    scale_change: float | None,
+    drift: ScaleDrift | None,
 ) -> tuple[Finding, ...]:
     """Return what there is to say; `diagnosis` has everything else.
 
@@ -49,7 +52,8 @@ def findings(
         *_images(diagnosis),
         *_joints(problem, tracks),
         *_factorisation(problem, unknowns, found),
-        *_drift(scale_change),
+        *_rank(diagnosis),
+        *_drift(drift),
         *_conditioning(diagnosis),
         *(_note(kind, words) for kind, words in found["warnings"] if kind not in SAID),
     ]
@@ -202,12 +206,25 @@ def _factorisation(
     )
 
 
-def _drift(scale_change: float | None) -> Iterator[Finding]:
-    if scale_change is not None and not 1 / DRIFT < scale_change < DRIFT:
+def _rank(diagnosis: Diagnosis) -> Iterator[Finding]:
+    gap = diagnosis.rank_gap
+    if not gap < SHARP:
+        return
+    yield _note(
+        "unclear_rank",
+        f"The number of null directions is not sharp: the lowest eigenvalue that is not zero, "
+        f"{diagnosis.eigenvalues[0]:.2g}, is only {gap:.3g} times the largest that counts as zero.",
+    )
+
+
+def _drift(drift: ScaleDrift | None) -> Iterator[Finding]:
+    if drift is not None and not 1 / DRIFT < drift.factor < DRIFT:
+        steps = plural(drift.num_steps, "step")
+        each = f" ({drift.per_step:.3g} per step)" if drift.num_steps > 1 else ""
         yield _note(
             "scale_drift",
-            f"The solve scaled the world by {scale_change:.3g}: nothing but the gauge holds the "
-            "scale of a world without rigs and positions.",
+            f"The solve scaled the world by {drift.factor:.3g} in {steps}{each}: nothing but the "
+            "gauge holds the scale of a world without rigs and positions.",
         )
 
 

@@ -9,6 +9,8 @@ from bundle.options import BACKENDS, LOSSES, TRUST_REGION_STRATEGIES
 
 __all__ = ["PoseGraphOptions"]
 
+GRAPH_LOSSES = (*LOSSES, "geman_mcclure", "dcs", "switchable", "gnc_tls")
+
 
 @documented
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -48,22 +50,28 @@ class PoseGraphOptions(Options):
         choices=("file", "isotropic"),
     )
     loss: str = option(
-        "trivial", "--loss", "robust loss of an edge's whitened error", choices=LOSSES
+        "trivial",
+        "--loss",
+        "robust loss of an edge's whitened error; geman-mcclure, dcs and switchable constraints "
+        "are for wrong closures, as is gnc-tls, which solves a few times and ends with each edge "
+        "in or out",
+        choices=GRAPH_LOSSES,
     )
     loss_scale: float = option(
         1.0,
         "--loss-scale",
-        "error at which the loss begins to bend, in sigmas",
+        "error at which the loss begins to bend, in sigmas; gnc-tls: in radii that hold 99.95 % "
+        "of the errors of right edges",
         above=0.0,
         metavar="X",
-        only_with=("loss", LOSSES[1:]),
+        only_with=("loss", GRAPH_LOSSES[1:]),
     )
     loss_on: str = option(
         "closures",
         "--loss-on",
         "edges that the loss applies to; closures are edges that are not between consecutive ids",
         choices=("closures", "all"),
-        only_with=("loss", LOSSES[1:]),
+        only_with=("loss", GRAPH_LOSSES[1:]),
     )
     trust_region_strategy_type: str = option(
         "gauss_newton",

@@ -30,6 +30,7 @@ class PoseGraphSummary(Summary):
         num_gauge_freedoms: degrees of freedom that were taken away, by holding poses that no FIX
             holds: 3 or 6 for each component without one.
         held_pose_ids: those poses.
+        num_rejected_edges: edges that the loss has put out of action.
     """
 
     chi2_initial: float
@@ -39,6 +40,7 @@ class PoseGraphSummary(Summary):
     num_components: int
     num_gauge_freedoms: int
     held_pose_ids: tuple[int, ...]
+    num_rejected_edges: int
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -53,6 +55,10 @@ class PoseGraphResult(SolveRecord):
         iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
         chi2_before: (m,) r^T Omega r of each edge at the start, no loss.
         chi2_after: likewise at the end.
+        weights: (m,) what the loss leaves of the information of each edge at the end: rho', 0 or 1
+            for gnc_tls.
+        rejected: edges that the loss has put out of action, by position, worst first: with a weight
+            below a half and a chi2 that one right edge in a million has (gnc_tls: a weight of 0).
         build_time_in_seconds: outside the solver.
         solve_time_in_seconds: inside the solver.
     """
@@ -63,6 +69,8 @@ class PoseGraphResult(SolveRecord):
     summary: PoseGraphSummary
     chi2_before: NDArray[np.float64]
     chi2_after: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    rejected: tuple[int, ...]
 
     def _display(self) -> Display:
         summary, graph = self.summary, self.problem

@@ -9,18 +9,27 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.arguments import check_function, check_type
+from bundle.arrays import freeze
 from bundle.option_fields import choice
+from bundle.pose_graph.gnc import QUANTILES, graduate
 from bundle.pose_graph.information import checked_information
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph.pose_graph_options import PoseGraphOptions
 from bundle.pose_graph.pose_graph_result import PoseGraphResult, PoseGraphSummary
-from bundle.pose_graph.starts import Start, choose_start, started
+from bundle.pose_graph.starts import Start, choose_start, chordal_below, started
 from bundle.solve_record import Progress, record_fields
-from bundle.words import plural
+from bundle.words import number, plural
 
 __all__ = ["initial_poses", "pose_graph_chi2", "solve_pose_graph"]
 
 SEVERAL_COMPONENTS = "several_components"
+LOCAL_MINIMUM = "local_minimum"
+
+NOT_LOWER = 1e-6
+"""Of chi2: where the solve stopped just short of the minimum, the chordal start may be as near."""
+
+BEYOND_DOUBT = {3: 30.664849706213598, 6: 38.25833637720969}
+"""Of chi2, by degrees of freedom: beyond it is one right edge in a million."""
 
 
 def solve_pose_graph(
@@ -55,16 +64,19 @@ def solve_pose_graph(
     weighed = checked_information(graph, options.information)
     held, num_components, for_gauge = _core.hold_poses(weighed)
     start = _start(weighed, held, options)
-    output = _core.solve_pose_graph(
-        weighed.replace(poses=start.poses),
-        held,
-        _robust_edges(graph, options),
-        options.asdict(),
-        progress,
-    )
+    started_graph = weighed.replace(poses=start.poses)
+    doubted = _robust_edges(graph, options)
+    solve = _solve_gnc if options.loss == "gnc_tls" else _solve_once
+    output = solve(started_graph, held, doubted, options, progress)
     record = record_fields(output)
+    rejected = _rejected(graph, output, doubted, options)
+    warnings = {
+        SEVERAL_COMPONENTS: _about_components(num_components),
+        LOCAL_MINIMUM: _about_minimum(weighed, held, start, options, output),
+    }
     summary = PoseGraphSummary(
-        **_with_warnings(output["summary"], num_components),
+        **_with_warnings(output["summary"], warnings),
+        num_rejected_edges=len(rejected),
         chi2_initial=float(output["chi2_before"].sum()),
         chi2_final=float(output["chi2_after"].sum()),
         init=start.init,
@@ -79,6 +91,8 @@ def solve_pose_graph(
         options=options,
         chi2_before=output["chi2_before"],
         chi2_after=output["chi2_after"],
+        weights=output["weights"],
+        rejected=rejected,
         **record | {"summary": summary},
     )
 
@@ -120,6 +134,74 @@ def _start(graph: PoseGraph, held: NDArray[np.bool_], options: PoseGraphOptions)
     return started(graph, held, options.init, options.num_threads)
 
 
+def _solve_once(
+    graph: PoseGraph,
+    held: NDArray[np.bool_],
+    doubted: NDArray[np.bool_],
+    options: PoseGraphOptions,
+    progress: Progress | None,
+) -> dict[str, Any]:
+    return _core.solve_pose_graph(graph, held, doubted, options.asdict(), progress)
+
+
+def _solve_gnc(
+    graph: PoseGraph,
+    held: NDArray[np.bool_],
+    doubted: NDArray[np.bool_],
+    options: PoseGraphOptions,
+    progress: Progress | None,
+) -> dict[str, Any]:
+    """Solve with weights in between, then once more with edges in or out; see ``gnc``."""
+    c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
+    plain = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
+    rough = plain.replace(function_tolerance=max(plain.function_tolerance, 1e-6))
+    none = np.zeros(graph.num_edges, bool)
+    before = _core.edge_chi2(graph, options.error)
+    output: dict[str, Any] = {}
+    poses = graph.poses
+
+    def solve(weights: NDArray[np.float64], how: PoseGraphOptions) -> NDArray[np.float64]:
+        nonlocal output, poses
+        if output and output["summary"]["interrupted"]:
+            return _core.edge_chi2(graph.replace(poses=poses), options.error)
+        weighed = graph.replace(poses=poses, information=weights[:, None, None] * graph.information)
+        output = _core.solve_pose_graph(weighed, held, none, how.asdict(), progress)
+        poses = output["poses"]
+        return _core.edge_chi2(graph.replace(poses=poses), options.error)
+
+    chi2 = solve(np.ones(graph.num_edges), rough)
+    weights, _ = graduate(chi2, doubted, c_squared, lambda found: solve(found, rough))
+    after = solve(weights, plain)
+
+    def cost(chi2: NDArray[np.float64]) -> float:
+        return 0.5 * float(np.where(doubted, np.minimum(chi2, c_squared), chi2).sum())
+
+    costs = {"initial_cost": cost(before), "final_cost": cost(after)}
+    return output | {
+        "chi2_before": freeze(before.copy()),
+        "chi2_after": freeze(after.copy()),
+        "weights": freeze(weights),
+        "summary": output["summary"] | costs,
+    }
+
+
+def _rejected(
+    graph: PoseGraph,
+    output: dict[str, Any],
+    doubted: NDArray[np.bool_],
+    options: PoseGraphOptions,
+) -> tuple[int, ...]:
+    """Return the edges that the loss has put out of action: weight below 1/2, error beyond doubt.
+
+    A weight alone does not tell: some losses take weight from every edge.
+    """
+    out = doubted & (output["weights"] < 0.5)
+    if options.loss != "gnc_tls":
+        out &= output["chi2_after"] > BEYOND_DOUBT[graph.tangent_size]
+    worst_first = np.argsort(-output["chi2_after"], kind="stable")
+    return tuple(int(edge) for edge in worst_first if out[edge])
+
+
 def _robust_edges(graph: PoseGraph, options: PoseGraphOptions) -> NDArray[np.bool_]:
     if options.loss == "trivial":
         return np.zeros(graph.num_edges, bool)
@@ -128,16 +210,44 @@ def _robust_edges(graph: PoseGraph, options: PoseGraphOptions) -> NDArray[np.boo
     return graph.is_closure
 
 
-def _with_warnings(fields: dict[str, Any], num_components: int) -> dict[str, Any]:
-    """Return the fields of a summary with what is worth a warning in the graph."""
+def _about_components(num_components: int) -> str:
     if num_components == 1:
-        return fields
+        return ""
     held = plural(num_components, "component")
-    sentence = (
+    return (
         f"The graph has {held} that no edge joins: each floats by itself, about its fixed poses "
         "or its first one; where they are to each other is not known."
     )
+
+
+def _about_minimum(
+    graph: PoseGraph,
+    held: NDArray[np.bool_],
+    start: Start,
+    options: PoseGraphOptions,
+    output: dict[str, Any],
+) -> str:
+    """Return what to say of an end above a start that was not tried.
+
+    A loss changes what is least; a solve that was stopped may still go there.
+    """
+    has_converged = output["summary"]["termination_type"] == "CONVERGENCE"
+    if start.init == "chordal" or options.loss != "trivial" or not has_converged:
+        return ""
+    end = float(output["chi2_after"].sum())
+    below = chordal_below(graph, held, options.error, options.num_threads, end)
+    if below is None or end - below <= NOT_LOWER * end:
+        return ""
+    return (
+        f"This is a local minimum, chi2 {number(end)}: the chordal start has {number(below)} "
+        "before any step. Start there: init chordal, or auto."
+    )
+
+
+def _with_warnings(fields: dict[str, Any], sentences: dict[str, str]) -> dict[str, Any]:
+    """Return the fields of a summary with what is worth a warning; "" is not."""
+    said = {kind: sentence for kind, sentence in sentences.items() if sentence}
     return fields | {
-        "warnings": (*fields["warnings"], sentence),
-        "warning_kinds": (*fields["warning_kinds"], SEVERAL_COMPONENTS),
+        "warnings": (*fields["warnings"], *said.values()),
+        "warning_kinds": (*fields["warning_kinds"], *said),
     }

@@ -86,7 +86,7 @@ def as_json(
         **json.heading("diagnose", path, problem),
         "options": json.plain({name: getattr(options, name) for name in names} | more_options),
         "ok": diagnosis.ok,
-        **json.plain(numbers),
+        **json.plain(numbers | {"rank_gap": diagnosis.rank_gap}),
         "digits": {
             "normal_equations": diagnosis.digits_normal_equations,
             "square_root": diagnosis.digits_square_root,

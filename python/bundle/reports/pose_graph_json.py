@@ -41,7 +41,7 @@ def refinement_of_graph(
     path: str, solved: PoseGraphResult, wall: WallTime, output: dict[str, str] | None
 ) -> dict[str, Any]:
     """Return the report of `bundle refine`; `output` is None where nothing was written."""
-    options = solved.options.asdict()
+    options, graph = solved.options.asdict(), solved.problem
     for field in dataclasses.fields(solved.options):
         if field.metadata["choices"] is not None:
             options[field.name] = options[field.name].upper()
@@ -50,6 +50,15 @@ def refinement_of_graph(
         "options": plain(options),
         "summary": plain(dataclasses.asdict(solved.summary)),
         "iterations": plain(records(solved.iterations)),
+        "rejected_edges": [
+            {
+                "edge": graph.ids[graph.edges[edge]].tolist(),
+                "line": int(graph.edge_lines[edge]) or None,
+                "chi2": float(solved.chi2_after[edge]),
+                "weight": float(solved.weights[edge]),
+            }
+            for edge in solved.rejected
+        ],
         "wall_time": plain(dataclasses.asdict(wall)),
         "output": output,
     }

@@ -15,6 +15,9 @@ from bundle.tables import columns, facts, notes, number, plural, seconds
 
 __all__ = ["converted_graph", "described_graph", "refined_graph"]
 
+MOST_REJECTED = 20
+"""Rejected edges that are shown."""
+
 MOST_EDGES = 5
 """Edges with the largest chi2 that are shown."""
 
@@ -49,6 +52,7 @@ def refined_graph(
         columns(("", "before", "after"), before_and_after),
         "",
         *_worst(solved),
+        *_rejected(solved),
         facts([("outcome", solved.outcome)]),
         *notes(summary.warnings, style="yellow"),
         "",
@@ -134,6 +138,28 @@ def _factor(summary: Summary) -> str:
         f"{number(summary.factor_flops or 0.0)} flops, analysed in "
         f"{seconds(summary.symbolic_time_in_seconds or 0.0)} s"
     )
+
+
+def _rejected(solved: PoseGraphResult) -> list[RenderableType]:
+    """Return the edges that the loss rejected; nothing without a loss."""
+    if solved.options.loss == "trivial":
+        return []
+    graph = solved.problem
+    rows = [
+        (
+            " ".join(map(str, graph.ids[graph.edges[edge]])),
+            str(int(graph.edge_lines[edge]) or "-"),
+            number(solved.chi2_after[edge]),
+            number(solved.weights[edge]),
+        )
+        for edge in solved.rejected[:MOST_REJECTED]
+    ]
+    more = len(solved.rejected) - len(rows)
+    named: list[RenderableType] = (
+        [columns(("rejected edges", "line", "chi2", "weight"), rows), ""] if rows else []
+    )
+    sentence = plural(len(solved.rejected), "edge") + (" (--json FILE lists all)" if more else "")
+    return [*named, facts([("rejected", sentence)])]
 
 
 def _worst(solved: PoseGraphResult) -> list[RenderableType]:

@@ -184,6 +184,12 @@ class _Recipe:
 
         out = run(ready.start, ready.options)
         dof = out["num_residuals"] - out["num_parameters"] + out["gauge_degrees"]
+        if dof < 0:  # what the factor of a matrix of rounding errors says means nothing
+            raise InputError(
+                f"problem: expected at least as many residuals as parameters, found "
+                f"{out['num_residuals']} for {out['num_parameters'] - out['gauge_degrees']} "
+                f"(bundle diagnose says what is not determined)"
+            )
         sigma0 = float(np.sqrt(out["weighted_squares"] / dof)) if dof > 0 else float("nan")
         notes = list(out["warnings"])
         cost = 0.5 * out["weighted_squares"]

@@ -1,0 +1,95 @@
+"""Covariances of random problems against the dense pseudo-inverse of J, block by block.
+
+Random problems (tests/uncertainty/random_problems) have rigs, ties, priors, fixed parts and losses.
+Where more than similarities is free, both have to refuse. Off a minimum a sandwich need not exist:
+problems of convex losses are also asked for theirs. Sums of squares round more than the rows that
+the dense form keeps (Dense.rounding); a sandwich has them twice, with a gauge held in between.
+
+python -m tests.campaigns.covariance COUNT [SEED]
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import NamedTuple
+
+import numpy as np
+
+import bundle
+from tests.uncertainty.dense import SingularError
+from tests.uncertainty.random_problems import random_case
+from tests.uncertainty.test_covariance import compare
+
+TOLERANCE = 1e-8  # in sigmas
+OF_SANDWICH = 1e-5
+
+
+class Comparison(NamedTuple):
+    """The largest difference of a covariance's entries, in the sigmas of its dense form."""
+
+    seed: int
+    robust: str
+    kind: str
+    difference: float
+    rounding: float
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether rounding does not explain it."""
+        bound = OF_SANDWICH if self.robust == "sandwich" else max(TOLERANCE, self.rounding)
+        return not self.difference <= bound
+
+
+def compare_seed(seed: int) -> list[Comparison]:
+    """Compare one problem, by weights and, where it has one, by its sandwich."""
+    case = random_case(seed)
+    convex = case.settings["loss"] in ("trivial", "soft_l1")
+    found = []
+    for robust in ("weights", "sandwich") if convex else ("weights",):
+        try:
+            cov = bundle.covariance(
+                case.problem, robust=robust, factors=case.factors, num_threads=1, **case.settings
+            )
+        except bundle.InputError:
+            cov = None
+        bent = robust == "sandwich"
+        try:
+            dense = case.dense.covariance(case.basis, sandwich=bent, num_priors=case.num_prior_rows)
+        except SingularError:
+            found.append(Comparison(seed, robust, "refused", 0.0 if cov is None else np.inf, 0.0))
+            continue
+        rounding = case.dense.rounding(case.basis, sandwich=bent, num_priors=case.num_prior_rows)
+        worst = {"refused": np.inf} if cov is None else compare(case, dense, cov)
+        kind = max(worst, key=lambda name: worst[name])
+        found.append(Comparison(seed, robust, kind, float(worst[kind]), float(rounding)))
+    return found
+
+
+def campaign(count: int, seed: int = 0) -> list[Comparison]:
+    """Compare so many problems."""
+    return [entry for n in range(seed, seed + count) for entry in compare_seed(n)]
+
+
+def main() -> int:
+    """Print the largest differences: 0 if rounding explains all."""
+    count = int(sys.argv[1])
+    found = campaign(count, int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    found.sort(key=lambda entry: -entry.difference)
+    for robust in ("weights", "sandwich"):
+        for entry in [entry for entry in found if entry.robust == robust][:5]:
+            print(
+                f"{robust}: seed {entry.seed}, {entry.kind}: {entry.difference:.2g} sigmas, "
+                f"rounding {entry.rounding:.2g}"
+            )
+    wrong = [entry for entry in found if entry.is_wrong]
+    refused = sum(entry.kind == "refused" and not entry.is_wrong for entry in found)
+    close = sum(entry.difference <= TOLERANCE for entry in found)
+    print(
+        f"{count} problems, {len(found)} covariances, {close} within {TOLERANCE} "
+        f"({refused} refused by both), {len(wrong)} wrong"
+    )
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
