@@ -15,7 +15,7 @@ DECLARED = re.findall(
 )
 
 
-IN_PYTHON = ["weak_baseline", "several_components"]
+IN_PYTHON = ["weak_baseline", "several_components", "local_minimum"]
 """Kinds that the core does not know, after its own."""
 
 

@@ -30,5 +30,6 @@ WARNING_KINDS = {
     "observations_left_out": "observations that were behind before are in front at the end",
     "weak_baseline": "focal lengths and baselines of rigs changed together, which is weak",
     "several_components": "no edge joins parts of a pose graph: each has a gauge of its own",
+    "local_minimum": "a pose graph ended above where the chordal relaxation starts",
 }
 """Each kind with what it means."""

@@ -81,3 +81,16 @@ def test_odometry_with_gaps_says_where():
     )
     with pytest.raises(bundle.InputError, match=r"^init: expected an edge .* between 6 and 8"):
         bundle.solve(cut, init="odometry")
+
+
+def test_an_end_above_the_chordal_start_is_said_to_be_a_local_minimum():
+    graph = graphs.loop(2, num_poses=30, num_closures=30, noise=0.01, start_noise=2, seed=7)
+    circle = np.linspace(0, 2 * np.pi, 31)[:-1]
+    twisted = np.stack([np.cos(3 * circle), np.sin(2 * circle), 5 * circle], axis=1)
+    ends = {init: bundle.solve(graph.replace(poses=twisted), init=init).summary for init in
+            ("file", "chordal")}  # fmt: skip
+    assert ends["file"].chi2_final > 1.1 * ends["chordal"].chi2_initial
+    assert ends["file"].warning_kinds == ("local_minimum",)
+    assert ends["chordal"].warning_kinds == ()
+    right = bundle.solve(bundle.solve(graph, init="chordal").problem).summary
+    assert right.init == "file" and right.warning_kinds == ()

@@ -16,13 +16,17 @@ from bundle.pose_graph.information import checked_information
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph.pose_graph_options import PoseGraphOptions
 from bundle.pose_graph.pose_graph_result import PoseGraphResult, PoseGraphSummary
-from bundle.pose_graph.starts import Start, choose_start, started
+from bundle.pose_graph.starts import Start, choose_start, chordal_below, started
 from bundle.solve_record import Progress, record_fields
-from bundle.words import plural
+from bundle.words import number, plural
 
 __all__ = ["initial_poses", "pose_graph_chi2", "solve_pose_graph"]
 
 SEVERAL_COMPONENTS = "several_components"
+LOCAL_MINIMUM = "local_minimum"
+
+NOT_LOWER = 1e-6
+"""Of chi2: where the solve stopped just short of the minimum, the chordal start may be as near."""
 
 BEYOND_DOUBT = {3: 30.664849706213598, 6: 38.25833637720969}
 """Of chi2, by degrees of freedom: beyond it is one right edge in a million."""
@@ -66,8 +70,12 @@ def solve_pose_graph(
     output = solve(started_graph, held, doubted, options, progress)
     record = record_fields(output)
     rejected = _rejected(graph, output, doubted, options)
+    warnings = {
+        SEVERAL_COMPONENTS: _about_components(num_components),
+        LOCAL_MINIMUM: _about_minimum(weighed, held, start, options, output),
+    }
     summary = PoseGraphSummary(
-        **_with_warnings(output["summary"], num_components),
+        **_with_warnings(output["summary"], warnings),
         num_rejected_edges=len(rejected),
         chi2_initial=float(output["chi2_before"].sum()),
         chi2_final=float(output["chi2_after"].sum()),
@@ -202,16 +210,44 @@ def _robust_edges(graph: PoseGraph, options: PoseGraphOptions) -> NDArray[np.boo
     return graph.is_closure
 
 
-def _with_warnings(fields: dict[str, Any], num_components: int) -> dict[str, Any]:
-    """Return the fields of a summary with what is worth a warning in the graph."""
+def _about_components(num_components: int) -> str:
     if num_components == 1:
-        return fields
+        return ""
     held = plural(num_components, "component")
-    sentence = (
+    return (
         f"The graph has {held} that no edge joins: each floats by itself, about its fixed poses "
         "or its first one; where they are to each other is not known."
     )
+
+
+def _about_minimum(
+    graph: PoseGraph,
+    held: NDArray[np.bool_],
+    start: Start,
+    options: PoseGraphOptions,
+    output: dict[str, Any],
+) -> str:
+    """Return what to say of an end above a start that was not tried.
+
+    A loss changes what is least; a solve that was stopped may still go there.
+    """
+    has_converged = output["summary"]["termination_type"] == "CONVERGENCE"
+    if start.init == "chordal" or options.loss != "trivial" or not has_converged:
+        return ""
+    end = float(output["chi2_after"].sum())
+    below = chordal_below(graph, held, options.error, options.num_threads, end)
+    if below is None or end - below <= NOT_LOWER * end:
+        return ""
+    return (
+        f"This is a local minimum, chi2 {number(end)}: the chordal start has {number(below)} "
+        "before any step. Start there: init chordal, or auto."
+    )
+
+
+def _with_warnings(fields: dict[str, Any], sentences: dict[str, str]) -> dict[str, Any]:
+    """Return the fields of a summary with what is worth a warning; "" is not."""
+    said = {kind: sentence for kind, sentence in sentences.items() if sentence}
     return fields | {
-        "warnings": (*fields["warnings"], sentence),
-        "warning_kinds": (*fields["warning_kinds"], SEVERAL_COMPONENTS),
+        "warnings": (*fields["warnings"], *said.values()),
+        "warning_kinds": (*fields["warning_kinds"], *said),
     }

@@ -12,7 +12,7 @@ from bundle.errors import InputError
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.words import number
 
-__all__ = ["Start", "choose_start", "start_without_poses", "started"]
+__all__ = ["Start", "choose_start", "chordal_below", "start_without_poses", "started"]
 
 HOPELESS = 10.0
 """A start whose chi2 is more than so many times another's is left for the other."""
@@ -82,3 +82,15 @@ def choose_start(
         return Start(poses=chordal.poses, init="chordal", reason=reason), found
     reason = f"The file's poses, as nothing is {HOPELESS:g} times better: {compared}."
     return Start(poses=given.poses, init="file", reason=reason), chi2
+
+
+def chordal_below(
+    graph: PoseGraph, held: NDArray[np.bool_], error: str, num_threads: int, chi2: float
+) -> float | None:
+    """Return chi2 of the chordal start where it is below ``chi2``: no solve should end there."""
+    try:
+        chordal = started(graph, held, "chordal", num_threads)
+    except InputError:
+        return None
+    found = float(_core.edge_chi2(graph.replace(poses=chordal.poses), error).sum())
+    return found if found < chi2 else None

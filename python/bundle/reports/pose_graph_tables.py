@@ -155,7 +155,9 @@ def _rejected(solved: PoseGraphResult) -> list[RenderableType]:
         for edge in solved.rejected[:MOST_REJECTED]
     ]
     more = len(solved.rejected) - len(rows)
-    named = [columns(("rejected edges", "line", "chi2", "weight"), rows), ""] if rows else []
+    named: list[RenderableType] = (
+        [columns(("rejected edges", "line", "chi2", "weight"), rows), ""] if rows else []
+    )
     sentence = plural(len(solved.rejected), "edge") + (" (--json FILE lists all)" if more else "")
     return [*named, facts([("rejected", sentence)])]
 
