@@ -201,7 +201,7 @@ LinearSolution ReducedSystem::Solve(const FullVectors& rhs, FullVectors* x) {
   return {};
 }
 
-double ReducedSystem::SmallestPivot() const {
+double ReducedSystem::SmallestPivot(int* unknown) const {
   double smallest = std::numeric_limits<double>::infinity();
   if (schur_ == nullptr) return smallest;
   const std::vector<double>& l = schur_->system().values;
@@ -209,7 +209,10 @@ double ReducedSystem::SmallestPivot() const {
     const int64_t entry = structure_.Entry(j, j);
     for (int k = 0; k < structure_.block_size(j); ++k) {
       const double pivot = l[structure_.ValueIndex(j, entry, k, k)];
-      smallest = std::min(smallest, pivot * pivot / diagonal_[structure_.offset[j] + k]);
+      const double share = pivot * pivot / diagonal_[structure_.offset[j] + k];
+      if (!(share < smallest)) continue;
+      smallest = share;
+      *unknown = structure_.offset[j] + k;
     }
   }
   return smallest;
