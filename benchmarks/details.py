@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks import flops, practitioners, scaling, table, targets, whole
+from benchmarks import flops, practitioners, scaling, table, targets, uncertainty, whole
 from benchmarks.results import Results
 from benchmarks.solvers import REFERENCE
 
@@ -34,6 +34,7 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
             "Practitioners' inputs: priors, rigs, filters",
             practitioners.as_table(results.practitioners),
         ),
+        ("Covariance and diagnosis", uncertainty.as_table(results.uncertainty)),
         ("Whole processes: start, load, solve, save", _whole_table(results)),
     ):
         if text:

@@ -22,6 +22,7 @@ class Results:
         runs: every single run.
         whole: problem -> process -> runs.
         practitioners: title -> whose -> runs, of ``benchmarks.practitioners``.
+        uncertainty: model -> whose -> runs, of ``benchmarks.uncertainty``.
     """
 
     machine: dict[str, str]
@@ -31,6 +32,7 @@ class Results:
     runs: list[Run]
     whole: dict[str, dict[str, list[dict[str, Any]]]]
     practitioners: dict[str, dict[str, list[dict[str, Any]]]] = field(default_factory=dict)
+    uncertainty: dict[str, dict[str, list[dict[str, Any]]]] = field(default_factory=dict)
 
     def of(self, problem: str, rule: str = "default", threads: int = 0) -> list[Run]:
         """Return the runs of a problem under a rule; threads 0 are the ones of the settings."""

@@ -26,6 +26,7 @@ from benchmarks import (
     series,
     solvers,
     synthetic,
+    uncertainty,
     whole,
 )
 from benchmarks.problems import BenchmarkProblem
@@ -145,9 +146,10 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
     real = [] if options.quick else [problem for problem in chosen if not problem.is_synthetic]
     with tempfile.TemporaryDirectory() as folder:
         processes = run_whole(real, options, Path(folder))
-    further = {}
+    further, certain = {}, {}
     if not (options.quick or options.synthetic or options.only):
         further = practitioners.measured(options.repeat, options.threads, options.timeout)
+        certain = uncertainty.measured(options.repeat, options.threads, options.timeout)
     return Results(
         machine=described,
         command=shlex.join(["python", "benchmarks/run.py", *sys.argv[1:]]),
@@ -164,6 +166,7 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
         runs=runs,
         whole=processes,
         practitioners=further,
+        uncertainty=certain,
     )
 
 

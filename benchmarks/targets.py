@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks import agreement, practitioners, scaling, table, whole
+from benchmarks import agreement, practitioners, scaling, table, uncertainty, whole
 from benchmarks.measure import Spread
 from benchmarks.results import Results
 from benchmarks.rows import Row
@@ -53,6 +53,7 @@ def of(results: Results) -> list[Target]:
         *_other_real(results),
         *_whole_models(results),
         *_practitioners(results),
+        *_uncertainty(results),
         *_large_synthetic(results),
         *_growth(results),
         *_choice(results),
@@ -153,6 +154,33 @@ def _practitioners(results: Results) -> list[Target]:
         else:
             filtering = practitioners.spread(runs[practitioners.OURS], "filter")
             lines.append(Target(title, quotient(filtering, step), 2.0, is_least=False))
+    return lines
+
+
+def _uncertainty(results: Results) -> list[Target]:
+    lines = []
+    for name, runs in results.uncertainty.items():
+        of = {
+            who: {what: uncertainty.spread(mine, what) for what in ("cpu", "wall", "memory")}
+            for who, mine in runs.items()
+        }
+        if uncertainty.THEIRS in runs:
+            theirs = of.pop(uncertainty.THEIRS)["cpu"]
+            what = f"{name}, covariance of all, CPU time: pycolmap"
+            lines += [
+                Target(f"{what} / {who}", quotient(theirs, mine["cpu"]), 20.0)
+                for who, mine in of.items()
+                if name == uncertainty.STREET_NAME
+            ]
+            continue
+        for who, limit in ((uncertainty.INNER, 20.0), (uncertainty.DIAGNOSIS, 60.0)):
+            wall, memory = of[who]["wall"], of[who]["memory"]
+            lines.append(
+                Target(f"{name}, {who}, seconds", wall.median if wall else None, limit, False)
+            )
+            if who == uncertainty.INNER:
+                value = memory.median / 1e9 if memory else None
+                lines.append(Target(f"{name}, {who}, peak memory in GB", value, 3.0, False))
     return lines
 
 

@@ -19,6 +19,7 @@
 #include "core/error.h"
 #include "core/geometry/rotation.h"
 #include "core/model/scene_frame.h"
+#include "core/model/unknown_names.h"
 
 namespace bundle {
 
@@ -52,9 +53,10 @@ class CovarianceComputation {
       Check(SolveForScatter(&system_, meat, &scatter_));
     }
     Check(system_.Invert());
-    if (system_.LargestInflation() > 1 / kSingular) {
-      RefuseSingular("a variance " + ShortNumber(system_.LargestInflation()) +
-                     " times as large as with all else known");
+    int unknown = -1;
+    if (const double inflation = system_.LargestInflation(&unknown); inflation > 1 / kSingular) {
+      NotDetermined(unknown, "a variance " + ShortNumber(inflation) +
+                                 " times as large as with all else known");
     }
     FindImages();
     FindRigs();
@@ -86,23 +88,27 @@ class CovarianceComputation {
     for (const NullPoint& null : system_.null_points()) output_.num_parameters -= null.num_null;
   }
 
-  static void Check(const LinearSolution& solution) {
+  /// Unknowns of S stand in the order of its elimination: the minor that fails names one of them.
+  void Check(const LinearSolution& solution) const {
     if (solution.status == LinearSolution::Status::kSuccess) return;
+    if (solution.failed_minor > 0) NotDetermined(solution.failed_minor - 1, "a pivot of 0 or less");
     std::string why = solution.message;
     if (!why.empty() && why.back() == '.') why.pop_back();
     throw InputError("problem: expected normal equations of full rank but for the gauge: " + why);
   }
 
-  [[noreturn]] static void RefuseSingular(const std::string& found) {
-    throw InputError("problem: expected normal equations of full rank but for the gauge, found " +
-                     found +
-                     ": something is not determined by what is observed; bundle diagnose says "
-                     "what");
+  [[noreturn]] void NotDetermined(int unknown, const std::string& found) const {
+    const std::vector<UnknownName> names = NameUnknowns(view(), layout());
+    throw InputError(
+        "problem: expected normal equations of full rank but for the gauge, found " + found +
+        " at " + Words(view(), names[unknown]) +
+        ": something is not determined by what is observed; bundle diagnose says what");
   }
 
   void Factorize() {
     Check(system_.Factorize());
-    const double pivot = system_.SmallestPivot();
+    int unknown = 0;
+    const double pivot = system_.SmallestPivot(&unknown);
     if (pivot > kSingular) {
       std::vector<double> step(system_.rhs().size());
       Check(system_.Solve(system_.rhs().data(), 1, step.data()));
@@ -111,7 +117,7 @@ class CovarianceComputation {
       }
       return;
     }
-    RefuseSingular("a pivot of " + ShortNumber(pivot) + " of its diagonal entry");
+    NotDetermined(unknown, "a pivot of " + ShortNumber(pivot) + " of its diagonal entry");
   }
 
   /// What the gauges of a solve leave free is seen when S is factorised.

@@ -201,7 +201,7 @@ LinearSolution ReducedSystem::Solve(const FullVectors& rhs, FullVectors* x) {
   return {};
 }
 
-double ReducedSystem::SmallestPivot() const {
+double ReducedSystem::SmallestPivot(int* unknown) const {
   double smallest = std::numeric_limits<double>::infinity();
   if (schur_ == nullptr) return smallest;
   const std::vector<double>& l = schur_->system().values;
@@ -209,23 +209,28 @@ double ReducedSystem::SmallestPivot() const {
     const int64_t entry = structure_.Entry(j, j);
     for (int k = 0; k < structure_.block_size(j); ++k) {
       const double pivot = l[structure_.ValueIndex(j, entry, k, k)];
-      smallest = std::min(smallest, pivot * pivot / diagonal_[structure_.offset[j] + k]);
+      const double share = pivot * pivot / diagonal_[structure_.offset[j] + k];
+      if (!(share < smallest)) continue;
+      smallest = share;
+      *unknown = structure_.offset[j] + k;
     }
   }
   return smallest;
 }
 
-double ReducedSystem::LargestInflation() const {
+double ReducedSystem::LargestInflation(int* unknown) const {
   double largest = 0;
   if (schur_ == nullptr) return largest;
   const std::vector<double>& inverse = schur_->system().values;
   for (int j = 0; j < structure_.num_blocks(); ++j) {
     const int64_t entry = structure_.Entry(j, j);
     for (int k = 0; k < structure_.block_size(j); ++k) {
-      const int unknown = structure_.offset[j] + k;
-      if (!held_.empty() && held_[unknown] != 0) continue;
-      const double variance = inverse[structure_.ValueIndex(j, entry, k, k)];
-      largest = std::max(largest, variance * diagonal_[unknown]);
+      const int at = structure_.offset[j] + k;
+      if (!held_.empty() && held_[at] != 0) continue;
+      const double inflation = inverse[structure_.ValueIndex(j, entry, k, k)] * diagonal_[at];
+      if (inflation <= largest) continue;
+      largest = inflation;
+      *unknown = at;
     }
   }
   return largest;

@@ -104,11 +104,12 @@ class ReducedSystem {
   LinearSolution Solve(const FullVectors& rhs, FullVectors* x);
   /// Replaces the factor by the blocks of S^-1 (LinearSolver::InvertBlocks).
   LinearSolution Invert();
-  /// The least of L_jj^2 / S_jj after Factorize: rounding alone where S is singular.
-  double SmallestPivot() const;
-  /// The most of (S^-1)_jj S_jj after Invert: how much larger a variance is than with all else
-  /// known.
-  double LargestInflation() const;
+  /// The least of L_jj^2 / S_jj after Factorize, and its unknown j: rounding alone where S is
+  /// singular.
+  double SmallestPivot(int* unknown) const;
+  /// The most of (S^-1)_jj S_jj after Invert, and its unknown j: how much larger a variance is than
+  /// with all else known.
+  double LargestInflation(int* unknown) const;
 
   /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads, points
   /// of the same images one after the other: what they read of S is in the cache.

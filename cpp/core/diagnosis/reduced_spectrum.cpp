@@ -34,6 +34,7 @@
 #include "core/diagnosis/scaled_system.h"
 #include "core/model/gauge.h"
 #include "core/model/scene_frame.h"
+#include "core/model/unknown_names.h"
 
 namespace bundle {
 namespace {
@@ -51,50 +52,6 @@ constexpr double kOnePlace = 1e-9;
 constexpr int kMostNull = 64;
 constexpr int kBlock = 8;
 constexpr int kMostDimensions = 200;
-
-std::vector<UnknownName> NameUnknowns(const ProblemView& problem, const ParameterLayout& layout) {
-  std::vector<UnknownName> names(layout.state_size());
-  constexpr int kShared = -1;  // a block of numbers that cameras share
-  std::vector<UnknownName> owner(layout.blocks().size(), {kShared, 0, 0});
-  const auto own = [&owner](int block, UnknownName::Kind kind, int index) {
-    if (block >= 0) owner[block] = {kind, index, 0};
-  };
-  for (int c = 0; c < problem.num_cameras; ++c)
-    own(layout.camera_block(c), UnknownName::kCamera, c);
-  for (int i = 0; i < problem.num_images; ++i) own(layout.pose_block(i), UnknownName::kImage, i);
-  for (int f = 0; f < problem.num_frames; ++f) {
-    own(layout.pose_block(PoseOfFrame(problem, f)), UnknownName::kFrame, f);
-  }
-  for (int s = 0; s < problem.num_sensors; ++s) {
-    own(layout.pose_block(PoseOfSensor(problem, s)), UnknownName::kSensor, s);
-  }
-  for (size_t b = 0; b < owner.size(); ++b) {
-    const CameraBlock& block = layout.blocks()[b];
-    if (owner[b].kind == kShared) continue;
-    for (int k = 0; k < block.size; ++k) {
-      UnknownName& name = names[block.offset + k];
-      name = owner[b];
-      const int column = block.columns[k];
-      if (column < kPoseSize) {
-        name.coordinate = column;
-      } else {
-        if (name.kind == UnknownName::kImage) {
-          name = {UnknownName::kCamera, problem.image_camera[name.index], 0};
-        }
-        name.coordinate = column - kPoseSize;
-      }
-    }
-  }
-  // A number that several cameras share goes by the first of them.
-  for (int c = problem.num_cameras - 1; c >= 0; --c) {
-    for (const TiedParameter& tied : layout.tied(c)) {
-      const CameraBlock& block = layout.blocks()[tied.block];
-      if (owner[tied.block].kind != kShared) continue;
-      names[block.offset + tied.entry] = {UnknownName::kCamera, c, tied.column - kPoseSize};
-    }
-  }
-  return names;
-}
 
 std::vector<double> RowMajor(const MatrixXd& matrix) {
   std::vector<double> values;

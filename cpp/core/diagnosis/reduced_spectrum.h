@@ -10,18 +10,10 @@
 #include "core/covariance/reduced_system.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
+#include "core/model/unknown_names.h"
 #include "core/problem/problem_view.h"
 
 namespace bundle {
-
-/// An unknown of S: the entry of (w, t) of a pose, or a parameter of a camera. A number that
-/// several cameras share goes by the first of them.
-struct UnknownName {
-  enum Kind : int32_t { kImage, kFrame, kSensor, kCamera };
-  int32_t kind = kImage;
-  int32_t index = 0;       ///< of the image, frame, sensor or camera
-  int32_t coordinate = 0;  ///< 0..5 of a pose, else the parameter
-};
 
 /// Directions are of unknowns in units of their own, d_j = 1 / sqrt(S_jj): what one of them alone
 /// is known to if all else were known, for residuals of standard deviation 1. S is then diag(d) S

@@ -1,0 +1,92 @@
+"""One run of ``benchmarks.uncertainty``: reads a request, writes an answer, both JSON files.
+
+Who "make" writes the street.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.runners import protocol
+from benchmarks.uncertainty import DIAGNOSIS, STREET, THEIRS, TWO_CAMERAS
+
+
+def make(path: str) -> None:
+    """Write the street where it truly is, with the noise of its observations."""
+    import bundle
+
+    bundle.save(bundle.synthesize(**STREET).ground_truth, path, "colmap")
+
+
+def ours(request: dict[str, Any]) -> Callable[[], object]:
+    """Return what is to be measured, of a problem that is loaded."""
+    import bundle
+
+    problem = bundle.load(request["path"])
+    threads = request["threads"]
+    if request["who"] == DIAGNOSIS:
+        return lambda: bundle.diagnose(problem, num_threads=threads)
+    gauge = "two-cameras" if request["who"] == TWO_CAMERAS else "inner"
+    return lambda: bundle.covariance(problem, gauge=gauge, num_threads=threads)
+
+
+def theirs(request: dict[str, Any]) -> Callable[[], object]:
+    """Return the same by pycolmap, whose problem is built."""
+    import pycolmap
+
+    reconstruction = pycolmap.Reconstruction(request["path"])
+    chosen = pycolmap.BundleAdjustmentOptions()
+    # Below this number of residuals COLMAP drops to one thread.
+    chosen.ceres.min_num_residuals_for_cpu_multi_threading = 0
+    solver: Any = chosen.ceres.solver_options
+    solver.num_threads = request["threads"]
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in reconstruction.reg_image_ids():
+        config.add_image(image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    adjuster: Any = pycolmap.create_default_ceres_bundle_adjuster(chosen, config, reconstruction)
+    wanted: Any = pycolmap.BACovarianceOptions()
+    wanted.params = pycolmap.BACovarianceOptionsParams.ALL
+
+    def estimate() -> None:
+        if pycolmap.estimate_ba_covariance(wanted, reconstruction, adjuster) is None:
+            raise RuntimeError("estimate_ba_covariance found none")
+
+    return estimate
+
+
+def cpu() -> float:
+    """Return the seconds that all threads of this process have used."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime
+
+
+def main() -> None:
+    """Answer the request; a failure is an answer too."""
+    asked, answered = map(Path, sys.argv[1:3])
+    request = json.loads(asked.read_text())
+    protocol.pin(request["threads"])
+    answer: dict[str, Any] = {"failure": ""}
+    try:
+        if request["who"] == "make":
+            make(request["path"])
+        else:
+            run = (theirs if request["who"] == THEIRS else ours)(request)
+            begun, used = time.perf_counter(), cpu()
+            run()
+            answer |= {"wall": time.perf_counter() - begun, "cpu": cpu() - used}
+            unit = 1 if sys.platform == "darwin" else 1024
+            answer["memory"] = unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    except Exception as error:  # a failed run is a row, not the end of the benchmark
+        answer = {"failure": f"{type(error).__name__}: {error}".splitlines()[0]}
+    answered.write_text(json.dumps(answer))
+
+
+if __name__ == "__main__":
+    main()

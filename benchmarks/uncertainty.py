@@ -1,0 +1,154 @@
+"""What it costs to say how certain a solution is, and what is wrong with it.
+
+Each run is a process of its own, ours and pycolmap's in turn, of the same model as it stands. Ours
+computes marginal covariances of all images, cameras and points, under inner constraints and with
+two cameras held; pycolmap's ``estimate_ba_covariance`` of ALL holds two cameras, and its points are
+conditional: they hold the images. CPU time, of the call alone: of as many threads as are asked for.
+A drive of 5000 images has no peer, whose memory does not suffice; its diagnosis counts too.
+
+Run: python -m benchmarks.uncertainty [--repeat N] [--threads N] [--timeout SECONDS]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks import measure, synthetic, table
+from benchmarks.measure import Spread
+from benchmarks.problems import ROOT, data_folder
+
+INNER, TWO_CAMERAS, DIAGNOSIS, THEIRS = (
+    "bundle inner",
+    "bundle two-cameras",
+    "bundle diagnosis",
+    "pycolmap",
+)
+STREET: dict[str, Any] = {
+    "scene": "street",
+    "num_images": 1000,
+    "num_points": 60_000,
+    "mean_track_length": 6.0,
+}
+STREET_NAME = "street of 1000 images"
+LARGE = synthetic.Scene("street", 5000, 5_000_000)
+
+Runs = Mapping[str, Sequence[Mapping[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A model, and who runs on it. Without a path it is made."""
+
+    name: str
+    path: str
+    who: tuple[str, ...]
+
+
+CASES = (
+    Case("lund_door", "colmap/lund_door", (INNER, TWO_CAMERAS, THEIRS)),
+    Case(STREET_NAME, "", (INNER, TWO_CAMERAS, THEIRS)),
+    Case(LARGE.name, "", (INNER, DIAGNOSIS)),
+)
+
+
+def measured(repeat: int, threads: int, timeout: float) -> dict[str, dict[str, list[Any]]]:
+    """Run all cases that there is data for; return runs by case and by whose they are."""
+    env = measure.environment(ROOT, threads)
+    found: dict[str, dict[str, list[Any]]] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for case in CASES:
+            path = data_folder() / case.path if case.path else folder / "street"
+            if case.name == LARGE.name:
+                problem = synthetic.problem(LARGE)
+                synthetic.ensure(problem)
+                path = problem.path
+            elif not case.path:
+                made = _run(
+                    {"who": "make", "path": str(path), "threads": threads}, folder, env, 600
+                )
+                if made["failure"]:
+                    print(f"{case.name}: not measured: {made['failure']}", file=sys.stderr)
+                    continue
+            if not path.exists():
+                continue
+            runs: dict[str, list[Any]] = {who: [] for who in case.who}
+            for number in range(repeat):
+                for who in case.who:
+                    request = {"who": who, "path": str(path), "threads": threads}
+                    run = _run(request, folder, env, timeout)
+                    runs[who].append(run)
+                    said = run["failure"] or f"{run['cpu']:.3g} s of CPU time"
+                    print(f"{case.name}: {who}, run {number + 1}: {said}", file=sys.stderr)
+            found[case.name] = runs
+    return found
+
+
+def _run(
+    request: Mapping[str, Any], folder: Path, env: dict[str, str], timeout: float
+) -> dict[str, Any]:
+    asked, answered = folder / "request.json", folder / "answer.json"
+    asked.write_text(json.dumps(request))
+    answered.unlink(missing_ok=True)
+    command = [sys.executable, "-m", "benchmarks.runners.uncertainty", str(asked), str(answered)]
+    child = measure.run_child(command, env, timeout)
+    if child.failure:
+        return {"failure": child.failure}
+    answer: dict[str, Any] = json.loads(answered.read_text())
+    return answer
+
+
+def spread(runs: Sequence[Mapping[str, Any]], what: str) -> Spread | None:
+    """Return a quantity over the repeats; None if a run failed or has none."""
+    return Spread.of(None if run["failure"] else run.get(what) for run in runs)
+
+
+def as_table(found: Mapping[str, Runs]) -> str:
+    """Return one line a case and computation; "" without any."""
+    lines = []
+    for name, runs in found.items():
+        for who, mine in runs.items():
+            if who == THEIRS:
+                continue
+            failures = [run["failure"] for run in mine if run["failure"]]
+            if failures:
+                lines.append([name, who, f"no result: {failures[0]}", "", "", "", ""])
+                continue
+            line = [name, who, *(table.absolute(spread(mine, what)) for what in ("cpu", "wall"))]
+            memory = spread(mine, "memory")
+            line.append(table.megabytes(memory.median) if memory else "")
+            if THEIRS in runs:
+                theirs = runs[THEIRS]
+                line += [
+                    table.ratio(spread(theirs, "cpu"), spread(mine, "cpu"), missing="no result"),
+                    table.ratio(
+                        spread(theirs, "memory"), memory, table.megabytes, missing="no result"
+                    ),
+                ]
+            else:
+                line += ["", ""]
+            lines.append(line)
+    header = ["model", "computation", "CPU time", "wall time", "peak memory"]
+    header += ["pycolmap, CPU time", "pycolmap, memory"]
+    return table.grid(header, lines) if lines else ""
+
+
+def main() -> None:
+    """Measure, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--timeout", type=float, default=300.0)
+    options = parser.parse_args()
+    print(as_table(measured(options.repeat, options.threads, options.timeout)))
+
+
+if __name__ == "__main__":
+    main()

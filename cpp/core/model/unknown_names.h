@@ -1,0 +1,29 @@
+#pragma once
+
+/// What each unknown of a layout is, for messages and for programs.
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "core/model/parameter_layout.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+/// An unknown of a layout: the entry of (w, t) of a pose, or a parameter of a camera. A number that
+/// several cameras share goes by the first of them.
+struct UnknownName {
+  enum Kind : int32_t { kImage, kFrame, kSensor, kCamera };
+  int32_t kind = kImage;
+  int32_t index = 0;       ///< of the image, frame, sensor or camera
+  int32_t coordinate = 0;  ///< 0..5 of a pose, else the parameter
+};
+
+/// One name per unknown of the layout.
+std::vector<UnknownName> NameUnknowns(const ProblemView& problem, const ParameterLayout& layout);
+
+/// "rotation z of image 362", "k of camera 3": by the ids of the problem, which it has.
+std::string Words(const ProblemView& problem, const UnknownName& name);
+
+}  // namespace bundle
