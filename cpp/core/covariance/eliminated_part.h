@@ -1,0 +1,61 @@
+#pragma once
+
+/// The part S_aa of a reduced camera system that is eliminated, factorised once; where it is
+/// singular, solved by a damped factor and refinement (rest_information.h).
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/covariance/reduced_system.h"
+#include "core/interface/options.h"
+#include "core/linear/linear_solver.h"
+
+namespace bundle {
+
+/// Throws InputError if so many numbers do not fit into the memory.
+void RefuseBeyondMemory(double numbers, const std::string& what);
+
+class EliminatedPart {
+ public:
+  /// Keeps references to `whole` and to `diagonal`, of its J^T J.
+  EliminatedPart(const ReducedSystem& whole, const std::vector<double>& diagonal,
+                 const SolveOptions& options);
+
+  /// Takes the unknowns with `is_kept` zero; `place` becomes the place of each in this part, or -1.
+  void Take(const std::vector<uint8_t>& is_kept, std::vector<int>* place);
+
+  int size() const { return num_unknowns_; }
+  bool is_regular() const { return is_regular_; }
+
+  /// Throws InputError if not even a damped matrix has a factor.
+  void Factorize();
+
+  /// X = S_aa^- B, size() x num_columns.
+  void Solve(const std::vector<double>& b, int num_columns, std::vector<double>* x);
+
+ private:
+  /// S_aa plus a diagonal.
+  void Fill(const std::vector<double>& added, std::vector<double>* values) const;
+  double SmallestPivot() const;
+  void SolveOnce(const std::vector<double>& b, int num_columns, std::vector<double>* x);
+  /// rest = B - S_aa X; returns its largest norm of a column beside that of B, scaled.
+  double Residual(const std::vector<double>& b, int num_columns, const std::vector<double>& x,
+                  std::vector<double>* product, std::vector<double>* rest);
+
+  const ReducedSystem& whole_;
+  const std::vector<double>& diagonal_;
+  const int threads_;
+  int num_unknowns_ = 0;
+  bool is_regular_ = true;
+  std::vector<int> place_;  ///< of each unknown of the whole in this part; -1: it is kept
+  std::vector<int> block_;  ///< of each block of the whole in structure_, likewise
+  std::vector<double> own_diagonal_;
+  BlockStructure structure_;
+  std::unique_ptr<LinearSolver> solver_;
+  std::unique_ptr<SymmetricProduct> product_;
+  BlockSystem system_;
+  std::vector<double> values_;  ///< S_aa, where the factor is another matrix's
+};
+
+}  // namespace bundle
