@@ -48,12 +48,12 @@ if TYPE_CHECKING:
     from bundle.options import SolveOptions
     from bundle.pose_graph import (
         PoseGraph,
-        PoseGraphOptions,
         PoseGraphResult,
         PoseGraphSummary,
         initial_poses,
         pose_graph_chi2,
     )
+    from bundle.pose_graph_options import PoseGraphOptions
     from bundle.problem import Problem
     from bundle.reprojection import ReprojectionError, reprojection_errors
     from bundle.result import Result
@@ -183,12 +183,12 @@ _DEFERRED = {
     "options": ("SolveOptions",),
     "pose_graph": (
         "PoseGraph",
-        "PoseGraphOptions",
         "PoseGraphResult",
         "PoseGraphSummary",
         "initial_poses",
         "pose_graph_chi2",
     ),
+    "pose_graph_options": ("PoseGraphOptions",),
     "problem": ("Problem",),
     "reprojection": ("ReprojectionError", "reprojection_errors"),
     "result": ("Result",),

@@ -16,7 +16,8 @@ from bundle.errors import InputError, brief, first_line
 from bundle.io import Source, as_problem
 from bundle.options import CHANGEABLE, SolveOptions
 from bundle.placement import Start, place_at_priors
-from bundle.pose_graph import PoseGraph, PoseGraphOptions, PoseGraphResult, solve_pose_graph
+from bundle.pose_graph import PoseGraph, PoseGraphResult, solve_pose_graph
+from bundle.pose_graph_options import PoseGraphOptions
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
 from bundle.restrictions import Restrictions

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
-from bundle.pose_graph import PoseGraphOptions
+from bundle.pose_graph_options import PoseGraphOptions
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

@@ -10,19 +10,11 @@ from bundle.cli.option_flags import add_options as add_option_group
 from bundle.cli.option_flags import choice_word
 from bundle.errors import InputError
 from bundle.options import SolveOptions
-from bundle.pose_graph import PoseGraphOptions
-from bundle.rounds.round_options import RoundOptions
+from bundle.pose_graph_options import PoseGraphOptions
 
 __all__ = ["add_pose_graph_flags", "refuse_flags_of_graphs", "refuse_flags_of_reconstructions"]
 
 _OF_ALL = ("input", "inputs", "output", "json", "quiet", "run")
-_FLAGS = {
-    field.name: field.metadata["flag"]
-    for kind in (SolveOptions, RoundOptions)
-    for field in dataclasses.fields(kind)
-} | {"rules": "--set"}
-"""Of arguments, where it is not their name."""
-
 _SHARED = {field.name for field in dataclasses.fields(SolveOptions)}
 _ONLY_GRAPHS = [
     field for field in dataclasses.fields(PoseGraphOptions) if field.name not in _SHARED
@@ -74,8 +66,15 @@ def refuse_flags_of_reconstructions(
     Raises:
         InputError: such a flag was given.
     """
+    from bundle.rounds.round_options import RoundOptions
+
+    flags = {
+        field.name: field.metadata["flag"]
+        for kind in (SolveOptions, RoundOptions)
+        for field in dataclasses.fields(kind)
+    } | {"rules": "--set"}  # of arguments, where it is not their name
     for name, value in vars(arguments).items():
         if name in _OF_ALL or name in taken or value is None or value is False or value == []:
             continue
-        flag = _FLAGS.get(name, f"--{name.replace('_', '-')}")
+        flag = flags.get(name, f"--{name.replace('_', '-')}")
         raise InputError(f"{flag}: expected with a reconstruction only, found a pose graph")

@@ -46,9 +46,13 @@ def _beginning(path: Path) -> bytes:
             start = file.read(_ENOUGH)
         if start.startswith(b"\x1f\x8b"):
             import gzip
+            import zlib
 
-            with gzip.open(path, "rb") as packed:
-                return packed.read(_ENOUGH)
+            try:
+                with gzip.open(path, "rb") as packed:
+                    return packed.read(_ENOUGH)
+            except zlib.error:
+                return b""
         if start.startswith(b"BZh"):
             import bz2
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.display import Display
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
-from bundle.pose_graph.pose_graph_options import PoseGraphOptions
+from bundle.pose_graph_options import PoseGraphOptions
 from bundle.solve_record import SolveRecord
 from bundle.summary import Summary
 from bundle.words import change, plural, seconds

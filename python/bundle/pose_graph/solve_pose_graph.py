@@ -14,9 +14,9 @@ from bundle.option_fields import choice
 from bundle.pose_graph.gnc import QUANTILES, graduate
 from bundle.pose_graph.information import checked_information
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
-from bundle.pose_graph.pose_graph_options import PoseGraphOptions
 from bundle.pose_graph.pose_graph_result import PoseGraphResult, PoseGraphSummary
 from bundle.pose_graph.starts import Start, choose_start, chordal_below, started
+from bundle.pose_graph_options import PoseGraphOptions
 from bundle.solve_record import Progress, record_fields
 from bundle.words import number, plural
 

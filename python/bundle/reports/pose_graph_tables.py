@@ -8,7 +8,8 @@ import numpy as np
 from rich.console import RenderableType
 
 from bundle.errors import shown
-from bundle.pose_graph import PoseGraph, PoseGraphOptions, PoseGraphResult
+from bundle.pose_graph import PoseGraph, PoseGraphResult
+from bundle.pose_graph_options import PoseGraphOptions
 from bundle.reports.timing import WallTime, wall_table
 from bundle.summary import Summary
 from bundle.tables import columns, facts, notes, number, plural, seconds

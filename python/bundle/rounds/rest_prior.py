@@ -29,7 +29,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,6 @@ from numpy.typing import NDArray
 from bundle import _core, solver
 from bundle.arrays import freeze
 from bundle.errors import InputError
-from bundle.graph.linear_prior import LinearPrior
 from bundle.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
@@ -47,6 +46,9 @@ from bundle.round_record import PartRecord, RestRecord
 from bundle.rounds.extract import Extract
 from bundle.rounds.local_part import LocalPart, touched_ids
 from bundle.words import plural
+
+if TYPE_CHECKING:
+    from bundle.graph.linear_prior import LinearPrior
 
 __all__ = ["RestPrior", "marginalize_rest", "without_prior"]
 
@@ -326,6 +328,8 @@ def _as_factor(
     if not regular.any():
         return None, 0
     points = dict(_values(whole, near))
+    from bundle.graph.linear_prior import LinearPrior  # brings the gradient checker along
+
     prior = LinearPrior(
         information,
         eta,
