@@ -190,13 +190,15 @@ py::array EdgeChi2FromPython(const py::object& graph, const std::string& error) 
 py::array InitialPoses(const py::object& graph, const Array<bool>& held, const std::string& init,
                        int num_threads) {
   const GraphArrays arrays(graph);
-  const PoseGraphView view = ViewGraph(arrays, held);
+  PoseGraphView view = ViewGraph(arrays, held);
+  // Only a chordal start weighs edges: the others start where information is bad, too.
+  const double* const information = std::exchange(view.information, nullptr);
   PythonProgress report(py::none{});
   std::vector<double> poses = RunWatched(&report, [&] {
     const PoseGraph made = MakePoseGraph(view, {});
     if (init == "odometry") return OdometryPoses(made, arrays.ids.data());
     if (init == "spanning_tree") return SpanningTreePoses(made);
-    if (init == "chordal") return ChordalPoses(made, view.information, num_threads);
+    if (init == "chordal") return ChordalPoses(made, information, num_threads);
     throw InputError("init: expected odometry, spanning_tree or chordal, found " + init);
   });
   const int n = view.ambient();
@@ -208,7 +210,9 @@ py::array InitialPoses(const py::object& graph, const Array<bool>& held, const s
 
 std::pair<int32_t, int32_t> OdometryGap(const py::object& graph) {
   const GraphArrays arrays(graph);
-  const PoseGraph made = MakePoseGraph(ViewGraph(arrays, arrays.fixed), {});
+  PoseGraphView view = ViewGraph(arrays, arrays.fixed);
+  view.information = nullptr;
+  const PoseGraph made = MakePoseGraph(view, {});
   return FindOdometryGap(made, arrays.ids.data());
 }
 

@@ -75,3 +75,23 @@ def test_what_rounding_leaves_is_no_mistake():
     matrix = turn @ np.diag([1e6, 1.0, 1e-9]) @ turn.T
     matrix[0, 1] *= 1 + 1e-13
     assert bundle.solve(with_information(matrix)).summary.is_solution_usable
+
+
+@pytest.mark.parametrize("joined", [True, False], ids=["odometry", "spanning tree"])
+def test_a_file_of_edges_alone_is_read_whatever_its_information_says(tmp_path, joined):
+    """Where poses start does not depend on it; a solve refuses it by file and line."""
+    graph = graphs.loop(2)
+    information = graph.information.copy()
+    information[4] = INDEFINITE
+    ids = graph.ids if joined else 10 * graph.ids
+    bundle.save(graph.replace(information=information, ids=ids), tmp_path / "whole.g2o")
+    lines = (tmp_path / "whole.g2o").read_text().splitlines(keepends=True)
+    path = tmp_path / "edges.g2o"
+    path.write_text("".join(line for line in lines if line.startswith("EDGE")))
+    found = bundle.load(path)
+    np.testing.assert_array_equal(found.information, information)
+    with pytest.raises(
+        bundle.InputError, match=r"edges.g2o:5: edge \d+ \d+: information: expected"
+    ):
+        bundle.solve(found)
+    assert bundle.solve(found, information="isotropic").summary.is_solution_usable

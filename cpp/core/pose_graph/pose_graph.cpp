@@ -108,6 +108,7 @@ PoseGraph MakePoseGraph(const PoseGraphView& view, const PoseErrorOptions& error
   graph.edges.assign(view.edges, view.edges + 2 * view.num_edges);
   graph.robust.assign(view.num_edges, 0);
   if (view.robust != nullptr) graph.robust.assign(view.robust, view.robust + view.num_edges);
+  if (view.information == nullptr) return graph;
   graph.roots.resize(view.num_edges * root_size);
   for (int64_t e = 0; e < view.num_edges; ++e) {
     const double* const matrix = view.information + e * n * n;

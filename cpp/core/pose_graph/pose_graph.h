@@ -20,8 +20,9 @@ struct PoseGraphView {
   const uint8_t* held = nullptr;         ///< num_poses: 1 where a pose stays
   const int32_t* edges = nullptr;        ///< num_edges x 2
   const double* measurements = nullptr;  ///< num_edges x 3 or 7
-  const double* information = nullptr;   ///< num_edges x d x d, by tangent coordinates
-  const uint8_t* robust = nullptr;       ///< num_edges: 1 where the loss applies; nullptr: nowhere
+  /// num_edges x d x d, by tangent coordinates; nullptr where no error is to be evaluated.
+  const double* information = nullptr;
+  const uint8_t* robust = nullptr;  ///< num_edges: 1 where the loss applies; nullptr: nowhere
 
   int ambient() const { return dimension == 2 ? Se2::kAmbient : Se3::kAmbient; }
   int tangent() const { return dimension == 2 ? Se2::kTangent : Se3::kTangent; }
@@ -44,7 +45,8 @@ struct PoseGraph {
   std::vector<uint8_t> held;
   std::vector<int32_t> edges;
   std::vector<double> measurements;
-  /// num_edges x d (d + 1) / 2: the upper triangle of U with U^T U the information, by rows.
+  /// num_edges x d (d + 1) / 2: the upper triangle of U with U^T U the information, by rows. Empty
+  /// if the view has no information.
   std::vector<double> roots;
   std::vector<uint8_t> robust;  ///< num_edges
 
