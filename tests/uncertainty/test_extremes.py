@@ -1,5 +1,7 @@
 """Covariances of problems with next to nothing in them: a stated result, or one clear line."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,17 @@ def test_two_pieces_of_a_world_are_refused():
     apart = (problem.observation_image < 3) == (problem.observation_point < 20)
     with pytest.raises(bundle.InputError, match=r"^problem: .*rank"):
         bundle.covariance(observed(problem, apart))
+
+
+@pytest.mark.parametrize("apart", [1, 2, 4])
+def test_a_refusal_accuses_no_image_that_is_well_known(apart):
+    """A dense S is held along the gauge, which spreads what is not known over all images."""
+    problem = scene(num_images=6, num_points=60)
+    lost = (problem.observation_image == apart) & (problem.observation_point % 30 > 0)
+    with pytest.raises(bundle.InputError, match=r"^problem: .*rank") as refused:
+        bundle.covariance(observed(problem, ~lost))
+    said = re.search(r"image (\d+)", str(refused.value))
+    assert said is None or int(said[1]) == problem.image_ids[apart]
 
 
 def test_an_image_beside_itself_does_not_move():

@@ -97,11 +97,15 @@ class CovarianceComputation {
     throw InputError("problem: expected normal equations of full rank but for the gauge: " + why);
   }
 
+  /// Where a dense S is held along the gauge (FreeGauge::Hold), that spreads what is not determined
+  /// over all unknowns: the one at which it shows accuses nobody.
   [[noreturn]] void NotDetermined(int unknown, const std::string& found) const {
-    const std::vector<UnknownName> names = NameUnknowns(view(), layout());
+    std::string at;
+    if (!system_.structure().dense || output_.gauge_degrees == 0) {
+      at = " at " + Words(view(), NameUnknowns(view(), layout())[unknown]);
+    }
     throw InputError(
-        "problem: expected normal equations of full rank but for the gauge, found " + found +
-        " at " + Words(view(), names[unknown]) +
+        "problem: expected normal equations of full rank but for the gauge, found " + found + at +
         ": something is not determined by what is observed; bundle diagnose says what");
   }
 
