@@ -444,6 +444,24 @@ def test_too_large_a_prior_is_refused_beforehand(monkeypatch):
         bundle.solve_rounds(chain(), only_images=[5], **SOLVE)
 
 
+def test_nothing_moves_at_an_optimum_far_from_the_origin_which_is_refused_farther_out():
+    problem = chain(num_points=80)
+    near = bundle.solve(problem, gauge="none", max_num_iterations=200, **TIGHT).problem
+    size = np.median(np.linalg.norm(near.points - np.median(near.projection_centers, 0), axis=1))
+
+    def at(distance):
+        shift = np.array([0.6, -0.8, 0]) * distance * size
+        poses = near.cam_from_world.copy()
+        poses[:, 4:] -= np.einsum("nij,j->ni", rotation_matrices(poses[:, :4]), shift)
+        return near.replace(cam_from_world=poses, points=near.points + shift)
+
+    problem = at(400)
+    found = bundle.solve_rounds(problem, only_images=[5], **SOLVE).problem
+    np.testing.assert_allclose(found.points, problem.points, atol=1e-6 * size)
+    with pytest.raises(bundle.InputError, match=r"^rest: [^\n]*origin[^\n]*$"):
+        bundle.solve_rounds(at(600), only_images=[5], **SOLVE)
+
+
 @pytest.mark.parametrize("refine", [("points",), ("poses",), ("poses", "points"), ("focal",)])
 def test_what_is_not_refined_is_no_part_of_the_prior(refine):
     problem = chain()

@@ -62,6 +62,11 @@ which nothing holds it."""
 COPIES = 10
 """Matrices of its size that a prior takes while it is made: eigenvectors, roots, Jacobians."""
 
+FAR = 500.0
+"""Sizes of a scene between it and the origin from which on a prior on its poses is refused: a turn
+about the origin moves a camera by as many times as much as the scene, and in the information matrix
+the square of that hides what the rest knows."""
+
 SMALLEST = 64 * np.finfo(float).eps
 """Of an eigenvalue of the scaled information, times its size: rounding."""
 
@@ -94,8 +99,9 @@ def marginalize_rest(
 
     Raises:
         InputError: a factor of the rest couples a point with something else or is a function in
-            Python; the prior does not fit into the memory.
+            Python; the prior does not fit into the memory; the origin is far outside the scene.
     """
+    _refuse_far_origins(whole)
     options = part.whole_frames_fixed(options).replace(
         gauge="none", refine_sensor_from_rig=False, fixed_sensors=()
     )
@@ -140,6 +146,21 @@ def without_prior(
             summary=dataclasses.replace(summary, num_factors=summary.num_factors - 1),
         )
     return result, dataclasses.replace(record, rest=rest)
+
+
+def _refuse_far_origins(whole: Problem) -> None:
+    """Raise an InputError if a prior on poses about the origin would be one of rounding errors."""
+    if not (whole.num_images and whole.num_points):
+        return
+    center = np.median(whole.projection_centers, axis=0)
+    size = float(np.median(np.linalg.norm(whole.points - center, axis=1)))
+    distance = float(np.linalg.norm(center))
+    if distance > FAR * size:
+        raise InputError(
+            f"rest: marginal expects the origin within {FAR:g} times the size of the scene, found a "
+            f"scene of size {size:.3g} at {distance:.3g} from it; use fixed, or move the scene "
+            "nearer (bundle align)"
+        )
 
 
 def _refuse_too_much(size: int, num_neighbours: int) -> None:
