@@ -157,8 +157,8 @@ def _refuse_far_origins(whole: Problem) -> None:
     distance = float(np.linalg.norm(center))
     if distance > FAR * size:
         raise InputError(
-            f"rest: marginal expects the origin within {FAR:g} times the size of the scene, found a "
-            f"scene of size {size:.3g} at {distance:.3g} from it; use fixed, or move the scene "
+            f"rest: marginal expects the origin within {FAR:g} times the size of the scene, found "
+            f"a scene of size {size:.3g} at {distance:.3g} from it; use fixed, or move the scene "
             "nearer (bundle align)"
         )
 
