@@ -149,7 +149,8 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
     further, certain = {}, {}
     if not (options.quick or options.synthetic or options.only):
         further = practitioners.measured(options.repeat, options.threads, options.timeout)
-        certain = uncertainty.measured(options.repeat, options.threads, options.timeout)
+        if not options.no_synthetic:
+            certain = uncertainty.measured(options.repeat, options.threads, options.timeout)
     return Results(
         machine=described,
         command=shlex.join(["python", "benchmarks/run.py", *sys.argv[1:]]),

@@ -170,7 +170,9 @@ def test_ctrl_c_again_and_again(tmp_path):
     bundle.save(scene(20, 3000), source)
     process = subprocess.Popen(
         command("refine", source, "-o", tmp_path / "out.txt"),
-        env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        # A signal between open() and `with` leaves the file to the garbage collector.
+        env=environment() | {"PYTHONWARNINGS": "error,ignore::ResourceWarning"},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert "reading" in process.stderr.readline()
     while process.poll() is None:
