@@ -12,6 +12,7 @@
 #include "bindings/file_access.h"
 #include "bindings/immutable_array.h"
 #include "bindings/options_from_python.h"
+#include "bindings/pose_graph_from_python.h"
 #include "bindings/python_progress.h"
 #include "bindings/summary_to_python.h"
 #include "core/error.h"
@@ -25,9 +26,6 @@ namespace py = pybind11;
 
 namespace bundle {
 namespace {
-
-template <typename T>
-using Array = py::array_t<T, py::array::c_style>;
 
 py::dict ReadG2oFile(const std::filesystem::path& path) {
   G2oGraph graph;
@@ -52,27 +50,6 @@ py::dict ReadG2oFile(const std::filesystem::path& path) {
   result["edge_lines"] = ToImmutableNumpy(std::move(graph.edge_lines), {m});
   return result;
 }
-
-/// Of a bundle.PoseGraph, which has checked shapes and values.
-struct GraphArrays {
-  explicit GraphArrays(const py::handle& graph)
-      : ids(py::cast<Array<int64_t>>(graph.attr("ids"))),
-        poses(py::cast<Array<double>>(graph.attr("poses"))),
-        fixed(py::cast<Array<bool>>(graph.attr("fixed"))),
-        edges(py::cast<Array<int32_t>>(graph.attr("edges"))),
-        measurements(py::cast<Array<double>>(graph.attr("measurements"))),
-        information(py::cast<Array<double>>(graph.attr("information"))) {}
-
-  int dimension() const { return poses.shape(1) == 3 ? 2 : 3; }
-  const uint8_t* fixed_data() const { return reinterpret_cast<const uint8_t*>(fixed.data()); }
-
-  Array<int64_t> ids;
-  Array<double> poses;
-  Array<bool> fixed;
-  Array<int32_t> edges;
-  Array<double> measurements;
-  Array<double> information;
-};
 
 void WriteG2oFile(const std::filesystem::path& path, const py::object& graph,
                   const std::string& compression) {
@@ -118,21 +95,6 @@ PoseErrorOptions ErrorsFromPython(const py::dict& options) {
   return errors;
 }
 
-/// `held` and `robust` may be replaced by other arrays than the graph's.
-PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& held) {
-  PoseGraphView view;
-  view.dimension = arrays.dimension();
-  view.num_poses = arrays.poses.shape(0);
-  view.num_edges = arrays.edges.shape(0);
-  view.poses = arrays.poses.data();
-  view.held = reinterpret_cast<const uint8_t*>(held.data());
-  view.edges = arrays.edges.data();
-  view.measurements = arrays.measurements.data();
-  view.information = arrays.information.data();
-  if (held.size() != view.num_poses) throw InputError("held: expected a flag for each pose");
-  return view;
-}
-
 py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& held,
                                   const Array<bool>& robust, const py::dict& options,
                                   const py::object& progress) {
@@ -157,6 +119,14 @@ py::dict SolvePoseGraphFromPython(const py::object& graph, const Array<bool>& he
   result["chi2_after"] = ToImmutableNumpy(std::move(output.chi2_after), {m});
   PutRecord(output, &result);
   return result;
+}
+
+std::vector<int32_t> PoseComponents(py::ssize_t num_poses, const Array<int32_t>& edges) {
+  for (py::ssize_t k = 0; k < edges.size(); ++k) {
+    const int32_t pose = edges.data()[k];
+    if (pose < 0 || pose >= num_poses) throw InputError("edges: expected positions of poses");
+  }
+  return FindComponents(num_poses, edges.size() / 2, edges.data());
 }
 
 py::tuple HoldPosesFromPython(const py::object& graph) {
@@ -262,6 +232,7 @@ void BindPoseGraph(py::module_& m) {
         py::arg("compression"));
   m.def("solve_pose_graph", &bundle::SolvePoseGraphFromPython, py::arg("graph"), py::arg("held"),
         py::arg("robust"), py::arg("options"), py::arg("progress"));
+  m.def("pose_components", &bundle::PoseComponents, py::arg("num_poses"), py::arg("edges"));
   m.def("hold_poses", &bundle::HoldPosesFromPython, py::arg("graph"));
   m.def("find_bad_information", &bundle::FindBadInformationFromPython, py::arg("information"));
   m.def("edge_chi2", &bundle::EdgeChi2FromPython, py::arg("graph"), py::arg("error"));

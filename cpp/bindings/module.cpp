@@ -19,6 +19,7 @@ void BindDiagnosis(py::module_& m);
 void BindSymbolic(py::module_& m);
 void BindGraph(py::module_& m);
 void BindPoseGraph(py::module_& m);
+void BindGraphCertainty(py::module_& m);
 void BindProcess(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
@@ -39,5 +40,6 @@ PYBIND11_MODULE(_core, m) {
   BindSymbolic(m);
   BindGraph(m);
   BindPoseGraph(m);
+  BindGraphCertainty(m);
   BindProcess(m);
 }

@@ -148,6 +148,9 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   int num_free_poses() const override { return structure_.num_blocks(); }
   int64_t num_active_edges() const override { return static_cast<int64_t>(places_.size()); }
   const BlockStructure& structure() const override { return structure_; }
+  const std::vector<int>& pose_of_blocks() const override { return pose_of_; }
+  BlockSystem& system() override { return system_; }
+  LinearSolver& solver() override { return *solver_; }
   FactorStatistics factor_statistics() const override { return solver_->factor_statistics(); }
   double symbolic_time_in_seconds() const override { return symbolic_time_; }
 

@@ -37,6 +37,11 @@ class PoseGraphProblem : public LeastSquares {
   virtual int num_free_poses() const = 0;
   virtual int64_t num_active_edges() const = 0;
   virtual const BlockStructure& structure() const = 0;
+  /// The pose of each block of the structure.
+  virtual const std::vector<int>& pose_of_blocks() const = 0;
+  /// What Linearize has left: H plus its damping, -g; and what factorises it.
+  virtual BlockSystem& system() = 0;
+  virtual LinearSolver& solver() = 0;
   virtual FactorStatistics factor_statistics() const = 0;
   /// Of finding the pattern, the ordering and the factor's structure.
   virtual double symbolic_time_in_seconds() const = 0;

@@ -1,0 +1,54 @@
+#pragma once
+
+/// The arrays of a bundle.PoseGraph as the core takes them.
+
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+
+#include <cstdint>
+
+#include "core/error.h"
+#include "core/pose_graph/pose_graph.h"
+
+namespace bundle {
+
+template <typename T>
+using Array = pybind11::array_t<T, pybind11::array::c_style>;
+
+/// Of a bundle.PoseGraph, which has checked shapes and values.
+struct GraphArrays {
+  explicit GraphArrays(const pybind11::handle& graph)
+      : ids(pybind11::cast<Array<int64_t>>(graph.attr("ids"))),
+        poses(pybind11::cast<Array<double>>(graph.attr("poses"))),
+        fixed(pybind11::cast<Array<bool>>(graph.attr("fixed"))),
+        edges(pybind11::cast<Array<int32_t>>(graph.attr("edges"))),
+        measurements(pybind11::cast<Array<double>>(graph.attr("measurements"))),
+        information(pybind11::cast<Array<double>>(graph.attr("information"))) {}
+
+  int dimension() const { return poses.shape(1) == 3 ? 2 : 3; }
+  const uint8_t* fixed_data() const { return reinterpret_cast<const uint8_t*>(fixed.data()); }
+
+  Array<int64_t> ids;
+  Array<double> poses;
+  Array<bool> fixed;
+  Array<int32_t> edges;
+  Array<double> measurements;
+  Array<double> information;
+};
+
+/// `held` may be another array than the graph's.
+inline PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& held) {
+  PoseGraphView view;
+  view.dimension = arrays.dimension();
+  view.num_poses = arrays.poses.shape(0);
+  view.num_edges = arrays.edges.shape(0);
+  view.poses = arrays.poses.data();
+  view.held = reinterpret_cast<const uint8_t*>(held.data());
+  view.edges = arrays.edges.data();
+  view.measurements = arrays.measurements.data();
+  view.information = arrays.information.data();
+  if (held.size() != view.num_poses) throw InputError("held: expected a flag for each pose");
+  return view;
+}
+
+}  // namespace bundle
