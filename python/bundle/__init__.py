@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from bundle.checking import GradientReport, check_gradients, check_jacobians
     from bundle.comparison import Comparison, compare
     from bundle.constraints import Constraints
-    from bundle.diagnosis import Diagnosis, diagnose
+    from bundle.diagnosis import Diagnosis, GraphDiagnosis, diagnose
     from bundle.errors import InputError
     from bundle.files import load, save
     from bundle.free_degrees import GaugeFreedom, gauge_freedom
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from bundle.statistics import Description, describe
     from bundle.summary import Summary
     from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
-    from bundle.uncertainty import Covariance, covariance
+    from bundle.uncertainty import Covariance, GraphCovariance, covariance
 
 __all__ = [
     "Alignment",
@@ -80,6 +80,8 @@ __all__ = [
     "FunctionFactor",
     "GaugeFreedom",
     "GradientReport",
+    "GraphCovariance",
+    "GraphDiagnosis",
     "GraphInspection",
     "GraphResult",
     "GroundControlPoint",
@@ -155,7 +157,7 @@ _DEFERRED = {
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
     "comparison": ("Comparison", "compare"),
     "constraints": ("Constraints",),
-    "diagnosis": ("Diagnosis", "diagnose"),
+    "diagnosis": ("Diagnosis", "GraphDiagnosis", "diagnose"),
     "errors": ("InputError",),
     "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (
@@ -198,7 +200,7 @@ _DEFERRED = {
     "statistics": ("Description", "describe"),
     "summary": ("Summary",),
     "synthetic": ("SceneOptions", "SyntheticScene", "synthesize"),
-    "uncertainty": ("Covariance", "covariance"),
+    "uncertainty": ("Covariance", "GraphCovariance", "covariance"),
     "figures": (),
     "html": ("report",),
     "losses": (),

@@ -7,6 +7,7 @@ from scipy.linalg import logm
 from scipy.spatial.transform import Rotation
 
 import bundle
+from bundle import _core
 
 
 def matrix(pose):
@@ -101,3 +102,35 @@ def chi2_by_matrices(graph, error="log"):
 def write(path, *lines):
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def dense_jacobian(graph, error="log"):
+    """J (d m, d n) and r of whitened errors, by central differences of errors of matrices."""
+    d = graph.tangent_size
+    manifold = "se2" if graph.dimension == 2 else "se3"
+    jacobian = np.zeros((d * graph.num_edges, d * graph.num_poses))
+    residual = np.zeros(d * graph.num_edges)
+    for k, (i, j) in enumerate(graph.edges):
+        values, vectors = np.linalg.eigh(graph.information[k])
+        root = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
+        rows = slice(d * k, d * k + d)
+
+        def edge(x_i, x_j, k=k, root=root):
+            return root @ error_by_matrices(error, x_i, x_j, graph.measurements[k])
+
+        ends = [graph.poses[i], graph.poses[j]]
+        residual[rows] = edge(*ends)
+        for side, pose in enumerate((i, j)):
+            for c in range(d):
+                found = []
+                for sign in (1, -1):
+                    moved = list(ends)
+                    moved[side] = _core.retract(manifold, ends[side], sign * 1e-6 * np.eye(d)[c])
+                    found.append(edge(*moved))
+                jacobian[rows, d * pose + c] = (found[0] - found[1]) / 2e-6
+    return jacobian, residual
+
+
+def blocks(matrix, d):
+    """The diagonal blocks of a matrix."""
+    return np.array([matrix[k : k + d, k : k + d] for k in range(0, len(matrix), d)])

@@ -16,12 +16,17 @@ from bundle.cli.option_flags import (
     with_named_images,
 )
 from bundle.cli.parser import a_path, add_input
+from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
+from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "covariance"
-HELP = "how certain poses, points and intrinsics are: their marginal covariances"
+HELP = (
+    "how certain poses, points and intrinsics, or the poses of a pose graph are: their marginal "
+    "covariances"
+)
 
 OPTIONS = (*WHAT_IS_REFINED, "loss", "loss_scale")
 """What decides the information of a problem."""
@@ -67,7 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--of",
         metavar="LIST",
         type=_word,
-        default="poses,points,intrinsics",
         help="some of poses, points, intrinsics (default: all)",
     )
     group.add_argument(
@@ -75,16 +79,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="A:B,...",
         type=_pairs,
         default=[],
-        help="pairs of image ids: covariances of cam_b_from_cam_a (default: none)",
+        help="pairs of image ids: covariances of cam_b_from_cam_a; of a pose graph pairs of pose "
+        "ids, of X_a^-1 X_b (default: none)",
     )
     group.add_argument(
         "--gauge",
         dest="covariance_gauge",  # it has one more than that of a solve
         type=_word,
-        choices=("inner", "two-cameras", "three-points", "none"),
-        default="inner",
+        choices=("inner", "two-cameras", "three-points", "none", "first"),
         help="how position, direction and scale of the world are held: inner gives the least trace "
-        "(the pseudo-inverse); none: by priors or what is fixed (default: inner)",
+        "(the pseudo-inverse); none: by priors or what is fixed; first, for pose graphs: as a "
+        "solve does, by the first pose of each component without a fixed one (default: inner; pose "
+        "graphs: first)",
     )
     group.add_argument(
         "--scale",
@@ -98,7 +104,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--robust",
         type=_word,
         choices=("weights", "sandwich"),
-        default="weights",
         help="what --loss means: weights of observations, or H^-1 (sum psi psi^T) H^-1, which "
         "holds for residuals of any distribution (default: weights)",
     )
@@ -110,12 +115,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "about the middle of the control points, or of the positions where there are none, where "
         "it has put INPUT. Nothing is moved.",
     )
+    add_pose_graph_flags(
+        parser, ("error", "information", "loss", "loss_on"), "pose graphs (.g2o), beside the loss"
+    )
     parser.set_defaults(html=None, only_images=None)  # of a refine
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute the covariances of INPUT."""
     started = perf_counter()
+    if is_pose_graph_file(arguments.input):
+        from bundle.cli.pose_graph_analyses import covariance_of_graph_file
+
+        return covariance_of_graph_file(arguments)
+    refuse_flags_of_graphs(arguments)
     from bundle.cli.gps_flags import priors_given
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
@@ -141,11 +154,11 @@ def run(arguments: argparse.Namespace) -> int:
             found = covariance(
                 problem,
                 options,
-                of=arguments.of,
+                of=arguments.of or "poses,points,intrinsics",
                 relative=arguments.relative,
-                gauge=arguments.covariance_gauge,
+                gauge=arguments.covariance_gauge or "inner",
                 scale=arguments.scale,
-                robust=arguments.robust,
+                robust=arguments.robust or "weights",
                 priors=() if known is None else known.priors,
                 constraints=rules,
             )

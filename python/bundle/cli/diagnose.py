@@ -15,15 +15,21 @@ from bundle.cli.option_flags import (
     with_named_images,
 )
 from bundle.cli.parser import add_input, add_rig_config, with_rigs
+from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
+from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "diagnose"
-HELP = "what the observations do not determine, and why: rank, weak directions, pieces, points"
+HELP = (
+    "what the observations, or the edges of a pose graph, do not determine, and why: rank, weak "
+    "directions, pieces, points, suspicious edges"
+)
 
 # What the linearisation depends on.
 OPTIONS = (*WHAT_IS_REFINED, "gauge", "loss", "loss_scale")
+GRAPH_OPTIONS = ("error", "information", "loss", "loss_on")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,11 +39,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rig_config(parser)
     add_options(parser, SolveOptions, "what would be refined", OPTIONS)
     add_constraint_flags(parser)
+    add_pose_graph_flags(parser, GRAPH_OPTIONS, "pose graphs (.g2o), beside loss and threads")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Diagnose INPUT."""
     started = perf_counter()
+    if is_pose_graph_file(arguments.input):
+        from bundle.cli.pose_graph_analyses import diagnose_graph_file
+
+        return diagnose_graph_file(arguments)
+    refuse_flags_of_graphs(arguments)
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.diagnosis import diagnose

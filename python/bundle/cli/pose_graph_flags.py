@@ -21,9 +21,21 @@ _ONLY_GRAPHS = [
 ]
 
 
-def add_pose_graph_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the options of pose graphs that a reconstruction has not, and widen those of both."""
+def add_pose_graph_flags(
+    parser: argparse.ArgumentParser,
+    names: Collection[str] | None = None,
+    title: str = "pose graphs (.g2o), beside backend, loss, trust region, tolerances and threads",
+) -> None:
+    """Add the options of pose graphs that a reconstruction has not, and widen those of both.
+
+    Args:
+        parser: of the command.
+        names: of the options; None: all.
+        title: of their group in the help.
+    """
     for field in dataclasses.fields(PoseGraphOptions):
+        if names is not None and field.name not in names:
+            continue
         action = parser._option_string_actions.get(field.metadata["flag"])
         if action is None or action.choices is None:
             continue
@@ -36,8 +48,8 @@ def add_pose_graph_flags(parser: argparse.ArgumentParser) -> None:
     add_option_group(
         parser,
         PoseGraphOptions,
-        "pose graphs (.g2o), beside backend, loss, trust region, tolerances and threads",
-        [field.name for field in _ONLY_GRAPHS],
+        title,
+        [field.name for field in _ONLY_GRAPHS if names is None or field.name in names],
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from bundle import _core
 from bundle.diagnosis.collapsed import collapsed_clusters
 from bundle.diagnosis.component_modes import component_modes, rotation_modes
+from bundle.diagnosis.diagnose_graph import diagnose_graph
 from bundle.diagnosis.diagnosis_result import Component, Diagnosis
 from bundle.diagnosis.findings import findings
+from bundle.diagnosis.graph_diagnosis import GraphDiagnosis
 from bundle.diagnosis.modes import null_modes, weak_modes
 from bundle.diagnosis.point_checks import check_points
 from bundle.diagnosis.scale_drift import scale_drift
@@ -22,6 +24,9 @@ from bundle.diagnosis.unknowns import Unknowns
 from bundle.free_degrees import gauge_freedom
 from bundle.io import Source, as_problem
 from bundle.options import SolveOptions
+from bundle.pose_graph import PoseGraph, PoseGraphResult
+from bundle.pose_graph.edge_weights import is_graph, refuse_for_graphs
+from bundle.pose_graph_options import PoseGraphOptions
 from bundle.problem import Problem
 from bundle.result import Result
 from bundle.solver import prepare
@@ -38,6 +43,15 @@ FEW_OBSERVATIONS = 10
 """An image with fewer observations hardly holds its pose."""
 
 
+@overload
+def diagnose(
+    problem: PoseGraph | PoseGraphResult,
+    options: PoseGraphOptions | None = None,
+    **changes: Any,
+) -> GraphDiagnosis: ...
+
+
+@overload
 def diagnose(
     problem: Source | Result,
     options: SolveOptions | None = None,
@@ -48,7 +62,20 @@ def diagnose(
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] | Applied = (),
     **changes: Any,
-) -> Diagnosis:
+) -> Diagnosis: ...
+
+
+def diagnose(
+    problem: Source | Result | PoseGraph | PoseGraphResult,
+    options: SolveOptions | PoseGraphOptions | None = None,
+    *,
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    align: bool | None = None,
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] | Applied = (),
+    **changes: Any,
+) -> Diagnosis | GraphDiagnosis:
     """Find what the observations determine and what they do not, at the values of a problem.
 
     The reduced camera system (points eliminated, those without parallax taken out exactly) is
@@ -56,6 +83,12 @@ def diagnose(
     scaling the world does; those beyond, and weak ones, are named by what moves and why. Nothing is
     solved: the diagnosis is that of the linearisation, so that a problem far from its solution may
     look better or worse than it is there.
+
+    Of a pose graph, the result of a solve of one, or a g2o file the result is a
+    :class:`GraphDiagnosis`: rank from what the information of the edges leaves open, weak joints by
+    pose and edge, condition numbers, and edges that the others contradict. ``options`` are then
+    :class:`bundle.PoseGraphOptions`, of which error, information and loss count; of a result its
+    own, with the weights that its solve ended with.
 
     Args:
         problem: left untouched; a problem, the result of a solve, a path or a
@@ -77,13 +110,18 @@ def diagnose(
         >>> bundle.diagnose("sparse/0").nullity
         7
     """
+    if is_graph(problem):
+        refuse_for_graphs(
+            factors=factors, priors=priors, align=align, bounds=bounds, constraints=constraints
+        )
+        return diagnose_graph(problem, options, **changes)  # type: ignore[arg-type]
     drift = None
     if isinstance(problem, Result):
         drift = scale_drift(problem)
         options = problem.options.replace(gauge="auto") if options is None else options
         problem = problem.problem
-    problem = as_problem(problem)
-    options = SolveOptions.of(options, changes, "diagnose")
+    problem = as_problem(problem)  # type: ignore[arg-type]
+    options = SolveOptions.of(options, changes, "diagnose")  # type: ignore[arg-type]
     if options.gauge == "auto":
         options = options.replace(gauge="none")
     ready = prepare(problem, options, factors, priors, align, bounds, constraints)

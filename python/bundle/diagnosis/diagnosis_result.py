@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.diagnosis.conditioning import Conditioned, Finding
 from bundle.display import Display, Displayed
-from bundle.words import number, plural
+from bundle.words import number
 
 __all__ = ["CollapsedCluster", "Component", "Diagnosis", "Finding", "WeakMode"]
-
-DIGITS = 16
-"""Decimal digits of a double, rounded up as the table of condition numbers has them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,24 +64,8 @@ class CollapsedCluster:
     num_observations: int
 
 
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """One thing to know.
-
-    Attributes:
-        kind: a stable name for programs, such as "points_without_parallax".
-        is_problem: whether it keeps the problem from being determined as it should be; otherwise it
-            is a fact that is good to know.
-        sentence: the finding in words.
-    """
-
-    kind: str
-    is_problem: bool
-    sentence: str
-
-
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Diagnosis(Displayed):
+class Diagnosis(Conditioned, Displayed):
     """What the observations of a problem determine at its values, and what they do not.
 
     Eigenvalues are those of the reduced camera system S (points eliminated), with each row and
@@ -134,11 +116,6 @@ class Diagnosis(Displayed):
     findings: tuple[Finding, ...]
 
     @property
-    def ok(self) -> bool:
-        """Whether nothing keeps the problem from being determined."""
-        return not any(finding.is_problem for finding in self.findings)
-
-    @property
     def rank_gap(self) -> float:
         """The lowest eigenvalue that is not zero by the largest that counts as zero.
 
@@ -149,34 +126,6 @@ class Diagnosis(Displayed):
             return math.nan
         lowest, highest = float(self.eigenvalues[0]), self.max_null_eigenvalue
         return lowest / highest if highest > 0 else math.inf
-
-    @property
-    def digits_normal_equations(self) -> int:
-        """Digits that a step by the normal equations has: 16 - log10(cond S), at least 0."""
-        return self._digits(1.0)
-
-    @property
-    def digits_square_root(self) -> int:
-        """Digits of a step by a QR factorisation of the Jacobian, cond J = sqrt(cond S)."""
-        return self._digits(0.5)
-
-    def _digits(self, power: float) -> int:
-        condition = self.condition_number
-        if math.isnan(condition):
-            return 0
-        return max(0, round(DIGITS - power * math.log10(max(condition, 1.0))))
-
-    @property
-    def verdict(self) -> str:
-        """One sentence on the rank."""
-        more = self.nullity - self.expected_nullity
-        least = "" if self.nullity_is_exact else "at least "
-        words = f"{least}{plural(self.nullity, 'null direction')}"
-        if more == 0:
-            return f"{words}, all of them gauge" if self.nullity else "no null direction"
-        if more > 0:
-            return f"{words}: {self.expected_nullity} are gauge, {more} are not determined"
-        return f"{words}, fewer than the {self.expected_nullity} of the gauge"
 
     def _display(self) -> Display:
         problems = [entry.sentence for entry in self.findings if entry.is_problem]

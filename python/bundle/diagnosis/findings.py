@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from bundle.diagnosis.diagnosis_result import Diagnosis, Finding, WeakMode
+from bundle.diagnosis.conditioning import Finding
+from bundle.diagnosis.diagnosis_result import Diagnosis, WeakMode
 from bundle.diagnosis.id_lists import named, noun
 from bundle.diagnosis.scale_drift import ScaleDrift
 from bundle.diagnosis.track_table import FEW_SHARED, TrackTable

@@ -12,7 +12,12 @@ from bundle.pose_graph.information import bad_information, describe_information
 from bundle.reports.json import SCHEMA, plain, records
 from bundle.reports.timing import WallTime
 
-__all__ = ["conversion_of_graph", "information_of_graph", "refinement_of_graph"]
+__all__ = [
+    "conversion_of_graph",
+    "heading_of_graph",
+    "information_of_graph",
+    "refinement_of_graph",
+]
 
 MOST_BAD = 10
 """Edges with bad information that are listed."""

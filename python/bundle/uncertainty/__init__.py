@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from bundle.uncertainty.compute_covariance import covariance
 from bundle.uncertainty.covariance_result import Covariance
+from bundle.uncertainty.graph_covariance import GraphCovariance
 
-__all__ = ["Covariance", "covariance"]
+__all__ = ["Covariance", "GraphCovariance", "covariance"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,9 @@ from bundle.arrays import freeze
 from bundle.errors import InputError, brief
 from bundle.io import Source, as_problem
 from bundle.options import SolveOptions
+from bundle.pose_graph import PoseGraph, PoseGraphResult
+from bundle.pose_graph.edge_weights import is_graph, refuse_for_graphs
+from bundle.pose_graph_options import PoseGraphOptions
 from bundle.problem import Problem
 from bundle.result import Result
 from bundle.solver import prepare
@@ -26,6 +29,7 @@ from bundle.uncertainty.covariance_choices import (
     parts_of,
 )
 from bundle.uncertainty.covariance_result import Covariance
+from bundle.uncertainty.graph_covariance import GraphCovariance, graph_covariance
 from bundle.words import number
 
 if TYPE_CHECKING:
@@ -39,13 +43,26 @@ AT_MINIMUM = 1e-4
 """What a further step would take off the cost, beside the cost, at what counts as a minimum."""
 
 
+@overload
+def covariance(
+    problem: PoseGraph | PoseGraphResult,
+    options: PoseGraphOptions | None = None,
+    *,
+    relative: Iterable[tuple[int, int]] = (),
+    gauge: str | None = None,
+    scale: str = "unit",
+    **changes: Any,
+) -> GraphCovariance: ...
+
+
+@overload
 def covariance(
     problem: Source | Result,
     options: SolveOptions | None = None,
     *,
     of: str | Iterable[str] = PARTS,
     relative: Iterable[tuple[int, int]] = (),
-    gauge: str = "inner",
+    gauge: str | None = None,
     scale: str = "unit",
     robust: str = "weights",
     factors: Iterable[Factor] = (),
@@ -53,7 +70,24 @@ def covariance(
     bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
     constraints: Constraints | Iterable[str | Rule] = (),
     **changes: Any,
-) -> Covariance:
+) -> Covariance: ...
+
+
+def covariance(
+    problem: Source | Result | PoseGraph | PoseGraphResult,
+    options: SolveOptions | PoseGraphOptions | None = None,
+    *,
+    of: str | Iterable[str] = PARTS,
+    relative: Iterable[tuple[int, int]] = (),
+    gauge: str | None = None,
+    scale: str = "unit",
+    robust: str = "weights",
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] = (),
+    **changes: Any,
+) -> Covariance | GraphCovariance:
     """Compute how certain poses, points and intrinsics are: marginal covariances.
 
     With residuals of known sigma, H = J^T J over all that is free is the information, and blocks of
@@ -71,6 +105,15 @@ def covariance(
     Points without parallax are left out along the direction that nothing sees, exactly and without
     damping: ``null_point_ids`` names them.
 
+    Of a pose graph, the result of a solve of one, or a g2o file the result is a
+    :class:`GraphCovariance`: of each pose, a right perturbation X Exp(d) in the frame of the body,
+    by the information of the edges. ``options`` are then :class:`bundle.PoseGraphOptions`, of which
+    error, information and loss count (a loss takes weight from edges, which makes poses less
+    certain); of a result its own, with the weights that its solve ended with. ``gauge`` is "first"
+    (the default: held as a solve does, by the first pose of each component without a fixed one),
+    "inner" (the pseudo-inverse) or "none" (fixed poses hold everything); ``relative`` has pairs of
+    pose ids, for the covariance of X_a^-1 X_b.
+
     Args:
         problem: also the path of one, or a pycolmap.Reconstruction; of a :class:`Result` its
             refined problem under its options.
@@ -78,7 +121,7 @@ def covariance(
             not given. How to solve does not matter.
         of: some of "poses", "points", "intrinsics".
         relative: pairs (a, b) of image ids, for the covariance of cam_b_from_cam_a.
-        gauge: "inner", "two_cameras", "three_points" or "none".
+        gauge: "inner" (the default), "two_cameras", "three_points" or "none".
         scale: "unit": residuals have sigma 1 px, or what ``observation_sigma`` says; "sigma0":
             these times sigma0, estimated from the residuals. Priors keep their sigmas.
         robust: what a loss means. "weights": its weights rho' make an observation less certain;
@@ -103,13 +146,30 @@ def covariance(
         >>> cov = bundle.covariance("sparse/0", scale="sigma0")
         >>> cov.pose(7)[3:, 3:]
     """
+    if is_graph(problem):
+        refuse_for_graphs(
+            of=None if of is PARTS else of,
+            robust=None if robust == "weights" else robust,
+            factors=factors,
+            priors=priors,
+            bounds=bounds,
+            constraints=constraints,
+        )
+        return graph_covariance(
+            problem,
+            options,  # type: ignore[arg-type]
+            relative=relative,
+            gauge="first" if gauge is None else gauge,
+            scale=scale,
+            **changes,
+        )
     if isinstance(problem, Result):
         _check_same_factors(problem, factors, priors, constraints)
         options = problem.options if options is None else options
         problem = problem.problem
-    problem = as_problem(problem)
-    options = SolveOptions.of(options, changes, "covariance")
-    gauge = one_of("gauge", gauge, GAUGES)
+    problem = as_problem(problem)  # type: ignore[arg-type]
+    options = SolveOptions.of(options, changes, "covariance")  # type: ignore[arg-type]
+    gauge = one_of("gauge", "inner" if gauge is None else gauge, GAUGES)
     recipe = _Recipe(
         given=problem,
         options=options.replace(gauge="none" if gauge == "inner" else gauge),

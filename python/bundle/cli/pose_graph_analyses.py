@@ -1,0 +1,83 @@
+"""What `bundle diagnose` and `bundle covariance` do with a pose graph."""
+
+from __future__ import annotations
+
+import argparse
+from time import perf_counter
+
+from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.option_flags import naming_flags, options_given
+from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
+from bundle.pose_graph_options import PoseGraphOptions
+
+__all__ = ["covariance_of_graph_file", "diagnose_graph_file"]
+
+LINEARIZATION = ("error", "information", "loss", "loss_scale", "loss_on")
+"""Options that decide the information of a graph at its poses."""
+
+
+def diagnose_graph_file(arguments: argparse.Namespace) -> int:
+    """Diagnose the pose graph INPUT."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.diagnosis.diagnose_graph import diagnose_graph
+    from bundle.errors import shown
+    from bundle.pose_graph.g2o_files import load_g2o
+    from bundle.reports.graph_certainty import diagnosed_graph, diagnosis_of_graph
+
+    refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, "num_threads"))
+    options = options_given(arguments, PoseGraphOptions)
+    source = arguments.input
+    check_json(arguments.json, source)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(source)}")
+        graph = load_g2o(source)
+        progress.stage("diagnosing")
+        with naming_flags(PoseGraphOptions):
+            found = diagnose_graph(graph, options)
+    if arguments.json != "-":
+        show(*diagnosed_graph(source, graph, found))
+    asked = {name: getattr(options, name) for name in LINEARIZATION}
+    wall = perf_counter() - started
+    write_json(arguments.json, diagnosis_of_graph(source, graph, found, asked, wall))
+    return EXIT_DONE
+
+
+def covariance_of_graph_file(arguments: argparse.Namespace) -> int:
+    """Compute the covariances of the poses of the pose graph INPUT."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.errors import shown
+    from bundle.pose_graph.g2o_files import load_g2o
+    from bundle.reports.graph_certainty import certainty_of_graph, covariance_of_graph
+    from bundle.uncertainty.graph_covariance import graph_covariance
+
+    own = ("relative", "covariance_gauge", "scale", "num_threads")
+    refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, *own))
+    options = options_given(arguments, PoseGraphOptions)
+    source, target = arguments.input, arguments.output
+    check_json(target, source, what="file")
+    check_json(arguments.json, source, target)
+    flags = {name: f"--{name}" for name in ("relative", "gauge", "scale")}
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(source)}")
+        graph = load_g2o(source)
+        progress.stage("inverting")
+        with naming_flags(PoseGraphOptions, **flags):
+            found = graph_covariance(
+                graph,
+                options,
+                relative=arguments.relative,
+                gauge=arguments.covariance_gauge or "first",
+                scale=arguments.scale,
+            )
+        progress.stage(f"writing {shown(target)}")
+        found.save(target)
+    if arguments.json != "-":
+        show(*certainty_of_graph(source, graph, found, target))
+    asked = {name: getattr(options, name) for name in LINEARIZATION}
+    wall = perf_counter() - started
+    write_json(arguments.json, covariance_of_graph(source, graph, found, asked, target, wall))
+    return EXIT_DONE
