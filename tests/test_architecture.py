@@ -305,6 +305,7 @@ PYTHON_MAY_IMPORT = {
         "checking",
         "display",
         "errors",
+        "memory_sizes",
         "option_fields",
         "options",
         "problem",

@@ -14,6 +14,7 @@ from bundle.graph.factors import (
 from bundle.graph.function_factor import FunctionFactor
 from bundle.graph.graph_result import GraphResult
 from bundle.graph.linear_prior import LinearPrior
+from bundle.graph.spectrum import PriorSpectrum
 
 __all__ = [
     "BetweenFactor",
@@ -25,6 +26,7 @@ __all__ = [
     "LinearPrior",
     "PositionFactor",
     "PriorFactor",
+    "PriorSpectrum",
     "RelativePoseFactor",
     "ReprojectionFactor",
     "ScalarPriorFactor",

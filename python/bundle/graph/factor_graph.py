@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
-from numpy.typing import ArrayLike
-
 from bundle import _core
-from bundle.arguments import check_function, check_type
-from bundle.display import Display, Displayed
-from bundle.errors import InputError, brief, nearest
+from bundle.arguments import check_function
+from bundle.display import Display
+from bundle.errors import InputError, brief
 from bundle.graph.check_factors import FactorCheck, check_factors
+from bundle.graph.contents import GraphContents, factor_name
 from bundle.graph.factors import Factor
 from bundle.graph.graph_result import GraphResult
 from bundle.graph.linear_prior import LinearPrior
 from bundle.graph.variables import (
     Array,
     Key,
-    Values,
     Variable,
     as_keys,
     as_list,
-    check_key,
     variable_name,
 )
+from bundle.option_fields import choice
 from bundle.options import SolveOptions
 from bundle.solve_record import Progress, record_fields
 from bundle.words import plural
@@ -48,7 +46,7 @@ _OF_OTHERS = (
 """Options that say something of reconstructions, and nothing of a factor graph."""
 
 
-class FactorGraph(Displayed):
+class FactorGraph(GraphContents):
     """Variables on manifolds and factors between them: a least-squares problem of any structure.
 
     A variable X moves by its tangent coordinates delta to X Exp(delta). Residuals are
@@ -74,109 +72,6 @@ class FactorGraph(Displayed):
         graph.add_factor(bundle.BetweenFactor("a", "b", [1, 0, 0], information=100))
         graph.solve().values["b"]
     """
-
-    def __init__(self) -> None:
-        self._variables: dict[Key, Variable] = {}
-        self._factors: list[Factor] = []
-        self._as_tuples: tuple[tuple[Key, ...], tuple[Factor, ...]] = (), ()
-
-    def __copy__(self) -> FactorGraph:
-        return self.with_values({})
-
-    def add_variable(
-        self,
-        key: Key,
-        value: ArrayLike,
-        manifold: str = "euclidean",
-        *,
-        fixed: bool | Iterable[int] = False,
-        lower: ArrayLike | None = None,
-        upper: ArrayLike | None = None,
-    ) -> None:
-        """Add a variable.
-
-        Args:
-            key: a name: any hashable object.
-            value: where a solve starts, as the manifold stores it; a quaternion of any norm but 0.
-            manifold: "euclidean", "so2", "so3", "se2" or "se3".
-            fixed: True to keep it where it is, or the tangent coordinates that stay.
-            lower: bound of each number of a Euclidean variable, or one for all. A step that would
-                leave a bound ends on it; bounds that are equal hold the number.
-            upper: likewise.
-
-        Raises:
-            InputError: the key is taken, the value is none of the manifold, or the bounds exclude
-                it.
-        """
-        check_key("key", key)
-        if key in self._variables:
-            raise InputError(f"{variable_name(key)}: expected a new key, found one of the graph")
-        self._variables[key] = Variable.make(key, value, manifold, fixed, lower, upper)
-
-    def add_factor(self, factor: Factor) -> None:
-        """Add a factor of variables that are in the graph.
-
-        Raises:
-            InputError: it is no factor, a key is unknown, or its numbers do not fit the variables:
-                a wrong size, an information matrix that is asymmetric, singular or indefinite.
-        """
-        check_type("factor", factor, Factor)
-        position = len(self._factors)
-        name = _factor_name(position, factor)
-        for key in factor.keys:
-            self._known(name, key)
-        if isinstance(factor, LinearPrior):
-            for key, manifold in factor.manifolds.items():
-                if manifold != self._variables[key].manifold:
-                    raise InputError(
-                        f"{name}: {variable_name(key)}: expected manifold "
-                        f"{self._variables[key].manifold}, found {manifold}; give manifolds="
-                    )
-        if factor.kind != "function":  # which is called first when its values are meant
-            variables, (given,) = self._core(factor.keys, [position], [factor])
-            _core.factor_function(variables, given)
-        self._factors.append(factor)
-
-    @property
-    def keys(self) -> tuple[Key, ...]:
-        """The variables, in the order in which they were added."""
-        return self._tuples()[0]
-
-    @property
-    def factors(self) -> tuple[Factor, ...]:
-        """The factors, in the order in which they were added."""
-        return self._tuples()[1]
-
-    @property
-    def values(self) -> Mapping[Key, Array]:
-        """The values of the variables, where a solve starts; changes as the graph does."""
-        return Values(self._variables)
-
-    def with_values(self, values: Mapping[Key, ArrayLike]) -> FactorGraph:
-        """Return the graph with other values, such as the result of a solve.
-
-        Args:
-            values: by key; variables that are not in it keep theirs.
-
-        Raises:
-            InputError: a key is unknown, or a value is none of its manifold.
-        """
-        if not isinstance(values, Mapping):
-            raise InputError(f"values: expected a dict by key, found {brief(values)}")
-        graph = FactorGraph()
-        graph._variables, graph._factors = dict(self._variables), list(self._factors)
-        for key, value in values.items():
-            old = graph._known("values", key)
-            bounds = (old.lower, old.upper) if len(old.lower) else (None, None)
-            fixed = tuple(i for i, held in enumerate(old.held) if held)
-            new = Variable.make(key, value, old.manifold, fixed, *bounds)
-            if len(new.value) != len(old.value):
-                raise InputError(
-                    f"values: {variable_name(key)}: expected {len(old.value)} numbers, "
-                    f"found {len(new.value)}"
-                )
-            graph._variables[key] = new
-        return graph
 
     def solve(
         self,
@@ -278,24 +173,34 @@ class FactorGraph(Displayed):
             raise InputError("keys: expected factors that touch other variables too, found none")
         members = [key for key in self._variables if key in touched]
         matrix, vector = self._marginal(kept, members, used)
-        return LinearPrior(
+        prior = LinearPrior(
             matrix,
             vector,
             {key: self._variables[key].value for key in kept},
             tuple(kept),
             manifolds={key: self._variables[key].manifold for key in kept},
         )
+        return prior.made_of(self._factors[i] for i in used)
 
-    def without(self, keys: Iterable[Key]) -> FactorGraph:
-        """Return the graph without some variables and without every factor that touches one.
+    def forget(self, keys: Iterable[Key], how: str = "marginalize") -> FactorGraph:
+        """Return the graph after variables left it, as a window that slides forgets its oldest.
+
+        Args:
+            keys: the variables that leave.
+            how: "marginalize": their factors become a prior on what they touched, which is exact
+                where these are linear; "drop": their factors are lost, with what they knew of the
+                others, the gauge perhaps; "keep": nothing leaves, for comparison.
 
         Raises:
-            InputError: a key is unknown.
+            InputError: as by :meth:`marginalize`, or another word.
         """
-        gone = set(self._checked_keys(keys))
-        graph = FactorGraph()
-        graph._variables = {k: v for k, v in self._variables.items() if k not in gone}
-        graph._factors = [f for f in self._factors if gone.isdisjoint(f.keys)]
+        how = choice("how", how, ("marginalize", "drop", "keep"))
+        keys = self._checked_keys(keys)
+        if how == "keep":
+            return self.with_values({})
+        graph = self.without(keys)
+        if how == "marginalize":
+            graph.add_factor(self.marginalize(keys))
         return graph
 
     def check_gradients(
@@ -324,18 +229,8 @@ class FactorGraph(Displayed):
                     raise InputError(f"factors: expected some of the graph, found {brief(factor)}")
             chosen = [every[id(factor)] for factor in wanted]
         return check_factors(
-            [(_factor_name(i, self._factors[i]), *self._one(i)) for i in chosen], settings
+            [(factor_name(i, self._factors[i]), *self._one(i)) for i in chosen], settings
         )
-
-    def _tuples(self) -> tuple[tuple[Key, ...], tuple[Factor, ...]]:
-        """Return keys and factors, which are only ever added; made anew once some were."""
-        keys, factors = self._as_tuples
-        if len(factors) != len(self._factors):
-            factors = tuple(self._factors)
-        if len(keys) != len(self._variables):
-            keys = tuple(self._variables)
-        self._as_tuples = keys, factors
-        return keys, factors
 
     def _one(self, position: int) -> tuple[list[Variable], Any]:
         """Return the variables of a factor, and its function of their values."""
@@ -356,51 +251,6 @@ class FactorGraph(Displayed):
         core = self._core(members, positions, [self._factors[i] for i in positions])
         return _core.marginal_information(*core, [places[key] for key in kept])
 
-    def _core(
-        self,
-        keys: Iterable[Key] | None = None,
-        positions: Iterable[int] | None = None,
-        factors: Iterable[Factor] | None = None,
-    ) -> tuple[list[Any], list[Any]]:
-        """Return variables and factors as ``_core`` takes them; all if none are given."""
-        factors = list(self._factors if factors is None else factors)
-        members = list(self._variables if keys is None else keys)
-        positions = range(len(factors)) if positions is None else positions
-        places = {key: i for i, key in enumerate(members)}
-        described = []
-        for position, factor in zip(positions, factors, strict=True):
-            name = _factor_name(position, factor)
-            sizes = tuple(len(self._variables[key].coordinates) for key in factor.keys)
-            described.append((
-                factor.kind,
-                name,
-                [places[key] for key in factor.keys],
-                factor.loss,
-                factor.loss_scale,
-                factor.core_arguments(name, sizes),
-            ))  # fmt: skip
-        return [self._variables[key].core() for key in members], described
-
-    def core(self) -> tuple[list[Any], list[Any]]:
-        """Return variables and factors as ``_core`` takes them."""
-        return self._core()
-
-    def _known(self, argument: str, key: Key) -> Variable:
-        check_key(argument, key)
-        if key not in self._variables:
-            words = [known for known in self._variables if isinstance(known, str)]
-            hint = nearest(key, words) if isinstance(key, str) else ""
-            raise InputError(f"{argument}: there is no {variable_name(key)}{hint}")
-        return self._variables[key]
-
-    def _checked_keys(self, keys: Iterable[Key]) -> tuple[Key, ...]:
-        found = as_keys("keys", keys, ordered=False)
-        if not found:
-            raise InputError("keys: expected at least one variable, found none")
-        for key in found:
-            self._known("keys", key)
-        return found
-
     def _display(self) -> Display:
         manifolds = Counter(variable.manifold for variable in self._variables.values())
         kinds = Counter(type(factor).__name__ for factor in self._factors)
@@ -414,7 +264,3 @@ class FactorGraph(Displayed):
                 ("free", plural(size, "coordinate")),
             ),
         )
-
-
-def _factor_name(position: int, factor: Factor) -> str:
-    return f"factor {position}, {factor.name}"
