@@ -21,7 +21,8 @@ namespace {
 template <typename T>
 using Array = py::array_t<T, py::array::c_style>;
 
-py::tuple ReadBalFile(const std::filesystem::path& path) {
+py::tuple ReadBalFile(const py::object& given_path) {
+  const std::filesystem::path path = PathFromPython(given_path);
   BalProblem problem;
   try {
     const py::gil_scoped_release release;
@@ -54,11 +55,12 @@ const T* Checked(const Array<T>& array, const char* name, int64_t rows, int64_t 
 }
 
 /// Values, indices among them, are those of a bundle.Problem, which has checked them.
-void WriteBalFile(const std::filesystem::path& path, const Array<double>& cam_from_world,
+void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_world,
                   const Array<double>& camera_params, const Array<double>& points,
                   const Array<int32_t>& observation_image, const Array<int32_t>& observation_point,
                   const Array<double>& observation_xy, const Array<double>& rotations,
                   const Array<bool>& keeps_rotation, const std::string& compression) {
+  const std::filesystem::path path = PathFromPython(given_path);
   BalView problem;
   problem.num_images = cam_from_world.shape(0);
   problem.num_points = points.shape(0);

@@ -1,16 +1,15 @@
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
-#include <pybind11/stl/filesystem.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <filesystem>
 #include <string>
 #include <system_error>
 #include <utility>
 #include <vector>
 
+#include "bindings/file_access.h"
 #include "bindings/immutable_array.h"
 #include "core/error.h"
 #include "core/io/colmap_model.h"
@@ -151,17 +150,11 @@ void ExpectShape(const Numbers& array, const char* name, size_t rows, py::ssize_
   }
 }
 
-[[noreturn]] void ThrowOsError(const std::system_error& error, const std::filesystem::path& path) {
-  const py::str name(py::cast(path));
-  errno = error.code().value();
-  PyErr_SetFromErrnoWithFilenameObject(PyExc_OSError, name.ptr());
-  throw py::error_already_set();
-}
-
-void WriteModel(const ColmapModel& model, const std::filesystem::path& folder,
+void WriteModel(const ColmapModel& model, const py::object& given_folder,
                 const Numbers& cam_from_world, const Numbers& camera_params, const Numbers& points,
                 const Numbers& point_errors, const Numbers& rig_from_world,
                 const Numbers& sensor_from_rig) {
+  const std::filesystem::path folder = PathFromPython(given_folder);
   ExpectShape(cam_from_world, "cam_from_world", model.images_by_id.size(), 7);
   ExpectShape(rig_from_world, "rig_from_world", model.rigs.frames.size(), 7);
   ExpectShape(sensor_from_rig, "sensor_from_rig", model.rigs.sensors.size(), 7);

@@ -27,7 +27,8 @@ namespace py = pybind11;
 namespace bundle {
 namespace {
 
-py::dict ReadG2oFile(const std::filesystem::path& path) {
+py::dict ReadG2oFile(const py::object& given_path) {
+  const std::filesystem::path path = PathFromPython(given_path);
   G2oGraph graph;
   try {
     const py::gil_scoped_release release;
@@ -51,8 +52,9 @@ py::dict ReadG2oFile(const std::filesystem::path& path) {
   return result;
 }
 
-void WriteG2oFile(const std::filesystem::path& path, const py::object& graph,
+void WriteG2oFile(const py::object& given_path, const py::object& graph,
                   const std::string& compression) {
+  const std::filesystem::path path = PathFromPython(given_path);
   const GraphArrays arrays(graph);
   G2oView view;
   view.dimension = arrays.dimension();

@@ -21,6 +21,14 @@ inline void CheckSignals() {
   if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
 }
 
+/// A str, bytes or os.PathLike. pybind11's own conversion would say TypeError where a signal comes
+/// while Python code of the path runs.
+inline std::filesystem::path PathFromPython(const pybind11::object& given) {
+  PyObject* bytes = nullptr;
+  if (PyUnicode_FSConverter(given.ptr(), &bytes) == 0) throw pybind11::error_already_set();
+  return pybind11::cast<std::string>(pybind11::reinterpret_steal<pybind11::bytes>(bytes));
+}
+
 [[noreturn]] inline void ThrowOsError(const std::system_error& error,
                                       const std::filesystem::path& path) {
   const pybind11::str name(pybind11::cast(path));

@@ -53,8 +53,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     with atomic.recording() as written, _noting_recoveries():
         try:
             code = _run(sys.argv[1:] if argv is None else list(argv))
+            if argv is None:  # nothing is left but the interpreter's end, which may take a moment
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
         except (Exception, KeyboardInterrupt) as error:
-            with _ignoring_interrupts():
+            with _ignoring_interrupts(for_good=argv is None):
                 line = describe_error(error, written)
                 if line is None:
                     raise
@@ -62,8 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 code = EXIT_INTERRUPTED if is_interruption(error) else EXIT_BAD_INPUT
         finally:
             release_broken_streams()
-    if argv is None:  # nothing is left but the interpreter's end, which may take a moment
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if argv is None:
         gc.freeze()  # the interpreter need not search for garbage what the system takes back
     return code
 
@@ -153,8 +154,8 @@ def _noting_recoveries() -> Iterator[None]:
 
 
 @contextmanager
-def _ignoring_interrupts() -> Iterator[None]:
-    """Let impatience not interrupt the line that says what has happened."""
+def _ignoring_interrupts(for_good: bool) -> Iterator[None]:
+    """Let impatience not interrupt the line that says what has happened, nor what follows."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -162,4 +163,5 @@ def _ignoring_interrupts() -> Iterator[None]:
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
+        if not for_good:
+            signal.signal(signal.SIGINT, handler)
