@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <string>
 #include <utility>
@@ -12,6 +13,7 @@
 #include "bindings/python_progress.h"
 #include "core/diagnosis/graph_spectrum.h"
 #include "core/error.h"
+#include "core/pose_graph/block_pattern_of_edges.h"
 #include "core/pose_graph/graph_covariance.h"
 
 namespace py = pybind11;
@@ -83,12 +85,25 @@ py::dict GraphSpectrumFromPython(const py::object& graph, const Array<bool>& hel
   return result;
 }
 
+/// What a solve takes where the ordering is left to it: "natural", "amd" or "metis"; "" where
+/// nothing is free.
+std::string AutoOrdering(const py::object& graph, const Array<bool>& held) {
+  const GraphArrays arrays(graph);
+  PoseGraphView view = ViewGraph(arrays, held);
+  view.information = nullptr;
+  const PoseGraph made = MakePoseGraph(view, {});
+  if (std::all_of(made.held.begin(), made.held.end(), [](uint8_t h) { return h != 0; })) return "";
+  const py::gil_scoped_release release;
+  return PatternOfEdges(made, view.tangent(), "auto").ordering.name;
+}
+
 }  // namespace
 }  // namespace bundle
 
 void BindGraphCertainty(py::module_& m) {
   m.def("graph_covariance", &bundle::GraphCovarianceFromPython, py::arg("graph"), py::arg("error"),
         py::arg("inner"), py::arg("of_edges"), py::arg("relative"), py::arg("num_threads"));
+  m.def("auto_ordering", &bundle::AutoOrdering, py::arg("graph"), py::arg("held"));
   m.def("graph_spectrum", &bundle::GraphSpectrumFromPython, py::arg("graph"), py::arg("held"),
         py::arg("error"), py::arg("null_directions"), py::arg("num_threads"));
 }

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     )
     from bundle.cameras import camera_models, project
     from bundle.checking import GradientReport, check_gradients, check_jacobians
-    from bundle.comparison import Comparison, compare
+    from bundle.comparison import Comparison, GraphComparison, compare
     from bundle.constraints import Constraints
     from bundle.diagnosis import Diagnosis, GraphDiagnosis, diagnose
     from bundle.errors import InputError
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         GraphInspection,
         Inspection,
         MethodInspection,
+        PoseGraphInspection,
         inspect,
         inspect_graph,
     )
@@ -81,6 +82,7 @@ __all__ = [
     "FunctionFactor",
     "GaugeFreedom",
     "GradientReport",
+    "GraphComparison",
     "GraphCovariance",
     "GraphDiagnosis",
     "GraphInspection",
@@ -91,6 +93,7 @@ __all__ = [
     "LinearPrior",
     "MethodInspection",
     "PoseGraph",
+    "PoseGraphInspection",
     "PoseGraphOptions",
     "PoseGraphResult",
     "PoseGraphSummary",
@@ -157,7 +160,7 @@ _DEFERRED = {
     ),
     "cameras": ("camera_models", "project"),
     "checking": ("GradientReport", "check_gradients", "check_jacobians"),
-    "comparison": ("Comparison", "compare"),
+    "comparison": ("Comparison", "GraphComparison", "compare"),
     "constraints": ("Constraints",),
     "diagnosis": ("Diagnosis", "GraphDiagnosis", "diagnose"),
     "errors": ("InputError",),
@@ -181,6 +184,7 @@ _DEFERRED = {
         "GraphInspection",
         "Inspection",
         "MethodInspection",
+        "PoseGraphInspection",
         "inspect",
         "inspect_graph",
     ),

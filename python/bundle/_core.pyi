@@ -321,6 +321,7 @@ def graph_covariance(
     relative: list[tuple[int, int]],
     num_threads: int,
 ) -> dict[str, Any]: ...
+def auto_ordering(graph: PoseGraph, held: NDArray[np.bool_]) -> str: ...
 def graph_spectrum(
     graph: PoseGraph,
     held: NDArray[np.bool_],

@@ -9,7 +9,9 @@ from bundle import compare_defaults as defaults
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, naming_flags, options_given
 from bundle.cli.parser import a_path
+from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
 from bundle.errors import InputError
+from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
 NAME = "compare"
+GRAPH_OPTIONS = ("error", "init", "information", "loss", "loss_on")
 HELP = "the same start under several solvers: measured, and one of them recommended"
 
 
@@ -31,12 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=a_path,
         nargs="+",
         help="BAL files (plain, .gz or .bz2) and folders of COLMAP models; several give "
-        "performance profiles as well",
+        "performance profiles as well; or one pose graph (g2o)",
     )
     _add_methods(parser.add_argument_group("what is compared: every combination of"))
     _add_limits(parser.add_argument_group("options of the comparison"))
     others = [name for name in SolveOptions.__dataclass_fields__ if name not in defaults.COMPARED]
     add_options(parser, SolveOptions, "options of every solve", others)
+    add_pose_graph_flags(
+        parser, GRAPH_OPTIONS, "a pose graph (.g2o), of which backends and threads are compared too"
+    )
 
 
 def _add_methods(group: argparse._ArgumentGroup) -> None:
@@ -100,6 +106,11 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.compare import compared
     from bundle.reports.compare_json import as_json
 
+    if any(is_pose_graph_file(path) for path in arguments.inputs):
+        from bundle.cli.pose_graph_costs import compare_graph_file
+
+        return compare_graph_file(arguments)
+    refuse_flags_of_graphs(arguments)
     options = options_given(arguments, SolveOptions)
     cap = _memory_cap(arguments.memory_cap)
     if arguments.repeat < 1:

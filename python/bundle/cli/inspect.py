@@ -16,6 +16,7 @@ from bundle.cli.option_flags import (
     with_named_images,
 )
 from bundle.cli.parser import a_path
+from bundle.io.recognition import is_pose_graph_file
 from bundle.options import GRAPH_ORDERINGS, SolveOptions
 
 if TYPE_CHECKING:
@@ -38,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="INPUT",
         type=a_path,
         nargs="?",
-        help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text); "
-        "told by its content",
+        help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text) or "
+        "a pose graph (g2o); told by its content",
     )
     parser.add_argument(
         "--html",
@@ -100,6 +101,10 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.recalibrate:
             raise InputError("--recalibrate: expected with INPUT only")
         return _inspect_graph(arguments)
+    if is_pose_graph_file(arguments.input):
+        from bundle.cli.pose_graph_costs import inspect_graph_file
+
+        return inspect_graph_file(arguments)
     for flag in ("ordering", "landmarks", "block_size"):
         if getattr(arguments, flag) is not None:
             raise InputError(f"--{flag.replace('_', '-')}: expected with --graph only")

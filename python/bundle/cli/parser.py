@@ -129,7 +129,8 @@ def add_input(
         nargs=nargs,
         type=a_path,
         help="a BAL file (plain, .gz or .bz2), the folder of a COLMAP model (binary or text) or, "
-        "for info, refine and convert, a pose graph (g2o, plain, .gz or .bz2); told by its content",
+        "for info, refine, compare, inspect, diagnose, covariance and convert, a pose graph (g2o, "
+        "plain, .gz or .bz2); told by its content",
     )
 
 

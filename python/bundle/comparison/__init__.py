@@ -12,6 +12,7 @@ from bundle.comparison.comparison_result import (
     Recommendation,
     Run,
 )
+from bundle.comparison.graph_comparison import GraphComparison, GraphMethod, GraphRun
 from bundle.comparison.method import Method
 from bundle.comparison.work import Progress
 
@@ -21,6 +22,9 @@ __all__ = [
     "TIMEOUT",
     "ComparedProblem",
     "Comparison",
+    "GraphComparison",
+    "GraphMethod",
+    "GraphRun",
     "Measurement",
     "Method",
     "PerformanceProfile",

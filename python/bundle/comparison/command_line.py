@@ -8,11 +8,14 @@ from typing import Any
 
 from bundle.inspection import Inspection
 from bundle.options import SolveOptions
+from bundle.pose_graph_options import PoseGraphOptions
 
 __all__ = ["command_line", "recommended_command"]
 
 
-def command_line(options: SolveOptions, source: str = "INPUT", output: str = "OUTPUT") -> str:
+def command_line(
+    options: SolveOptions | PoseGraphOptions, source: str = "INPUT", output: str = "OUTPUT"
+) -> str:
     """Return the `bundle refine` that solves with these options; only what differs is named."""
     words = ["bundle", "refine", source, "-o", output]
     for field in dataclasses.fields(options):

@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 from bundle.arguments import check_function
 from bundle.compare_defaults import (
@@ -24,6 +24,7 @@ from bundle.compare_defaults import (
 from bundle.comparison import process_memory
 from bundle.comparison.combinations import expand
 from bundle.comparison.comparison_result import GAPS, Comparison, PerformanceProfile
+from bundle.comparison.graph_comparison import GraphComparison, compare_graph
 from bundle.comparison.profiles import performance_profiles
 from bundle.comparison.recommendation import recommend
 from bundle.comparison.work import Progress, Work
@@ -31,10 +32,28 @@ from bundle.errors import InputError, check_keywords
 from bundle.io import Source
 from bundle.option_fields import number, spellings
 from bundle.options import SolveOptions
+from bundle.pose_graph import PoseGraph, PoseGraphResult
+from bundle.pose_graph.edge_weights import is_graph, refuse_for_graphs
+from bundle.pose_graph_options import PoseGraphOptions
 
 __all__ = ["compare"]
 
 
+@overload
+def compare(
+    problems: PoseGraph | PoseGraphResult,
+    options: PoseGraphOptions | None = None,
+    *,
+    backends: Iterable[str] = BACKENDS,
+    threads: Iterable[int] = THREADS,
+    repeat: int = REPEAT,
+    timeout: float = TIMEOUT,
+    progress: Callable[[str], None] | None = None,
+    **changes: Any,
+) -> GraphComparison: ...
+
+
+@overload
 def compare(
     problems: Source | Sequence[Source],
     options: SolveOptions | None = None,
@@ -49,12 +68,35 @@ def compare(
     memory_cap: int = 0,
     progress: Callable[[Progress], None] | None = None,
     **changes: Any,
-) -> Comparison:
+) -> Comparison: ...
+
+
+def compare(
+    problems: Source | Sequence[Source] | PoseGraph | PoseGraphResult,
+    options: SolveOptions | PoseGraphOptions | None = None,
+    *,
+    solvers: Iterable[str] = SOLVERS,
+    preconditioners: Iterable[str] = PRECONDITIONERS,
+    orderings: Iterable[str] = ORDERINGS,
+    backends: Iterable[str] = BACKENDS,
+    threads: Iterable[int] = THREADS,
+    repeat: int = REPEAT,
+    timeout: float = TIMEOUT,
+    memory_cap: int = 0,
+    progress: Callable[[Any], None] | None = None,
+    **changes: Any,
+) -> Comparison | GraphComparison:
     """Solve the same start by every combination of methods and recommend one.
 
     Each run is a process of its own, one after the other. One that fails, takes too long, needs too
     much memory or dies is a row that says so, never the end. Ctrl-C ends the comparison with what
     is there.
+
+    Of a pose graph, the result of a solve of one, or a g2o file the result is a
+    :class:`GraphComparison`: backends, orders of elimination and trust regions, from one start, in
+    this process, one after the other. It takes ``backends``, ``threads``, ``repeat``, ``timeout``
+    and options of :class:`bundle.PoseGraphOptions`; ``progress`` is called with the name of each
+    method.
 
     Args:
         problems: one, or a list of several: problems, paths, or pycolmap.Reconstructions.
@@ -79,8 +121,25 @@ def compare(
         >>> comparison = bundle.compare("problem.txt", solvers=["dense_schur", "sparse_schur"])
         >>> print(comparison.recommendation.command)
     """
+    if is_graph(problems):
+        refuse_for_graphs(
+            solvers=None if solvers is SOLVERS else solvers,
+            preconditioners=None if preconditioners is PRECONDITIONERS else preconditioners,
+            orderings=None if orderings is ORDERINGS else orderings,
+            memory_cap=memory_cap or None,
+        )
+        return compare_graph(
+            problems,
+            options,  # type: ignore[arg-type]
+            backends=backends,
+            threads=threads,
+            repeat=repeat,
+            timeout=timeout,
+            progress=progress,
+            **changes,
+        )
     started = time.perf_counter()
-    options = _options(options, changes)
+    options = _options(options, changes)  # type: ignore[arg-type]
     methods = expand(
         solvers=solvers,
         preconditioners=preconditioners,

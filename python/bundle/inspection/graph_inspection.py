@@ -19,7 +19,7 @@ from bundle.option_fields import choice
 from bundle.options import GRAPH_ORDERINGS
 from bundle.words import plural
 
-__all__ = ["GRAPH_ORDERINGS", "GraphInspection", "inspect_graph"]
+__all__ = ["GRAPH_ORDERINGS", "GraphInspection", "inspect_graph", "pattern_of_edges"]
 
 # Steps are recorded unasked where they look at no more pairs of neighbours than this: in about a
 # second, for some hundred variables or thousands with little fill.
@@ -105,7 +105,7 @@ class GraphInspection(Displayed):
     def pattern(self) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
         """Return (sizes, column_begin, rows) as the core takes a matrix' lower triangle."""
         edges = np.array(self.edges, np.int64).reshape(-1, 2)
-        return _pattern(np.array(self.block_sizes, np.int32), edges)
+        return pattern_of_edges(np.array(self.block_sizes, np.int32), edges)
 
 
 def inspect_graph(
@@ -146,7 +146,7 @@ def inspect_graph(
     pairs = np.unique(np.sort(as_variables("edges", pairs, n), axis=1), axis=0)
     sizes = as_block_sizes(block_size, n)
     first = np.unique(as_variables("landmarks", landmarks, n))
-    pattern = _pattern(sizes, pairs)
+    pattern = pattern_of_edges(sizes, pairs)
     name, order = _find_order(ordering, n, pairs, first, pattern)
 
     counts = _core.count_factor(*pattern, order)
@@ -177,7 +177,7 @@ def inspect_graph(
     )
 
 
-def _pattern(
+def pattern_of_edges(
     sizes: NDArray[np.int32], pairs: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
     """Return the lower triangle by block columns; pairs (smaller, larger), each once."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, overload
 
 from bundle import _core
 from bundle.arguments import as_flag
@@ -12,6 +12,7 @@ from bundle.inspection.inspection_result import Inspection, MethodInspection
 from bundle.inspection.machine_rates import machine_rates
 from bundle.inspection.methods import Method, all_methods
 from bundle.inspection.peak_memory import Terms, ceres_memory, fused_memory, total
+from bundle.inspection.pose_graph_inspection import PoseGraphInspection, inspect_pose_graph
 from bundle.inspection.predicted_best import explain, recommend
 from bundle.inspection.problem_pattern import ProblemPattern, find_pattern
 from bundle.inspection.rates import Rates
@@ -24,24 +25,44 @@ from bundle.inspection.step_time import (
 from bundle.io import Source, as_problem
 from bundle.memory_sizes import SHARE_OF_FREE_MEMORY
 from bundle.options import SolveOptions
+from bundle.pose_graph import PoseGraph, PoseGraphResult
+from bundle.pose_graph.edge_weights import is_graph, refuse_for_graphs
 from bundle.problem import Problem
 from bundle.solver import resolve_defaults
 
 __all__ = ["inspect"]
 
 
+@overload
+def inspect(problem: PoseGraph | PoseGraphResult) -> PoseGraphInspection: ...
+
+
+@overload
 def inspect(
     problem: Source,
     options: SolveOptions | None = None,
     *,
     recalibrate: bool = False,
     **changes: Any,
-) -> Inspection:
+) -> Inspection: ...
+
+
+def inspect(
+    problem: Source | PoseGraph | PoseGraphResult,
+    options: SolveOptions | None = None,
+    *,
+    recalibrate: bool = False,
+    **changes: Any,
+) -> Inspection | PoseGraphInspection:
     """Predict what each way to solve a problem costs, without solving it.
 
     Counts are exact, by elimination on the blocks, unless a method's note says otherwise. Times are
     counts times the rates of this machine, measured when they are first needed,
     in a second or two.
+
+    Of a pose graph, the result of a solve of one, or a g2o file the result is a
+    :class:`PoseGraphInspection`: nonzeros of the normal equations, and fill, flops and memory of
+    their factor in each order of elimination. It takes no options.
 
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
@@ -54,7 +75,10 @@ def inspect(
             supported, or no observations of anything that is refined.
         OSError: the path cannot be read.
     """
-    problem = as_problem(problem)
+    if is_graph(problem):
+        refuse_for_graphs(options=options, recalibrate=recalibrate or None, **changes)
+        return inspect_pose_graph(problem)
+    problem = as_problem(problem)  # type: ignore[arg-type]
     recalibrate = as_flag("recalibrate", recalibrate)
     chosen = resolve_defaults(problem, SolveOptions.of(options, changes, "inspect"))
     pattern = find_pattern(problem, chosen)

@@ -1,0 +1,100 @@
+"""What `bundle inspect` and `bundle compare` do with a pose graph."""
+
+from __future__ import annotations
+
+import argparse
+from time import perf_counter
+from typing import Any
+
+from bundle import compare_defaults as defaults
+from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.option_flags import naming_flags, options_given
+from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
+from bundle.errors import InputError
+from bundle.pose_graph_options import PoseGraphOptions
+
+__all__ = ["compare_graph_file", "inspect_graph_file"]
+
+OPTIONS = (
+    *("error", "init", "information", "loss", "loss_scale", "loss_on", "max_num_iterations"),
+    *("function_tolerance", "gradient_tolerance", "parameter_tolerance"),
+)
+"""Of every solve that is compared."""
+
+
+def inspect_graph_file(arguments: argparse.Namespace) -> int:
+    """Inspect the pose graph INPUT."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.errors import shown
+    from bundle.inspection import inspect
+    from bundle.pose_graph.g2o_files import load_g2o
+    from bundle.reports.graph_costs import inspected_graph, inspection_of_graph
+
+    refuse_flags_of_reconstructions(arguments, ("num_threads",))
+    source = arguments.input
+    check_json(arguments.json, source)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(source)}")
+        graph = load_g2o(source)
+        progress.stage("inspecting")
+        found = inspect(graph)
+    if arguments.json != "-":
+        show(*inspected_graph(source, graph, found))
+    wall = perf_counter() - started
+    write_json(arguments.json, inspection_of_graph(source, graph, found, wall))
+    return EXIT_DONE
+
+
+def compare_graph_file(arguments: argparse.Namespace) -> int:
+    """Compare methods on the pose graph INPUT: 0 if one can be recommended."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.comparison import compare
+    from bundle.errors import shown
+    from bundle.pose_graph.g2o_files import load_g2o
+    from bundle.reports.graph_costs import compared_graph, comparison_of_graph
+
+    if len(arguments.inputs) > 1:
+        raise InputError(f"expected one INPUT with a pose graph, found {len(arguments.inputs)}")
+    own = ("inputs", "backends", "threads", "repeat", "timeout")
+    refuse_flags_of_reconstructions(_without_defaults(arguments), (*OPTIONS, *own))
+    options = options_given(arguments, PoseGraphOptions)
+    source = arguments.inputs[0]
+    check_json(arguments.json, source)
+    flags = {name: f"--{name}" for name in ("backends", "threads", "repeat", "timeout")}
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(source)}")
+        graph = load_g2o(source)
+        progress.stage("finding the start")
+        with naming_flags(PoseGraphOptions, **flags):
+            found = compare(
+                graph,
+                options,
+                backends=arguments.backends,
+                threads=arguments.threads,
+                repeat=arguments.repeat,
+                timeout=arguments.timeout,
+                progress=progress.stage,
+            )
+    if arguments.json != "-":
+        show(*compared_graph(source, found))
+    asked = {name: getattr(options, name) for name in OPTIONS}
+    wall = perf_counter() - started
+    write_json(arguments.json, comparison_of_graph(source, found, asked, wall))
+    return EXIT_DONE if found.recommended is not None else EXIT_NO_SOLUTION
+
+
+def _without_defaults(arguments: argparse.Namespace) -> argparse.Namespace:
+    """Return the arguments without those that only reconstructions have, where not given."""
+    values: dict[str, Any] = dict(vars(arguments))
+    for name, default in (
+        ("solvers", defaults.SOLVERS),
+        ("preconditioners", defaults.PRECONDITIONERS),
+        ("orderings", defaults.ORDERINGS),
+    ):
+        if values[name] == default:
+            values[name] = None
+    return argparse.Namespace(**values)
