@@ -9,7 +9,7 @@ from bundle.options import BACKENDS, LOSSES, TRUST_REGION_STRATEGIES
 
 __all__ = ["PoseGraphOptions"]
 
-GRAPH_LOSSES = (*LOSSES, "geman_mcclure", "dcs", "switchable", "gnc_tls")
+GRAPH_LOSSES = (*LOSSES, "geman_mcclure", "dcs", "switchable", "gnc_tls", "auto")
 
 
 @documented
@@ -54,7 +54,7 @@ class PoseGraphOptions(Options):
         "--loss",
         "robust loss of an edge's whitened error; geman-mcclure, dcs and switchable constraints "
         "are for wrong closures, as is gnc-tls, which solves a few times and ends with each edge "
-        "in or out",
+        "in or out; auto: none where no closure needs one, else the better of dcs and gnc-tls",
         choices=GRAPH_LOSSES,
     )
     loss_scale: float = option(

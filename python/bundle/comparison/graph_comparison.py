@@ -167,6 +167,8 @@ def compare_graph(
     for name in VARIED:
         if getattr(options, name) != getattr(defaults, name):
             raise InputError(f"{name}: expected its default, as it is compared")
+    if options.loss == "auto":
+        raise InputError("loss: expected the name of one to compare methods with, found auto")
     repeat = checked_number("repeat", repeat, whole=True, minimum=1)
     timeout = checked_number("timeout", timeout, above=0)
     check_function("progress", progress)

@@ -89,6 +89,10 @@ def weighted_graph(
     options = PoseGraphOptions.of(options, changes, caller)
     cores = _core.hardware_threads()
     options = options.replace(num_threads=min(options.num_threads or cores, cores))
+    if options.loss == "auto" and weights is None:
+        raise InputError(
+            "loss: expected the name of one, found auto; the result of a solve has what it took"
+        )
     weighed = checked_information(graph, options.information)
     if weights is None:
         weights = _weights(weighed, options)

@@ -26,6 +26,8 @@ class PoseGraphSummary(Summary):
         chi2_final: likewise at the end.
         init: where the solve started: "file", "odometry", "spanning_tree" or "chordal".
         init_choice: why there; "" where it was asked for.
+        loss: that the solve ended with: of loss "auto" the one taken, else the one asked for.
+        loss_choice: why that one; "" where it was asked for.
         num_components: connected components of the graph.
         num_gauge_freedoms: degrees of freedom that were taken away, by holding poses that no FIX
             holds: 3 or 6 for each component without one.
@@ -37,6 +39,8 @@ class PoseGraphSummary(Summary):
     chi2_final: float
     init: str
     init_choice: str
+    loss: str
+    loss_choice: str
     num_components: int
     num_gauge_freedoms: int
     held_pose_ids: tuple[int, ...]

@@ -13,6 +13,7 @@ from bundle.arrays import freeze
 from bundle.option_fields import choice
 from bundle.pose_graph.gnc import QUANTILES, graduate
 from bundle.pose_graph.information import checked_information
+from bundle.pose_graph.loss_choice import choose_loss, truncated_cost
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph.pose_graph_result import PoseGraphResult, PoseGraphSummary
 from bundle.pose_graph.starts import Start, choose_start, chordal_below, started
@@ -66,13 +67,21 @@ def solve_pose_graph(
     start = _start(weighed, held, options)
     started_graph = weighed.replace(poses=start.poses)
     doubted = _robust_edges(graph, options)
-    solve = _solve_gnc if options.loss == "gnc_tls" else _solve_once
-    output = solve(started_graph, held, doubted, options, progress)
+
+    def solve(how: PoseGraphOptions) -> dict[str, Any]:
+        by_loss = _solve_gnc if how.loss == "gnc_tls" else _solve_once
+        return by_loss(started_graph, held, doubted, how, progress)
+
+    if options.loss == "auto":
+        c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
+        used, output, why = choose_loss(solve, doubted, options, c_squared)
+    else:
+        used, output, why = options, solve(options), ""
     record = record_fields(output)
-    rejected = _rejected(graph, output, doubted, options)
+    rejected = _rejected(graph, output, doubted, used)
     warnings = {
         SEVERAL_COMPONENTS: _about_components(num_components),
-        LOCAL_MINIMUM: _about_minimum(weighed, held, start, options, output),
+        LOCAL_MINIMUM: _about_minimum(weighed, held, start, used, output),
     }
     summary = PoseGraphSummary(
         **_with_warnings(output["summary"], warnings),
@@ -81,6 +90,8 @@ def solve_pose_graph(
         chi2_final=float(output["chi2_after"].sum()),
         init=start.init,
         init_choice=start.reason,
+        loss=used.loss,
+        loss_choice=why,
         num_components=num_components,
         num_gauge_freedoms=graph.tangent_size * len(for_gauge),
         held_pose_ids=tuple(int(graph.ids[pose]) for pose in for_gauge),
@@ -173,10 +184,10 @@ def _solve_gnc(
     weights, _ = graduate(chi2, doubted, c_squared, lambda found: solve(found, rough))
     after = solve(weights, plain)
 
-    def cost(chi2: NDArray[np.float64]) -> float:
-        return 0.5 * float(np.where(doubted, np.minimum(chi2, c_squared), chi2).sum())
-
-    costs = {"initial_cost": cost(before), "final_cost": cost(after)}
+    costs = {
+        "initial_cost": truncated_cost(before, doubted, c_squared),
+        "final_cost": truncated_cost(after, doubted, c_squared),
+    }
     return output | {
         "chi2_before": freeze(before.copy()),
         "chi2_after": freeze(after.copy()),
@@ -195,6 +206,8 @@ def _rejected(
 
     A weight alone does not tell: some losses take weight from every edge.
     """
+    if options.loss == "trivial":
+        return ()
     out = doubted & (output["weights"] < 0.5)
     if options.loss != "gnc_tls":
         out &= output["chi2_after"] > BEYOND_DOUBT[graph.tangent_size]

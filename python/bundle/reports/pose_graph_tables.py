@@ -32,6 +32,7 @@ def refined_graph(
         ("input", f"{shown(path)} (g2o)"),
         ("", contents_of_graph(graph)),
         ("error", _error(solved.options)),
+        *((("loss", summary.loss_choice),) if summary.loss_choice else ()),
         ("gauge", _gauge(solved)),
         ("start", summary.init.replace("_", " ")),
         *((("", summary.init_choice),) if summary.init_choice else ()),

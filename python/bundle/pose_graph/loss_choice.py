@@ -1,0 +1,83 @@
+"""Which loss a pose graph needs: ``auto`` tries what finds wrong closures and compares.
+
+No loss finds every set of wrong closures: dynamic covariance scaling stays in local minima where
+graduated non-convexity does not, and the other way round. Both aim at the same, poses that most
+closures agree with, which the truncated cost measures whatever the loss was:
+
+    1/2 sum over trusted edges x + 1/2 sum over doubted edges min(x, c^2),    x = r^T Omega r,
+
+with c^2 the 99.95 % quantile of chi2 times the square of the scale. A solve without a loss comes
+first: where it leaves every closure below c^2, nothing is to be doubted, and it stands. Else the
+solution of the least truncated cost is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.pose_graph_options import PoseGraphOptions
+from bundle.words import number, plural
+
+__all__ = ["TRIED", "choose_loss", "truncated_cost"]
+
+TRIED = ("dcs", "gnc_tls")
+"""Losses for wrong closures that ``auto`` tries."""
+
+Solve = Callable[[PoseGraphOptions], dict[str, Any]]
+
+
+def truncated_cost(
+    chi2: NDArray[np.float64], doubted: NDArray[np.bool_], c_squared: float
+) -> float:
+    """Return 1/2 sum of chi2, of doubted edges at most c^2."""
+    return 0.5 * float(np.where(doubted, np.minimum(chi2, c_squared), chi2).sum())
+
+
+def choose_loss(
+    solve: Solve, doubted: NDArray[np.bool_], options: PoseGraphOptions, c_squared: float
+) -> tuple[PoseGraphOptions, dict[str, Any], str]:
+    """Solve without a loss, then with those that are tried, as far as that is needed.
+
+    Args:
+        solve: with some options, from one start; what it returns has "chi2_after" and "summary".
+        doubted: (m,) edges that the loss may take weight from.
+        options: with loss "auto".
+        c_squared: of the truncated cost.
+
+    Returns:
+        Options with the loss that was taken, what its solve returned, and why, in a sentence.
+    """
+    plain = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
+    output = solve(plain)
+    if output["summary"]["interrupted"]:
+        return plain, output, "No loss: stopped before one was tried."
+    beyond = int((doubted & (output["chi2_after"] > c_squared)).sum())
+    if not beyond:
+        reason = f"No loss: without one all closures have a chi2 of at most {number(c_squared)}."
+        return plain, output, reason
+    tried = [(plain, output)]
+    for loss in TRIED:
+        chosen = options.replace(loss=loss)
+        tried.append((chosen, solve(chosen)))
+        if tried[-1][1]["summary"]["interrupted"]:
+            break
+    costs = [truncated_cost(found["chi2_after"], doubted, c_squared) for _, found in tried]
+    best = int(np.argmin(costs))
+    words = ", ".join(
+        f"{number(cost)} by {_name(options)}"
+        for cost, (options, _) in zip(costs, tried, strict=True)
+    )
+    reason = (
+        f"{_name(tried[best][0])}: without a loss {plural(beyond, 'edge')} "
+        f"{'has' if beyond == 1 else 'have'} a chi2 above {number(c_squared)}, and its truncated "
+        f"cost is the least ({words})."
+    )
+    return (*tried[best], reason)
+
+
+def _name(options: PoseGraphOptions) -> str:
+    return "no loss" if options.loss == "trivial" else options.loss.replace("_", "-")
