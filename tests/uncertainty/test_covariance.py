@@ -189,6 +189,19 @@ def test_blocks_of_the_selected_inverse_are_those_of_solves():
     assert cov.point_covariance == pytest.approx(one.point_covariance, rel=1e-9, abs=1e-12)
 
 
+def test_a_long_drive_one_way_keeps_its_digits():
+    """Eliminated from one end to the other, its selected inverse is off by powers of ten."""
+    drive = {"loop_closure": False, "cameras": "individual", "camera_model": "RADIAL", "seed": 4}
+    scene = bundle.synthesize(num_images=400, num_points=14000, mean_track_length=5.0, **drive)
+    problem = scene.ground_truth
+    b = 399
+    cov = bundle.covariance(problem, fixed_image_ids=(200,), relative=[(200, b)], of="poses")
+    moves = moved_by_b(problem, 199, b - 1)
+    expected = moves @ cov.pose(b) @ moves.T
+    assert cov.relative(200, b) == pytest.approx(expected, abs=1e-8 * expected.max())
+    assert (np.linalg.eigvalsh(np.delete(cov.pose_covariance, 199, axis=0)) > 0).all()
+
+
 def test_points_without_parallax_are_left_out_and_named():
     problem = make_problem(num_images=5, num_points=30, seed=1, perturbation=0, noise=0.2)
     once = (problem.observation_point != 7) | (problem.observation_image == 0)

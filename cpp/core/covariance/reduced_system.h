@@ -108,7 +108,7 @@ class ReducedSystem {
   /// singular.
   double SmallestPivot(int* unknown) const;
   /// The most of (S^-1)_jj S_jj after Invert, and its unknown j: how much larger a variance is than
-  /// with all else known.
+  /// with all else known. Infinite where that is clearly below 1, as of rounding alone.
   double LargestInflation(int* unknown) const;
 
   /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads, points
