@@ -59,7 +59,7 @@ CORE_MAY_INCLUDE = {
     },
     "solver": {
         *{"ceres", "schur", "pose_graph", "prepare", "checking", "minimize", "linear", "model"},
-        *{"interface", "problem", "parallel"},
+        *{"interface", "problem", "parallel", "graph", "dense"},
     },
 }
 

@@ -20,6 +20,7 @@
 #include "core/graph/factor_graph.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
+#include "core/solver/square_root_solver.h"
 
 namespace py = pybind11;
 
@@ -28,12 +29,14 @@ namespace {
 using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
 
 py::dict SolveGraph(const py::list& variables, const py::list& factors, const py::dict& options,
-                    const py::object& progress) {
+                    const py::object& progress, bool square_root) {
   const bundle::FactorGraph graph = GraphFromPython(variables, factors);
   const bundle::SolveOptions solve_options = OptionsFromPython(options);
   PythonProgress report(progress);
-  bundle::GraphOutput output = RunWatched(
-      &report, [&] { return bundle::SolveGraph(graph, solve_options, std::ref(report)); });
+  bundle::GraphOutput output = RunWatched(&report, [&] {
+    return square_root ? bundle::SolveGraphBySquareRoot(graph, solve_options, std::ref(report))
+                       : bundle::SolveGraph(graph, solve_options, std::ref(report));
+  });
   report.Rethrow();
   py::list values;
   for (std::vector<double>& value : output.values) {
@@ -46,6 +49,16 @@ py::dict SolveGraph(const py::list& variables, const py::list& factors, const py
   return result;
 }
 
+/// (largest, least singular value, columns, rank)
+py::tuple GraphConditioning(const py::list& variables, const py::list& factors) {
+  const bundle::FactorGraph graph = GraphFromPython(variables, factors);
+  PythonProgress report(py::none{});
+  const bundle::JacobianConditioning found =
+      RunWatched(&report, [&] { return bundle::EstimateConditioning(graph); });
+  return py::make_tuple(found.max_singular_value, found.min_singular_value, found.num_columns,
+                        found.rank);
+}
+
 bundle::LinearizedGraph Linearize(const bundle::FactorGraph& graph, int num_threads) {
   PythonProgress report(py::none{});
   return RunWatched(&report, [&] {
@@ -56,6 +69,22 @@ bundle::LinearizedGraph Linearize(const bundle::FactorGraph& graph, int num_thre
 
 double GraphCost(const py::list& variables, const py::list& factors) {
   return Linearize(GraphFromPython(variables, factors), 1).cost;
+}
+
+/// Residual and dense Jacobian over all tangent coordinates, losses applied.
+py::tuple GraphJacobian(const py::list& variables, const py::list& factors) {
+  const bundle::FactorGraph graph = GraphFromPython(variables, factors);
+  bundle::LinearizedGraph linear = Linearize(graph, 1);
+  const auto rows = static_cast<py::ssize_t>(linear.residual.size());
+  const auto columns = static_cast<py::ssize_t>(linear.block_begin.back());
+  std::vector<double> dense(static_cast<size_t>(rows * columns));
+  for (py::ssize_t r = 0; r < rows; ++r) {
+    for (int64_t k = linear.row_begin[r]; k < linear.row_begin[r + 1]; ++k) {
+      dense[r * columns + linear.columns[k]] = linear.values[k];
+    }
+  }
+  return py::make_tuple(ToImmutableNumpy(std::move(linear.residual), {rows}),
+                        ToImmutableNumpy(std::move(dense), {rows, columns}));
 }
 
 /// Throws InputError if the dense matrices of a marginal information do not fit into the free
@@ -185,7 +214,9 @@ void CheckVariable(const py::tuple& variable) { bundle::CheckBlock(VariableFromP
 
 void BindGraph(py::module_& m) {
   m.def("solve_graph", &SolveGraph, py::arg("variables"), py::arg("factors"), py::arg("options"),
-        py::arg("progress"));
+        py::arg("progress"), py::arg("square_root"));
+  m.def("graph_conditioning", &GraphConditioning, py::arg("variables"), py::arg("factors"));
+  m.def("graph_jacobian", &GraphJacobian, py::arg("variables"), py::arg("factors"));
   m.def("graph_cost", &GraphCost, py::arg("variables"), py::arg("factors"));
   m.def("marginal_information", &MarginalInformation, py::arg("variables"), py::arg("factors"),
         py::arg("kept"));

@@ -76,6 +76,15 @@ class FactorReader {
       return std::make_unique<bundle::LinearPrior>(head_, retractions_, std::move(points), At(1),
                                                    At(2));
     }
+    if (kind_ == "square_root") {
+      std::vector<std::vector<double>> points;
+      for (const py::handle& point : py::cast<py::sequence>(arguments_[0])) {
+        points.push_back(Numbers(point));
+      }
+      bundle::LinearPrior::Root root{static_cast<int>(py::len(arguments_[2])), At(1), At(2)};
+      return std::make_unique<bundle::LinearPrior>(head_, retractions_, std::move(points),
+                                                   std::move(root));
+    }
     if (kind_ == "function") {
       return std::make_unique<PythonFactor>(head_, retractions_, arguments_[0], start_);
     }

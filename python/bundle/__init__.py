@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
         BetweenFactor,
+        DigitsLeft,
         FactorGraph,
         FunctionFactor,
         GraphResult,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
         RelativePoseFactor,
         ReprojectionFactor,
         ScalarPriorFactor,
+        SquareRootPrior,
     )
     from bundle.headers import get_include
     from bundle.html import report
@@ -77,6 +79,7 @@ __all__ = [
     "Covariance",
     "Description",
     "Diagnosis",
+    "DigitsLeft",
     "FactorGraph",
     "Filtered",
     "FunctionFactor",
@@ -110,6 +113,7 @@ __all__ = [
     "SceneOptions",
     "SolveOptions",
     "Solver",
+    "SquareRootPrior",
     "Summary",
     "SyntheticScene",
     "__version__",
@@ -167,6 +171,7 @@ _DEFERRED = {
     "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
     "graph": (
         "BetweenFactor",
+        "DigitsLeft",
         "FactorGraph",
         "FunctionFactor",
         "GraphResult",
@@ -177,6 +182,7 @@ _DEFERRED = {
         "RelativePoseFactor",
         "ReprojectionFactor",
         "ScalarPriorFactor",
+        "SquareRootPrior",
     ),
     "free_degrees": ("GaugeFreedom", "gauge_freedom"),
     "headers": ("get_include",),

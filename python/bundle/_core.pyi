@@ -278,7 +278,14 @@ def solve_graph(
     factors: list[Any],
     options: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
+    square_root: bool,
 ) -> dict[str, Any]: ...
+def graph_conditioning(
+    variables: list[Any], factors: list[Any]
+) -> tuple[float, float, int, int]: ...
+def graph_jacobian(
+    variables: list[Any], factors: list[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 def graph_cost(variables: list[Any], factors: list[Any]) -> float: ...
 def marginal_information(
     variables: list[Any], factors: list[Any], kept: list[int]

@@ -1,6 +1,7 @@
 """Factor graphs: variables on manifolds, factors between them, one solve."""
 
 from bundle.graph.check_factors import FactorCheck
+from bundle.graph.digits import DigitsLeft
 from bundle.graph.factor_graph import FactorGraph
 from bundle.graph.factors import (
     BetweenFactor,
@@ -15,9 +16,11 @@ from bundle.graph.function_factor import FunctionFactor
 from bundle.graph.graph_result import GraphResult
 from bundle.graph.linear_prior import LinearPrior
 from bundle.graph.spectrum import PriorSpectrum
+from bundle.graph.square_root_prior import SquareRootPrior
 
 __all__ = [
     "BetweenFactor",
+    "DigitsLeft",
     "Factor",
     "FactorCheck",
     "FactorGraph",
@@ -30,4 +33,5 @@ __all__ = [
     "RelativePoseFactor",
     "ReprojectionFactor",
     "ScalarPriorFactor",
+    "SquareRootPrior",
 ]

@@ -115,14 +115,17 @@ class AnchoredFactor(Factor):
         return moved
 
     def _matrix(self) -> Array:
-        """Return what the spectrum is of."""
+        """Return Lambda."""
         raise NotImplementedError
+
+    def _find_spectrum(self) -> PriorSpectrum:
+        return PriorSpectrum.of(self._matrix())
 
     @property
     def spectrum(self) -> PriorSpectrum:
         """Eigenvalues and asymmetry of Lambda; computed when first asked for."""
         if self._spectrum is None:
-            self._set("_spectrum", PriorSpectrum.of(self._matrix()))
+            self._set("_spectrum", self._find_spectrum())
         assert self._spectrum is not None
         return self._spectrum
 

@@ -61,6 +61,22 @@ class PriorSpectrum(Displayed):
             difference / largest_entry if largest_entry else 0.0,
         )
 
+    @staticmethod
+    def of_root(root: Array) -> PriorSpectrum:
+        """Return the spectrum of R^T R, by the singular values of R: with twice the digits."""
+        rows, n = root.shape
+        padded = np.vstack((root, np.zeros((max(n - rows, 0), n))))
+        norms = np.linalg.norm(padded, axis=0)
+        scaled = np.linalg.svd(padded / np.where(norms > 0, norms, 1.0), compute_uv=False)
+        rounding = 16 * n * float(np.finfo(root.dtype).eps)
+        nullity = int((scaled <= rounding * scaled[0]).sum())
+        values = np.linalg.svd(padded, compute_uv=False) ** 2
+        least = float(values[n - nullity - 1]) if nullity < n else 0.0
+        largest = float(values[0])
+        return PriorSpectrum(
+            float(values[-1]), largest, nullity, least / largest if largest else 0.0, 0.0
+        )
+
     @property
     def warning(self) -> str:
         """A sentence if the prior should not be trusted, otherwise empty."""
