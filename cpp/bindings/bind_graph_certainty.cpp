@@ -23,7 +23,7 @@ namespace {
 
 PoseErrorOptions ErrorOfName(const std::string& name) {
   PoseErrorOptions errors;
-  errors.error = name == "g2o" ? PoseError::kG2o : PoseError::kLog;
+  errors.error = PoseErrorFromName(name);
   return errors;
 }
 

@@ -74,12 +74,6 @@ void WriteG2oFile(const py::object& given_path, const py::object& graph,
   }
 }
 
-PoseError PoseErrorFromName(const std::string& name) {
-  if (name == "log") return PoseError::kLog;
-  if (name == "g2o") return PoseError::kG2o;
-  throw InputError("error: expected log or g2o, found " + name);
-}
-
 EdgeLoss EdgeLossFromName(const std::string& name) {
   // Switchable constraints are Geman and McClure's once their switches are eliminated.
   if (name == "geman_mcclure" || name == "switchable") {

@@ -6,6 +6,7 @@
 #include <pybind11/pybind11.h>
 
 #include <cstdint>
+#include <string>
 
 #include "core/error.h"
 #include "core/pose_graph/pose_graph.h"
@@ -35,6 +36,13 @@ struct GraphArrays {
   Array<double> measurements;
   Array<double> information;
 };
+
+inline PoseError PoseErrorFromName(const std::string& name) {
+  if (name == "log") return PoseError::kLog;
+  if (name == "g2o") return PoseError::kG2o;
+  if (name == "ceres") return PoseError::kCeres;
+  throw InputError("error: expected log, g2o or ceres, found " + name);
+}
 
 /// `held` may be another array than the graph's.
 inline PoseGraphView ViewGraph(const GraphArrays& arrays, const Array<bool>& held) {

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from bundle.option_fields import Options, documented, option
 from bundle.options import BACKENDS, LOSSES, TRUST_REGION_STRATEGIES
 
-__all__ = ["PoseGraphOptions"]
+__all__ = ["POSE_ERRORS", "PoseGraphOptions"]
+
+POSE_ERRORS = ("log", "g2o", "ceres")
 
 GRAPH_LOSSES = (*LOSSES, "geman_mcclure", "dcs", "switchable", "gnc_tls", "auto")
 
@@ -31,8 +33,9 @@ class PoseGraphOptions(Options):
         "log",
         "--error",
         "error of an edge: log is the logarithm of Z^-1 X_i^-1 X_j as a whole (GTSAM's), g2o its "
-        "translation and angle, or in space the vector part of its quaternion",
-        choices=("log", "g2o"),
+        "translation and angle, or in space the vector part of its quaternion, ceres that of "
+        "Ceres' pose graph examples",
+        choices=POSE_ERRORS,
     )
     init: str = option(
         "file",

@@ -33,6 +33,14 @@ def error_by_matrices(error, x_i, x_j, z):
         if len(motion) == 3:
             return np.array([algebra[0, 2], algebra[1, 2], algebra[1, 0]])
         return np.array([algebra[2, 1], algebra[0, 2], algebra[1, 0], *algebra[:3, 3]])
+    if error == "ceres":
+        between = np.linalg.inv(matrix(x_i)) @ matrix(x_j)
+        if len(motion) == 3:
+            angle = np.arctan2(motion[1, 0], motion[0, 0])
+            return np.append(between[:2, 2] - z[:2], angle)
+        apart = Rotation.from_quat(z[:4]) * Rotation.from_matrix(between[:3, :3]).inv()
+        twice = 2 * apart.as_quat(canonical=True)[:3]
+        return np.append(twice, between[:3, 3] - z[4:])
     if len(motion) == 3:
         return np.array([motion[0, 2], motion[1, 2], np.arctan2(motion[1, 0], motion[0, 0])])
     quaternion = Rotation.from_matrix(motion[:3, :3]).as_quat()

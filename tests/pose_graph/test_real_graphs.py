@@ -6,13 +6,13 @@ import pytest
 import bundle
 
 TARGETS = {
-    "tinyGrid3D": (286.635747107, 18.6278188671, 6.72788161705),
-    "smallGrid3D": (167788.666871, 1035.85066472, 458.153784343),
-    "parking-garage": (16727.2038962, 1.26838479926, 1.23869057984),
-    "sphere2500": (2611315.42361, 1351.40192585, 727.149667248),
-    "intel": (553.995795564, 45.0042330881, 45.0046958106),
-    "M3500": (2634712.54502, 137.914878247, 137.912950936),
-    "CSAIL": (2144300.25005, 40.5508833437, 40.5551288478),
+    "tinyGrid3D": (286.635747107, 18.6278188671, 6.72788161705, 18.5193664225),
+    "smallGrid3D": (167788.666871, 1035.85066472, 458.153784343, 1025.39805564),
+    "parking-garage": (16727.2038962, 1.26838479926, 1.23869057984, 1.26838633962),
+    "sphere2500": (2611315.42361, 1351.40192585, 727.149667248, 1354.0169874),
+    "intel": (553.995795564, 45.0042330881, 45.0046958106, 44.4178079807),
+    "M3500": (2634712.54502, 137.914878247, 137.912950936, 137.912950936),
+    "CSAIL": (2144300.25005, 40.5508833437, 40.5551288478, 61.1429730596),
 }
 SLOW_BY_CERES = ("parking-garage", "sphere2500", "M3500")
 
@@ -24,14 +24,16 @@ def load(bundle_data, name):
 @pytest.mark.parametrize("name", TARGETS)
 def test_starts_and_optima(bundle_data, name):
     graph = load(bundle_data, name)
-    start, log, g2o = TARGETS[name]
+    start, log, g2o, ceres = TARGETS[name]
     result = bundle.solve(graph)
     np.testing.assert_allclose(result.summary.chi2_initial, start, rtol=1e-9)
     np.testing.assert_allclose(result.summary.chi2_final, log, rtol=1e-9)
     found = bundle.solve(graph, error="g2o").summary
     np.testing.assert_allclose(found.chi2_final, g2o, rtol=1e-9)
+    found = bundle.solve(graph, error="ceres").summary
+    np.testing.assert_allclose(found.chi2_final, ceres, rtol=1e-9)
     if name not in SLOW_BY_CERES:
-        for error, expected in (("log", log), ("g2o", g2o)):
+        for error, expected in (("log", log), ("g2o", g2o), ("ceres", ceres)):
             found = bundle.solve(graph, error=error, backend="ceres").summary
             np.testing.assert_allclose(found.chi2_final, expected, rtol=1e-9)
 
@@ -46,3 +48,5 @@ def test_mit_needs_a_chordal_start(bundle_data, init):
         np.testing.assert_allclose(bundle.pose_graph_chi2(graph).sum(), 7097320711.04, rtol=1e-9)
         found = bundle.solve(graph, init=init, error="g2o", backend="ceres").summary
         np.testing.assert_allclose(found.chi2_final, 41.1632688362, rtol=1e-9)
+        found = bundle.solve(graph, init=init, error="ceres").summary
+        np.testing.assert_allclose(found.chi2_final, 39.6012944874, rtol=1e-9)

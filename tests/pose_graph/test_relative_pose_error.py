@@ -8,7 +8,7 @@ import bundle
 from bundle import _core
 from tests.pose_graph import graphs
 
-KINDS = [(error, dimension) for error in ("log", "g2o") for dimension in (2, 3)]
+KINDS = [(error, dimension) for error in ("log", "g2o", "ceres") for dimension in (2, 3)]
 
 
 @pytest.mark.parametrize(("error", "dimension"), KINDS)
@@ -48,7 +48,7 @@ def test_jacobians_are_those_of_differences(error, dimension, angle):
     assert graph.check_gradients(num_samples=1)
 
 
-@pytest.mark.parametrize("error", ["log", "g2o"])
+@pytest.mark.parametrize("error", ["log", "g2o", "ceres"])
 def test_turns_of_angles_change_nothing(error):
     x_i, x_j, z = np.array([0, 0, 3.1]), np.array([1, 0, -3.1]), np.array([-1, 0.1, 0.05])
     residual = _core.relative_pose_error(error, x_i, x_j, z)[0]
@@ -58,7 +58,7 @@ def test_turns_of_angles_change_nothing(error):
         np.testing.assert_allclose(other, residual, atol=1e-13)
 
 
-@pytest.mark.parametrize("error", ["log", "g2o"])
+@pytest.mark.parametrize("error", ["log", "g2o", "ceres"])
 def test_the_sign_of_a_quaternion_changes_nothing(error):
     rng = np.random.default_rng(8)
     x_i, x_j, z = (graphs.random_pose(rng, 3) for _ in range(3))

@@ -6,15 +6,19 @@
 ///
 ///   B = X_i^-1 X_j,      M = Z^-1 B,
 ///
-/// M is the identity where the measurement is met. Two errors are in use:
+/// M is the identity where the measurement is met. Three errors are in use:
 ///
 ///   log   r = Log(M), the logarithm of SE(2) or SE(3) as a whole (rigid_motion.h), which couples
 ///         translation and rotation; GTSAM's BetweenFactor, in the plane included.
 ///   g2o   r = (t, theta) of M in the plane, r = (q_v, t) of M in space, q_v the vector part of the
 ///         quaternion (q_v, q_w) of M with q_w >= 0: half the rotation vector at small angles, so
 ///         that the same information weighs rotations a quarter as much.
+///   ceres r = (t_B - t_Z, theta_B - theta_Z) in the plane, r = (2 d_v, t_B - t_Z) in space, d_v
+///   the
+///         vector part of q_Z q_B^-1 with d_w >= 0; that of Ceres' examples pose_graph_2d and
+///         pose_graph_3d. Its translation is not turned into the frame of the measurement.
 ///
-/// Both are in the order of the tangent coordinates (geometry/retraction.h): in space the rotation
+/// All are in the order of the tangent coordinates (geometry/retraction.h): in space the rotation
 /// comes first. Poses move by the right perturbation X Exp(d). Of X_j,
 ///
 ///   M -> M Exp(d):      dr = E d + O(|d|^2),
@@ -28,7 +32,9 @@
 ///   log   E = J_r(r)^-1, the inverse right Jacobian;
 ///   g2o   in the plane, from t -> t + R_M v and theta -> theta + a, E = diag(R_M, 1);
 ///         in space, from q -> q (w/2, 1) and t -> t + R_M v (both to first order),
-///         E = diag(1/2 (q_w I + [q_v]x), R_M).
+///         E = diag(1/2 (q_w I + [q_v]x), R_M);
+///   ceres in the plane E = diag(R_B, 1); in space, from q_Z (q_B Exp(w))^-1 = d Exp(-R_B w),
+///         E = diag(-(d_w I + [d_v]x) R_B, R_B).
 ///
 /// The angle of M is in [-pi, pi] whatever turns the poses' angles have: errors do not jump where
 /// angles wrap, but at half a turn between prediction and measurement, where no error is smooth.
@@ -40,7 +46,7 @@
 
 namespace bundle {
 
-enum class PoseError { kLog, kG2o };
+enum class PoseError { kLog, kG2o, kCeres };
 
 struct Se2 {
   static constexpr Manifold kManifold = Manifold::kSe2;
@@ -70,13 +76,16 @@ inline void EvaluateRelativePose<Se2>(PoseError error, const double* x_i, const 
   if (error == PoseError::kLog) {
     LogPlanarMotion(motion, residual);
   } else {
-    residual[0] = motion[0], residual[1] = motion[1], residual[2] = WrapAngle(motion[2]);
+    const bool turned = error == PoseError::kG2o;
+    for (int i = 0; i < 2; ++i) residual[i] = turned ? motion[i] : between[i] - z[i];
+    residual[2] = WrapAngle(motion[2]);
   }
   if (right == nullptr) return;
   if (error == PoseError::kLog) {
     InverseRightJacobianOfPlanarMotion(residual, right);
   } else {
-    const double c = std::cos(motion[2]), s = std::sin(motion[2]);
+    const double angle = error == PoseError::kG2o ? motion[2] : between[2];
+    const double c = std::cos(angle), s = std::sin(angle);
     const double rotated[9] = {c, -s, 0, s, c, 0, 0, 0, 1};
     for (int i = 0; i < 9; ++i) right[i] = rotated[i];
   }
@@ -93,8 +102,16 @@ inline void EvaluateRelativePose<Se3>(PoseError error, const double* x_i, const 
   RigidMotionBetween(x_i, x_j, between);
   RigidMotionBetween(z, between, motion);
   const double sign = motion[3] < 0 ? -1 : 1;
+  double delta[4];  // q_Z q_B^-1, of error ceres
   if (error == PoseError::kLog) {
     LogRigidMotion(motion, residual);
+  } else if (error == PoseError::kCeres) {
+    const double back[4] = {-between[0], -between[1], -between[2], between[3]};
+    QuaternionProduct(z, back, delta);
+    const double factor = delta[3] < 0 ? -1 : 1;
+    for (double& value : delta) value *= factor;
+    for (int i = 0; i < 3; ++i)
+      residual[i] = 2 * delta[i], residual[3 + i] = between[4 + i] - z[4 + i];
   } else {
     for (int i = 0; i < 3; ++i) residual[i] = sign * motion[i], residual[3 + i] = motion[4 + i];
   }
@@ -103,6 +120,19 @@ inline void EvaluateRelativePose<Se3>(PoseError error, const double* x_i, const 
     double negative[6];
     for (int i = 0; i < 6; ++i) negative[i] = -residual[i];
     InverseLeftJacobianOfRigidMotion(negative, right);
+  } else if (error == PoseError::kCeres) {
+    double rotation[9], skew[9], product[9];
+    QuaternionToRotation(between, rotation);
+    Skew(delta, skew);
+    for (int i = 0; i < 3; ++i) skew[4 * i] += delta[3];
+    MatrixProduct3(skew, rotation, product);
+    for (int r = 0; r < 3; ++r) {
+      for (int c = 0; c < 3; ++c) {
+        right[6 * r + c] = -product[3 * r + c];
+        right[6 * (r + 3) + c + 3] = rotation[3 * r + c];
+        right[6 * r + c + 3] = right[6 * (r + 3) + c] = 0;
+      }
+    }
   } else {
     double rotation[9], skew[9];
     QuaternionToRotation(motion, rotation);

@@ -164,7 +164,7 @@ def find_joints(graph: PoseGraph, held: NDArray[np.bool_], error: str) -> Joints
     Args:
         graph: with valid information, weights of a loss multiplied in.
         held: (n,) poses that a solve holds.
-        error: "log" or "g2o".
+        error: "log", "g2o" or "ceres".
     """
     sigmas = typical_sigmas(graph)
     values = np.linalg.eigvalsh(graph.information * np.outer(sigmas, sigmas))

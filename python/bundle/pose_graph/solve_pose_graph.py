@@ -17,7 +17,7 @@ from bundle.pose_graph.loss_choice import choose_loss, truncated_cost
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph.pose_graph_result import PoseGraphResult, PoseGraphSummary
 from bundle.pose_graph.starts import Start, choose_start, chordal_below, started
-from bundle.pose_graph_options import PoseGraphOptions
+from bundle.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.solve_record import Progress, record_fields
 from bundle.words import number, plural
 
@@ -129,13 +129,13 @@ def pose_graph_chi2(graph: PoseGraph, error: str = "log") -> NDArray[np.float64]
 
     Args:
         graph: left untouched.
-        error: "log" or "g2o", as in :class:`PoseGraphOptions`.
+        error: "log", "g2o" or "ceres", as in :class:`PoseGraphOptions`.
 
     Raises:
         InputError: an information matrix is asymmetric or indefinite.
     """
     check_type("graph", graph, PoseGraph)
-    error = choice("error", error, ("log", "g2o"))
+    error = choice("error", error, POSE_ERRORS)
     return _core.edge_chi2(checked_information(graph, "file"), error)
 
 

@@ -9,6 +9,7 @@ from bundle._core import __version__
 from bundle.errors import InputError
 from bundle.pose_graph import PoseGraph, PoseGraphResult, pose_graph_chi2
 from bundle.pose_graph.information import bad_information, describe_information
+from bundle.pose_graph_options import POSE_ERRORS
 from bundle.reports.json import SCHEMA, plain, records
 from bundle.reports.timing import WallTime
 
@@ -72,7 +73,7 @@ def refinement_of_graph(
 def information_of_graph(path: str, graph: PoseGraph) -> dict[str, Any]:
     """Return the report of `bundle info`: counts, components, chi2 now, what is wrong."""
     bad = bad_information(graph)
-    chi2: dict[str, float | None] = {"log": None, "g2o": None}
+    chi2: dict[str, float | None] = dict.fromkeys(POSE_ERRORS)
     for error in chi2:
         try:
             chi2[error] = float(pose_graph_chi2(graph, error).sum())
