@@ -14,9 +14,11 @@ from bundle.arguments import check_function
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief, first_line
 from bundle.io import Source, as_problem
+from bundle.io.recognition import is_pose_graph_file
 from bundle.options import CHANGEABLE, SolveOptions
 from bundle.placement import Start, place_at_priors
 from bundle.pose_graph import PoseGraph, PoseGraphResult, solve_pose_graph
+from bundle.pose_graph.g2o_files import load_g2o
 from bundle.pose_graph_options import PoseGraphOptions
 from bundle.problem import Problem
 from bundle.reprojection import resolve_cheirality
@@ -137,10 +139,11 @@ def solve(
     :class:`bundle.PoseGraphOptions`, and the result is a :class:`bundle.PoseGraphResult`. Fixed
     poses stay; in a connected component without one the first pose is held::
 
-        bundle.solve(bundle.load("x.g2o"), init="chordal", error="log").summary.chi2_final
+        bundle.solve("x.g2o", init="chordal", error="log").summary.chi2_final
 
     Args:
-        problem: left untouched; also the path of a reconstruction, or a pycolmap.Reconstruction.
+        problem: left untouched; also the path of a reconstruction or of a pose graph, or a
+            pycolmap.Reconstruction.
         options: how to solve; the defaults of :class:`SolveOptions` if not given.
         factors: beside the observations, such as :class:`bundle.PriorFactor`.
         priors: measured positions of images, and control points. Their costs come after those of
@@ -173,6 +176,8 @@ def solve(
             contradicts another one or the options, or excludes the start.
         OSError: the path cannot be read.
     """
+    if is_pose_graph_file(problem):
+        problem = load_g2o(problem)  # type: ignore[arg-type]
     if isinstance(problem, PoseGraph):
         beside = {
             "factors": factors,

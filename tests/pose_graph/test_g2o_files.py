@@ -150,7 +150,7 @@ def test_files_that_are_empty_cut_or_not_there(tmp_path):
 def test_a_reconstruction_is_asked_for_and_a_graph_is_found(tmp_path):
     path = write(tmp_path / "graph.txt", *PLANE)
     with pytest.raises(bundle.InputError, match="expected a reconstruction, found a pose graph"):
-        bundle.solve(str(path))
+        bundle.describe(str(path))
     with pytest.raises(bundle.InputError, match=r"^format: expected none for a pose graph"):
         bundle.save(bundle.load(path), tmp_path / "x.g2o", "bal")
     assert not (tmp_path / "x.g2o").exists()

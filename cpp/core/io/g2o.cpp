@@ -22,15 +22,33 @@ struct G2oKind {
   int ambient, tangent;
   /// Place of the file's k-th number in a pose as we store it, and in a tangent vector.
   int pose_place[7], tangent_place[6];
+  bool is_toro = false;
 };
 
 constexpr G2oKind kG2oKinds[] = {
     {2, "VERTEX_SE2", "EDGE_SE2", 3, 3, {0, 1, 2}, {0, 1, 2}},
     {3, "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", 7, 6, {4, 5, 6, 0, 1, 2, 3}, {3, 4, 5, 0, 1, 2}},
+    {2, "VERTEX2", "EDGE2", 3, 3, {0, 1, 2}, {0, 1, 2}, true},
+    {3, "VERTEX3", "EDGE3", 7, 6, {4, 5, 6, 0, 1, 2, 3}, {3, 4, 5, 0, 1, 2}, true},
 };
+
+/// Rows and columns of TORO's six numbers of information in the plane.
+constexpr int kToroPlane[6][2] = {{0, 0}, {0, 1}, {1, 1}, {2, 2}, {0, 2}, {1, 2}};
 
 constexpr const char* kPoseNames2[] = {"x", "y", "the angle"};
 constexpr const char* kPoseNames3[] = {"x", "y", "z", "qx", "qy", "qz", "qw"};
+constexpr const char* kToroNames3[] = {"x", "y", "z", "roll", "pitch", "yaw"};
+
+/// R_z(yaw) R_y(pitch) R_x(roll), as qx qy qz qw.
+void QuaternionOfAngles(double roll, double pitch, double yaw, double* q) {
+  const double cr = std::cos(roll / 2), sr = std::sin(roll / 2);
+  const double cp = std::cos(pitch / 2), sp = std::sin(pitch / 2);
+  const double cy = std::cos(yaw / 2), sy = std::sin(yaw / 2);
+  q[0] = sr * cp * cy - cr * sp * sy;
+  q[1] = cr * sp * cy + sr * cp * sy;
+  q[2] = cr * cp * sy - sr * sp * cy;
+  q[3] = cr * cp * cy + sr * sp * sy;
+}
 
 /// Positions by id.
 class IdTable {
@@ -79,7 +97,7 @@ class G2oReader {
     if (kind_ == nullptr) {
       cursor_.FailAt(std::max<int64_t>(cursor_.line(), 1),
                      "vertices and edges of a pose graph (VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, "
-                     "EDGE_SE3:QUAT)",
+                     "EDGE_SE3:QUAT, or TORO's VERTEX2, EDGE2, VERTEX3, EDGE3)",
                      "the end of the file");
     }
     Resolve();
@@ -100,7 +118,10 @@ class G2oReader {
     }
     if (tag == "FIX") return ReadFix();
     if (tag.substr(0, 7) == "PARAMS_") return;
-    cursor_.FailWith("VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT or FIX", Quoted(tag));
+    cursor_.FailWith(
+        "VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX or TORO's VERTEX2, EDGE2, "
+        "VERTEX3, EDGE3",
+        Quoted(tag));
   }
 
   void ReadVertex() {
@@ -111,7 +132,7 @@ class G2oReader {
     graph_.ids.push_back(id);
     vertex_lines_.push_back(cursor_.line());
     ReadPose(&graph_.poses, [&] { return "vertex " + std::to_string(id); });
-    ExpectEnd(1 + kind_->ambient);
+    ExpectEnd(1 + NumPoseNumbers());
   }
 
   void ReadEdge() {
@@ -129,18 +150,20 @@ class G2oReader {
     const size_t begin = graph_.information.size();
     graph_.information.resize(begin + n * n);
     double* const matrix = graph_.information.data() + begin;
-    for (int r = 0; r < n; ++r) {
-      for (int c = r; c < n; ++c) {
+    for (int r = 0, k = 0; r < n; ++r) {
+      for (int c = r; c < n; ++c, ++k) {
         double value = 0;
         if (!cursor_.Read(&value, [](double v) { return std::isfinite(v); })) {
           cursor_.Fail("the information of " + name() + " in row " + std::to_string(r + 1) +
                        ", column " + std::to_string(c + 1) + " (a finite number)");
         }
-        const int a = kind_->tangent_place[r], b = kind_->tangent_place[c];
+        const bool is_permuted = kind_->is_toro && n == 3;
+        const int a = is_permuted ? kToroPlane[k][0] : kind_->tangent_place[r];
+        const int b = is_permuted ? kToroPlane[k][1] : kind_->tangent_place[c];
         matrix[a * n + b] = matrix[b * n + a] = value;
       }
     }
-    ExpectEnd(2 + kind_->ambient + n * (n + 1) / 2);
+    ExpectEnd(2 + NumPoseNumbers() + n * (n + 1) / 2);
   }
 
   void ReadFix() {
@@ -149,15 +172,22 @@ class G2oReader {
     } while (!cursor_.AtEndOfLine());
   }
 
+  /// Of a pose in the file.
+  int NumPoseNumbers() const { return kind_->is_toro ? kind_->tangent : kind_->ambient; }
+
   template <typename Name>
   void ReadPose(std::vector<double>* poses, const Name& name) {
-    double pose[7];
-    for (int k = 0; k < kind_->ambient; ++k) {
-      double& value = pose[kind_->pose_place[k]];
+    double pose[7], angles[3];
+    const bool has_angles = kind_->is_toro && kind_->dimension == 3;
+    for (int k = 0; k < NumPoseNumbers(); ++k) {
+      double& value = has_angles && k >= 3 ? angles[k - 3] : pose[kind_->pose_place[k]];
       if (cursor_.Read(&value, [](double v) { return std::isfinite(v); })) continue;
-      const char* what = kind_->dimension == 2 ? kPoseNames2[k] : kPoseNames3[k];
-      cursor_.Fail(std::string(what) + " of " + name() + " (a finite number)");
+      const auto* const names = has_angles              ? kToroNames3
+                                : kind_->dimension == 2 ? kPoseNames2
+                                                        : kPoseNames3;
+      cursor_.Fail(std::string(names[k]) + " of " + name() + " (a finite number)");
     }
+    if (has_angles) QuaternionOfAngles(angles[0], angles[1], angles[2], pose);
     if (kind_->dimension == 3 && pose[0] == 0 && pose[1] == 0 && pose[2] == 0 && pose[3] == 0) {
       cursor_.FailWith("a rotation qx qy qz qw of " + name(), "a quaternion of norm 0");
     }

@@ -1,6 +1,6 @@
 #pragma once
 
-/// Pose graphs in g2o's text format, read and written.
+/// Pose graphs in g2o's text format, read and written; in TORO's, read.
 ///
 ///   VERTEX_SE2 id x y angle
 ///   EDGE_SE2 i j x y angle  I11 I12 I13 I22 I23 I33
@@ -14,6 +14,17 @@
 /// geometry/retraction.h (rotation, then translation): a permutation, exact in floating point. The
 /// numbers themselves stay as they are in the file, lengths of quaternions and turns of angles
 /// among them.
+///
+/// TORO's files (Grisetti, Stachniss, Grzonka, Burgard: TORO, 2007) differ little and are read,
+/// too:
+///
+///   VERTEX2 id x y angle
+///   EDGE2 i j x y angle  I11 I12 I22 I33 I13 I23
+///   VERTEX3 id x y z roll pitch yaw
+///   EDGE3 i j x y z roll pitch yaw  I11 I12 ... I16 I22 ... I66
+///
+/// R = R_z(yaw) R_y(pitch) R_x(roll); the information in space is over x y z roll pitch yaw, which
+/// near no error are x y z and the rotation vector. Written are g2o's records.
 ///
 /// Lines of parameters (PARAMS_...) and comments (#) are passed over. The format is that of g2o's
 /// types slam2d and slam3d (https://github.com/RainerKuemmerle/g2o/wiki/File-Format).

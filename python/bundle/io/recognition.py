@@ -11,7 +11,10 @@ from bundle.io.model_files import MODEL_FILES, missing_model_files
 __all__ = ["is_pose_graph_file", "reconstruction_at"]
 
 _HEADER = re.compile(rb"\s*\d+\s+\d+\s+\d+\s+\d+\s+\d+\s+[-+.\d]")  # counts, first observation
-_RECORD = re.compile(rb"(?:\s*#[^\n]*\n)*\s*(?:VERTEX_SE[23]|EDGE_SE[23]|FIX\s+\d|PARAMS_SE[23])")
+_RECORD = re.compile(
+    rb"(?:\s*#[^\n]*\n)*\s*"
+    rb"(?:VERTEX_SE[23]|EDGE_SE[23]|FIX\s+\d|PARAMS_SE[23]|(?:VERTEX|EDGE)[23]\s+\d)"
+)
 _SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
 _ENOUGH = 512
 
