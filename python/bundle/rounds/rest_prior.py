@@ -40,11 +40,11 @@ from bundle.errors import InputError
 from bundle.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
-from bundle.problem_keys import parameter_names
 from bundle.result import Result
 from bundle.round_record import PartRecord, RestRecord
 from bundle.rounds.extract import Extract
 from bundle.rounds.local_part import LocalPart, touched_ids
+from bundle.rounds.neighbours import Neighbours
 from bundle.words import plural
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def marginalize_rest(
         gauge="none", refine_sensor_from_rig=False, fixed_sensors=()
     )
     rest = _rest_of(whole, part, options)
-    near = _Near.find(whole, part, options)
+    near = Neighbours.find(whole, part, options)
     size = near.size(whole)
     _refuse_too_much(size, int(part.neighbours.sum()))
     information, eta = np.zeros((size, size)), np.zeros(size)
@@ -174,57 +174,6 @@ def _refuse_too_much(size: int, num_neighbours: int) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _Near:
-    """Neighbours that are free, as masks in the whole; images without a frame."""
-
-    images: _Mask
-    frames: _Mask
-    cameras: _Mask
-
-    @staticmethod
-    def find(whole: Problem, part: LocalPart, options: SolveOptions) -> _Near:
-        free = part.neighbours & ~np.isin(whole.image_ids, options.fixed_image_ids)
-        frames = np.zeros(whole.num_frames, bool)
-        if whole.num_frames:
-            of_images = whole.image_frame[free]
-            frames[of_images[of_images >= 0]] = True
-            free = free & (whole.image_frame < 0)
-        cameras = part.cameras & ~np.isin(whole.camera_ids, options.fixed_camera_ids)
-        return _Near(free, frames, cameras)
-
-    def rows_in(self, extract: Extract) -> tuple[list[int], list[int], list[int]]:
-        """Return those that an extract has, by their places in it."""
-        masks = (self.images, extract.images), (self.frames, extract.frames)
-        images, frames, cameras = (
-            np.flatnonzero(mask[indices]).tolist() if len(mask) else []
-            for mask, indices in (*masks, (self.cameras, extract.cameras))
-        )
-        return images, frames, cameras
-
-    def variables(self, whole: Problem) -> list[tuple[tuple[str, int], int]]:
-        """Return keys and tangent sizes: images, frames, cameras."""
-        found = [(("image", key), 6) for key in whole.image_ids[self.images].tolist()]
-        found += [(("frame", key), 6) for key in whole.frame_ids[self.frames].tolist()]
-        for row in np.flatnonzero(self.cameras).tolist():
-            width = len(parameter_names("rest", whole, row))
-            found.append((("camera", int(whole.camera_ids[row])), width))
-        return found
-
-    def size(self, whole: Problem) -> int:
-        return sum(size for _, size in self.variables(whole))
-
-    def coordinates(self, whole: Problem, extract: Extract) -> NDArray[np.int64]:
-        """Return which tangent coordinates those in an extract are, in its order."""
-        images, frames, cameras = self.rows_in(extract)
-        problem = extract.problem
-        there = {("image", int(problem.image_ids[row])) for row in images}
-        there |= {("frame", int(problem.frame_ids[row])) for row in frames}
-        there |= {("camera", int(problem.camera_ids[row])) for row in cameras}
-        masks = [np.full(size, key in there) for key, size in self.variables(whole)]
-        return np.flatnonzero(np.concatenate(masks)) if masks else np.empty(0, np.int64)
-
-
 def _rest_of(whole: Problem, part: LocalPart, options: SolveOptions) -> Extract | None:
     """Return what is not in the part and can say something; None if nothing is."""
     touched = touched_ids(part.factors_of_rest)
@@ -264,7 +213,7 @@ def _options_of(extract: Extract, options: SolveOptions) -> SolveOptions:
 
 def _add_information(
     rest: Extract,
-    near: _Near,
+    near: Neighbours,
     part: LocalPart,
     whole: Problem,
     options: SolveOptions,
@@ -294,7 +243,7 @@ def _add_information(
 
 def _hold_gauge(
     part: LocalPart,
-    near: _Near,
+    near: Neighbours,
     options: SolveOptions,
     bounds: Mapping[Any, Any] | None,
     information: _Floats,
@@ -325,7 +274,7 @@ def _hold_gauge(
 
 
 def _as_factor(
-    whole: Problem, near: _Near, information: _Floats, eta: _Floats
+    whole: Problem, near: Neighbours, information: _Floats, eta: _Floats
 ) -> tuple[LinearPrior | None, int]:
     """Return the prior on the variables of which something is known, and its rank."""
     kept, masks = [], []
@@ -348,7 +297,7 @@ def _as_factor(
     eta = root * (vectors @ (vectors.T @ (eta / root)))
     if not regular.any():
         return None, 0
-    points = dict(_values(whole, near))
+    points = dict(near.values(whole))
     from bundle.graph.linear_prior import LinearPrior  # brings the gradient checker along
 
     prior = LinearPrior(
@@ -359,11 +308,3 @@ def _as_factor(
         manifolds={key: "euclidean" if key[0] == "camera" else "se3" for key in kept},
     )
     return prior, int(regular.sum())
-
-
-def _values(whole: Problem, near: _Near) -> list[tuple[tuple[str, int], _Floats]]:
-    rows = [*whole.cam_from_world[near.images], *whole.rig_from_world[near.frames]]
-    for row in np.flatnonzero(near.cameras).tolist():
-        width = len(parameter_names("rest", whole, row))
-        rows.append(whole.camera_params[row, :width])
-    return [(key, value) for (key, _), value in zip(near.variables(whole), rows, strict=True)]
