@@ -17,6 +17,7 @@
 #include "bindings/summary_to_python.h"
 #include "core/error.h"
 #include "core/io/g2o.h"
+#include "core/linear/edge_system.h"
 #include "core/pose_graph/edge_kernel.h"
 #include "core/pose_graph/initialise.h"
 #include "core/pose_graph/pose_graph.h"
@@ -219,6 +220,29 @@ std::vector<double> EvaluateEdgeLoss(const std::string& loss, double scale, doub
   return rho;
 }
 
+/// x of H x = b with a block (d, d) a node and one an edge; None where H is not positive definite.
+py::object SolveEdgeSystemFromPython(const Array<int32_t>& edges, const Array<double>& diagonal,
+                                     const Array<double>& between, const Array<double>& rhs) {
+  const py::ssize_t n = rhs.shape(0), d = rhs.shape(1), m = edges.shape(0);
+  if (diagonal.size() != n * d * d || between.size() != m * d * d || edges.size() != 2 * m) {
+    throw InputError("expected a block for each node and each edge");
+  }
+  for (py::ssize_t e = 0; e < m; ++e) {
+    const int32_t a = edges.data()[2 * e], b = edges.data()[2 * e + 1];
+    if (a < 0 || b < 0 || a >= n || b >= n || a == b) {
+      throw InputError("edges: expected two different nodes, 0 to " + std::to_string(n - 1));
+    }
+  }
+  const EdgeSystem system{static_cast<int>(d), n,         m, edges.data(), diagonal.data(),
+                          between.data(),      rhs.data()};
+  std::vector<double> x = [&] {
+    const py::gil_scoped_release release;
+    return SolveEdgeSystem(system);
+  }();
+  if (static_cast<py::ssize_t>(x.size()) != n * d) return py::none();
+  return ToImmutableNumpy(std::move(x), {n, d});
+}
+
 }  // namespace
 }  // namespace bundle
 
@@ -235,6 +259,8 @@ void BindPoseGraph(py::module_& m) {
   m.def("initial_poses", &bundle::InitialPoses, py::arg("graph"), py::arg("held"), py::arg("init"),
         py::arg("num_threads"));
   m.def("odometry_gap", &bundle::OdometryGap, py::arg("graph"));
+  m.def("solve_edge_system", &bundle::SolveEdgeSystemFromPython, py::arg("edges"),
+        py::arg("diagonal"), py::arg("between"), py::arg("rhs"));
   m.def("edge_loss", &bundle::EvaluateEdgeLoss, py::arg("loss"), py::arg("scale"), py::arg("chi2"));
   m.def("relative_pose_error", &bundle::RelativePoseError, py::arg("error"), py::arg("x_i"),
         py::arg("x_j"), py::arg("z"));

@@ -1,0 +1,75 @@
+/// The blocks go where the supernodal factorisation wants them, in AMD's order.
+
+#include "core/linear/edge_system.h"
+
+#include <algorithm>
+
+#include "core/linear/linear_solver.h"
+
+namespace bundle {
+namespace {
+
+BlockStructure StructureOf(const EdgeSystem& system) {
+  std::vector<std::vector<int>> columns(system.num_nodes);
+  for (int64_t i = 0; i < system.num_nodes; ++i) columns[i].push_back(static_cast<int>(i));
+  for (int64_t e = 0; e < system.num_edges; ++e) {
+    const auto [low, high] = std::minmax(system.edges[2 * e], system.edges[2 * e + 1]);
+    columns[low].push_back(high);
+  }
+  for (std::vector<int>& rows : columns) {
+    std::sort(rows.begin(), rows.end());
+    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+  }
+  return SparseStructure(std::vector<int>(system.num_nodes, system.block_size), columns);
+}
+
+}  // namespace
+
+std::vector<double> SolveEdgeSystem(const EdgeSystem& system) {
+  const int d = system.block_size;
+  const int64_t n = system.num_nodes;
+  if (n == 0) return {};
+  const BlockStructure natural = StructureOf(system);
+  const FillOrdering ordering = FindFillOrdering(natural, "amd");
+  BlockStructure structure = Reorder(natural, ordering.order);
+  const auto solver = MakeSparseSolver(ordering, 1, &structure);
+  std::vector<int> place(n);
+  for (int64_t k = 0; k < n; ++k) place[ordering.order[k]] = static_cast<int>(k);
+
+  BlockSystem blocks;
+  blocks.values.assign(structure.num_values, 0.0);
+  blocks.rhs.resize(n * d);
+  for (int64_t i = 0; i < n; ++i) {
+    const int k = place[i];
+    const int64_t entry = structure.column_begin[k];
+    for (int c = 0; c < d; ++c) {
+      blocks.rhs[int64_t{k} * d + c] = system.rhs[i * d + c];
+      for (int r = c; r < d; ++r) {
+        blocks.values[structure.ValueIndex(k, entry, r, c)] += system.diagonal[(i * d + r) * d + c];
+      }
+    }
+  }
+  for (int64_t e = 0; e < system.num_edges; ++e) {
+    const int first = place[system.edges[2 * e]], second = place[system.edges[2 * e + 1]];
+    const int column = std::min(first, second);
+    const int64_t entry = structure.Entry(column, std::max(first, second));
+    const double* const block = system.between + e * d * d;
+    for (int c = 0; c < d; ++c) {
+      for (int r = 0; r < d; ++r) {
+        blocks.values[structure.ValueIndex(column, entry, r, c)] +=
+            first > second ? block[r * d + c] : block[c * d + r];
+      }
+    }
+  }
+  const std::vector<double> scale(n * d, 1.0);
+  std::vector<double> permuted(n * d);
+  const LinearSolution solution = solver->Solve(&blocks, scale, 0, permuted.data());
+  if (solution.status != LinearSolution::Status::kSuccess) return {};
+  std::vector<double> x(n * d);
+  for (int64_t i = 0; i < n; ++i) {
+    std::copy_n(permuted.data() + int64_t{place[i]} * d, d, x.data() + i * d);
+  }
+  return x;
+}
+
+}  // namespace bundle
