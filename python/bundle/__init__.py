@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         inspect,
         inspect_graph,
     )
+    from bundle.loops import LoopClosing, LoopClosure, close_loops
     from bundle.options import SolveOptions
     from bundle.pose_graph import (
         PoseGraph,
@@ -94,6 +95,8 @@ __all__ = [
     "InputError",
     "Inspection",
     "LinearPrior",
+    "LoopClosing",
+    "LoopClosure",
     "MethodInspection",
     "PoseGraph",
     "PoseGraphInspection",
@@ -123,6 +126,7 @@ __all__ = [
     "change_camera_model",
     "check_gradients",
     "check_jacobians",
+    "close_loops",
     "compare",
     "constraints",
     "covariance",
@@ -195,6 +199,7 @@ _DEFERRED = {
         "inspect_graph",
     ),
     "files": ("load", "save"),
+    "loops": ("LoopClosing", "LoopClosure", "close_loops"),
     "options": ("SolveOptions",),
     "pose_graph": (
         "PoseGraph",

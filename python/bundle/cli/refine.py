@@ -12,6 +12,7 @@ from bundle.cli.constraint_flags import add_constraint_flags, as_options, constr
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
 from bundle.cli.lens_flags import add_lens_flags, cameras_edited
+from bundle.cli.loop_flags import add_loop_flags, check_loop_flags, loops_closed
 from bundle.cli.option_flags import (
     add_options,
     naming_flags,
@@ -73,6 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "everything that does not take part; only the named images, their points and cameras are "
         f"written (default: {RESTS[0]})",
     )
+    add_loop_flags(parser)
     group = parser.add_argument_group("runs that may be killed")
     group.add_argument(
         "--checkpoint",
@@ -139,10 +141,12 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--rest: expected with --only-images only, found {arguments.rest}")
     rounds = _rounds_given(arguments)
     check_gps_flags(arguments, options)
+    check_loop_flags(arguments)
     constraints = constraints_given(arguments)
     source, target = arguments.input, arguments.output
-    check_json(arguments.json, source, target, *filter(None, [arguments.constraints]))
-    others = [arguments.json if arguments.json != "-" else None, arguments.constraints]
+    read = [*filter(None, [arguments.constraints, arguments.loops])]
+    check_json(arguments.json, source, target, *read)
+    others = [arguments.json if arguments.json != "-" else None, *read]
     check_json(arguments.html, source, target, *filter(None, others), what="page")
     checkpoints = _checkpoints_given(arguments)
     with Progress(quiet=arguments.quiet) as progress:
@@ -173,6 +177,11 @@ def run(arguments: argparse.Namespace) -> int:
             wrong = _wrong_jacobians(arguments, problem, options)
             if wrong:
                 return EXIT_NO_SOLUTION
+        closed = None
+        if arguments.loops is not None:
+            progress.stage(f"closing the loops of {shown(arguments.loops)}")
+            closed = loops_closed(arguments, problem)
+            problem = closed.problem
         progress.stage("building the problem")
         flags = {**ARGUMENTS, **NAMED, "priors": main_flag(arguments)}
         with naming_flags(SolveOptions, RoundOptions, **flags):
@@ -182,6 +191,7 @@ def run(arguments: argparse.Namespace) -> int:
                 **rounds.asdict(),
                 only_images=arguments.only_images,
                 rest=arguments.rest or RESTS[0],
+                factors=() if closed is None else closed.factors,
                 priors=() if known is None else known.priors,
                 align=None if known is None else True,
                 constraints=constraints,
@@ -225,8 +235,10 @@ def run(arguments: argparse.Namespace) -> int:
         more |= {"only_images": arguments.only_images, "rest": arguments.rest or RESTS[0]}
     more |= checkpoints | as_options(arguments)
     if arguments.json != "-":
-        show(*refinement(source, loaded, solved, wall, written, lost, georeference, edits))
-    report = json.refinement(source, loaded, solved, wall, written, more, georeference, edits)
+        show(*refinement(source, loaded, solved, wall, written, lost, georeference, edits, closed))
+    report = json.refinement(
+        source, loaded, solved, wall, written, more, georeference, edits, closed
+    )
     write_json(arguments.json, report)
     if solved.summary.is_solution_usable and not solved.summary.interrupted:
         return EXIT_DONE

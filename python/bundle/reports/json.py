@@ -22,6 +22,7 @@ from bundle.sensor_changes import sensor_changes
 if TYPE_CHECKING:
     from bundle.camera_edits import CameraEdits
     from bundle.georeference import Georeference
+    from bundle.loops import LoopClosing
     from bundle.statistics import Description
 
 __all__ = [
@@ -99,6 +100,7 @@ def refinement(
     more_options: Mapping[str, Any] | None = None,
     georeference: Georeference | None = None,
     edits: CameraEdits | None = None,
+    closed: LoopClosing | None = None,
 ) -> dict[str, Any]:
     """Return the report of `bundle refine`; `output` is None where nothing was written.
 
@@ -111,6 +113,7 @@ def refinement(
     return {
         **heading("refine", path, problem),
         **camera_edits(edits),
+        **({} if closed is None else {"loops": plain(closed.asdict())}),
         **about,
         **(plain(rounds) if solved.rounds else {}),
         **({"part": plain(dataclasses.asdict(solved.part))} if solved.part else {}),

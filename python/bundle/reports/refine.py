@@ -14,6 +14,7 @@ from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.reports.camera_edit_rows import edit_rows
+from bundle.reports.loop_tables import loops_table
 from bundle.reports.rig_tables import rig_fact, sensor_table
 from bundle.reports.timing import WallTime, wall_table
 from bundle.result import Result
@@ -37,6 +38,7 @@ from bundle.worst_images import ImageError
 if TYPE_CHECKING:
     from bundle.camera_edits import CameraEdits
     from bundle.georeference import Georeference
+    from bundle.loops import LoopClosing
 
 __all__ = ["contents", "outcome", "refinement", "worst_table"]
 
@@ -53,6 +55,7 @@ def refinement(
     lost: tuple[str, ...],
     georeference: Georeference | None = None,
     edits: CameraEdits | None = None,
+    closed: LoopClosing | None = None,
 ) -> list[RenderableType]:
     """Return the report on one solve; `output` is None where nothing was written."""
     summary = solved.summary
@@ -79,6 +82,7 @@ def refinement(
     return [
         facts(rows),
         "",
+        *([] if closed is None else loops_table(closed)),
         *_rounds(solved),
         _before_and_after(solved),
         "",
