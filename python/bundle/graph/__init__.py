@@ -14,6 +14,7 @@ from bundle.graph.factors import (
 )
 from bundle.graph.function_factor import FunctionFactor
 from bundle.graph.graph_result import GraphResult
+from bundle.graph.incremental_smoother import IncrementalSmoother, IncrementalUpdate
 from bundle.graph.linear_prior import LinearPrior
 from bundle.graph.spectrum import PriorSpectrum
 from bundle.graph.square_root_prior import SquareRootPrior
@@ -26,6 +27,8 @@ __all__ = [
     "FactorGraph",
     "FunctionFactor",
     "GraphResult",
+    "IncrementalSmoother",
+    "IncrementalUpdate",
     "LinearPrior",
     "PositionFactor",
     "PriorFactor",
