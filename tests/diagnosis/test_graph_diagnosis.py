@@ -189,6 +189,23 @@ def test_noise_that_the_information_denies_is_no_accusation():
     assert "optimistic_information" in [finding.kind for finding in found.findings]
 
 
+def test_edges_that_rounding_hides_are_neither_accused_nor_called_unchecked():
+    graph = graphs.loop(2, num_poses=60, num_closures=0, start_noise=0, noise=0)
+    poses = np.zeros((60, 3))
+    poses[:, 0] = 1e3 * np.arange(60)
+    edges = np.concatenate([graph.edges, [[1, 3], [56, 58]]])
+    steps = poses[edges[:, 1]] - poses[edges[:, 0]]
+    information = np.tile(np.diag([1e6, 1e6, 1e2]), (61, 1, 1))
+    long = graph.replace(
+        poses=poses, edges=edges, measurements=steps, information=information, edge_lines=None
+    )
+    found = bundle.diagnose(long)
+    assert np.isnan(found.edge_redundancy[60]) and np.isnan(found.edge_test[60])
+    assert np.isfinite(found.edge_redundancy[0])
+    assert "unjudged_edges" in [finding.kind for finding in found.findings]
+    assert not found.suspicious_edges and found.nullity == 3
+
+
 def test_edges_in_no_loop():
     graph = healthy(2, num_closures=0)
     found = bundle.diagnose(graph)

@@ -23,14 +23,20 @@
 /// whitened Jacobian by d_ij (edge_kernel.h), the whitened error of a least-squares fit has the
 /// covariance K = I - A C_ij A^T, where I leaves out rows without information. Its trace says how
 /// much of the edge the others check, 0 where nothing does, and r~^T K^+ r~ is distributed as chi2
-/// with rank(K) degrees of freedom. What is rounding beside the numbers that cancel in C_ij counts
-/// as unchecked.
+/// with rank(K) degrees of freedom. Far from the held pose, large numbers cancel in C_ij: what is
+/// rounding beside them counts as unchecked, and edges of which no more than that is left are not
+/// judged.
+///
+/// Poses are eliminated by nested dissection: what a level of the elimination tree rounds, the
+/// selected inverse multiplies on its way down, and an order along a drive makes a path of the
+/// tree.
 
 #include "core/pose_graph/graph_covariance.h"
 
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <memory>
 
 #include "core/dense/decompositions.h"
@@ -43,6 +49,8 @@ namespace {
 
 /// Eigenvalues of K below which an error is not checked, and what of G's size is rounding.
 constexpr double kUnchecked = 1e-6, kCancelled = 1e-13;
+/// Rounding of K beyond which an edge is not judged.
+constexpr double kLost = 1e-2;
 
 template <typename Group>
 class GraphCovariance {
@@ -124,7 +132,10 @@ class GraphCovariance {
     for (int b = 0; b < s.num_blocks(); ++b) {
       for (int k = 0; k < kSize; ++k) {
         const double variance = problem_->system().values[s.ValueIndex(b, s.column_begin[b], k, k)];
-        output->inflation = std::max(output->inflation, variance * diagonal_[kSize * b + k]);
+        const double inflation = variance * diagonal_[kSize * b + k];
+        // Never below 1 but by rounding; not a number, or negative, where nothing is left.
+        output->inflation = inflation > 0.5 ? std::max(output->inflation, inflation)
+                                            : std::numeric_limits<double>::infinity();
       }
     }
   }
@@ -244,6 +255,12 @@ class GraphCovariance {
     double largest = 0;
     for (const int pose : {i, j}) largest = std::max(largest, InverseBlock(pose, pose).trace());
     const double rounding = kCancelled * largest * a.squaredNorm();
+    if (!(rounding < kLost)) {
+      output->edge_redundancy.push_back(std::numeric_limits<double>::quiet_NaN());
+      output->edge_test.push_back(std::numeric_limits<double>::quiet_NaN());
+      output->edge_rank.push_back(0);
+      return;
+    }
     const Matrix cofactor = a * Relative(i, j, InverseBlock(i, j)) * a.transpose();
     Eigen::MatrixXd k = -0.5 * (cofactor + cofactor.transpose());
     const double* root = RootOf<Group>(graph_, e);

@@ -23,11 +23,13 @@ struct GraphCovarianceOutput {
   std::vector<double> relative;  ///< pairs x d x d: of X_a^-1 X_b
   /// Of each edge, if asked for: how much of its d errors the other edges check, r^T K^+ r with K
   /// the covariance of its whitened error, and the rank of K, by which the test is distributed.
+  /// NaN, NaN and 0 where rounding leaves nothing of K.
   std::vector<double> edge_redundancy, edge_test;
   std::vector<int32_t> edge_rank;
   /// What the cost falls by if its quadratic model is right: 0 at a minimum.
   double predicted_decrease = 0;
   /// The largest variance by what it would be with all else known; digits are lost accordingly.
+  /// Infinite where variances are rounding alone.
   double inflation = 1;
   int32_t undetermined_pose = -1;  ///< where the factorisation failed; the rest is empty then
 };

@@ -92,6 +92,7 @@ def diagnose_graph(
         *_about_conditioning(float(spectrum["condition_number"])),
         *(() if is_minimum else _about_minimum(decrease, cost)),
         *_about_unchecked(graph, redundancy, rank),
+        *_about_unjudged(weighted, redundancy, joints),
         *_about_noise(scale),
         *_about_weights(weighted),
     ]
@@ -245,6 +246,21 @@ def _about_unchecked(
         _note(
             "unchecked_edges",
             f"No other edge checks {whole}: in no loop, an error would not show.",
+        )
+    ]
+
+
+def _about_unjudged(
+    weighted: WeightedGraph, redundancy: NDArray[np.float64], joints: Joints
+) -> list[Finding]:
+    count = int(np.isnan(redundancy[weighted.edges]).sum())
+    if not count or joints.num_open:
+        return []
+    return [
+        _note(
+            "unjudged_edges",
+            f"{plural(count, 'edge')} so far from held poses that rounding hides whether others "
+            "contradict them: fix a pose near them, or cut the graph, to judge them.",
         )
     ]
 

@@ -86,7 +86,8 @@ class GraphDiagnosis(Conditioned, Displayed):
         eigenvalues: the lowest of the scaled ones, ascending.
         suspicious_edges: edges that others contradict, the worst first.
         edge_redundancy: (m,) how much of the d errors of an edge the other edges check: 0 for an
-            edge in no loop; NaN for edges of weight 0, and where something is not determined.
+            edge in no loop; NaN for edges of weight 0, where something is not determined, and
+            where rounding hides it.
         edge_test: (m,) as :class:`SuspiciousEdge` has it; NaN likewise, and away from a minimum.
         noise_scale: factor of chi2 by which right edges scatter more than their information says,
             by the median over the edges, at least 1; tests are compared with chi2 times it.

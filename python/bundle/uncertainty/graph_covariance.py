@@ -159,6 +159,11 @@ def graph_covariance(
     )
     if out["undetermined_pose"] >= 0:
         raise _not_determined(used, [int(out["undetermined_pose"])])
+    if not np.isfinite(out["inflation"]):
+        raise InputError(
+            "graph: expected normal equations whose inverse has digits left, found variances that "
+            "are rounding alone; fix a pose in the middle, or cut the graph"
+        )
     chi2 = float(_core.edge_chi2(used, weighted.options.error).sum())
     dof = used.tangent_size * (used.num_edges - int((~held).sum()))
     sigma0 = float(np.sqrt(chi2 / dof)) if dof > 0 else float("nan")
