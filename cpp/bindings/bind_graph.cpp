@@ -20,6 +20,7 @@
 #include "core/graph/factor_graph.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
+#include "core/solver/jacobian_conditioning.h"
 #include "core/solver/square_root_solver.h"
 
 namespace py = pybind11;

@@ -13,7 +13,6 @@
 #include <Eigen/SparseCore>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <memory>
 #include <string>
 #include <utility>
@@ -24,159 +23,16 @@
 #include "core/model/problem_factors.h"
 #include "core/prepare/prepare.h"
 #include "core/solver/block_qr.h"
+#include "core/solver/graph_jacobian.h"
 
 namespace bundle {
 namespace {
 
 using Eigen::VectorXd;
-using Sparse = Eigen::SparseMatrix<double>;
-using Values = std::vector<std::vector<double>>;
+using Sparse = GraphJacobian::Sparse;
+using Values = GraphJacobian::Values;
 
 constexpr double kLeastDiagonal = 1e-6, kLargestDiagonal = 1e32;  // Ceres'
-constexpr double kNoValue = std::numeric_limits<double>::quiet_NaN();
-
-/// The free columns of a graph's Jacobian, and evaluations of it.
-class GraphJacobian {
- public:
-  explicit GraphJacobian(const FactorGraph& graph) : graph_(graph) {
-    for (const Block& block : graph.blocks) {
-      column_.emplace_back();
-      for (int i = 0; i < block.retraction.tangent_size(); ++i) {
-        column_.back().push_back(block.IsHeld(i) ? -1 : num_columns_++);
-      }
-    }
-    for (const auto& factor : graph.factors) num_rows_ += factor->num_residuals();
-  }
-
-  /// Free columns of each variable.
-  std::vector<int> sizes() const {
-    std::vector<int> sizes;
-    for (const Block& block : graph_.blocks) sizes.push_back(block.NumFree());
-    return sizes;
-  }
-  /// The free columns of each factor's J, times a scale of each column, beside -r.
-  std::vector<RowBlock> Rows(const Sparse& jacobian, const VectorXd& residual,
-                             const VectorXd& scale) const {
-    std::vector<RowBlock> blocks;
-    const Eigen::SparseMatrix<double, Eigen::RowMajor> by_rows = jacobian * scale.asDiagonal();
-    int row = 0;
-    for (const auto& factor : graph_.factors) {
-      RowBlock block;
-      std::vector<int> columns;
-      for (const int b : factor->blocks()) {
-        if (graph_.blocks[b].NumFree() == 0) continue;
-        block.variables.push_back(b);
-        for (const int column : column_[b]) {
-          if (column >= 0) columns.push_back(column);
-        }
-      }
-      const int rows = factor->num_residuals();
-      block.matrix = Eigen::MatrixXd::Zero(rows, static_cast<Eigen::Index>(columns.size()) + 1);
-      for (int k = 0; k < rows; ++k) {
-        for (size_t c = 0; c < columns.size(); ++c) {
-          block.matrix(k, static_cast<Eigen::Index>(c)) = by_rows.coeff(row + k, columns[c]);
-        }
-      }
-      block.matrix.rightCols(1) = -residual.segment(row, rows);
-      row += rows;
-      blocks.push_back(std::move(block));
-    }
-    return blocks;
-  }
-
-  int num_columns() const { return num_columns_; }
-  int num_rows() const { return num_rows_; }
-
-  /// Cost at the values, NaN where a factor has none; J and r, losses applied, if both are wanted.
-  double Evaluate(const Values& values, VectorXd* residual, Sparse* jacobian) const {
-    std::vector<Eigen::Triplet<double>> entries;
-    std::vector<double> r, j;
-    if (residual != nullptr) residual->resize(num_rows_);
-    double cost = 0;
-    int row = 0;
-    for (const auto& factor : graph_.factors) {
-      const int rows = factor->num_residuals();
-      r.assign(rows, 0);
-      if (!EvaluateFactor(*factor, values, residual == nullptr ? nullptr : &j, &r)) return kNoValue;
-      const int width = residual == nullptr ? 0 : static_cast<int>(j.size()) / rows;
-      cost += ApplyLoss(*factor, width, r.data(), residual == nullptr ? nullptr : j.data());
-      if (residual != nullptr) {
-        int first = 0;
-        for (const int b : factor->blocks()) {
-          for (const int column : column_[b]) {
-            for (int k = 0; column >= 0 && k < rows; ++k) {
-              entries.emplace_back(row + k, column, j[k * width + first]);
-            }
-            ++first;
-          }
-        }
-        std::copy(r.begin(), r.end(), residual->data() + row);
-      }
-      row += rows;
-    }
-    if (jacobian != nullptr) {
-      jacobian->resize(num_rows_, num_columns_);
-      jacobian->setFromTriplets(entries.begin(), entries.end());
-      jacobian->makeCompressed();
-    }
-    return cost;
-  }
-
-  /// to = from moved by the step of the free columns.
-  void Move(const Values& from, const VectorXd& step, Values* to) const {
-    std::vector<double> delta;
-    for (size_t b = 0; b < column_.size(); ++b) {
-      delta.clear();
-      for (const int column : column_[b]) delta.push_back(column < 0 ? 0 : step[column]);
-      graph_.blocks[b].retraction.Plus(from[b].data(), delta.data(), (*to)[b].data());
-    }
-  }
-
-  /// ||x|| over the variables that are not held as a whole.
-  double Norm(const Values& values) const {
-    double sum = 0;
-    for (size_t b = 0; b < values.size(); ++b) {
-      if (graph_.blocks[b].NumFree() == 0) continue;
-      for (const double value : values[b]) sum += value * value;
-    }
-    return std::sqrt(sum);
-  }
-
- private:
-  /// The factor's J by rows, its variables one after the other, in `j`.
-  static bool EvaluateFactor(const Factor& factor, const Values& values, std::vector<double>* j,
-                             std::vector<double>* r) {
-    std::vector<const double*> pointers;
-    for (const int b : factor.blocks()) pointers.push_back(values[b].data());
-    std::vector<std::vector<double>> blocks;
-    std::vector<double*> into;
-    int width = 0;
-    for (const Retraction& retraction : factor.retractions()) {
-      blocks.emplace_back(r->size() * retraction.tangent_size());
-      into.push_back(blocks.back().data());
-      width += retraction.tangent_size();
-    }
-    const bool has_value =
-        factor.Evaluate(pointers.data(), r->data(), j == nullptr ? nullptr : into.data());
-    const auto is_finite = [](double value) { return std::isfinite(value); };
-    if (!has_value || !std::all_of(r->begin(), r->end(), is_finite)) return false;
-    if (j == nullptr) return true;
-    j->resize(r->size() * width);
-    int first = 0;
-    for (size_t b = 0; b < blocks.size(); ++b) {
-      const int size = factor.retractions()[b].tangent_size();
-      for (size_t k = 0; k < r->size(); ++k) {
-        std::copy_n(blocks[b].data() + k * size, size, j->data() + k * width + first);
-      }
-      first += size;
-    }
-    return std::all_of(j->begin(), j->end(), is_finite);
-  }
-
-  const FactorGraph& graph_;
-  std::vector<std::vector<int>> column_;  ///< of each coordinate of each variable; -1: held
-  int num_columns_ = 0, num_rows_ = 0;
-};
 
 class SquareRootProblem final : public LeastSquares {
  public:
@@ -342,60 +198,7 @@ void Summarize(const SquareRootProblem& problem, const FactorGraph& graph,
   summary->backend_used = UpperName(Backend::kFused, kBackends);
 }
 
-/// A power iteration's estimate of the largest eigenvalue of `multiply`, from a fixed start.
-template <typename Multiply>
-double LargestEigenvalue(int n, const Multiply& multiply) {
-  constexpr int kMaxSteps = 60;
-  VectorXd x(n);
-  for (int i = 0; i < n; ++i) x[i] = 1 + 0.5 * std::sin(1.7 * i + 0.3);
-  x.normalize();
-  double value = 0;
-  for (int k = 0; k < kMaxSteps; ++k) {
-    x = multiply(x);
-    const double norm = x.norm();
-    if (!(norm > 0) || !std::isfinite(norm)) return norm;
-    x /= norm;
-    const bool is_settled = std::abs(norm - value) <= 1e-3 * norm;
-    value = norm;
-    if (is_settled && k > 3) break;
-  }
-  return value;
-}
-
 }  // namespace
-
-JacobianConditioning EstimateConditioning(const FactorGraph& graph) {
-  ValidateGraph(graph);
-  const GraphJacobian evaluation(graph);
-  const int n = evaluation.num_columns();
-  if (n == 0) throw InputError("factor graph: expected free coordinates, found none");
-  Values values;
-  for (const Block& block : graph.blocks) values.push_back(block.value);
-  VectorXd residual;
-  Sparse jacobian;
-  if (!std::isfinite(evaluation.Evaluate(values, &residual, &jacobian))) {
-    throw InputError("factor graph: a factor has no value, or no finite one");
-  }
-  VectorXd scale(n);
-  for (int c = 0; c < n; ++c) {
-    const double norm = jacobian.col(c).norm();
-    scale[c] = norm > 0 ? 1 / norm : 1;
-  }
-  std::vector<RowBlock> rows = evaluation.Rows(jacobian, residual, scale);
-  BlockQr qr(evaluation.sizes(), rows);
-  qr.Factorize(std::move(rows));
-  jacobian = jacobian * scale.asDiagonal();
-  JacobianConditioning result;
-  result.num_columns = n;
-  const double rounding = 16 * n * std::numeric_limits<double>::epsilon();
-  result.rank = static_cast<int>((qr.Pivots().array() > rounding).count());
-  result.max_singular_value = std::sqrt(LargestEigenvalue(
-      n, [&](const VectorXd& x) { return VectorXd(jacobian.transpose() * (jacobian * x)); }));
-  if (result.rank < n) return result;
-  const double inverse = LargestEigenvalue(n, [&](const VectorXd& x) { return qr.SolveNormal(x); });
-  result.min_singular_value = std::isfinite(inverse) && inverse > 0 ? 1 / std::sqrt(inverse) : 0;
-  return result;
-}
 
 GraphOutput SolveGraphBySquareRoot(const FactorGraph& graph, const SolveOptions& options,
                                    const ProgressCallback& progress) {

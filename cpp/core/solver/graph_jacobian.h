@@ -1,0 +1,43 @@
+#pragma once
+
+/// The Jacobian of a factor graph as a sparse matrix, for what works on J instead of J^T J.
+
+#include <Eigen/SparseCore>
+#include <vector>
+
+#include "core/graph/factor_graph.h"
+#include "core/solver/block_qr.h"
+
+namespace bundle {
+
+/// The free columns of a graph's Jacobian, and evaluations of it.
+class GraphJacobian {
+ public:
+  using Sparse = Eigen::SparseMatrix<double>;
+  using Values = std::vector<std::vector<double>>;
+
+  /// Keeps a reference to the graph.
+  explicit GraphJacobian(const FactorGraph& graph);
+
+  /// Free columns of each variable.
+  std::vector<int> sizes() const;
+  int num_columns() const { return num_columns_; }
+  int num_rows() const { return num_rows_; }
+
+  /// The free columns of each factor's J, times a scale of each column, beside -r.
+  std::vector<RowBlock> Rows(const Sparse& jacobian, const Eigen::VectorXd& residual,
+                             const Eigen::VectorXd& scale) const;
+  /// Cost at the values, NaN where a factor has none; J and r, losses applied, if both are wanted.
+  double Evaluate(const Values& values, Eigen::VectorXd* residual, Sparse* jacobian) const;
+  /// to = from moved by the step of the free columns.
+  void Move(const Values& from, const Eigen::VectorXd& step, Values* to) const;
+  /// ||x|| over the variables that are not held as a whole.
+  double Norm(const Values& values) const;
+
+ private:
+  const FactorGraph& graph_;
+  std::vector<std::vector<int>> column_;  ///< of each coordinate of each variable; -1: held
+  int num_columns_ = 0, num_rows_ = 0;
+};
+
+}  // namespace bundle

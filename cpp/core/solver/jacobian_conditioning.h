@@ -1,0 +1,22 @@
+#pragma once
+
+/// How many digits normal equations would lose of a factor graph: the condition of its Jacobian.
+
+#include "core/graph/factor_graph.h"
+
+namespace bundle {
+
+/// Of J S, the free columns of a graph's Jacobian scaled to norm 1, which is what normal equations
+/// square whatever the units.
+struct JacobianConditioning {
+  double max_singular_value = 0;
+  double min_singular_value = 0;  ///< 0 where the columns depend on each other
+  int num_columns = 0;
+  int rank = 0;
+};
+
+/// By QR factorisation, power iteration on J^T J and inverse iteration with R^T R: both singular
+/// values to a few percent. Throws InputError where nothing is free.
+JacobianConditioning EstimateConditioning(const FactorGraph& graph);
+
+}  // namespace bundle
