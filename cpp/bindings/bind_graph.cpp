@@ -78,6 +78,16 @@ py::tuple GraphJacobian(const py::list& variables, const py::list& factors) {
   bundle::LinearizedGraph linear = Linearize(graph, 1);
   const auto rows = static_cast<py::ssize_t>(linear.residual.size());
   const auto columns = static_cast<py::ssize_t>(linear.block_begin.back());
+  // J, its columns split and scaled, and what the factorisation works on.
+  const double bytes = 8.0 * 4 * static_cast<double>(rows) * static_cast<double>(columns);
+  const double available = bundle::AvailableMemoryFor(bytes);
+  if (!bundle::FitsIntoMemory(bytes, available)) {
+    throw bundle::InputError("keys: a dense Jacobian of " + std::to_string(rows) + " rows and " +
+                             std::to_string(columns) + " columns needs " +
+                             bundle::ShortNumber(bytes / 1e9) + " GB, of which this machine has " +
+                             bundle::ShortNumber(available / 1e9) +
+                             " free; eliminate fewer variables at a time");
+  }
   std::vector<double> dense(static_cast<size_t>(rows * columns));
   for (py::ssize_t r = 0; r < rows; ++r) {
     for (int64_t k = linear.row_begin[r]; k < linear.row_begin[r + 1]; ++k) {
