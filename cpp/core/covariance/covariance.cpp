@@ -35,24 +35,23 @@ void CovarianceComputation::FindPoints() {
     } else {
       PointScores scores;
       SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(p)], &scores);
-      std::vector<double>& e = scores.f;
-      for (size_t i = 0; i < e.size(); i += 3) {
-        double by_p[3];
-        VectorMatrix3(&blocks.y[i], scores.p, by_p);
-        for (int k = 0; k < 3; ++k) e[i + k] -= by_p[k];
-      }
       Matrix3 cross = Matrix3::Zero(), sum = Matrix3::Zero();
       PaddedRows padded_e;
-      padded_e.Set(e);
+      padded_e.Set(ScoresBesidePoint(blocks, scores));
       AddPairs(system_, c, blocks, y, padded_e, /*is_same=*/false, cross.data());  // V^-1 W^T C E
       AddPairs(system_, scatter_, blocks, y, y, /*is_same=*/true, sum.data());
+      const Eigen::Map<const Matrix3> of_point(scores.p);
+      if (constraints_ != nullptr) {
+        const FreeGauge::PointRows n = gauge_->OfPoint(p);
+        cross += n.lazyProduct(n.transpose()).eval() * inverse * of_point;
+      }
       const Matrix3 back = cross * inverse;
-      out = inverse * Eigen::Map<const Matrix3>(scores.p) * inverse + sum - back - back.transpose();
+      out = inverse * of_point * inverse + sum - back - back.transpose();
     }
-    if (const InnerConstraints* const inner = constraints(); inner != nullptr) {
-      std::vector<double> np(3 * size_t(inner->degrees())), yp(np);
-      inner->RowsOfPoint(p, np.data(), yp.data());
-      inner->Transform(3, np.data(), yp.data(), 3, np.data(), yp.data(), out.data());
+    if (constraints_ != nullptr && !wanted_.sandwich) {
+      double np[3 * kSimilarities], yp[3 * kSimilarities];
+      constraints_->RowsOfPoint(p, blocks, layout(), np, yp);
+      constraints_->Transform(3, np, yp, 3, np, yp, out.data());
     }
     out = (0.5 * (out + out.transpose())).eval();
   });

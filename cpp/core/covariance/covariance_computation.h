@@ -36,7 +36,7 @@ class CovarianceComputation {
         centered_(problem, frame_),
         options_(options),
         wanted_(wanted),
-        system_(centered_.view(), options) {}
+        system_(centered_.view(), options, /*sums_gauge=*/wanted.inner) {}
 
   CovarianceOutput Run() {
     if (wanted_.sandwich) {
@@ -49,14 +49,19 @@ class CovarianceComputation {
     FindDirections();
     FindRelative();
     if (wanted_.sandwich) {
-      const std::vector<double> meat = SumMeat(system_);
-      Check(SolveForScatter(&system_, meat, &scatter_));
+      std::unique_ptr<ScatterGauge> gauge;
+      if (constraints_ != nullptr) gauge = std::make_unique<ScatterGauge>(*gauge_);
+      const std::vector<double> meat = SumMeat(system_, gauge.get());
+      Check(SolveForScatter(&system_, meat, gauge.get(), &scatter_));
     }
     Check(system_.Invert());
     int unknown = -1;
     if (const double inflation = system_.LargestInflation(&unknown); inflation > 1 / kSingular) {
       NotDetermined(unknown, "a variance " + ShortNumber(inflation) +
                                  " times as large as with all else known");
+    }
+    if (wanted_.sandwich && wanted_.of_points && constraints_ != nullptr) {
+      constraints_->TransformReduced(system_.structure(), &system_.values());
     }
     FindImages();
     FindRigs();
@@ -127,14 +132,13 @@ class CovarianceComputation {
   /// What the gauges of a solve leave free is seen when S is factorised.
   void HoldGauge() {
     if (!wanted_.inner && options_.gauge != Gauge::kNone) return;
-    const FreeGauge gauge(system_);
+    gauge_ = std::make_unique<FreeGauge>(system_);
     if (wanted_.inner) {
-      gauge.Hold(&system_);
-      output_.gauge_degrees = gauge.degrees();
-      directions_ = gauge.directions();
-    } else if (gauge.degrees() > 0) {
+      gauge_->Hold(&system_);
+      output_.gauge_degrees = gauge_->degrees();
+    } else if (gauge_->degrees() > 0) {
       throw InputError("gauge: expected one that holds the world, found " +
-                       std::to_string(gauge.degrees()) +
+                       std::to_string(gauge_->degrees()) +
                        " degrees of freedom that nothing determines; use inner");
     }
   }
@@ -142,22 +146,15 @@ class CovarianceComputation {
   /// Y, the covariance times the gauge's directions.
   void FindDirections() {
     if (output_.gauge_degrees == 0) return;
-    Check(system_.Solve(directions_, &y_));
-    constraints_ = std::make_unique<InnerConstraints>(directions_, y_);
-    if (!wanted_.sandwich) return;
-    Check(system_.Solve(MeatTimes(system_, y_), &y_scatter_));
-    scatter_constraints_ = std::make_unique<InnerConstraints>(directions_, y_scatter_);
-  }
-
-  /// The constraints of the covariance that is asked for.
-  const InnerConstraints* constraints() const {
-    return wanted_.sandwich ? scatter_constraints_.get() : constraints_.get();
+    Eigen::MatrixXd y(gauge_->reduced().rows(), gauge_->degrees());
+    Check(system_.Solve(gauge_->reduced().data(), gauge_->degrees(), y.data()));
+    constraints_ = std::make_unique<InnerConstraints>(*gauge_, std::move(y));
   }
 
   /// Turns the covariance of unknowns [first_a, ...) and [first_b, ...) into that under the
   /// constraints.
   void Constrain(int first_a, int first_b, Matrix* block) const {
-    const InnerConstraints* const inner = constraints();
+    const InnerConstraints* const inner = constraints_.get();
     if (inner == nullptr) return;
     const auto rows = static_cast<int>(block->rows()), columns = static_cast<int>(block->cols());
     const int d = inner->degrees();
@@ -173,7 +170,9 @@ class CovarianceComputation {
     Matrix block = Matrix::Zero(layout().blocks()[a].size, layout().blocks()[b].size);
     if (!system_.HasBlock(a, b)) return block;
     system_.CopyBlock(wanted_.sandwich ? scatter_ : system_.values(), a, b, block.data());
-    Constrain(layout().blocks()[a].offset, layout().blocks()[b].offset, &block);
+    if (!wanted_.sandwich) {
+      Constrain(layout().blocks()[a].offset, layout().blocks()[b].offset, &block);
+    }
     return block;
   }
 
@@ -296,9 +295,9 @@ class CovarianceComputation {
   const SolveOptions& options_;
   const CovarianceOptions& wanted_;
   ReducedSystem system_;
-  FullVectors directions_, y_, y_scatter_;
-  std::unique_ptr<InnerConstraints> constraints_, scatter_constraints_;
-  std::vector<double> scatter_;  ///< D, where the sandwich is wanted
+  std::unique_ptr<FreeGauge> gauge_;
+  std::unique_ptr<InnerConstraints> constraints_;  ///< where the gauge has degrees
+  std::vector<double> scatter_;                    ///< D or D', where the sandwich is wanted
   CovarianceOutput output_;
 };
 

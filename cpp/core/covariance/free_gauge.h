@@ -3,13 +3,12 @@
 /// What a problem leaves free of the seven similarities of the world, and the S-transformation that
 /// makes a covariance independent of how this was held.
 ///
-/// Let N hold, column by column, what the similarities do to all that is free (unknowns of the
-/// layout and points), about the centre of the scene. A combination N q is free if no residual
-/// changes: J N q = 0. J N is summed up row by row, before anything is eliminated, as the triangle
-/// of its QR factorisation; singular values are compared with the parts of the rows, by cameras and
-/// by points, so that what cancels is zero to rounding. That counts fixed parts, rigs, priors and
-/// control points without looking for them. What several pieces of a world, or points without
-/// parallax, leave beyond that is not counted here.
+/// Let N hold, column by column, what the similarities do to all that is free (gauge_sums.h). A
+/// combination N q is free if no residual changes: J N q = 0. J N is summed up row by row, before
+/// anything is eliminated; singular values of its triangle are compared with the parts of the rows,
+/// by cameras and by points, so that what cancels is zero to rounding. That counts fixed parts,
+/// rigs, priors and control points without looking for them. What several pieces of a world, or
+/// points without parallax, leave beyond that is not counted here.
 ///
 /// H is then singular. The inner constraints (E. M. Mikhail, F. Ackermann; B. Triggs et al.: Bundle
 /// Adjustment - A Modern Synthesis, 2000, section 9) ask for its pseudo-inverse, the covariance of
@@ -20,49 +19,77 @@
 ///   (H^+)_ij = G_ij - N_i Y_j^T - Y_i N_j^T + N_i (N^T Y) N_j^T,    Y = G N,
 ///
 /// which needs blocks of G where blocks of H^+ are wanted, and one solve with d right-hand sides.
+/// With the points eliminated (reduced_system.h), C = G_cc, and over the points
+///
+///   K = N_c - sum Y_p N_p,      A = sum N_p^T V_p^-1 N_p,
+///
+/// the parts of Y = G N are C K and V_p^-1 N_p - Y_p^T C K, and N^T Y = K^T C K + A. As H N = 0,
+/// Y_p^T N_c = -N_p, and of any solution of H x = m, N^T x = K^T x_c + sum N_p^T V_p^-1 m_p.
 
+#include <Eigen/Core>
 #include <vector>
 
+#include "core/covariance/gauge_sums.h"
 #include "core/covariance/reduced_system.h"
 
 namespace bundle {
 
 class FreeGauge {
  public:
-  /// Looks for what is free. The system is not factorised yet.
+  /// Looks for what is free. The system is not factorised yet. Goes over the points, if the system
+  /// has no sums for the gauge.
   explicit FreeGauge(const ReducedSystem& system);
 
-  /// Degrees of freedom, at most seven.
-  int degrees() const { return n_.num_columns; }
+  /// Degrees of freedom d, at most seven.
+  int degrees() const { return static_cast<int>(cameras_.cols()); }
   /// Adds B B^T to S: of a sparse S at as many entries of the diagonal; of a dense one, where that
   /// costs nothing, with B along N in units of the unknowns' sigmas, which rounds least.
   void Hold(ReducedSystem* system) const;
-  /// N, orthonormal.
-  const FullVectors& directions() const { return n_; }
+  /// N_c, the rows of the unknowns of N, which is orthonormal as a whole: unknowns x d.
+  const Eigen::MatrixXd& cameras() const { return cameras_; }
+  /// K, unknowns x d.
+  const Eigen::MatrixXd& reduced() const { return reduced_; }
+  /// A, d x d.
+  const Eigen::MatrixXd& of_points() const { return of_points_; }
+  /// N_p of a point, without what nothing says of it: 3 x d.
+  using PointRows = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::ColMajor, 3, kSimilarities>;
+  PointRows OfPoint(int point) const;
+  /// x - N N^T x, of each column.
+  void Project(FullVectors* x) const;
 
  private:
-  FullVectors n_;
+  void Take(const GaugeSums& sums);
+
+  const ReducedSystem& system_;
+  const SimilarityMoves moves_;
+  Eigen::MatrixXd cameras_, reduced_, of_points_;
+  Eigen::MatrixXd combinations_;  ///< of the seven, 7 x d
 };
 
-/// The S-transformation of blocks of a covariance.
+/// The S-transformation of blocks of G.
 class InnerConstraints {
  public:
-  /// `directions` is N, `y` the covariance times N. Keeps references to both.
-  InnerConstraints(const FullVectors& directions, const FullVectors& y);
+  /// `y` is C K. Keeps a reference to the gauge.
+  InnerConstraints(const FreeGauge& gauge, Eigen::MatrixXd y);
 
-  int degrees() const { return n_.num_columns; }
+  int degrees() const { return gauge_.degrees(); }
   /// Rows of N and Y: of unknowns [first, first + count), or of a point, row-major (count x
   /// degrees).
   void RowsOfUnknowns(int first, int count, double* n, double* y) const;
-  void RowsOfPoint(int point, double* n, double* y) const;
+  void RowsOfPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout, double* n,
+                   double* y) const;
   /// block (rows x columns, row-major) of G to that of H^+, by rows of N and Y, row-major.
   void Transform(int rows, const double* n_rows, const double* y_rows, int columns,
                  const double* n_columns, const double* y_columns, double* block) const;
+  /// Turns all blocks of C into those of P_c C P_c^T, P_c = I - N_c K^T: the covariance with as
+  /// much of the gauge taken out as the camera parameters see of it (sandwich.h).
+  void TransformReduced(const BlockStructure& structure, std::vector<double>* values) const;
 
  private:
-  const FullVectors& n_;
-  const FullVectors& y_;
-  std::vector<double> k_;  ///< N^T Y
+  const FreeGauge& gauge_;
+  const Eigen::MatrixXd y_;
+  const Eigen::MatrixXd of_cameras_;  ///< K^T C K
+  const Eigen::MatrixXd k_;           ///< N^T Y
 };
 
 }  // namespace bundle

@@ -1,5 +1,7 @@
 #include <Eigen/Core>
 #include <cstddef>
+#include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "core/covariance/free_gauge.h"
@@ -7,35 +9,36 @@
 
 namespace bundle {
 
-InnerConstraints::InnerConstraints(const FullVectors& directions, const FullVectors& y)
-    : n_(directions), y_(y), k_(size_t(directions.num_columns) * directions.num_columns) {
-  const int d = degrees();
-  const auto map = [d](const std::vector<double>& v) {
-    return Eigen::Map<const Eigen::MatrixXd>(v.data(), d == 0 ? 0 : Eigen::Index(v.size()) / d, d);
-  };
-  Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
-      k_.data(), d, d) = MultiplyTransposed(map(n_.cameras), map(y_.cameras)) +
-                         MultiplyTransposed(map(n_.points), map(y_.points));
-}
+InnerConstraints::InnerConstraints(const FreeGauge& gauge, Eigen::MatrixXd y)
+    : gauge_(gauge),
+      y_(std::move(y)),
+      of_cameras_(MultiplyTransposed(gauge.reduced(), y_)),
+      k_(of_cameras_ + gauge.of_points()) {}
 
 void InnerConstraints::RowsOfUnknowns(int first, int count, double* n, double* y) const {
-  const int d = degrees();
-  const size_t size = n_.cameras.size() / d;
   for (int i = 0; i < count; ++i) {
-    for (int m = 0; m < d; ++m) {
-      *n++ = n_.cameras[m * size + first + i];
-      *y++ = y_.cameras[m * size + first + i];
+    for (int m = 0; m < degrees(); ++m) {
+      *n++ = gauge_.cameras()(first + i, m);
+      *y++ = y_(first + i, m);
     }
   }
 }
 
-void InnerConstraints::RowsOfPoint(int point, double* n, double* y) const {
-  const int d = degrees();
-  const size_t size = n_.points.size() / d;
-  for (int i = 0; i < 3; ++i) {
-    for (int m = 0; m < d; ++m) {
-      *n++ = n_.points[m * size + 3 * size_t(point) + i];
-      *y++ = y_.points[m * size + 3 * size_t(point) + i];
+void InnerConstraints::RowsOfPoint(int point, const PointBlocks& blocks,
+                                   const ParameterLayout& layout, double* n, double* y) const {
+  using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+  using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  Eigen::Map<Rows> of_n(n, 3, degrees()), of_y(y, 3, degrees());
+  of_n = gauge_.OfPoint(point);
+  of_y = Eigen::Map<const Matrix3>(blocks.inverse).lazyProduct(of_n);
+  for (size_t b = 0; b < blocks.blocks.size(); ++b) {
+    const CameraBlock& block = layout.blocks()[blocks.blocks[b]];
+    const double* by = &blocks.y[3 * size_t(blocks.begin[b])];
+    for (int k = 0; k < block.size; ++k, by += 3) {
+      for (int m = 0; m < degrees(); ++m) {
+        const double x = y_(block.offset + k, m);
+        for (int i = 0; i < 3; ++i) of_y(i, m) -= by[i] * x;
+      }
     }
   }
 }
@@ -47,9 +50,26 @@ void InnerConstraints::Transform(int rows, const double* n_rows, const double* y
       Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>;
   const int d = degrees();
   const Map ni(n_rows, rows, d), yi(y_rows, rows, d), nj(n_columns, columns, d),
-      yj(y_columns, columns, d), k(k_.data(), d, d);
+      yj(y_columns, columns, d);
   Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
-      block, rows, columns) += ni * (k * nj.transpose() - yj.transpose()) - yi * nj.transpose();
+      block, rows, columns) += ni * (k_ * nj.transpose() - yj.transpose()) - yi * nj.transpose();
+}
+
+void InnerConstraints::TransformReduced(const BlockStructure& s,
+                                        std::vector<double>* values) const {
+  for (int j = 0; j < s.num_blocks(); ++j) {
+    const auto nj = gauge_.cameras().middleRows(s.offset[j], s.block_size(j));
+    const auto yj = y_.middleRows(s.offset[j], s.block_size(j));
+    const Eigen::MatrixXd by_n = (of_cameras_ * nj.transpose() - yj.transpose()).eval();
+    for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) {
+      const int i = s.row_block[e], rows = s.block_size(i);
+      const Eigen::MatrixXd change = gauge_.cameras().middleRows(s.offset[i], rows) * by_n -
+                                     y_.middleRows(s.offset[i], rows) * nj.transpose();
+      for (int c = 0; c < s.block_size(j); ++c) {
+        for (int r = 0; r < rows; ++r) (*values)[s.ValueIndex(j, e, r, c)] += change(r, c);
+      }
+    }
+  }
 }
 
 }  // namespace bundle

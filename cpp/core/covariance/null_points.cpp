@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include "core/covariance/gauge_sums.h"
 #include "core/covariance/reduced_system.h"
 #include "core/geometry/rotation.h"
 
@@ -75,6 +76,7 @@ void ReducedSystem::FindNullPoints() {
   std::vector<PointSums> sums(num_threads_);
   ForPoints([&](int point, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
     AddResiduals(point, blocks, rows, &sums[thread]);
+    if (gauge_sums_ != nullptr) gauge_sums_->AddPoint(point, blocks, rows, thread);
     if (blocks.num_null == 0) return;
     NullPoint null;
     null.point = point;
@@ -90,6 +92,7 @@ void ReducedSystem::FindNullPoints() {
     null.root = blocks.largest > 0 ? std::sqrt(blocks.largest) : 1;
     found[thread].push_back(null);
   });
+  if (gauge_sums_ != nullptr) gauge_sums_->Finish();
   for (const PointSums& of_thread : sums) {
     point_sums_.squares += of_thread.squares;
     point_sums_.num_residuals += of_thread.num_residuals;

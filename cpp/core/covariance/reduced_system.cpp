@@ -6,6 +6,7 @@
 #include <limits>
 #include <utility>
 
+#include "core/covariance/gauge_sums.h"
 #include "core/error.h"
 #include "core/model/coupled_blocks.h"
 #include "core/parallel/blas.h"
@@ -34,11 +35,12 @@ void RefuseUnsupported(const PreparedSolve& prepared) {
 
 }  // namespace
 
-ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& options)
-    : ReducedSystem(problem, options, PrepareSolve(problem, options)) {}
+ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& options,
+                             bool sums_gauge)
+    : ReducedSystem(problem, options, PrepareSolve(problem, options), sums_gauge) {}
 
 ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& options,
-                             PreparedSolve prepared)
+                             PreparedSolve prepared, bool sums_gauge)
     : problem_(problem),
       num_threads_(EffectiveNumThreads(options.num_threads)),
       warnings_(std::move(prepared.warnings)),
@@ -49,6 +51,9 @@ ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& opt
   evaluator_ = std::make_unique<ObservationEvaluator>(problem_, layout_, options);
   tracks_ = PointAssembler::FindTracks(problem_, layout_, states());
   OrderPoints();
+  if (sums_gauge) {
+    gauge_sums_ = std::make_unique<GaugeSums>(problem_, layout_, states(), num_threads_);
+  }
   FindNullPoints();
   HoldNullDirections();
   if (num_unknowns() > 0) LinearizeSchur(options);

@@ -32,6 +32,8 @@
 
 namespace bundle {
 
+class GaugeSums;  // gauge_sums.h
+
 /// A free point with null directions.
 struct NullPoint {
   int point = 0;
@@ -51,11 +53,12 @@ struct FullVectors {
 class ReducedSystem {
  public:
   /// Chooses what is free, lays it out and linearises. The problem is valid and outlives this; its
-  /// camera models are known.
+  /// camera models are known. `sums_gauge`: the pass over the points that has to be made sums up
+  /// what a FreeGauge needs.
   ///
   /// Throws InputError if an id to be fixed does not exist, a factor couples a point with something
   /// else that is free or is a function in Python, or the memory does not suffice.
-  ReducedSystem(const ProblemView& problem, const SolveOptions& options);
+  ReducedSystem(const ProblemView& problem, const SolveOptions& options, bool sums_gauge = false);
   ~ReducedSystem();
   ReducedSystem(const ReducedSystem&) = delete;
   ReducedSystem& operator=(const ReducedSystem&) = delete;
@@ -75,6 +78,9 @@ class ReducedSystem {
     double decrease = 0;  ///< 1/2 sum g_p^T V^-1 g_p: of the cost, were the points alone free
   };
   const PointSums& point_sums() const { return point_sums_; }
+
+  /// nullptr: none was asked for, or V and W have changed since.
+  const GaugeSums* gauge_sums() const { return second_order_ ? nullptr : gauge_sums_.get(); }
 
   /// Ascending.
   const std::vector<NullPoint>& null_points() const { return null_points_; }
@@ -138,7 +144,8 @@ class ReducedSystem {
   bool HasBlock(int row, int column) const;
 
  private:
-  ReducedSystem(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared);
+  ReducedSystem(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared,
+                bool sums_gauge);
   void Order(const SolveOptions& options);
   void OrderPoints();
   void FindNullPoints();
@@ -158,6 +165,7 @@ class ReducedSystem {
   PointAssembler::Tracks tracks_;
   std::vector<int> point_order_;  ///< free points, in the order of their first blocks
   PointSums point_sums_;
+  std::unique_ptr<GaugeSums> gauge_sums_;
   std::vector<NullPoint> null_points_;
   ProblemFactors factors_;  ///< the problem's, and those that hold null directions
   ProblemView view_;        ///< the problem with factors_

@@ -26,12 +26,21 @@ CovarianceComputation::Matrix CovarianceComputation::ColumnsOfImage(int image) {
     with_points.cameras.assign(rhs.data(), rhs.data() + rhs.size());
     with_points.points.assign(18 * size_t(view().num_points), 0.0);
     FullVectors once, twice;
+    const auto without_gauge = [&](FullVectors* of) {
+      if (constraints_ != nullptr) gauge_->Project(of);
+    };
+    without_gauge(&with_points);
     Check(system_.Solve(with_points, &once));
-    Check(system_.Solve(MeatTimes(system_, once), &twice));
+    without_gauge(&once);
+    with_points = MeatTimes(system_, once);
+    without_gauge(&with_points);
+    Check(system_.Solve(with_points, &twice));
+    without_gauge(&twice);
     x = Eigen::Map<const Eigen::MatrixXd>(twice.cameras.data(), n, 6);
   }
   Matrix columns = x;
-  if (const InnerConstraints* const inner = constraints(); inner != nullptr && n > 0) {
+  const InnerConstraints* const inner = wanted_.sandwich ? nullptr : constraints_.get();
+  if (inner != nullptr && n > 0) {
     // The transformation of the columns' own unknowns, by the image's maps.
     const int d = inner->degrees();
     std::vector<double> na(size_t(n) * d), ya(na);

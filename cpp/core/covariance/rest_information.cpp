@@ -242,12 +242,11 @@ FreeSimilarities FindFreeSimilarities(const ProblemView& problem, const SolveOpt
                                       const KeptVariables& kept) {
   const SceneFrame frame(problem);
   const CenteredProblem centered(problem, frame);
-  const ReducedSystem system(centered.view(), options);
+  const ReducedSystem system(centered.view(), options, /*sums_gauge=*/true);
   const FreeGauge gauge(system);
   FreeSimilarities result;
   result.degrees = gauge.degrees();
   const auto degrees = static_cast<size_t>(gauge.degrees());
-  const auto num_unknowns = static_cast<size_t>(system.num_unknowns());
   result.rows.assign(static_cast<size_t>(TangentSize(kept, problem)) * degrees, 0.0);
   size_t first = 0;
   ForPoses(kept, problem, [&](int pose) {
@@ -259,7 +258,7 @@ FreeSimilarities FindFreeSimilarities(const ProblemView& problem, const SolveOpt
     for (size_t m = 0; m < degrees; ++m) {
       double chart[kPoseSize] = {}, phi[3], rho[3], turned[3] = {};
       for (int k = 0; k < block.size && block.columns[k] < kPoseSize; ++k) {
-        chart[block.columns[k]] = gauge.directions().cameras[m * num_unknowns + block.offset + k];
+        chart[block.columns[k]] = gauge.cameras()(block.offset + k, static_cast<Eigen::Index>(m));
       }
       // phi = R^T w, rho = R^T t' + c x phi
       VectorMatrix3(chart, rotation, phi);

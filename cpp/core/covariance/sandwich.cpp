@@ -1,5 +1,6 @@
 #include "core/covariance/sandwich.h"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <cstddef>
 #include <vector>
@@ -137,7 +138,17 @@ std::vector<double> SumBread(const ReducedSystem& system) {
   return bread;
 }
 
-std::vector<double> SumMeat(const ReducedSystem& system) {
+std::vector<double> ScoresBesidePoint(const PointBlocks& blocks, const PointScores& scores) {
+  std::vector<double> e = scores.f;
+  for (size_t i = 0; i < e.size(); i += 3) {
+    double by_p[3];
+    VectorMatrix3(&blocks.y[i], scores.p, by_p);
+    for (int k = 0; k < 3; ++k) e[i + k] -= by_p[k];
+  }
+  return e;
+}
+
+std::vector<double> SumMeat(const ReducedSystem& system, ScatterGauge* gauge) {
   const BlockStructure& s = system.structure();
   std::vector<double> meat(static_cast<size_t>(s.num_values), 0.0);
   SymmetricSum sum(s, &meat);
@@ -148,6 +159,9 @@ std::vector<double> SumMeat(const ReducedSystem& system) {
     SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(point)], &scores);
     for (int i = 0; i < rows.num_rows(); ++i) AddOwn(rows.row(i), 0, 1, &sum);
     AddEliminated(blocks, scores, &sum);
+    if (gauge == nullptr) return;
+    const std::vector<double> e = ScoresBesidePoint(blocks, scores);
+    gauge->AddPoint(point, blocks, system.layout(), e.data(), scores.p);
   });
   system.ForObservationsOfFixedPoints(
       [&](const ObservationRows& rows) { AddOwn(rows, 0, 1, &sum); });
@@ -156,30 +170,39 @@ std::vector<double> SumMeat(const ReducedSystem& system) {
 }
 
 LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>& meat,
-                               std::vector<double>* scatter) {
+                               const ScatterGauge* gauge, std::vector<double>* scatter) {
   const BlockStructure& s = system->structure();
-  const auto n = static_cast<size_t>(s.num_columns());
+  const Eigen::Index n = s.num_columns();
   scatter->assign(meat.size(), 0.0);
   SymmetricProduct product(s, system->num_threads());
-  std::vector<double> x, y;
+  Eigen::MatrixXd x, y, of_columns;
   for (int first = 0; first < s.num_blocks();) {
     ThrowIfInterrupted();
     int last = first + 1;
     while (last < s.num_blocks() && s.offset[last + 1] - s.offset[first] <= kColumnsAtOnce) ++last;
     const int columns = s.offset[last] - s.offset[first];
-    x.assign(n * columns, 0.0);
-    y.assign(n * columns, 0.0);
-    for (int c = 0; c < columns; ++c) y[c * n + s.offset[first] + c] = 1;
+    const int begin = s.offset[first];
+    x.setZero(n, columns);
+    if (gauge != nullptr) {
+      y = gauge->UnitColumns(begin, columns);
+    } else {
+      y.setZero(n, columns);
+      for (int c = 0; c < columns; ++c) y(begin + c, c) = 1;
+    }
     LinearSolution solution = system->Solve(y.data(), columns, x.data());
     if (solution.status != LinearSolution::Status::kSuccess) return solution;
-    for (int c = 0; c < columns; ++c) product.Multiply(meat, &x[c * n], &y[c * n]);
-    solution = system->Solve(y.data(), columns, x.data());
+    if (gauge != nullptr) gauge->RemoveGauge(x);
+    for (int c = 0; c < columns; ++c) product.Multiply(meat, x.col(c).data(), y.col(c).data());
+    if (gauge != nullptr) gauge->AddCrossTerms(begin, y);
+    of_columns.setZero(n, columns);
+    solution = system->Solve(y.data(), columns, of_columns.data());
     if (solution.status != LinearSolution::Status::kSuccess) return solution;
+    if (gauge != nullptr) gauge->RemoveGauge(begin, x, of_columns);
     for (int j = first; j < last; ++j) {
       for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) {
         const int i = s.row_block[e];
         for (int c = 0; c < s.block_size(j); ++c) {
-          const double* const from = &x[(s.offset[j] - s.offset[first] + c) * n + s.offset[i]];
+          const double* const from = &of_columns(s.offset[i], s.offset[j] - begin + c);
           for (int r = 0; r < s.block_size(i); ++r) {
             (*scatter)[s.ValueIndex(j, e, r, c)] = from[r];
           }

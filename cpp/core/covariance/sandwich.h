@@ -24,11 +24,13 @@
 ///   cov delta_p = V^-1 (P + W^T D W - W^T C E - (W^T C E)^T) V^-1,      E = F - Y P,
 ///
 /// where B has the blocks of S, and C and D are wanted at these blocks only. D has no recursion as
-/// C has; its columns are solved for, some hundred at a time.
+/// C has; its columns are solved for, some hundred at a time. What inner constraints make of it:
+/// scatter_gauge.h.
 
 #include <vector>
 
 #include "core/covariance/reduced_system.h"
+#include "core/covariance/scatter_gauge.h"
 
 namespace bundle {
 
@@ -46,12 +48,15 @@ void SumScores(const PointBlocks& blocks, const PointAssembler& assembler, const
 /// system is one of second order.
 std::vector<double> SumBread(const ReducedSystem& system);
 
-/// B, with the structure of S.
-std::vector<double> SumMeat(const ReducedSystem& system);
+/// E_p = F - Y P, rows as in PointBlocks::w.
+std::vector<double> ScoresBesidePoint(const PointBlocks& blocks, const PointScores& scores);
 
-/// D at the blocks of S, of a factorised system.
+/// B, with the structure of S; and what is summed up beside it, unless `gauge` is nullptr.
+std::vector<double> SumMeat(const ReducedSystem& system, ScatterGauge* gauge);
+
+/// D at the blocks of S, of a factorised system; D' of scatter_gauge.h, unless `gauge` is nullptr.
 LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>& meat,
-                               std::vector<double>* scatter);
+                               const ScatterGauge* gauge, std::vector<double>* scatter);
 
 /// M x, for vectors of all unknowns.
 FullVectors MeatTimes(const ReducedSystem& system, const FullVectors& x);

@@ -1,0 +1,146 @@
+#include "core/covariance/gauge_sums.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+
+#include "core/dense/decompositions.h"
+#include "core/geometry/rotation.h"
+#include "core/model/scene_frame.h"
+
+namespace bundle {
+
+void GaugeTriangle::Add(const SimilarityRow& by_cameras, const SimilarityRow& by_points) {
+  rows_.row(count_++) = by_cameras + by_points;
+  parts_ += by_cameras.cwiseAbs2() + by_points.cwiseAbs2();
+  if (count_ == kRows) Fold();
+}
+
+void GaugeTriangle::Add(const GaugeTriangle& other) {
+  parts_ += other.parts_;
+  for (int i = 0; i < other.count_; ++i) {
+    rows_.row(count_++) = other.rows_.row(i);
+    if (count_ == kRows) Fold();
+  }
+}
+
+SimilaritySquare GaugeTriangle::Triangle() {
+  Fold();
+  return rows_.topRows<kSimilarities>();
+}
+
+void GaugeTriangle::Fold() {
+  rows_.bottomRows(kRows - count_).setZero();
+  rows_.topRows<kSimilarities>() = TriangleOfQr(rows_);
+  count_ = kSimilarities;
+}
+
+SimilarityMoves::SimilarityMoves(const ProblemView& problem, const ParameterLayout& layout,
+                                 const CameraStates& states)
+    : problem_(problem), num_unknowns_(layout.state_size()) {
+  const SceneFrame frame(problem);
+  std::copy_n(frame.center, 3, center_);
+  size_ = frame.size > 0 && std::isfinite(frame.size) ? frame.size : 1;
+  cameras_.assign(static_cast<size_t>(num_unknowns_) * kSimilarities, 0.0);
+  for (int pose = 0; pose < NumPoses(problem); ++pose) {
+    if (layout.pose_block(pose) < 0) continue;
+    const CameraBlock& block = layout.blocks()[layout.pose_block(pose)];
+    const PoseState& state = states.pose(pose);
+    double rows[kPoseSize * kSimilarities] = {};
+    if (pose < problem.num_images + problem.num_frames) {
+      GaugeRowsOfPose(state, center_, rows);
+      for (int i = 0; i < kPoseSize; ++i) {
+        for (int m = 0; m < 3; ++m) rows[i * kSimilarities + m] *= size_;
+      }
+    } else {  // a sensor's place on its rig scales with the world
+      for (int i = 0; i < 3; ++i) rows[(3 + i) * kSimilarities + 6] = state.translation[i];
+    }
+    for (int k = 0; k < block.size && block.columns[k] < kPoseSize; ++k) {
+      std::copy_n(rows + block.columns[k] * kSimilarities, kSimilarities,
+                  &cameras_[size_t(block.offset + k) * kSimilarities]);
+    }
+  }
+}
+
+Eigen::Matrix<double, 3, kSimilarities> SimilarityMoves::OfPoint(int point) const {
+  const double* const x = problem_.points + 3 * int64_t{point};
+  const double arm[3] = {x[0] - center_[0], x[1] - center_[1], x[2] - center_[2]};
+  Eigen::Matrix<double, 3, kSimilarities> rows;
+  for (int k = 0; k < 3; ++k) {
+    double axis[3] = {0, 0, 0}, turned[3];
+    axis[k] = 1;
+    Cross3(axis, arm, turned);
+    for (int i = 0; i < 3; ++i) {
+      rows(i, k) = i == k ? size_ : 0;
+      rows(i, 3 + k) = turned[i];
+    }
+  }
+  for (int i = 0; i < 3; ++i) rows(i, 6) = arm[i];
+  return rows;
+}
+
+GaugeSums::GaugeSums(const ProblemView& problem, const ParameterLayout& layout,
+                     const CameraStates& states, int num_threads)
+    : layout_(layout), moves_(problem, layout, states), of_thread_(num_threads) {
+  total_.eliminated.assign(static_cast<size_t>(moves_.num_unknowns()) * kSimilarities, 0.0);
+  for (Sums& sums : of_thread_) sums.eliminated = total_.eliminated;
+}
+
+SimilarityRow GaugeSums::ByCameras(const ObservationRows& rows, int row) const {
+  SimilarityRow sum = SimilarityRow::Zero();
+  for (int b = 0; b < rows.num_blocks; ++b) {
+    const CameraBlock& block = layout_.blocks()[rows.block[b]];
+    const double* const j = rows.jacobian[b] + row * rows.size[b];
+    for (int k = 0; k < rows.size[b]; ++k) sum += j[k] * moves_.OfUnknown(block.offset + k);
+  }
+  return sum;
+}
+
+void GaugeSums::AddObservation(const ObservationRows& rows, GaugeTriangle* triangle) const {
+  for (int row = 0; row < 2; ++row) triangle->Add(ByCameras(rows, row), SimilarityRow::Zero());
+}
+
+void GaugeSums::AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows,
+                         int thread) {
+  using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+  using Rows3 = Eigen::Matrix<double, 3, kSimilarities>;
+  Sums& sums = of_thread_[thread];
+  Rows3 n = moves_.OfPoint(point);
+  for (int i = 0; i < rows.num_rows(); ++i) {
+    const ObservationRows& of = rows.row(i);
+    for (int row = 0; row < 2; ++row) {
+      const double* const j = of.point + 3 * row;
+      sums.triangle.Add(ByCameras(of, row), j[0] * n.row(0) + j[1] * n.row(1) + j[2] * n.row(2));
+    }
+  }
+  // What nothing says of a point is no part of the world's freedom.
+  if (blocks.num_null > 0) {
+    const Rows3 null = Eigen::Map<const Matrix3>(blocks.null_projector) * n;
+    n -= null;
+  }
+  const Rows3 weighted = Eigen::Map<const Matrix3>(blocks.inverse) * n;
+  sums.weighted += n.transpose() * weighted;
+  sums.squares += n.transpose() * n;
+  for (size_t b = 0; b < blocks.blocks.size(); ++b) {
+    const CameraBlock& block = layout_.blocks()[blocks.blocks[b]];
+    for (int k = 0; k < block.size; ++k) {
+      const double* const y = &blocks.y[3 * size_t(blocks.begin[b] + k)];
+      Eigen::Map<SimilarityRow>(&sums.eliminated[size_t(block.offset + k) * kSimilarities]) +=
+          y[0] * n.row(0) + y[1] * n.row(1) + y[2] * n.row(2);
+    }
+  }
+}
+
+void GaugeSums::Finish() {
+  for (const Sums& sums : of_thread_) {
+    total_.triangle.Add(sums.triangle);
+    total_.weighted += sums.weighted;
+    total_.squares += sums.squares;
+    for (size_t i = 0; i < sums.eliminated.size(); ++i) {
+      total_.eliminated[i] += sums.eliminated[i];
+    }
+  }
+  of_thread_.clear();
+}
+
+}  // namespace bundle

@@ -1,0 +1,105 @@
+#pragma once
+
+/// Sums over the points for the free similarities of the world (free_gauge.h): what all seven do to
+/// the rows of J and to the reduced system, in whatever pass over the points comes first.
+///
+/// Let N hold, column by column, what the similarities do to all that is free, about the centre of
+/// the scene. Summed up are J N, as the triangle of its QR factorisation, beside the parts of its
+/// rows, and, with Y_p = W_p V_p^-1 (point_blocks.h),
+///
+///   sum Y_p N_p,     sum N_p^T V_p^-1 N_p,     sum N_p^T N_p.
+///
+/// Combinations N T of the seven have the same sums, times T.
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "core/covariance/observation_rows.h"
+#include "core/covariance/point_blocks.h"
+#include "core/model/gauge.h"
+#include "core/model/parameter_layout.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+inline constexpr int kSimilarities = kNumGaugeDirections;
+using SimilarityRow = Eigen::Matrix<double, 1, kSimilarities>;
+using SimilaritySquare = Eigen::Matrix<double, kSimilarities, kSimilarities>;
+
+/// J N as the triangle of its QR factorisation, and the squares of its rows' parts, by cameras and
+/// by points. N^T J^T J N alone would lose half of the digits.
+class GaugeTriangle {
+ public:
+  void Add(const SimilarityRow& by_cameras, const SimilarityRow& by_points);
+  void Add(const GaugeTriangle& other);
+  SimilaritySquare Triangle();
+  const SimilarityRow& parts() const { return parts_; }
+
+ private:
+  static constexpr int kRows = 128;
+  void Fold();
+
+  Eigen::Matrix<double, kRows, kSimilarities> rows_ =
+      Eigen::Matrix<double, kRows, kSimilarities>::Zero();
+  SimilarityRow parts_ = SimilarityRow::Zero();
+  int count_ = 0;
+};
+
+/// What the similarities do to points and to the unknowns of a layout.
+class SimilarityMoves {
+ public:
+  SimilarityMoves(const ProblemView& problem, const ParameterLayout& layout,
+                  const CameraStates& states);
+
+  int num_unknowns() const { return num_unknowns_; }
+  SimilarityRow OfUnknown(int unknown) const {
+    return Eigen::Map<const SimilarityRow>(&cameras_[size_t(unknown) * kSimilarities]);
+  }
+  /// Three rows, one a coordinate of the point.
+  Eigen::Matrix<double, 3, kSimilarities> OfPoint(int point) const;
+
+ private:
+  const ProblemView& problem_;
+  int num_unknowns_;
+  double center_[3];
+  double size_;
+  std::vector<double> cameras_;  ///< unknowns x 7, row-major
+};
+
+class GaugeSums {
+ public:
+  /// Keeps references to problem and layout.
+  GaugeSums(const ProblemView& problem, const ParameterLayout& layout, const CameraStates& states,
+            int num_threads);
+
+  /// Adds a free point, on one of the threads.
+  void AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows, int thread);
+  /// Adds up what the threads have; last.
+  void Finish();
+
+  const SimilarityMoves& moves() const { return moves_; }
+  /// The rows of J N of an observation whose point is held.
+  void AddObservation(const ObservationRows& rows, GaugeTriangle* triangle) const;
+
+  const GaugeTriangle& triangle() const { return total_.triangle; }
+  /// sum Y_p N_p, unknowns x 7, row-major.
+  const std::vector<double>& eliminated() const { return total_.eliminated; }
+  const SimilaritySquare& weighted() const { return total_.weighted; }  ///< sum N_p^T V^-1 N_p
+  const SimilaritySquare& squares() const { return total_.squares; }    ///< sum N_p^T N_p
+
+ private:
+  struct Sums {
+    GaugeTriangle triangle;
+    std::vector<double> eliminated;
+    SimilaritySquare weighted = SimilaritySquare::Zero(), squares = SimilaritySquare::Zero();
+  };
+
+  SimilarityRow ByCameras(const ObservationRows& rows, int row) const;
+
+  const ParameterLayout& layout_;
+  const SimilarityMoves moves_;
+  std::vector<Sums> of_thread_;
+  Sums total_;
+};
+
+}  // namespace bundle
