@@ -44,14 +44,28 @@ def drifted_street(num_images=60, num_points=1500, degrees=0.25, growth=0.006, s
     return truth, with_poses(truth, rotations, where, moved), scales
 
 
-def closures_of(truth, scales, count=6, *, wrong=0, seed=0, degrees=0.2, metres=0.03):
-    """Closures between the pairs of images far from each other that share most points.
+def pairs_far_apart(problem, count):
+    """The pairs of images a third of the drive apart that share most points."""
+    low, high, shared = shared_points(problem)
+    far = np.flatnonzero(high - low > problem.num_images // 3)
+    return np.stack([low, high], axis=1)[far[np.argsort(-shared[far], kind="stable")][:count]]
+
+
+def pairs_along(problem, every, apart=30, least=6):
+    """Of so many images in a row, the one that shares most points with one long before it."""
+    low, high, shared = shared_points(problem)
+    far = np.flatnonzero((high - low > apart) & (shared >= least))
+    far = far[np.argsort(shared[far], kind="stable")]
+    best = {high[k] // every: (low[k], high[k]) for k in far}
+    return np.array(sorted(best.values()))
+
+
+def closures_of(truth, scales, count=6, *, pairs=None, wrong=0, seed=0, degrees=0.2, metres=0.03):
+    """Closures between the pairs of images far from each other that share most points, or these.
 
     Their translations are in the unit of the model at the first image. The last ones are wrong.
     """
-    low, high, shared = shared_points(truth)
-    far = np.flatnonzero(high - low > truth.num_images // 3)
-    pairs = np.stack([low, high], axis=1)[far[np.argsort(-shared[far], kind="stable")][:count]]
+    pairs = pairs_far_apart(truth, count) if pairs is None else pairs
     rng = np.random.default_rng(seed)
     rotations, centers = centers_and_rotations(truth)
     a, b = pairs.T
