@@ -112,6 +112,16 @@ def test_an_edge_without_information_is_named(what):
     assert np.isnan(found.edge_test).all() and np.isfinite(found.condition_number)
 
 
+def test_what_hangs_on_loose_poses_moves_with_them_and_fixed_ones_stay():
+    free = 2500 * np.diag([1, 1, 0, 1, 1, 1.0])
+    graph = with_information(healthy(3, num_closures=0), {3: free, 7: free})
+    moved = {mode.pose_ids for mode in bundle.diagnose(graph).weak_modes}
+    assert moved == {(8, 9, 10, 11), (4, 5, 6, 7, 8, 9, 10, 11)}
+    held = with_information(healthy(3, num_closures=0), {7: free})
+    (mode,) = bundle.diagnose(held.replace(fixed=np.arange(12) == 10)).weak_modes
+    assert mode.pose_ids == tuple(range(8)) and mode.dimension == 1
+
+
 def test_what_several_edges_leave_open_is_counted_exactly():
     rng = np.random.default_rng(5)
     for dimension in (2, 3):
@@ -171,6 +181,7 @@ def test_wrong_closures_are_suspected_and_right_edges_are_not():
     wrong = tuple(solved.problem.ids[solved.problem.edges[79]].tolist())
     assert found.suspicious_edges[0].edge == wrong and not found.ok
     assert found.suspicious_edges[0].test == found.edge_test[79]
+    assert found.noise_scale < 2  # one wrong edge does not count as noise
     robust = bundle.diagnose(bundle.solve(with_wrong_closures(graph, 3), loss="gnc_tls"))
     assert robust.ok and np.isnan(robust.edge_test[79:]).all()
     assert "rejected_edges" in [finding.kind for finding in robust.findings]
