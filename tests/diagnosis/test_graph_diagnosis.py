@@ -130,7 +130,7 @@ def test_what_several_edges_leave_open_is_counted_exactly():
                 dimension, num_closures=3, start_noise=0, seed=int(rng.integers(99))
             )
             d, changes = graph.tangent_size, {}
-            for edge in rng.choice(graph.num_edges, 6, replace=False).tolist():
+            for edge in rng.choice(graph.num_edges, 5, replace=False).tolist():
                 seen = rng.random(d) < 0.5
                 changes[edge] = np.diag(seen.astype(float))
             graph = with_information(graph, changes)
