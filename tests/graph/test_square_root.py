@@ -275,3 +275,24 @@ def test_the_spectrum_of_a_root_has_twice_the_digits():
     assert found.min_eigenvalue == pytest.approx(1e-20) and found.nullity == 0
     wide = PriorSpectrum.of_root(np.array([[3.0, 0.0, 0.0]]))
     assert (wide.nullity, wide.max_eigenvalue, wide.ratio) == (2, 9.0, 1.0)
+
+
+@pytest.mark.parametrize("square_root", [True, False])
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_a_direction_that_only_rounding_determines_is_refused(square_root, precision):
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(9, 2)) @ rng.normal(size=(2, 3))  # rank 2, but for rounding
+    zero = np.zeros(3)
+    graph = bundle.FactorGraph()
+    for key in ("a", "b"):
+        graph.add_variable(key, zero)
+    graph.add_factor(
+        bundle.SquareRootPrior(
+            np.hstack((rows, rng.normal(size=(9, 3)))),
+            zero.repeat(3),
+            {"a": zero, "b": zero},
+            ["a", "b"],
+        )
+    )
+    with pytest.raises(bundle.InputError, match=r"variable 'a'.*determine"):
+        graph.marginalize(["a"], square_root=square_root, precision=precision)
