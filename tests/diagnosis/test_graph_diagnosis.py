@@ -125,10 +125,9 @@ def test_what_hangs_on_loose_poses_moves_with_them_and_fixed_ones_stay():
 def test_what_several_edges_leave_open_is_counted_exactly():
     rng = np.random.default_rng(5)
     for dimension in (2, 3):
-        for _ in range(8):
-            graph = graphs.loop(
-                dimension, num_closures=3, start_noise=0, seed=int(rng.integers(99))
-            )
+        for _ in range(3):
+            seed = int(rng.integers(99))
+            graph = graphs.loop(dimension, num_poses=6, num_closures=2, start_noise=0, seed=seed)
             d, changes = graph.tangent_size, {}
             for edge in rng.choice(graph.num_edges, 5, replace=False).tolist():
                 seen = rng.random(d) < 0.5
