@@ -36,8 +36,8 @@ def is_pose_graph_file(path: object) -> bool:
         return False
     try:
         file = Path(os.fspath(path))
-        if not file.is_file():
-            return False
+        if not file.is_file():  # what is not there is what its name says
+            return not file.exists() and file.name.lower().endswith(_SUFFIXES)
     except (TypeError, ValueError, OSError):  # bytes, zeros in a name, a name too long
         return False
     return file.name.lower().endswith(_SUFFIXES) or bool(_RECORD.match(_beginning(file)))
