@@ -1,6 +1,6 @@
 """One run of ``benchmarks.uncertainty``: reads a request, writes an answer, both JSON files.
 
-Who "make" writes the street.
+Who "make" writes a street.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.runners import protocol
-from benchmarks.uncertainty import DIAGNOSIS, STREET, THEIRS, TWO_CAMERAS
+from benchmarks.uncertainty import DIAGNOSIS, THEIRS, TWO_CAMERAS
 
 
-def make(path: str) -> None:
-    """Write the street where it truly is, with the noise of its observations."""
+def make(path: str, scene: dict[str, Any]) -> None:
+    """Write a street where it truly is, with the noise of its observations."""
     import bundle
 
-    bundle.save(bundle.synthesize(**STREET).ground_truth, path, "colmap")
+    bundle.save(bundle.synthesize(**scene).ground_truth, path, "colmap")
 
 
 def ours(request: dict[str, Any]) -> Callable[[], object]:
@@ -75,7 +75,7 @@ def main() -> None:
     answer: dict[str, Any] = {"failure": ""}
     try:
         if request["who"] == "make":
-            make(request["path"])
+            make(request["path"], request["scene"])
         else:
             run = (theirs if request["who"] == THEIRS else ours)(request)
             begun, used = time.perf_counter(), cpu()

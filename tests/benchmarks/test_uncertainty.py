@@ -2,7 +2,7 @@
 
 import pytest
 from benchmarks.results import Results
-from benchmarks.uncertainty import DIAGNOSIS, INNER, LARGE, THEIRS, TWO_CAMERAS
+from benchmarks.uncertainty import DIAGNOSIS, INNER, LARGE_NAME, THEIRS, TWO_CAMERAS
 
 from benchmarks import targets, uncertainty
 
@@ -17,7 +17,7 @@ RUNS = {
         TWO_CAMERAS: [run(1.0), {"failure": "InputError: camera 1"}, run(1.0)],
         THEIRS: [run(32.0, 2e8), run(44.0, 3e8), run(60.0, 4e8)],
     },
-    LARGE.name: {INNER: [run(30.0, 2.5e9)], DIAGNOSIS: [run(130.0, 2e9)]},
+    LARGE_NAME: {INNER: [run(30.0, 2.5e9)], DIAGNOSIS: [run(130.0, 2e9)]},
 }
 
 
