@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         inspect_graph,
     )
     from bundle.loops import LoopClosing, LoopClosure, close_loops
+    from bundle.merging import Merge, merge
     from bundle.options import SolveOptions
     from bundle.pose_graph import (
         PoseGraph,
@@ -101,6 +102,7 @@ __all__ = [
     "LinearPrior",
     "LoopClosing",
     "LoopClosure",
+    "Merge",
     "MethodInspection",
     "PoseGraph",
     "PoseGraphInspection",
@@ -147,6 +149,7 @@ __all__ = [
     "inspect_graph",
     "load",
     "losses",
+    "merge",
     "pictures",
     "pose_graph_chi2",
     "project",
@@ -206,6 +209,7 @@ _DEFERRED = {
     ),
     "files": ("load", "save"),
     "loops": ("LoopClosing", "LoopClosure", "close_loops"),
+    "merging": ("Merge", "merge"),
     "options": ("SolveOptions",),
     "pose_graph": (
         "PoseGraph",

@@ -39,6 +39,7 @@ COMMANDS = (
     "covariance",
     "diagnose",
     "align",
+    "merge",
     "report",
     "convert",
     "synth",

@@ -1,0 +1,67 @@
+"""`bundle merge`."""
+
+from __future__ import annotations
+
+import argparse
+
+from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.option_flags import naming_flags
+from bundle.cli.parser import a_path, add_output
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "merge"
+HELP = "makes two reconstructions of partly the same images one"
+
+FLAGS = {"a": "A", "b": "B", "max_error": "--max-error"}
+"""Of the arguments of ``bundle.merge``."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    parser.usage = "bundle merge A B -o OUTPUT [options]"
+    parser.add_argument(
+        "a", metavar="A", type=a_path, help="a COLMAP model, whose frame, poses and ids stay"
+    )
+    parser.add_argument(
+        "b", metavar="B", type=a_path, help="a COLMAP model with some images of the same names"
+    )
+    add_output(parser, "-o", "--output", required=True)
+    parser.add_argument(
+        "--max-error",
+        metavar="PX",
+        type=float,
+        default=8.0,
+        help="points that meet at a keypoint are one if their projections differ by at most this, "
+        "the median over the images of both, in pixels (default: 8)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Merge A and B into OUTPUT."""
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.errors import shown
+    from bundle.io import check_target, load, output_format, save
+    from bundle.merging import merge
+    from bundle.reports.merge import as_json, merged_table
+
+    paths, target = (arguments.a, arguments.b), arguments.output
+    for path in paths:
+        check_json(arguments.json, path, target)
+    with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
+        problems = []
+        for path in paths:
+            progress.stage(f"reading {shown(path)}")
+            problems.append(load(path))
+        a, b = problems
+        output = {"path": target, "format": output_format(a, target, arguments.format, paths[0])}
+        check_target(a, **output)
+        progress.stage("merging")
+        merged = merge(a, b, max_error=arguments.max_error)
+        progress.stage(f"writing {shown(target)}")
+        lost = save(merged.problem, **output)
+    if arguments.json != "-":
+        show(*merged_table(paths, (a, b), merged, output, lost))
+    write_json(arguments.json, as_json(paths, (a, b), merged, output))
+    return EXIT_DONE
