@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <numeric>
 #include <utility>
 
 #include "core/interface/summary.h"
@@ -21,9 +22,7 @@ constexpr int64_t kEdgesAtATime = 4096;
 constexpr int64_t kWorkOfAThread = 70000;
 
 double DotOf(const std::vector<double>& a, const std::vector<double>& b) {
-  double sum = 0;
-  for (size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
-  return sum;
+  return std::inner_product(a.begin(), a.end(), b.begin(), 0.0);
 }
 
 int CountThreads(int64_t num_edges, int tangent, int num_threads) {
