@@ -9,6 +9,11 @@
 #include "core/model/scene_frame.h"
 
 namespace bundle {
+namespace {
+
+using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+
+}  // namespace
 
 void GaugeTriangle::Add(const SimilarityRow& by_cameras, const SimilarityRow& by_points) {
   rows_.row(count_++) = by_cameras + by_points;
@@ -102,7 +107,6 @@ void GaugeSums::AddObservation(const ObservationRows& rows, GaugeTriangle* trian
 
 void GaugeSums::AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows,
                          int thread) {
-  using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
   using Rows3 = Eigen::Matrix<double, 3, kSimilarities>;
   Sums& sums = of_thread_[thread];
   Rows3 n = moves_.OfPoint(point);

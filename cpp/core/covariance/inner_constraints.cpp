@@ -8,6 +8,11 @@
 #include "core/dense/decompositions.h"
 
 namespace bundle {
+namespace {
+
+using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+
+}  // namespace
 
 InnerConstraints::InnerConstraints(const FreeGauge& gauge, Eigen::MatrixXd y)
     : gauge_(gauge),
@@ -26,7 +31,6 @@ void InnerConstraints::RowsOfUnknowns(int first, int count, double* n, double* y
 
 void InnerConstraints::RowsOfPoint(int point, const PointBlocks& blocks,
                                    const ParameterLayout& layout, double* n, double* y) const {
-  using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
   using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
   Eigen::Map<Rows> of_n(n, 3, degrees()), of_y(y, 3, degrees());
   of_n = gauge_.OfPoint(point);

@@ -5,6 +5,11 @@
 #include "core/dense/decompositions.h"
 
 namespace bundle {
+namespace {
+
+using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+
+}  // namespace
 
 ScatterGauge::ScatterGauge(const FreeGauge& gauge)
     : gauge_(gauge),
@@ -13,7 +18,6 @@ ScatterGauge::ScatterGauge(const FreeGauge& gauge)
 
 void ScatterGauge::AddPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout,
                             const double* e, const double p[9]) {
-  using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
   const FreeGauge::PointRows n =
       Eigen::Map<const Matrix3>(blocks.inverse).lazyProduct(gauge_.OfPoint(point));  // V^-1 N_p
   const FreeGauge::PointRows pn = Eigen::Map<const Matrix3>(p).lazyProduct(n);
