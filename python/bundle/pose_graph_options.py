@@ -76,6 +76,12 @@ class PoseGraphOptions(Options):
         choices=("closures", "all"),
         only_with=("loss", GRAPH_LOSSES[1:]),
     )
+    consistency: bool = option(
+        False,
+        "--consistency",
+        "before the solve, find the largest set of closures that agree with each other pair by "
+        "pair along the odometry, and leave the others out (needs the extra bundle[consistency])",
+    )
     trust_region_strategy_type: str = option(
         "gauss_newton",
         "--trust-region",

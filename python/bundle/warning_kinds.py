@@ -31,5 +31,7 @@ WARNING_KINDS = {
     "weak_baseline": "focal lengths and baselines of rigs changed together, which is weak",
     "several_components": "no edge joins parts of a pose graph: each has a gauge of its own",
     "local_minimum": "a pose graph ended above where the chordal relaxation starts",
+    "unproven_set": "a larger consistent set of closures may exist: the search ran out of time",
+    "most_left_out": "half of the closures or more contradict the largest consistent set",
 }
 """Each kind with what it means."""

@@ -281,7 +281,12 @@ def _about_weights(weighted: WeightedGraph) -> list[Finding]:
     count = weighted.given.num_edges - len(weighted.edges)
     if not count:
         return []
-    return [_note("rejected_edges", f"{plural(count, 'edge')} of weight 0 left out (by the loss).")]
+    return [
+        _note(
+            "rejected_edges",
+            f"{plural(count, 'edge')} of weight 0 left out (by the loss or the consistency check).",
+        )
+    ]
 
 
 def _problem(kind: str, sentence: str) -> Finding:

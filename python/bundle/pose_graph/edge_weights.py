@@ -94,6 +94,8 @@ def weighted_graph(
             "loss: expected the name of one, found auto; the result of a solve has what it took"
         )
     weighed = checked_information(graph, options.information)
+    if options.consistency and weights is None:
+        raise InputError("consistency: expected the result of a solve with it, found a graph")
     if weights is None:
         weights = _weights(weighed, options)
     kept = np.flatnonzero(weights > 0)

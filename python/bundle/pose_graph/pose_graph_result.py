@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.display import Display
+from bundle.pose_graph.consistency import LeftOutEdge
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph_options import PoseGraphOptions
 from bundle.solve_record import SolveRecord
@@ -22,7 +23,7 @@ class PoseGraphSummary(Summary):
     """A :class:`bundle.Summary`, its costs 1/2 sum rho(||r||^2) over the edges, and chi2.
 
     Attributes:
-        chi2_initial: sum r^T Omega r at the start, no 1/2, no loss.
+        chi2_initial: sum r^T Omega r at the start, no 1/2, no loss, without edges left out.
         chi2_final: likewise at the end.
         init: where the solve started: "file", "odometry", "spanning_tree" or "chordal".
         init_choice: why there; "" where it was asked for.
@@ -33,6 +34,7 @@ class PoseGraphSummary(Summary):
             holds: 3 or 6 for each component without one.
         held_pose_ids: those poses.
         num_rejected_edges: edges that the loss has put out of action.
+        num_left_out_edges: closures that ``consistency`` has left out of the solve.
     """
 
     chi2_initial: float
@@ -45,6 +47,7 @@ class PoseGraphSummary(Summary):
     num_gauge_freedoms: int
     held_pose_ids: tuple[int, ...]
     num_rejected_edges: int
+    num_left_out_edges: int = 0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -60,9 +63,10 @@ class PoseGraphResult(SolveRecord):
         chi2_before: (m,) r^T Omega r of each edge at the start, no loss.
         chi2_after: likewise at the end.
         weights: (m,) what the loss leaves of the information of each edge at the end: rho', 0 or 1
-            for gnc_tls.
+            for gnc_tls, 0 for edges left out.
         rejected: edges that the loss has put out of action, by position, worst first: with a weight
             below a half and a chi2 that one right edge in a million has (gnc_tls: a weight of 0).
+        left_out: closures that ``consistency`` has left out, the largest chi2 of a pair first.
         build_time_in_seconds: outside the solver.
         solve_time_in_seconds: inside the solver.
     """
@@ -75,6 +79,7 @@ class PoseGraphResult(SolveRecord):
     chi2_after: NDArray[np.float64]
     weights: NDArray[np.float64]
     rejected: tuple[int, ...]
+    left_out: tuple[LeftOutEdge, ...] = ()
 
     def _display(self) -> Display:
         summary, graph = self.summary, self.problem

@@ -11,6 +11,7 @@ from bundle import _core
 from bundle.arguments import check_function, check_type
 from bundle.arrays import freeze
 from bundle.option_fields import choice
+from bundle.pose_graph.consistent_solve import solve_consistent
 from bundle.pose_graph.gnc import QUANTILES, graduate
 from bundle.pose_graph.information import checked_information
 from bundle.pose_graph.loss_choice import choose_loss, truncated_cost
@@ -54,7 +55,7 @@ def solve_pose_graph(
 
     Raises:
         InputError: an information matrix is asymmetric or indefinite, the message names the edge;
-            odometry was asked for, but its chain has gaps; an option is wrong.
+            odometry was asked for, or ``consistency``, but its chain has gaps; an option is wrong.
         KeyboardInterrupt: Ctrl-C before the start was evaluated.
     """
     check_type("graph", graph, PoseGraph)
@@ -62,6 +63,15 @@ def solve_pose_graph(
     check_function("progress", progress)
     cores = _core.hardware_threads()
     options = options.replace(num_threads=min(options.num_threads or cores, cores))
+    if options.consistency:
+        return solve_consistent(graph, options, lambda kept, how: _refined(kept, how, progress))
+    return _refined(graph, options, progress)[0]
+
+
+def _refined(
+    graph: PoseGraph, options: PoseGraphOptions, progress: Progress | None
+) -> tuple[PoseGraphResult, NDArray[np.float64]]:
+    """Return the result of a solve with all edges, and the poses it started from."""
     weighed = checked_information(graph, options.information)
     held, num_components, for_gauge = _core.hold_poses(weighed)
     start = _start(weighed, held, options)
@@ -96,7 +106,7 @@ def solve_pose_graph(
         num_gauge_freedoms=graph.tangent_size * len(for_gauge),
         held_pose_ids=tuple(int(graph.ids[pose]) for pose in for_gauge),
     )
-    return PoseGraphResult(
+    result = PoseGraphResult(
         problem=graph.replace(poses=output["poses"], has_poses=True),
         initial_problem=graph,
         options=options,
@@ -106,6 +116,7 @@ def solve_pose_graph(
         rejected=rejected,
         **record | {"summary": summary},
     )
+    return result, start.poses
 
 
 def initial_poses(graph: PoseGraph, init: str = "chordal") -> NDArray[np.float64]:

@@ -65,6 +65,16 @@ def refinement_of_graph(
             }
             for edge in solved.rejected
         ],
+        "left_out_edges": [
+            {
+                "edge": graph.ids[graph.edges[entry.edge]].tolist(),
+                "line": int(graph.edge_lines[entry.edge]) or None,
+                "pair_chi2": plain(entry.chi2),
+                "num_contradicted": entry.num_contradicted,
+                "chi2": float(solved.chi2_after[entry.edge]),
+            }
+            for entry in solved.left_out
+        ],
         "wall_time": plain(dataclasses.asdict(wall)),
         "output": output,
     }

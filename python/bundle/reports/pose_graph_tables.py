@@ -54,6 +54,7 @@ def refined_graph(
         columns(("", "before", "after"), before_and_after),
         "",
         *_worst(solved),
+        *_left_out(solved),
         *_rejected(solved),
         facts([("outcome", solved.outcome)]),
         *notes(summary.warnings, style="yellow"),
@@ -165,13 +166,40 @@ def _rejected(solved: PoseGraphResult) -> list[RenderableType]:
     return [*named, facts([("rejected", sentence)])]
 
 
+def _left_out(solved: PoseGraphResult) -> list[RenderableType]:
+    """Return the closures outside the largest consistent set; nothing where it was not sought."""
+    if not solved.options.consistency:
+        return []
+    graph = solved.problem
+    rows = [
+        (
+            " ".join(map(str, graph.ids[graph.edges[entry.edge]])),
+            str(int(graph.edge_lines[entry.edge]) or "-"),
+            number(entry.chi2),
+            str(entry.num_contradicted),
+        )
+        for entry in solved.left_out[:MOST_REJECTED]
+    ]
+    more = len(solved.left_out) > len(rows)
+    head = ("closures left out", "line", "chi2 of worst pair", "contradicts")
+    named: list[RenderableType] = [columns(head, rows), ""] if rows else []
+    closures = plural(int(graph.is_closure.sum()), "closure")
+    sentence = f"{len(solved.left_out)} of {closures}" + (
+        " (--json FILE lists all)" if more else ""
+    )
+    return [*named, facts([("left out", sentence)])]
+
+
 def _worst(solved: PoseGraphResult) -> list[RenderableType]:
     chi2, graph = solved.chi2_after, solved.problem
     if len(chi2) < 2:
         return []
     closure = graph.is_closure
     rows = []
-    for edge in np.argsort(-chi2, kind="stable")[:MOST_EDGES]:
+    solved_with = np.ones(len(chi2), bool)
+    solved_with[[entry.edge for entry in solved.left_out]] = False
+    worst = [edge for edge in np.argsort(-chi2, kind="stable") if solved_with[edge]]
+    for edge in worst[:MOST_EDGES]:
         first, second = graph.ids[graph.edges[edge]]
         kind = "closure" if closure[edge] else "odometry"
         before = solved.chi2_before[edge]

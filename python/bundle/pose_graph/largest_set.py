@@ -1,0 +1,129 @@
+"""The largest set of vertices without an edge between them: the largest clique of the complement.
+
+The integer programme max sum x, x_u + x_v <= 1 for each edge, x in {0, 1}, has a relaxation to
+0 <= x <= 1 whose corners are in {0, 1/2, 1}, and some largest set holds every vertex of value 1 and
+none of value 0 (Nemhauser and Trotter, "Vertex packings: structural properties and algorithms",
+1975). The relaxation is a matching in the graph that has each vertex twice, u on the left and on
+the right, and edges u-v' and v-u': a smallest cover of it by Koenig's theorem counts the copies of
+u, and x_u is 1 - half of that count. Vertices of value 1/2, most often none, are left to HiGHS.
+
+Sets of right closures have few edges inside and many to the wrong ones: the relaxation then leaves
+nothing open, however many thousands there are. A search for cliques in the dense complement would
+enumerate.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+
+__all__ = ["largest_set"]
+
+TIME_LIMIT = 30.0
+"""Seconds for what the relaxation leaves open."""
+
+Flags = NDArray[np.bool_]
+
+
+def largest_set(conflicts: Flags) -> tuple[Flags, bool]:
+    """Return the largest set of vertices without a conflict, and whether it is proven to be.
+
+    Args:
+        conflicts: (n, n) symmetric, its diagonal False.
+
+    Returns:
+        (n,) True in the set; and False where HiGHS ran out of time, so that a larger set may exist.
+
+    Raises:
+        InputError: SciPy is not installed.
+    """
+    sparse = _import_scipy()
+    chosen: Flags = np.logical_not(conflicts.any(axis=1))
+    open_ = np.flatnonzero(~chosen)
+    if not len(open_):
+        return chosen, True
+    left, right = _smallest_cover(sparse.csr_array(conflicts[np.ix_(open_, open_)]))
+    chosen[open_[~left & ~right]] = True
+    open_ = open_[left ^ right]
+    if not len(open_):
+        return chosen, True
+    found, proven = _by_integers(conflicts[np.ix_(open_, open_)])
+    chosen[open_[found]] = True
+    return chosen, proven
+
+
+def _smallest_cover(pattern: Any) -> tuple[Flags, Flags]:
+    """Return the copies on the left and on the right that cover every edge, fewest in all.
+
+    Koenig: from unmatched vertices on the left follow any edge to the right and matched ones back;
+    what is not reached on the left and what is reached on the right is a cover.
+    """
+    from scipy.sparse.csgraph import maximum_bipartite_matching
+
+    to_right = np.asarray(maximum_bipartite_matching(pattern, perm_type="column"))
+    to_left = np.full(len(to_right), -1)
+    matched = to_right >= 0
+    to_left[to_right[matched]] = np.flatnonzero(matched)
+    reached_left, reached_right = ~matched, np.zeros(len(to_right), bool)
+    front = np.flatnonzero(reached_left)
+    while len(front):
+        seen = np.asarray(pattern[front].sum(axis=0)).ravel() > 0
+        new = seen & ~reached_right
+        reached_right |= new
+        front = to_left[new]
+        front = front[~reached_left[front]]
+        reached_left[front] = True
+    return ~reached_left, reached_right
+
+
+def _by_integers(conflicts: Flags) -> tuple[Flags, bool]:
+    """Solve the integer programme; where time runs out, the better of its best and a greedy set."""
+    from scipy.optimize import Bounds, LinearConstraint, milp
+    from scipy.sparse import csr_array
+
+    n = len(conflicts)
+    first, second = np.nonzero(np.triu(conflicts))
+    rows = np.tile(np.arange(len(first)), 2)
+    pairs = csr_array(
+        (np.ones(len(rows)), (rows, np.concatenate([first, second]))), shape=(len(first), n)
+    )
+    solved = milp(
+        -np.ones(n),
+        integrality=np.ones(n),
+        bounds=Bounds(0, 1),
+        constraints=LinearConstraint(pairs, -np.inf, 1),
+        options={"time_limit": TIME_LIMIT},
+    )
+    greedy = _greedy(conflicts)
+    if solved.x is None:
+        return greedy, False
+    found: Flags = solved.x > 0.5
+    return (found if found.sum() >= greedy.sum() else greedy), solved.status == 0
+
+
+def _greedy(conflicts: Flags) -> Flags:
+    """Take the vertex with the fewest conflicts and drop those in conflict with it, repeatedly."""
+    chosen, left = np.zeros(len(conflicts), bool), np.ones(len(conflicts), bool)
+    count = conflicts.sum(axis=1)
+    while left.any():
+        vertex = int(np.argmin(np.where(left, count, len(count) + 1)))
+        dropped = left & conflicts[vertex]
+        chosen[vertex], left[vertex] = True, False
+        left &= ~dropped
+        count = count - conflicts[:, dropped].sum(axis=1)
+    return chosen
+
+
+def _import_scipy() -> Any:
+    try:
+        from scipy import sparse
+    except ImportError:
+        raise InputError(
+            "consistency: expected SciPy, found none; install it with pip install "
+            "'bundle[consistency]'"
+        ) from None
+    return sparse
