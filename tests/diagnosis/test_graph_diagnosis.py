@@ -64,7 +64,7 @@ def test_a_healthy_loop(dimension):
     np.testing.assert_allclose(found.condition_number, values[-1] / values[0], rtol=1e-3)
     np.testing.assert_allclose(found.condition_number_unscaled, np.linalg.cond(held), rtol=1e-3)
     # The covariance of the errors of the fit, edge by edge.
-    cofactor = np.eye(len(residual)) - jacobian @ np.linalg.pinv(information) @ jacobian.T
+    cofactor = np.eye(len(residual)) - jacobian @ np.linalg.pinv(information, 1e-10) @ jacobian.T
     for k, block in enumerate(graphs.blocks(cofactor, d)):
         values, vectors = np.linalg.eigh(block)
         seen = values > 1e-5

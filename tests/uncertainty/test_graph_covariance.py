@@ -194,7 +194,8 @@ def test_the_command(tmp_path, capsys):
     assert main([*words, *report, "--relative", "1:7", "--gauge", "inner"]) == 0
     assert "inner constraints" in capsys.readouterr().out
     expected = bundle.covariance(graph, relative=[(1, 7)], gauge="inner")
-    arrays = np.load(tmp_path / "c.npz")
+    with np.load(tmp_path / "c.npz") as file:
+        arrays = dict(file)
     np.testing.assert_array_equal(arrays["pose_ids"], graph.ids)
     np.testing.assert_allclose(arrays["pose_covariance"], expected.pose_covariance, rtol=1e-9)
     found = json.loads((tmp_path / "r.json").read_text())
