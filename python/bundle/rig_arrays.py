@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from bundle.arrays import filled, freeze
 from bundle.errors import InputError
-from bundle.rotations import quaternion_multiply, quaternion_rotate, rotation_matrices
+from bundle.rigid_motions import multiply_poses, unit_poses
+from bundle.rotations import rotation_matrices
 
 if TYPE_CHECKING:
     from bundle.problem import Problem
@@ -61,9 +62,7 @@ away."""
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def compose(sensor_from_rig: _Poses, rig_from_world: _Poses) -> _Poses:
     """Return (n, 7) poses of the cameras of (n, 7) sensors on rigs at (n, 7) poses."""
-    sensor, frame = _unit(sensor_from_rig), _unit(rig_from_world)
-    turned = quaternion_multiply(sensor[:, :4], frame[:, :4])
-    return np.hstack([turned, quaternion_rotate(sensor[:, :4], frame[:, 4:]) + sensor[:, 4:]])
+    return multiply_poses(unit_poses(sensor_from_rig), unit_poses(rig_from_world))
 
 
 def placed(fields: Mapping[str, Any]) -> _Poses:
@@ -219,11 +218,6 @@ def reference_cameras(problem: Problem) -> dict[int, int]:
         cameras = problem.camera_ids[problem.image_camera[images]]
         known = dict(zip(rig[images].tolist(), cameras.tolist(), strict=True))
     return known
-
-
-def _unit(poses: _Poses) -> _Poses:
-    norm = np.sqrt((poses[:, :4] ** 2).sum(axis=1, keepdims=True))
-    return np.hstack([poses[:, :4] / norm, poses[:, 4:]])
 
 
 def _differ(before: Mapping[str, Any], after: Mapping[str, Any]) -> NDArray[np.bool_]:

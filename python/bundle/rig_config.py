@@ -34,7 +34,8 @@ from bundle.cameras import camera_models
 from bundle.errors import InputError, brief, first_line, shown
 from bundle.problem import Problem
 from bundle.rig_arrays import compose, placed
-from bundle.rotations import quaternion_inverse, quaternion_rotate
+from bundle.rigid_motions import inverse_poses, unit_poses
+from bundle.rotations import quaternion_rotate
 
 __all__ = ["RigConfig", "SensorConfig", "apply_rig_config", "read_rig_config"]
 
@@ -325,19 +326,13 @@ class _Assembly:
         poses = self._problem.cam_from_world
         sensors = poses[[images[index] for images in both]]
         references = poses[[images[reference] for images in both]]
-        arms = compose(sensors, _inverse(references))
+        arms = compose(sensors, inverse_poses(unit_poses(references)))
         rotation = np.linalg.eigh(arms[:, :4].T @ arms[:, :4])[1][:, -1]
-        center = _inverse(arms)[:, 4:].mean(axis=0)
+        center = inverse_poses(arms)[:, 4:].mean(axis=0)
         return np.hstack([rotation, -quaternion_rotate(rotation[None], center[None])[0]])
-
-
-def _inverse(poses: _Pose) -> _Pose:
-    norm = np.linalg.norm(poses[:, :4], axis=1, keepdims=True)
-    back = quaternion_inverse(poses[:, :4] / norm)
-    return np.hstack([back, -quaternion_rotate(back, poses[:, 4:])])
 
 
 def _relative(arm: _Pose, pose: _Pose) -> _Pose:
     """Return the frame whose sensor at `arm` is at `pose`."""
-    frame: _Pose = compose(_inverse(arm[None]), pose[None])[0]
+    frame: _Pose = compose(inverse_poses(unit_poses(arm[None])), pose[None])[0]
     return frame

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "cross_matrices",
     "dot",
+    "inverse_jacobian_coefficient",
     "look_along",
     "quaternion_from_matrix",
     "quaternion_from_vector",
@@ -19,6 +21,7 @@ __all__ = [
     "quaternion_rotate",
     "rotate",
     "rotation_matrices",
+    "vector_from_quaternion",
 ]
 
 Array = NDArray[np.float64]
@@ -71,6 +74,28 @@ def quaternion_from_vector(vector: Array) -> Array:
     angle = np.sqrt(dot(vector, vector))
     half_sinc = 0.5 * np.sinc(angle / (2 * np.pi))
     return np.concatenate([vector * half_sinc[:, None], np.cos(angle / 2)[:, None]], axis=1)
+
+
+def vector_from_quaternion(q: Array) -> Array:
+    """Return rotation vectors (N, 3), in radians and at most pi long, of quaternions (N, 4)."""
+    q = np.where(q[:, 3:] < 0, -q, q)
+    sine = np.linalg.norm(q[:, :3], axis=1)
+    known = sine > 1e-12
+    angle = 2 * np.arctan2(sine, q[:, 3])
+    ratio = np.where(known, angle / np.where(known, sine, 1), 2 / np.linalg.norm(q, axis=1))
+    vectors: Array = ratio[:, None] * q[:, :3]
+    return vectors
+
+
+def inverse_jacobian_coefficient(angle: Array) -> Array:
+    """Return c of the inverse Jacobian I + [v]x / 2 + c [v]x^2 of SO(3), |v| = angle (N,).
+
+    c = (1 - x cot x) / angle^2 with x = angle / 2; 1/12 at 0.
+    """
+    known = angle > 1e-3
+    safe = np.where(known, angle, 1)
+    exact = (1 - safe / 2 / np.tan(safe / 2)) / safe**2
+    return np.where(known, exact, 1 / 12 + angle**2 / 720)
 
 
 def quaternion_multiply(a: Array, b: Array) -> Array:

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.loops.similarity_graph import Nodes, inverse_poses, unit_poses
+from bundle.loops.similarity_graph import Nodes
 from bundle.problem import Problem
 from bundle.reprojection import reprojection_errors
 from bundle.rig_arrays import placed
+from bundle.rigid_motions import inverse_poses, unit_poses
 from bundle.rotations import quaternion_rotate
 
 __all__ = ["carry"]

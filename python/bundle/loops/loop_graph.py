@@ -39,22 +39,14 @@ from bundle.loops.carried_points import carry
 from bundle.loops.covisibility_edges import MIN_SHARED, covisibility_edges, fitting_observations
 from bundle.loops.loop_closing import LoopClosing, LoopClosure
 from bundle.loops.loop_edges import Closures, as_closures, images_of
-from bundle.loops.similarity_graph import (
-    Nodes,
-    SimilarityGraph,
-    inverse_poses,
-    multiply_poses,
-    unit_poses,
-)
+from bundle.loops.similarity_graph import Nodes, SimilarityGraph
 from bundle.losses import evaluate_loss
 from bundle.option_fields import choice, number
 from bundle.pose_graph import PoseGraph
 from bundle.pose_graph.gnc import QUANTILES
 from bundle.problem import Problem
-from bundle.rotations import (
-    cross_matrices,
-    rotation_matrices,
-)
+from bundle.rigid_motions import inverse_poses, multiply_poses, unit_poses
+from bundle.rotations import cross_matrices, rotation_matrices
 
 __all__ = ["close_loops"]
 

@@ -40,16 +40,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.rigid_motions import multiply_poses
 from bundle.rotations import (
     cross_matrices,
+    inverse_jacobian_coefficient,
     quaternion_from_vector,
     quaternion_inverse,
     quaternion_multiply,
     quaternion_rotate,
     rotation_matrices,
+    vector_from_quaternion,
 )
 
-__all__ = ["Nodes", "SimilarityGraph", "inverse_poses", "multiply_poses", "unit_poses"]
+__all__ = ["Nodes", "SimilarityGraph"]
 
 Array = NDArray[np.float64]
 Weigh = Callable[[Array], tuple[Array, Array]]
@@ -174,7 +177,7 @@ class SimilarityGraph:
         shift = quaternion_rotate(back, b.poses[:, 4:] - a.poses[:, 4:]) / a.scales[:, None]
         scale = b.scales / a.scales
         z_back = quaternion_inverse(self.measurements[:, :4])
-        rotation = _rotation_vectors(quaternion_multiply(z_back, turn))
+        rotation = vector_from_quaternion(quaternion_multiply(z_back, turn))
         translation = quaternion_rotate(z_back, shift - self.measurements[:, 4:])
         residual = np.hstack([rotation, translation, np.log(scale)[:, None]])
         return residual, turn, shift, scale
@@ -232,25 +235,6 @@ class SimilarityGraph:
         )
 
 
-def inverse_poses(poses: Array) -> Array:
-    """Return the inverses of rigid motions (n, 7)."""
-    back = quaternion_inverse(poses[:, :4])
-    return np.hstack([back, -quaternion_rotate(back, poses[:, 4:])])
-
-
-def multiply_poses(a: Array, b: Array) -> Array:
-    """Return the rigid motions (n, 7) b, then a."""
-    turned = quaternion_multiply(a[:, :4], b[:, :4])
-    return np.hstack([turned, quaternion_rotate(a[:, :4], b[:, 4:]) + a[:, 4:]])
-
-
-def unit_poses(poses: Array) -> Array:
-    """Return poses (n, 7) with quaternions of norm 1."""
-    units = poses.copy()
-    units[:, :4] /= np.linalg.norm(poses[:, :4], axis=1, keepdims=True)
-    return units
-
-
 def _within(weigh: Weigh, active: NDArray[np.bool_], chi2: Array) -> tuple[Array, Array]:
     """Weigh some of the edges, the others as if they were without error."""
     whole = np.zeros(len(active))
@@ -259,20 +243,9 @@ def _within(weigh: Weigh, active: NDArray[np.bool_], chi2: Array) -> tuple[Array
     return rho[active], weights[active]
 
 
-def _rotation_vectors(q: Array) -> Array:
-    q = np.where(q[:, 3:] < 0, -q, q)
-    sine = np.linalg.norm(q[:, :3], axis=1)
-    angle = 2 * np.arctan2(sine, q[:, 3])
-    factor = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0)
-    vectors: Array = factor[:, None] * q[:, :3]
-    return vectors
-
-
 def _inverse_right_jacobian(vectors: Array) -> Array:
-    """Return (m, 3, 3): I + [v]x / 2 + (1 - h cot h) [v]x^2 / |v|^2 with h = |v| / 2."""
-    angle = np.linalg.norm(vectors, axis=1)
-    half = 0.5 * np.maximum(angle, 1e-8)
-    factor = np.where(angle > 1e-4, (1 - half / np.tan(half)) / (4 * half**2), 1 / 12)
+    """Return (m, 3, 3): I + [v]x / 2 + c [v]x^2."""
+    factor = inverse_jacobian_coefficient(np.linalg.norm(vectors, axis=1))
     cross = cross_matrices(vectors)
     jacobian: Array = np.eye(3) + 0.5 * cross + factor[:, None, None] * (cross @ cross)
     return jacobian

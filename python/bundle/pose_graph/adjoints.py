@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.rotations import rotation_matrices
+from bundle.rotations import cross_matrices, rotation_matrices
 
 __all__ = ["adjoint_between", "adjoints"]
 
@@ -34,8 +34,7 @@ def _parts(poses: Floats) -> tuple[Floats, Floats]:
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         rotation = np.array([[c, -s], [s, c]]).transpose(2, 0, 1)
         return rotation, poses[:, :2]
-    unit = poses[:, :4] / np.linalg.norm(poses[:, :4], axis=1, keepdims=True)
-    return rotation_matrices(unit), poses[:, 4:]
+    return rotation_matrices(poses[:, :4]), poses[:, 4:]
 
 
 def _assemble(rotation: Floats, translation: Floats) -> Floats:
@@ -46,10 +45,7 @@ def _assemble(rotation: Floats, translation: Floats) -> Floats:
         found[:, 0, 2], found[:, 1, 2] = translation[:, 1], -translation[:, 0]
         found[:, 2, 2] = 1
         return found
-    x, y, z = translation.T
-    zero = np.zeros(count)
-    skew = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
     found = np.zeros((count, 6, 6))
     found[:, :3, :3] = found[:, 3:, 3:] = rotation
-    found[:, 3:, :3] = skew @ rotation
+    found[:, 3:, :3] = cross_matrices(translation) @ rotation
     return found

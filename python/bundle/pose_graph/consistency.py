@@ -43,7 +43,8 @@ from bundle.pose_graph.adjoints import adjoints
 from bundle.pose_graph.largest_set import largest_set
 from bundle.pose_graph.odometry_chain import OdometryChain, edge_covariance, odometry_chain
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
-from bundle.rotations import quaternion_inverse, quaternion_multiply, quaternion_rotate
+from bundle.rigid_motions import inverse_poses, multiply_poses, unit_poses
+from bundle.rotations import inverse_jacobian_coefficient, vector_from_quaternion
 
 __all__ = [
     "PAIR_QUANTILES",
@@ -190,9 +191,7 @@ def _compose(one: Floats, other: Floats) -> Floats:
         x = one[:, 0] + c * other[:, 0] - s * other[:, 1]
         y = one[:, 1] + s * other[:, 0] + c * other[:, 1]
         return np.stack([x, y, one[:, 2] + other[:, 2]], axis=1)
-    turn = one[:, :4] / np.linalg.norm(one[:, :4], axis=1, keepdims=True)
-    place = quaternion_rotate(turn, other[:, 4:]) + one[:, 4:]
-    return np.concatenate([quaternion_multiply(turn, other[:, :4]), place], axis=1)
+    return multiply_poses(unit_poses(one), other)
 
 
 def _inverse(poses: Floats) -> Floats:
@@ -200,34 +199,18 @@ def _inverse(poses: Floats) -> Floats:
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         x, y = poses[:, 0], poses[:, 1]
         return np.stack([-c * x - s * y, s * x - c * y, -poses[:, 2]], axis=1)
-    turn = quaternion_inverse(poses[:, :4] / np.linalg.norm(poses[:, :4], axis=1, keepdims=True))
-    return np.concatenate([turn, -quaternion_rotate(turn, poses[:, 4:])], axis=1)
+    return inverse_poses(unit_poses(poses))
 
 
 def _logarithm(poses: Floats) -> Floats:
-    """Return Log of poses, (n, d): V^-1 t with V^-1 = I - [r]/2 + c [r]^2, r the rotation vector.
-
-    c = (1 - x cot x) / angle^2 with x = angle / 2; 1/12 at 0.
-    """
+    """Return Log of poses, (n, d): V^-1 t, V^-1 = I - [r]/2 + c [r]^2 of the rotation vector r."""
     if poses.shape[1] == 3:
         angle = np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))
         x, y = poses[:, 0], poses[:, 1]
-        along = 1 - _curvature(np.abs(angle)) * angle**2
+        along = 1 - inverse_jacobian_coefficient(np.abs(angle)) * angle**2
         half = angle / 2
         return np.stack([along * x + half * y, along * y - half * x, angle], axis=1)
-    q = np.where(poses[:, 3:4] < 0, -poses[:, :4], poses[:, :4])
-    sine = np.linalg.norm(q[:, :3], axis=1)
-    angle = 2 * np.arctan2(sine, q[:, 3])
-    ratio = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1), 2)
-    norm = np.linalg.norm(q, axis=1)
-    ratio = np.where(sine > 1e-12, ratio, 2 / norm)
-    turn, place = ratio[:, None] * q[:, :3], poses[:, 4:]
+    turn, place = vector_from_quaternion(poses[:, :4]), poses[:, 4:]
     once = np.cross(turn, place)
-    bent = _curvature(angle)[:, None] * np.cross(turn, once)
-    return np.concatenate([turn, place - once / 2 + bent], axis=1)
-
-
-def _curvature(angle: Floats) -> Floats:
-    safe = np.where(angle > 1e-3, angle, 1)
-    exact = (1 - safe / 2 / np.tan(safe / 2)) / safe**2
-    return np.where(angle > 1e-3, exact, 1 / 12 + angle**2 / 720)
+    bend = inverse_jacobian_coefficient(np.linalg.norm(turn, axis=1))[:, None]
+    return np.concatenate([turn, place - once / 2 + bend * np.cross(turn, once)], axis=1)
