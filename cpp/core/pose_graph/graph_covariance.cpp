@@ -27,9 +27,9 @@
 /// rounding beside them counts as unchecked, and edges of which no more than that is left are not
 /// judged.
 ///
-/// Poses are eliminated by nested dissection: what a level of the elimination tree rounds, the
-/// selected inverse multiplies on its way down, and an order along a drive makes a path of the
-/// tree.
+/// Poses are eliminated in the order of a solve (block_pattern_of_edges.h). What a level of the
+/// elimination tree rounds, the selected inverse multiplies on its way down: FindInflation looks for
+/// variances below what they are with all else known.
 
 #include "core/pose_graph/graph_covariance.h"
 
