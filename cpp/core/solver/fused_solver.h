@@ -87,6 +87,17 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
                        const SchurProblem& schur, const MinimizerSummary& minimum,
                        const SolveTimes& times);
 
+/// Whose costs the final cost is the least of: all steps, as Ceres has it, or the accepted ones.
+enum class Counted { kAll, kAccepted };
+
+/// What our own solvers report alike: of the options, of the minimum (which leaves out the constant
+/// `fixed_cost`), and sizes, of which nothing is constant.
+void SummarizeChoices(const SolveOptions& options, SolveSummary* result);
+void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counted counted,
+                      SolveSummary* result);
+void SetSizes(int num_blocks, int num_parameters, int64_t num_residual_blocks,
+              int64_t num_residuals, SolveSummary* result);
+
 /// `structure` as its solver wants it, with that solver's statistics.
 FactorSummary SummarizeFactor(const BlockStructure& structure, const FactorStatistics& statistics,
                               double symbolic_time_in_seconds);

@@ -16,62 +16,19 @@
 namespace bundle {
 namespace {
 
-void SetPoseGraphSizes(const PoseGraph& graph, const PoseGraphProblem& problem,
-                       SolveSummary* result) {
-  const int tangent = graph.dimension == 2 ? Se2::kTangent : Se3::kTangent;
-  result->num_parameter_blocks = problem.num_free_poses();
-  result->num_parameters =
-      (graph.dimension == 2 ? Se2::kAmbient : Se3::kAmbient) * problem.num_free_poses();
-  result->num_residual_blocks = static_cast<int>(problem.num_active_edges());
-  result->num_residuals = static_cast<int>(tangent * problem.num_active_edges());
-  result->num_parameter_blocks_reduced = result->num_parameter_blocks;
-  result->num_parameters_reduced = result->num_parameters;
-  result->num_residual_blocks_reduced = result->num_residual_blocks;
-  result->num_residuals_reduced = result->num_residuals;
-}
-
-void SetPoseGraphCosts(const MinimizerSummary& minimum, double fixed_cost, SolveSummary* result) {
-  result->fixed_cost = fixed_cost;
-  if (minimum.iterations.empty()) return;
-  double least = minimum.iterations.front().cost;
-  for (const IterationRecord& record : minimum.iterations) {
-    if (record.step_is_successful) least = std::min(least, record.cost);
-  }
-  result->initial_cost = minimum.iterations.front().cost + fixed_cost;
-  result->final_cost = least + fixed_cost;
-}
-
 SolveSummary SummarizePoseGraph(const PoseGraph& graph, const PoseGraphProblem& problem,
                                 const SolveOptions& options, const MinimizerSummary& minimum) {
   SolveSummary result;
-  SetPoseGraphCosts(minimum, problem.fixed_cost(), &result);
-  SetPoseGraphSizes(graph, problem, &result);
-  const TrustRegionStrategy strategy = options.trust_region_strategy_type;
-  result.trust_region_strategy_type =
-      strategy == TrustRegionStrategy::kLevenbergMarquardt ? "LEVENBERG_MARQUARDT" : "DOGLEG";
-  result.dogleg_type =
-      strategy == TrustRegionStrategy::kSubspaceDogleg ? "SUBSPACE_DOGLEG" : "TRADITIONAL_DOGLEG";
-  result.linear_solver_type_given = UpperName(options.linear_solver_type, kLinearSolverTypes);
+  const int tangent = graph.dimension == 2 ? Se2::kTangent : Se3::kTangent;
+  const int ambient = graph.dimension == 2 ? Se2::kAmbient : Se3::kAmbient;
+  SummarizeChoices(options, &result);
+  SummarizeMinimum(minimum, problem.fixed_cost(), Counted::kAccepted, &result);
+  SetSizes(problem.num_free_poses(), ambient * problem.num_free_poses(), problem.num_active_edges(),
+           tangent * problem.num_active_edges(), &result);
   result.linear_solver_type_used = "SPARSE_NORMAL_CHOLESKY";
   result.linear_solver_ordering_given = {problem.num_free_poses()};
   result.linear_solver_ordering_used = {problem.num_free_poses()};
-  result.preconditioner_type_given = "JACOBI";
-  result.preconditioner_type_used = "JACOBI";
-  result.dense_linear_algebra_library_type = "LAPACK";
   result.sparse_linear_algebra_library_type = "SUPERNODAL";
-  result.num_threads_given = result.num_threads_used = options.num_threads;
-  result.residual_evaluation_time_in_seconds = minimum.candidate_time_in_seconds;
-  result.jacobian_evaluation_time_in_seconds = minimum.linearization_time_in_seconds;
-  result.linear_solver_time_in_seconds = minimum.solve_time_in_seconds;
-  result.num_residual_evaluations = minimum.num_candidates;
-  result.num_jacobian_evaluations = minimum.num_linearizations;
-  result.num_linear_solves = minimum.num_linear_solves;
-  result.termination_type = minimum.termination_type;
-  result.message = minimum.message;
-  result.is_solution_usable = minimum.termination_type != "FAILURE";
-  result.interrupted = minimum.interrupted;
-  result.num_successful_steps = minimum.num_successful_steps;
-  result.num_unsuccessful_steps = minimum.num_unsuccessful_steps;
   result.factor = SummarizeFactor(problem.structure(), problem.factor_statistics(),
                                   problem.symbolic_time_in_seconds());
   result.num_information_nonzeros = result.factor.num_reduced_nonzeros.value_or(-1);

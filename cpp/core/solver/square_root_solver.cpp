@@ -23,6 +23,7 @@
 #include "core/model/problem_factors.h"
 #include "core/prepare/prepare.h"
 #include "core/solver/block_qr.h"
+#include "core/solver/fused_solver.h"
 #include "core/solver/graph_jacobian.h"
 
 namespace bundle {
@@ -146,54 +147,25 @@ class SquareRootProblem final : public LeastSquares {
   std::unique_ptr<BlockQr> qr_;
 };
 
-void Summarize(const SquareRootProblem& problem, const FactorGraph& graph,
-               const SolveOptions& options, const MinimizerSummary& minimum,
-               SolveSummary* summary) {
-  double least = minimum.iterations.empty() ? -1 : minimum.iterations.front().cost;
-  summary->initial_cost = least;
-  for (const IterationRecord& record : minimum.iterations) {
-    if (record.step_is_successful) least = std::min(least, record.cost);
-  }
-  summary->final_cost = least;
-  summary->fixed_cost = 0;
+void SummarizeSquareRoot(const SquareRootProblem& problem, const FactorGraph& graph,
+                         SolveOptions options, const MinimizerSummary& minimum,
+                         SolveSummary* summary) {
   int blocks = 0, numbers = 0;
   for (const Block& block : graph.blocks) {
     if (block.NumFree() == 0) continue;
     ++blocks;
     numbers += static_cast<int>(block.value.size());
   }
-  summary->num_parameter_blocks = summary->num_parameter_blocks_reduced = blocks;
-  summary->num_parameters = summary->num_parameters_reduced = numbers;
-  const auto factors = static_cast<int>(graph.factors.size());
-  summary->num_residual_blocks = summary->num_residual_blocks_reduced = factors;
-  const int rows = problem.jacobian().num_rows();
-  summary->num_residuals = summary->num_residuals_reduced = rows;
-  const bool dogleg =
-      options.trust_region_strategy_type != TrustRegionStrategy::kLevenbergMarquardt;
-  summary->trust_region_strategy_type = dogleg ? "DOGLEG" : "LEVENBERG_MARQUARDT";
-  summary->dogleg_type = options.trust_region_strategy_type == TrustRegionStrategy::kSubspaceDogleg
-                             ? "SUBSPACE_DOGLEG"
-                             : "TRADITIONAL_DOGLEG";
-  summary->linear_solver_type_given = UpperName(options.linear_solver_type, kLinearSolverTypes);
+  options.num_threads = EffectiveNumThreads(options.num_threads);
+  SummarizeChoices(options, summary);
+  SummarizeMinimum(minimum, 0, Counted::kAccepted, summary);
+  SetSizes(blocks, numbers, static_cast<int64_t>(graph.factors.size()),
+           problem.jacobian().num_rows(), summary);
   summary->linear_solver_type_used = "SPARSE_QR";
   summary->linear_solver_ordering_given = summary->linear_solver_ordering_used = {blocks};
-  summary->preconditioner_type_given = summary->preconditioner_type_used = "JACOBI";
   summary->sparse_linear_algebra_library_type = "BLOCK_QR";
   summary->dense_linear_algebra_library_type = "EIGEN";
-  summary->num_threads_given = EffectiveNumThreads(options.num_threads);
   summary->num_threads_used = 1;
-  summary->residual_evaluation_time_in_seconds = minimum.candidate_time_in_seconds;
-  summary->jacobian_evaluation_time_in_seconds = minimum.linearization_time_in_seconds;
-  summary->linear_solver_time_in_seconds = minimum.solve_time_in_seconds;
-  summary->num_residual_evaluations = minimum.num_candidates;
-  summary->num_jacobian_evaluations = minimum.num_linearizations;
-  summary->num_linear_solves = minimum.num_linear_solves;
-  summary->termination_type = minimum.termination_type;
-  summary->message = minimum.message;
-  summary->is_solution_usable = minimum.termination_type != "FAILURE";
-  summary->interrupted = minimum.interrupted;
-  summary->num_successful_steps = minimum.num_successful_steps;
-  summary->num_unsuccessful_steps = minimum.num_unsuccessful_steps;
   summary->backend_given = UpperName(options.backend, kBackends);
   summary->backend_used = UpperName(Backend::kFused, kBackends);
 }
@@ -218,7 +190,7 @@ GraphOutput SolveGraphBySquareRoot(const FactorGraph& graph, const SolveOptions&
   MinimizerSummary minimum = Minimize(options, progress, &problem);
   GraphOutput output;
   output.solve_time_in_seconds = solve_time.seconds();
-  Summarize(problem, graph, options, minimum, &output.summary);
+  SummarizeSquareRoot(problem, graph, options, minimum, &output.summary);
   output.summary.preprocessor_time_in_seconds = setup_time;
   output.summary.minimizer_time_in_seconds = output.solve_time_in_seconds;
   output.summary.postprocessor_time_in_seconds = 0;

@@ -23,82 +23,89 @@ std::string SchurStructure(const ParameterLayout& layout, const CameraFactors& f
          (equal ? std::to_string(blocks.front().size) : "d");
 }
 
-void SetCosts(const MinimizerSummary& minimum, double fixed_cost, SolveSummary* result) {
-  result->fixed_cost = fixed_cost;
-  if (minimum.iterations.empty()) return;  // the start could not be evaluated
-  double least = minimum.iterations.front().cost;
-  for (const IterationRecord& record : minimum.iterations) least = std::min(least, record.cost);
-  result->initial_cost = minimum.iterations.front().cost + fixed_cost;
-  result->final_cost = least + fixed_cost;
+void SetLinearSolver(const SolveOptions& options, SolveSummary* result) {
+  result->linear_solver_type_used = result->linear_solver_type_given;
+  // Ceres' default stands where nothing is preconditioned.
+  if (IsIterative(options.linear_solver_type)) {
+    result->preconditioner_type_given =
+        UpperName(options.preconditioner_type, kPreconditionerTypes);
+    result->preconditioner_type_used = result->preconditioner_type_given;
+  }
+  result->sparse_linear_algebra_library_type = "SUITE_SPARSE";
 }
 
-void SetSizes(const ParameterLayout& layout, int64_t num_observations, const CameraFactors& factors,
-              SolveSummary* result) {
-  const int num_blocks = static_cast<int>(layout.blocks().size());
-  result->num_parameter_blocks = layout.num_free_points() + num_blocks;
-  result->num_parameters = 3 * layout.num_free_points() + layout.state_size();
-  result->num_residual_blocks = static_cast<int>(num_observations) + factors.num_factors();
-  result->num_residuals = static_cast<int>(2 * num_observations) + factors.num_residuals();
-  // Nothing constant is ever part of the problem.
-  result->num_parameter_blocks_reduced = result->num_parameter_blocks;
-  result->num_parameters_reduced = result->num_parameters;
-  result->num_residual_blocks_reduced = result->num_residual_blocks;
-  result->num_residuals_reduced = result->num_residuals;
-  result->linear_solver_ordering_given = {layout.num_free_points(), num_blocks};
-  result->linear_solver_ordering_used = result->linear_solver_ordering_given;
-  result->schur_structure_given = SchurStructure(layout, factors);
-  result->schur_structure_used = result->schur_structure_given;
-}
+}  // namespace
 
-void SetChoices(const SolveOptions& options, SolveSummary* result) {
+void SummarizeChoices(const SolveOptions& options, SolveSummary* result) {
   const TrustRegionStrategy strategy = options.trust_region_strategy_type;
   result->trust_region_strategy_type =
       strategy == TrustRegionStrategy::kLevenbergMarquardt ? "LEVENBERG_MARQUARDT" : "DOGLEG";
   result->dogleg_type =
       strategy == TrustRegionStrategy::kSubspaceDogleg ? "SUBSPACE_DOGLEG" : "TRADITIONAL_DOGLEG";
   result->linear_solver_type_given = UpperName(options.linear_solver_type, kLinearSolverTypes);
-  result->linear_solver_type_used = result->linear_solver_type_given;
-  // Ceres' default stands where nothing is preconditioned.
-  result->preconditioner_type_given =
-      IsIterative(options.linear_solver_type)
-          ? UpperName(options.preconditioner_type, kPreconditionerTypes)
-          : "JACOBI";
-  result->preconditioner_type_used = result->preconditioner_type_given;
+  result->preconditioner_type_given = result->preconditioner_type_used = "JACOBI";
   result->dense_linear_algebra_library_type = "LAPACK";
-  result->sparse_linear_algebra_library_type = "SUITE_SPARSE";
-  result->num_threads_given = options.num_threads;
-  result->num_threads_used = options.num_threads;
+  result->num_threads_given = result->num_threads_used = options.num_threads;
 }
 
-void SetTimes(const MinimizerSummary& minimum, const SolveTimes& times, SolveSummary* result) {
-  result->preprocessor_time_in_seconds = times.preprocessor;
+void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counted counted,
+                      SolveSummary* result) {
+  result->fixed_cost = fixed_cost;
+  if (!minimum.iterations.empty()) {  // else the start could not be evaluated
+    double least = minimum.iterations.front().cost;
+    for (const IterationRecord& record : minimum.iterations) {
+      if (counted == Counted::kAccepted && !record.step_is_successful) continue;
+      least = std::min(least, record.cost);
+    }
+    result->initial_cost = minimum.iterations.front().cost + fixed_cost;
+    result->final_cost = least + fixed_cost;
+  }
   result->residual_evaluation_time_in_seconds = minimum.candidate_time_in_seconds;
   result->jacobian_evaluation_time_in_seconds = minimum.linearization_time_in_seconds;
   result->linear_solver_time_in_seconds = minimum.solve_time_in_seconds;
-  result->minimizer_time_in_seconds = times.minimizer;
-  result->postprocessor_time_in_seconds = times.postprocessor;
-  result->total_time_in_seconds = times.total;
   result->num_residual_evaluations = minimum.num_candidates;
   result->num_jacobian_evaluations = minimum.num_linearizations;
   result->num_linear_solves = minimum.num_linear_solves;
+  result->termination_type = minimum.termination_type;
+  result->message = minimum.message;
+  result->is_solution_usable = minimum.termination_type != "FAILURE";
+  result->interrupted = minimum.interrupted;
+  result->num_successful_steps = minimum.num_successful_steps;
+  result->num_unsuccessful_steps = minimum.num_unsuccessful_steps;
 }
 
-}  // namespace
+void SetSizes(int num_blocks, int num_parameters, int64_t num_residual_blocks,
+              int64_t num_residuals, SolveSummary* result) {
+  result->num_parameter_blocks = result->num_parameter_blocks_reduced = num_blocks;
+  result->num_parameters = result->num_parameters_reduced = num_parameters;
+  result->num_residual_blocks = result->num_residual_blocks_reduced =
+      static_cast<int>(num_residual_blocks);
+  result->num_residuals = result->num_residuals_reduced = static_cast<int>(num_residuals);
+}
 
 SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layout,
                        const SchurProblem& schur, const MinimizerSummary& minimum,
                        const SolveTimes& times) {
   SolveSummary result;
-  SetCosts(minimum, schur.fixed_cost(), &result);
-  SetSizes(layout, schur.num_active_observations(), schur.factors(), &result);
-  SetChoices(options, &result);
-  SetTimes(minimum, times, &result);
-  result.termination_type = minimum.termination_type;
-  result.message = minimum.message;
-  result.is_solution_usable = minimum.termination_type != "FAILURE";
-  result.interrupted = minimum.interrupted;
-  result.num_successful_steps = minimum.num_successful_steps;
-  result.num_unsuccessful_steps = minimum.num_unsuccessful_steps;
+  const CameraFactors& factors = schur.factors();
+  const int64_t num_observations = schur.num_active_observations();
+  const int num_points = layout.num_free_points();
+  const auto num_blocks = static_cast<int>(layout.blocks().size());
+  SummarizeChoices(options, &result);
+  SummarizeMinimum(minimum, schur.fixed_cost(), Counted::kAll, &result);
+  // Nothing constant is ever part of the problem.
+  SetSizes(num_points + num_blocks, 3 * num_points + layout.state_size(),
+           num_observations + factors.num_factors(), 2 * num_observations + factors.num_residuals(),
+           &result);
+  SetLinearSolver(options, &result);
+  result.linear_solver_ordering_given = {num_points, num_blocks};
+  result.linear_solver_ordering_used = result.linear_solver_ordering_given;
+  result.schur_structure_given = SchurStructure(layout, factors);
+  result.schur_structure_used = result.schur_structure_given;
+  result.preprocessor_time_in_seconds = times.preprocessor;
+  result.minimizer_time_in_seconds = times.minimizer;
+  result.postprocessor_time_in_seconds = times.postprocessor;
+  result.total_time_in_seconds = times.total;
   result.instruction_set = schur.instruction_set();
   return result;
 }
