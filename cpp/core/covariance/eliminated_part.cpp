@@ -157,13 +157,10 @@ void EliminatedPart::Fill(const std::vector<double>& added, std::vector<double>*
 
 double EliminatedPart::SmallestPivot() const {
   double smallest = 1;
-  for (int b = 0; b < structure_.num_blocks(); ++b) {
-    const int64_t entry = structure_.Entry(b, b);
-    for (int k = 0; k < structure_.block_size(b); ++k) {
-      const double pivot = system_.values[structure_.ValueIndex(b, entry, k, k)];
-      smallest = std::min(smallest, pivot * pivot / own_diagonal_[structure_.offset[b] + k]);
-    }
-  }
+  structure_.ForDiagonal([&](int column, int64_t at) {
+    const double pivot = system_.values[at];
+    smallest = std::min(smallest, pivot * pivot / own_diagonal_[column]);
+  });
   return smallest;
 }
 

@@ -122,14 +122,10 @@ void ReducedSystem::LinearizeSchur(const SolveOptions& options) {
 void ReducedSystem::ReadDiagonal() {
   diagonal_.clear();
   std::vector<double>& s = values();
-  for (int j = 0; j < structure_.num_blocks(); ++j) {
-    const int64_t entry = structure_.Entry(j, j);
-    for (int k = 0; k < structure_.block_size(j); ++k) {
-      double& on_diagonal = s[structure_.ValueIndex(j, entry, k, k)];
-      if (!held_.empty() && held_[structure_.offset[j] + k] != 0) on_diagonal = 1;
-      diagonal_.push_back(on_diagonal);
-    }
-  }
+  structure_.ForDiagonal([&](int column, int64_t at) {
+    if (!held_.empty() && held_[column] != 0) s[at] = 1;
+    diagonal_.push_back(s[at]);
+  });
 }
 
 void ReducedSystem::SetSystem(std::vector<double> values) {
@@ -215,16 +211,12 @@ double ReducedSystem::SmallestPivot(int* unknown) const {
   double smallest = std::numeric_limits<double>::infinity();
   if (schur_ == nullptr) return smallest;
   const std::vector<double>& l = schur_->system().values;
-  for (int j = 0; j < structure_.num_blocks(); ++j) {
-    const int64_t entry = structure_.Entry(j, j);
-    for (int k = 0; k < structure_.block_size(j); ++k) {
-      const double pivot = l[structure_.ValueIndex(j, entry, k, k)];
-      const double share = pivot * pivot / diagonal_[structure_.offset[j] + k];
-      if (!(share < smallest)) continue;
-      smallest = share;
-      *unknown = structure_.offset[j] + k;
-    }
-  }
+  structure_.ForDiagonal([&](int column, int64_t at) {
+    const double share = l[at] * l[at] / diagonal_[column];
+    if (!(share < smallest)) return;
+    smallest = share;
+    *unknown = column;
+  });
   return smallest;
 }
 
@@ -232,18 +224,14 @@ double ReducedSystem::LargestInflation(int* unknown) const {
   double largest = 0;
   if (schur_ == nullptr) return largest;
   const std::vector<double>& inverse = schur_->system().values;
-  for (int j = 0; j < structure_.num_blocks(); ++j) {
-    const int64_t entry = structure_.Entry(j, j);
-    for (int k = 0; k < structure_.block_size(j); ++k) {
-      const int at = structure_.offset[j] + k;
-      if (!held_.empty() && held_[at] != 0) continue;
-      double inflation = inverse[structure_.ValueIndex(j, entry, k, k)] * diagonal_[at];
-      if (!(inflation > 0.5)) inflation = std::numeric_limits<double>::infinity();
-      if (inflation <= largest) continue;
-      largest = inflation;
-      *unknown = at;
-    }
-  }
+  structure_.ForDiagonal([&](int column, int64_t at) {
+    if (!held_.empty() && held_[column] != 0) return;
+    double inflation = inverse[at] * diagonal_[column];
+    if (!(inflation > 0.5)) inflation = std::numeric_limits<double>::infinity();
+    if (inflation <= largest) return;
+    largest = inflation;
+    *unknown = column;
+  });
   return largest;
 }
 

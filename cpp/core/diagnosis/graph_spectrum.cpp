@@ -41,7 +41,7 @@ class GraphSpectrumSearch {
     AddBlocks(s, problem_->system().values.data(), compact_, values_.data());
     product_ = std::make_unique<SymmetricProduct>(compact_, num_threads);
     d_.resize(s.num_columns());
-    ForDiagonal(s, [&](int column, size_t at) {
+    s.ForDiagonal([&](int column, int64_t at) {
       const double entry = problem_->system().values[at];
       d_[column] = entry > 0 ? 1 / std::sqrt(entry) : 1;
     });
@@ -88,24 +88,14 @@ class GraphSpectrumSearch {
   const std::vector<int>& pose_of_blocks() const { return problem_->pose_of_blocks(); }
 
  private:
-  template <typename Visit>
-  void ForDiagonal(const BlockStructure& s, const Visit& visit) const {
-    for (int b = 0; b < s.num_blocks(); ++b) {
-      for (int k = 0; k < s.block_size(b); ++k) {
-        visit(s.offset[b] + k, static_cast<size_t>(s.ValueIndex(b, s.column_begin[b], k, k)));
-      }
-    }
-  }
-
   void Factorize(bool shifted) {
     BlockSystem& system = problem_->system();
     const BlockStructure& s = problem_->structure();
     for (double shift : {shifted ? kGraphShift : 0.0, 1e-10, 1e-8}) {
       std::fill(system.values.begin(), system.values.end(), 0.0);
       AddBlocks(compact_, values_.data(), s, system.values.data());
-      ForDiagonal(s, [&](int column, size_t at) {
-        system.values[at] += shift / (d_[column] * d_[column]);
-      });
+      s.ForDiagonal(
+          [&](int column, int64_t at) { system.values[at] += shift / (d_[column] * d_[column]); });
       if (problem_->solver().Factorize(&system, {}).status == LinearSolution::Status::kSuccess) {
         return;
       }

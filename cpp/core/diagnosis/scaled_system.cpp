@@ -106,12 +106,7 @@ int ScaledSystem::Factorize(double shift) {
   const BlockStructure& structure = reduced_->structure();
   std::fill(values.begin(), values.end(), 0.0);
   AddBlocks(compact_, values_.data(), structure, values.data());
-  for (int j = 0; j < structure.num_blocks(); ++j) {
-    const int64_t entry = structure.column_begin[j];  // the diagonal comes first
-    for (int k = 0; k < structure.block_size(j); ++k) {
-      values[structure.ValueIndex(j, entry, k, k)] += shift;
-    }
-  }
+  structure.ForDiagonal([&](int, int64_t at) { values[at] += shift; });
   const LinearSolution solution = reduced_->Factorize();
   if (solution.status == LinearSolution::Status::kSuccess) return -1;
   return std::max(solution.failed_minor - 1, 0);

@@ -78,6 +78,18 @@ BlockStructure SparseStructure(const std::vector<int>& block_sizes,
   return structure;
 }
 
+BlockStructure StructureOfPairs(int num_nodes, int block_size,
+                                const std::vector<std::pair<int, int>>& pairs) {
+  std::vector<std::vector<int>> columns(num_nodes);
+  for (int i = 0; i < num_nodes; ++i) columns[i].push_back(i);
+  for (const auto& [a, b] : pairs) columns[std::min(a, b)].push_back(std::max(a, b));
+  for (std::vector<int>& rows : columns) {
+    std::sort(rows.begin(), rows.end());
+    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+  }
+  return SparseStructure(std::vector<int>(num_nodes, block_size), columns);
+}
+
 BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& order) {
   const int num_blocks = structure.num_blocks();
   std::vector<int> position(num_blocks), sizes(num_blocks);

@@ -14,6 +14,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "core/cameras/camera_model.h"
@@ -55,6 +56,16 @@ struct BlockStructure {
   int64_t ValueIndex(int j, int64_t e, int r, int c) const {
     return panel_begin[j] + static_cast<int64_t>(c) * panel_stride[j] + row_in_panel[e] + r;
   }
+
+  /// Calls visit(j, index of its value) for the entries (j, j) of the matrix, in order.
+  template <typename Visit>
+  void ForDiagonal(const Visit& visit) const {
+    for (int b = 0; b < num_blocks(); ++b) {
+      for (int k = 0; k < block_size(b); ++k) {
+        visit(offset[b] + k, ValueIndex(b, column_begin[b], k, k));
+      }
+    }
+  }
 };
 
 /// Where the diagonal blocks begin when they stand one after the other, squares of their sizes, and
@@ -67,6 +78,11 @@ BlockStructure DenseStructure(const std::vector<int>& block_sizes);
 /// `columns[j]`: the block rows i >= j of block column j, ascending, j itself first.
 BlockStructure SparseStructure(const std::vector<int>& block_sizes,
                                const std::vector<std::vector<int>>& columns);
+
+/// A graph's blocks, all of one size: those of the nodes and of the pairs that an edge joins.
+/// `pairs` two different nodes each, in any order; of several equal ones one counts.
+BlockStructure StructureOfPairs(int num_nodes, int block_size,
+                                const std::vector<std::pair<int, int>>& pairs);
 
 /// A sparse structure with the blocks in another order: order[k] becomes the k-th.
 BlockStructure Reorder(const BlockStructure& structure, const std::vector<int>& order);

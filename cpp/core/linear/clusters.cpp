@@ -27,11 +27,7 @@ std::vector<double> InverseDiagonal(const BlockStructure& structure,
                                     const std::vector<double>& values) {
   std::vector<double> inverse;
   inverse.reserve(structure.num_columns());
-  for (int j = 0; j < structure.num_blocks(); ++j) {
-    for (int k = 0; k < structure.block_size(j); ++k) {
-      inverse.push_back(1 / values[structure.ValueIndex(j, structure.column_begin[j], k, k)]);
-    }
-  }
+  structure.ForDiagonal([&](int, int64_t at) { inverse.push_back(1 / values[at]); });
   return inverse;
 }
 

@@ -3,33 +3,20 @@
 #include "core/linear/edge_system.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "core/linear/linear_solver.h"
 
 namespace bundle {
-namespace {
-
-BlockStructure StructureOf(const EdgeSystem& system) {
-  std::vector<std::vector<int>> columns(system.num_nodes);
-  for (int64_t i = 0; i < system.num_nodes; ++i) columns[i].push_back(static_cast<int>(i));
-  for (int64_t e = 0; e < system.num_edges; ++e) {
-    const auto [low, high] = std::minmax(system.edges[2 * e], system.edges[2 * e + 1]);
-    columns[low].push_back(high);
-  }
-  for (std::vector<int>& rows : columns) {
-    std::sort(rows.begin(), rows.end());
-    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
-  }
-  return SparseStructure(std::vector<int>(system.num_nodes, system.block_size), columns);
-}
-
-}  // namespace
-
 std::vector<double> SolveEdgeSystem(const EdgeSystem& system) {
   const int d = system.block_size;
   const int64_t n = system.num_nodes;
   if (n == 0) return {};
-  const BlockStructure natural = StructureOf(system);
+  std::vector<std::pair<int, int>> pairs;
+  for (int64_t e = 0; e < system.num_edges; ++e) {
+    pairs.emplace_back(system.edges[2 * e], system.edges[2 * e + 1]);
+  }
+  const BlockStructure natural = StructureOfPairs(static_cast<int>(n), d, pairs);
   const FillOrdering ordering = FindFillOrdering(natural, "amd");
   BlockStructure structure = Reorder(natural, ordering.order);
   const auto solver = MakeSparseSolver(ordering, 1, &structure);

@@ -1,6 +1,5 @@
 #include "core/pose_graph/block_pattern_of_edges.h"
 
-#include <algorithm>
 #include <utility>
 
 namespace bundle {
@@ -28,19 +27,14 @@ EdgePattern PatternOfEdges(const PoseGraph& graph, int block_size, const std::st
     pattern.block_of[i] = static_cast<int>(free.size());
     free.push_back(static_cast<int>(i));
   }
-  std::vector<std::vector<int>> columns(free.size());
-  for (size_t b = 0; b < free.size(); ++b) columns[b].push_back(static_cast<int>(b));
+  std::vector<std::pair<int, int>> pairs;
   for (int64_t e = 0; e < graph.num_edges(); ++e) {
     const int a = pattern.block_of[graph.edges[2 * e]];
     const int b = pattern.block_of[graph.edges[2 * e + 1]];
-    if (a >= 0 && b >= 0) columns[std::min(a, b)].push_back(std::max(a, b));
-  }
-  for (std::vector<int>& rows : columns) {
-    std::sort(rows.begin(), rows.end());
-    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+    if (a >= 0 && b >= 0) pairs.emplace_back(a, b);
   }
   const BlockStructure structure =
-      SparseStructure(std::vector<int>(free.size(), block_size), columns);
+      StructureOfPairs(static_cast<int>(free.size()), block_size, pairs);
   pattern.ordering = FindOrdering(structure, ordering);
   pattern.structure = Reorder(structure, pattern.ordering.order);
   for (size_t k = 0; k < free.size(); ++k) {

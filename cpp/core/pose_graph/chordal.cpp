@@ -109,9 +109,9 @@ class ChordalStage {
 
   void Solve() {
     double trace = 0;
-    ForDiagonal([&](double* entry) { trace += *entry; });
+    structure_.ForDiagonal([&](int, int64_t at) { trace += system_.values[at]; });
     const double little = kRegularization * trace / std::max(structure_.num_columns(), 1);
-    ForDiagonal([&](double* entry) { *entry += little; });
+    structure_.ForDiagonal([&](int, int64_t at) { system_.values[at] += little; });
     solution_.resize(rhs_.size());
     LinearSolution found = solver_->Factorize(&system_, {});
     if (found.status == LinearSolution::Status::kSuccess) {
@@ -132,13 +132,6 @@ class ChordalStage {
   size_t Index(int block, int rhs, int row) const {
     return size_t{static_cast<size_t>(rhs)} * structure_.num_columns() + structure_.offset[block] +
            row;
-  }
-  template <typename Visit>
-  void ForDiagonal(const Visit& visit) {
-    for (int b = 0; b < structure_.num_blocks(); ++b) {
-      double* const values = Values(b, structure_.column_begin[b]);
-      for (int c = 0; c < d_; ++c) visit(values + c * (structure_.panel_stride[b] + 1));
-    }
   }
 
   const EdgePattern& pattern_;

@@ -28,8 +28,8 @@
 /// judged.
 ///
 /// Poses are eliminated in the order of a solve (block_pattern_of_edges.h). What a level of the
-/// elimination tree rounds, the selected inverse multiplies on its way down: FindInflation looks for
-/// variances below what they are with all else known.
+/// elimination tree rounds, the selected inverse multiplies on its way down: FindInflation looks
+/// for variances below what they are with all else known.
 
 #include "core/pose_graph/graph_covariance.h"
 
@@ -104,11 +104,7 @@ class GraphCovariance {
     problem_->Linearize(0);
     const BlockStructure& s = problem_->structure();
     const BlockSystem& system = problem_->system();
-    for (int b = 0; b < s.num_blocks(); ++b) {
-      for (int k = 0; k < kSize; ++k) {
-        diagonal_.push_back(system.values[s.ValueIndex(b, s.column_begin[b], k, k)]);
-      }
-    }
+    s.ForDiagonal([&](int, int64_t at) { diagonal_.push_back(system.values[at]); });
     const std::vector<double> rhs = system.rhs;
     const LinearSolution done = problem_->solver().Factorize(&problem_->system(), {});
     if (done.status != LinearSolution::Status::kSuccess) {
@@ -128,16 +124,12 @@ class GraphCovariance {
   }
 
   void FindInflation(GraphCovarianceOutput* output) const {
-    const BlockStructure& s = problem_->structure();
-    for (int b = 0; b < s.num_blocks(); ++b) {
-      for (int k = 0; k < kSize; ++k) {
-        const double variance = problem_->system().values[s.ValueIndex(b, s.column_begin[b], k, k)];
-        const double inflation = variance * diagonal_[kSize * b + k];
-        // Never below 1 but by rounding; not a number, or negative, where nothing is left.
-        output->inflation = inflation > 0.5 ? std::max(output->inflation, inflation)
-                                            : std::numeric_limits<double>::infinity();
-      }
-    }
+    problem_->structure().ForDiagonal([&](int column, int64_t at) {
+      const double inflation = problem_->system().values[at] * diagonal_[column];
+      // Never below 1 but by rounding; not a number, or negative, where nothing is left.
+      output->inflation = inflation > 0.5 ? std::max(output->inflation, inflation)
+                                          : std::numeric_limits<double>::infinity();
+    });
   }
 
   /// G_ij of an edge, or G_ii.
