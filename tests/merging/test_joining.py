@@ -8,16 +8,6 @@ import bundle
 from tests.merging.halves import TO_B, edited, halves, move_point, renumbered, tracks, whole
 
 
-@pytest.fixture(scope="module")
-def model():
-    return whole()
-
-
-@pytest.fixture(scope="module")
-def merged(model):
-    return bundle.merge(*halves(model))
-
-
 def test_tracks_are_joined_and_nothing_is_lost(model, merged):
     a, b = halves(model)
     counts = merged.counts

@@ -10,16 +10,6 @@ from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem, scene
 
 
-@pytest.fixture(scope="module")
-def model():
-    return whole()
-
-
-@pytest.fixture(scope="module")
-def merged(model):
-    return bundle.merge(*halves(model))
-
-
 def test_poses_points_and_similarity_are_those_of_the_whole(model, merged):
     problem = merged.problem
     assert problem.image_names == model.image_names

@@ -17,7 +17,7 @@ from bundle.pose_graph.information import checked_information
 from bundle.pose_graph.loss_choice import choose_loss, truncated_cost
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph.pose_graph_result import PoseGraphResult, PoseGraphSummary
-from bundle.pose_graph.starts import Start, choose_start, chordal_below, started
+from bundle.pose_graph.starts import Start, choose_start, chordal_chi2, started
 from bundle.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.solve_record import Progress, record_fields
 from bundle.words import number, plural
@@ -152,7 +152,7 @@ def pose_graph_chi2(graph: PoseGraph, error: str = "log") -> NDArray[np.float64]
 
 def _start(graph: PoseGraph, held: NDArray[np.bool_], options: PoseGraphOptions) -> Start:
     if options.init == "auto":
-        return choose_start(graph, held, options.error, options.num_threads)[0]
+        return choose_start(graph, held, options.error, options.num_threads)
     return started(graph, held, options.init, options.num_threads)
 
 
@@ -259,11 +259,13 @@ def _about_minimum(
     if start.init == "chordal" or options.loss != "trivial" or not has_converged:
         return ""
     end = float(output["chi2_after"].sum())
-    below = chordal_below(graph, held, options.error, options.num_threads, end)
-    if below is None or end - below <= NOT_LOWER * end:
+    chordal = start.chordal_chi2
+    if chordal is None:
+        chordal = chordal_chi2(graph, held, options.error, options.num_threads)
+    if chordal is None or not end - chordal > NOT_LOWER * end:
         return ""
     return (
-        f"This is a local minimum, chi2 {number(end)}: the chordal start has {number(below)} "
+        f"This is a local minimum, chi2 {number(end)}: the chordal start has {number(chordal)} "
         "before any step. Start there: init chordal, or auto."
     )
 

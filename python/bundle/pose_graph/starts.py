@@ -12,7 +12,7 @@ from bundle.errors import InputError
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.words import number
 
-__all__ = ["Start", "choose_start", "chordal_below", "start_without_poses", "started"]
+__all__ = ["Start", "choose_start", "chordal_chi2", "start_without_poses", "started"]
 
 HOPELESS = 10.0
 """A start whose chi2 is more than so many times another's is left for the other."""
@@ -26,11 +26,13 @@ class Start:
         poses: as those of a graph.
         init: "file", "odometry", "spanning_tree" or "chordal".
         reason: why, where that was chosen; "" where it was asked for.
+        chordal_chi2: of the chordal start, where the choice looked at it.
     """
 
     poses: NDArray[np.float64]
     init: str
     reason: str = ""
+    chordal_chi2: float | None = None
 
 
 def start_without_poses(graph: PoseGraph) -> PoseGraph:
@@ -59,38 +61,29 @@ def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: i
     return Start(poses=_core.initial_poses(graph, held, init, num_threads), init=init)
 
 
-def choose_start(
-    graph: PoseGraph, held: NDArray[np.bool_], error: str, num_threads: int
-) -> tuple[Start, NDArray[np.float64]]:
-    """Return where ``auto`` starts: at the file's poses, unless a chordal start is far better.
-
-    Returns:
-        The start, and chi2 of each edge there.
-    """
-    given = Start(poses=graph.poses, init="file")
-    chi2 = _core.edge_chi2(graph, error)
+def choose_start(graph: PoseGraph, held: NDArray[np.bool_], error: str, num_threads: int) -> Start:
+    """Return where ``auto`` starts: at the file's poses, unless a chordal start is far better."""
     try:
-        chordal = started(graph, held, "chordal", num_threads)
+        chordal = started(graph, held, "chordal", num_threads).poses
     except InputError as failure:
         reason = f"The file's poses, as there is no chordal start: {failure}."
-        return Start(poses=graph.poses, init="file", reason=reason), chi2
-    found = _core.edge_chi2(graph.replace(poses=chordal.poses), error)
-    before, after = float(chi2.sum()), float(found.sum())
+        return Start(poses=graph.poses, init="file", reason=reason)
+    before = float(_core.edge_chi2(graph, error).sum())
+    after = float(_core.edge_chi2(graph.replace(poses=chordal), error).sum())
     compared = f"chi2 {number(before)} at the file's poses, {number(after)} at the chordal start"
     if after * HOPELESS < before:
         reason = f"The chordal start, more than {HOPELESS:g} times better: {compared}."
-        return Start(poses=chordal.poses, init="chordal", reason=reason), found
+        return Start(poses=chordal, init="chordal", reason=reason, chordal_chi2=after)
     reason = f"The file's poses, as nothing is {HOPELESS:g} times better: {compared}."
-    return Start(poses=given.poses, init="file", reason=reason), chi2
+    return Start(poses=graph.poses, init="file", reason=reason, chordal_chi2=after)
 
 
-def chordal_below(
-    graph: PoseGraph, held: NDArray[np.bool_], error: str, num_threads: int, chi2: float
+def chordal_chi2(
+    graph: PoseGraph, held: NDArray[np.bool_], error: str, num_threads: int
 ) -> float | None:
-    """Return chi2 of the chordal start where it is below ``chi2``: no solve should end there."""
+    """Return chi2 of the chordal start; None if there is none."""
     try:
         chordal = started(graph, held, "chordal", num_threads)
     except InputError:
         return None
-    found = float(_core.edge_chi2(graph.replace(poses=chordal.poses), error).sum())
-    return found if found < chi2 else None
+    return float(_core.edge_chi2(graph.replace(poses=chordal.poses), error).sum())
