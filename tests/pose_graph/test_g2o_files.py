@@ -9,6 +9,7 @@ import pytest
 import bundle
 from tests.pose_graph import graphs
 from tests.pose_graph.graphs import write
+from tests.scenes import make_problem
 
 UPPER = "1 0 0 1 0 1"
 PLANE = ["VERTEX_SE2 0 0 0 0", "VERTEX_SE2 5 1 0 0.5", f"EDGE_SE2 0 5 1 0 0.4 {UPPER}"]
@@ -172,3 +173,9 @@ def test_real_files_keep_their_numbers(bundle_data, tmp_path, name):
     if not graph.has_poses:
         again = [row for row in again if row[0].startswith("EDGE")]
     assert again == given
+
+
+def test_a_folder_with_the_name_of_a_graph_is_a_model(tmp_path):
+    problem = make_problem()
+    bundle.save(problem, tmp_path / "model.g2o", "colmap")
+    assert bundle.load(tmp_path / "model.g2o").num_images == problem.num_images
