@@ -89,6 +89,7 @@ Linearization SchurProblem::Linearize(double damping) {
         sums_.End(thread);
       },
       [&](int thread) { sums_.Flush(thread); });
+  ThrowIfInterrupted();  // only this thread is told, and the others may have taken every chunk
   if (first) x_->held.Merge();
   for (const ChunkSum& part : parts) {
     result.cost += part.cost;
