@@ -25,6 +25,7 @@ CORE_MAY_INCLUDE = {
     "dense": set(),
     "symbolic": set(),
     "cameras": {"geometry"},
+    "inertial": {"geometry"},
     "factors": {"cameras", "geometry", "dense"},
     "graph": {"factors", "geometry"},
     "problem": {"factors", "cameras", "geometry", "parallel"},
