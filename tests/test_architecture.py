@@ -294,6 +294,18 @@ PYTHON_MAY_IMPORT = {
         "rotations",
         "words",
     },
+    "vio": {
+        "arguments",
+        "arrays",
+        "cameras",
+        "display",
+        "errors",
+        "io",
+        "rigid_motions",
+        "rotations",
+        "text_lines",
+        "words",
+    },
     "merging": {
         "cameras",
         "display",
@@ -501,6 +513,7 @@ PYTHON_MAY_IMPORT = {
         "summary",
         "tables",
         "uncertainty",
+        "vio",
         "words",
         "worst_images",
     },
@@ -519,9 +532,11 @@ DEFERRED_IMPORTS = {"problem": {"io"}, "synthetic": {"io"}}
 OUTSIDERS = {
     "argparse": {"cli"},
     "rich": {"checking", "cli", "reports", "summary", "tables"},
-    "pycolmap": {"deferred_source", "io", "loops", "merging", "problem"},
+    "pycolmap": {"deferred_source", "io", "loops", "merging", "problem", "vio"},
     "matplotlib": {"pictures"},
     "pyproj": {"georeference"},
+    "yaml": {"vio"},
+    "evo": {"vio"},
     "PIL": {"georeference", "html"},
 }
 

@@ -7,7 +7,7 @@ import argparse
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.lens_flags import add_lens_flags, cameras_edited
 from bundle.cli.parser import add_input, add_output, add_rig_config, with_rigs
-from bundle.io.recognition import is_pose_graph_file
+from bundle.io.recognition import is_pose_graph_file, sequence_at
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -29,6 +29,10 @@ def run(arguments: argparse.Namespace) -> int:
         from bundle.cli.pose_graph_commands import convert_graph
 
         return convert_graph(arguments)
+    if sequence_at(arguments.input):
+        from bundle.cli.sequence_commands import convert_sequence
+
+        return convert_sequence(arguments)
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown

@@ -30,9 +30,10 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.pose_graph_commands import describe_graph
     from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
     from bundle.cli.progress import Progress
+    from bundle.cli.sequence_commands import describe_sequence
     from bundle.errors import shown
     from bundle.io import load
-    from bundle.io.recognition import is_pose_graph_file
+    from bundle.io.recognition import is_pose_graph_file, sequence_at
     from bundle.reports import info, json
     from bundle.statistics import describe
 
@@ -42,9 +43,10 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         for path in arguments.inputs:
             progress.stage(f"reading {shown(path)}")
-            if is_pose_graph_file(path):
+            if is_pose_graph_file(path) or sequence_at(path):
                 refuse_flags_of_reconstructions(arguments)
-                described, report = describe_graph(path)
+                describe_it = describe_sequence if sequence_at(path) else describe_graph
+                described, report = describe_it(path)
                 tables += ["", *described]
                 reports.append(report)
                 continue

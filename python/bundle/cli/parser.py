@@ -130,7 +130,8 @@ def add_input(
         type=a_path,
         help="a BAL file (plain, .gz or .bz2), the folder of a COLMAP model (binary or text) or, "
         "for info, refine, compare, inspect, diagnose, covariance and convert, a pose graph (g2o, "
-        "plain, .gz or .bz2); told by its content",
+        "plain, .gz or .bz2), or, for info and convert, the folder of a visual-inertial sequence; "
+        "told by its content",
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bundle.io.model_files import MODEL_FILES, missing_model_files
 
-__all__ = ["is_pose_graph_file", "reconstruction_at"]
+__all__ = ["SEQUENCE_FILES", "is_pose_graph_file", "reconstruction_at", "sequence_at"]
 
 _HEADER = re.compile(rb"\s*\d+\s+\d+\s+\d+\s+\d+\s+\d+\s+[-+.\d]")  # counts, first observation
 _RECORD = re.compile(
@@ -17,6 +17,7 @@ _RECORD = re.compile(
 )
 _SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
 _ENOUGH = 512
+SEQUENCE_FILES = ("imu.csv", "tracks.csv", "calibration.yaml")
 
 
 def reconstruction_at(path: Path) -> str | None:
@@ -41,6 +42,23 @@ def is_pose_graph_file(path: object) -> bool:
     except (TypeError, ValueError, OSError):  # bytes, zeros in a name, a name too long
         return False
     return file.name.lower().endswith(_SUFFIXES) or bool(_RECORD.match(_beginning(file)))
+
+
+def sequence_at(path: object) -> str | None:
+    """Return "sequence" for the folder of a visual-inertial sequence, "track csv", or None.
+
+    A track csv is the file in which GTSAM's examples keep EuRoC's flights.
+    """
+    if not isinstance(path, str | os.PathLike):
+        return None
+    try:
+        place = Path(os.fspath(path))
+        if place.is_dir():
+            return "sequence" if any((place / name).is_file() for name in SEQUENCE_FILES) else None
+        is_table = place.is_file() and _beginning(place).startswith(b"row_type,")
+    except (TypeError, ValueError, OSError):
+        return None
+    return "track csv" if is_table else None
 
 
 def _beginning(path: Path) -> bytes:

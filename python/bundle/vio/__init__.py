@@ -1,0 +1,42 @@
+"""Visual-inertial odometry: sequences, trajectories, and what is estimated from them."""
+
+from bundle.vio.calibration import Calibration
+from bundle.vio.sequence import Sequence
+from bundle.vio.sequence_findings import SequenceFinding, sequence_findings
+from bundle.vio.sequence_folder import (
+    check_sequence_target,
+    load_sequence,
+    read_sequence,
+    save_sequence,
+)
+from bundle.vio.track_csv import read_track_csv
+from bundle.vio.trajectory_comparison import TrajectoryError, compare_trajectories, states_at
+from bundle.vio.trajectory_files import (
+    Trajectory,
+    load_ground_truth,
+    load_trajectory,
+    load_tum,
+    save_ground_truth,
+    save_tum,
+)
+
+__all__ = [
+    "Calibration",
+    "Sequence",
+    "SequenceFinding",
+    "Trajectory",
+    "TrajectoryError",
+    "check_sequence_target",
+    "compare_trajectories",
+    "load_ground_truth",
+    "load_sequence",
+    "load_trajectory",
+    "load_tum",
+    "read_sequence",
+    "read_track_csv",
+    "save_ground_truth",
+    "save_sequence",
+    "save_tum",
+    "sequence_findings",
+    "states_at",
+]
