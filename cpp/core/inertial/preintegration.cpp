@@ -11,25 +11,26 @@
 /// By midpoint the force is 1/2 (dR f + dR E f'), f' at the interval's end, and w~ the mean of
 /// both.
 ///
-/// Errors. With dR Exp(t), p and v of errors (t, dp, dv), a force turned by dR changes by
-/// -dR [f]x t. So with
+/// Errors are taken in the frame of the start: Exp(t) dR, p and v of errors (t, dp, dv). No turn
+/// moves t then, and a force g = dR f of that frame changes by t x g, so that with k = -g dt (by
+/// midpoint two: k0 = -1/2 dR f dt and k1 = -1/2 dR E f' dt) an interval is
 ///
-///   K = -dR [f]x dt        (by midpoint two: K0 = -1/2 dR [f]x dt, K1 = -1/2 dR E [f']x dt)
+///   a shear    dp += drift dv + 1/2 dt k x t,     dv += k x t,      drift = dt (or 0 for k1),
+///   a turn     t -= dR J_l dt dbg,
 ///
-/// an interval is a shear with K, then the turn t <- E^T t - J_r dt dbg, and by midpoint a shear
-/// with K0, the turn, and a shear with K1 that has no drift:
+/// and by midpoint a shear with k1. The turn is by dR Exp((w - dbg) dt), which is
+/// dR Exp(-J_l dt dbg) E = Exp(-dR J_l dt dbg) dR E to first order, J_l = J_l(w dt).
 ///
-///   shear:   dp += drift dv + 1/2 dt K t,     dv += K t,      drift = dt (or 0 for K1).
-///
-/// The Jacobians by the gyroscope's bias are three columns (J_R, J_p, J_v) of such errors, those by
-/// the accelerometer's bias move by -1/2 M dt^2 and -M dt with M = dR, or 1/2 (dR + dR E).
+/// The Jacobians by the gyroscope's bias are three columns (J_t, J_p, J_v) of such errors, those by
+/// the accelerometer's bias move by -1/2 M dt^2 and -M dt with M = dR, or 1/2 (dR + dR E). What
+/// users see is by the error of dR Exp(t): J_R = dR^T J_t, and the same for the covariance.
 ///
 /// Covariance. White noise of density s has variance s^2 / dt in a mean over dt. The gyroscope's
-/// enters with the turn as J_r J_r^T s^2 dt, and with J_r = I - b W + c W^2, W = [w dt]x of angle
-/// a, J_r J_r^T = I + (2c - b^2 - c^2 a^2) W^2. The accelerometer's enters as that of a mean force
+/// enters with the turn as s^2 dt times dR J_l J_l^T dR^T = I + (2c - b^2 - c^2 a^2) [u]x^2, where
+/// J_l = I + b W + c W^2, u = dR w dt, a = |u|. The accelerometer's enters as that of a mean force
 /// in any frame, which no rotation changes: s^2 (dt^3/4, dt^2/2, dt) I for (pp, pv, vv). A third,
 /// integration_covariance dt I, goes to the position.
-/// The blocks of A C A^T for a shear follow with Y = K (C_tt C_tp C_tv) = (X U V), Z = X K^T:
+/// The blocks of A C A^T for a shear follow with Y = [k]x (C_tt C_tp C_tv) = (X U V), Z = X [k]x^T:
 ///
 ///   tp += drift tv + 1/2 dt X^T        pp += drift (pv + pv^T) + drift^2 vv + 1/2 dt (U + U^T)
 ///   tv += X^T                                + 1/2 dt drift (V + V^T) + 1/4 dt^2 Z
@@ -49,37 +50,24 @@ namespace bundle {
 
 namespace {
 
-/// out = a b^T
-void TimesTransposed(const double* a, const double* b, double* out) {
+/// out = a^T b
+void TransposedProduct(const double* a, const double* b, double* out) {
   for (int r = 0; r < 3; ++r) {
     for (int c = 0; c < 3; ++c) {
-      out[3 * r + c] =
-          a[3 * r] * b[3 * c] + a[3 * r + 1] * b[3 * c + 1] + a[3 * r + 2] * b[3 * c + 2];
+      out[3 * r + c] = a[r] * b[c] + a[3 + r] * b[3 + c] + a[6 + r] * b[6 + c];
     }
   }
 }
 
-/// out = scale m [v]x
-void TimesSkew(double scale, const double* m, const double* v, double* out) {
-  for (int r = 0; r < 3; ++r) {
-    const double x = scale * m[3 * r], y = scale * m[3 * r + 1], z = scale * m[3 * r + 2];
-    out[3 * r] = y * v[2] - z * v[1];
-    out[3 * r + 1] = z * v[0] - x * v[2];
-    out[3 * r + 2] = x * v[1] - y * v[0];
-  }
-}
-
-/// out = m rows, 3 x 9
-void TimesRows(const double* m, const double* rows, double* out) {
-  for (int r = 0; r < 3; ++r) {
-    const double x = m[3 * r], y = m[3 * r + 1], z = m[3 * r + 2];
-    for (int c = 0; c < 9; ++c) out[9 * r + c] = x * rows[c] + y * rows[9 + c] + z * rows[18 + c];
-  }
-}
-
-void Transpose(const double* m, double* out) {
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) out[3 * c + r] = m[3 * r + c];
+/// out = [k]x m, of 3 x kColumns
+template <int kColumns>
+void CrossColumns(const double* k, const double* m, double* out) {
+  const double x = k[0], y = k[1], z = k[2];
+  for (int c = 0; c < kColumns; ++c) {
+    const double a = m[c], b = m[kColumns + c], d = m[2 * kColumns + c];
+    out[c] = y * d - z * b;
+    out[kColumns + c] = z * a - x * d;
+    out[2 * kColumns + c] = x * b - y * a;
   }
 }
 
@@ -139,7 +127,7 @@ void Preintegration::Integrate(const double* gyro, const double* accel, const do
     samples_.push_back(sample);
     Add(sample);
   }
-  UpdateSqrtInformation();
+  Finish();
 }
 
 void Preintegration::Append(const Preintegration& next) {
@@ -149,7 +137,7 @@ void Preintegration::Append(const Preintegration& next) {
   const std::vector<ImuSample> added = next.samples_;  // `next` may be *this
   samples_.insert(samples_.end(), added.begin(), added.end());
   for (const ImuSample& sample : added) Add(sample);
-  UpdateSqrtInformation();
+  Finish();
 }
 
 Preintegration Preintegration::Repropagated(const double gyro_bias[3],
@@ -157,49 +145,56 @@ Preintegration Preintegration::Repropagated(const double gyro_bias[3],
   Preintegration out(noise_, gyro_bias, accel_bias, rule_);
   out.samples_ = samples_;
   for (const ImuSample& sample : samples_) out.Add(sample);
-  out.UpdateSqrtInformation();
+  out.Finish();
   return out;
 }
 
 /// One interval.
 void Preintegration::Add(const ImuSample& sample) {
   const double dt = sample.dt, half = 0.5 * dt;
-  double turn[3], force[3];
+  double angle[3], force[3];
   for (int i = 0; i < 3; ++i) {
-    turn[i] = (sample.gyro[i] - gyro_bias_[i]) * dt;
+    angle[i] = (sample.gyro[i] - gyro_bias_[i]) * dt;
     force[i] = sample.accel[i] - accel_bias_[i];
   }
-  const double angle_squared = turn[0] * turn[0] + turn[1] * turn[1] + turn[2] * turn[2];
+  const double angle_squared = angle[0] * angle[0] + angle[1] * angle[1] + angle[2] * angle[2];
   const RotationCoefficients k = ExpCoefficients(angle_squared);
-  double turned[9], right_jacobian[9], gyro_noise[9], rotation[9];
-  SkewPolynomial(turn, k.a, k.b, turned);
-  SkewPolynomial(turn, -k.b, k.c, right_jacobian);
-  SkewPolynomial(turn, 0, 2 * k.c - k.b * k.b - k.c * k.c * angle_squared, gyro_noise);
-  MatrixProduct3(rotation_.data(), turned, rotation);
+  double turn[9], left_jacobian[9], by_bias[9], rotation[9], mean_rotation[9];
+  SkewPolynomial(angle, k.a, k.b, turn);
+  SkewPolynomial(angle, k.b, k.c, left_jacobian);
+  MatrixProduct3(rotation_.data(), turn, rotation);
+  MatrixProduct3(rotation_.data(), left_jacobian, by_bias);
 
-  double by_rotation[9], world_force[3], mean_rotation[9];
-  MatrixVector3(rotation_.data(), force, world_force);
-  if (rule_ == IntegrationRule::kMidpoint) {
-    double end[3], world_end[3];
+  double start_force[3], shear[3];
+  MatrixVector3(rotation_.data(), force, start_force);
+  const bool midpoint = rule_ == IntegrationRule::kMidpoint;
+  const double share = midpoint ? 0.5 : 1;
+  for (int i = 0; i < 3; ++i) shear[i] = -share * dt * start_force[i];
+  Shear(shear, half, dt);
+
+  const double gyro_variance = noise_.gyro_noise_density * noise_.gyro_noise_density * dt;
+  double noise[9], start_angle[3];
+  MatrixVector3(rotation_.data(), angle, start_angle);
+  SkewPolynomial(start_angle, 0, 2 * k.c - k.b * k.b - k.c * k.c * angle_squared, noise);
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) of_rotation_[9 * r + c] += gyro_variance * noise[3 * r + c];
+  }
+  for (int i = 0; i < 9; ++i) turn_by_gyro_[i] -= dt * by_bias[i];
+
+  std::copy(rotation_.begin(), rotation_.end(), mean_rotation);
+  if (midpoint) {
+    double end[3], end_force[3];
     for (int i = 0; i < 3; ++i) end[i] = sample.accel_end[i] - accel_bias_[i];
-    MatrixVector3(rotation, end, world_end);
-    for (int i = 0; i < 3; ++i) world_force[i] = 0.5 * (world_force[i] + world_end[i]);
+    MatrixVector3(rotation, end, end_force);
+    for (int i = 0; i < 3; ++i) shear[i] = -half * end_force[i];
+    Shear(shear, half, 0);
+    for (int i = 0; i < 3; ++i) start_force[i] = 0.5 * (start_force[i] + end_force[i]);
     for (int i = 0; i < 9; ++i) mean_rotation[i] = 0.5 * (rotation_[i] + rotation[i]);
-    TimesSkew(-half, rotation_.data(), force, by_rotation);
-    Shear(by_rotation, half, dt);
-    Rotate(turned, right_jacobian, dt, gyro_noise);
-    TimesSkew(-half, rotation, end, by_rotation);
-    Shear(by_rotation, half, 0);
-  } else {
-    std::copy(rotation_.begin(), rotation_.end(), mean_rotation);
-    TimesSkew(-dt, rotation_.data(), force, by_rotation);
-    Shear(by_rotation, half, dt);
-    Rotate(turned, right_jacobian, dt, gyro_noise);
   }
 
   const double accel_variance = noise_.accel_noise_density * noise_.accel_noise_density * dt;
   const double position_variance =
-      0.25 * dt * dt * accel_variance + noise_.integration_covariance * dt;
+      half * half * accel_variance + noise_.integration_covariance * dt;
   for (int i = 0; i < 9; ++i) {
     position_by_accel_[i] += dt * velocity_by_accel_[i] - half * dt * mean_rotation[i];
     velocity_by_accel_[i] -= dt * mean_rotation[i];
@@ -210,85 +205,70 @@ void Preintegration::Add(const ImuSample& sample) {
     of_velocity_[i] += accel_variance;
   }
   for (int i = 0; i < 3; ++i) {
-    position_[i] += dt * (velocity_[i] + half * world_force[i]);
-    velocity_[i] += dt * world_force[i];
+    position_[i] += dt * (velocity_[i] + half * start_force[i]);
+    velocity_[i] += dt * start_force[i];
   }
   std::copy(rotation, rotation + 9, rotation_.begin());
   duration_ += dt;
   turned_ += std::sqrt(angle_squared);
 }
 
-/// The shear of the derivation above.
-void Preintegration::Shear(const double* by_rotation, double half_dt, double drift) {
-  double y[27], x[9], transposed[9], z[9], by_gyro[9];
-  TimesRows(by_rotation, of_rotation_.data(), y);
-  for (int r = 0; r < 3; ++r) std::copy(y + 9 * r, y + 9 * r + 3, x + 3 * r);
-  TimesTransposed(x, by_rotation, z);
-  Transpose(x, transposed);
-  MatrixProduct3(by_rotation, rotation_by_gyro_.data(), by_gyro);
+/// The shear of the derivation above with k.
+void Preintegration::Shear(const double k[3], double half_dt, double drift) {
+  double y[27], x[9], z[9], by_gyro[9];
+  CrossColumns<9>(k, of_rotation_.data(), y);
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) x[3 * c + r] = y[9 * r + c];  // X^T
+  }
+  CrossColumns<3>(k, x, z);
+  CrossColumns<3>(k, turn_by_gyro_.data(), by_gyro);
   const double* u = y + 3;  // rows of nine numbers
   const double* v = y + 6;
-  const Matrix pv = position_velocity_;
+  const Matrix pv = position_velocity_, vv = of_velocity_;
   for (int r = 0; r < 3; ++r) {
     for (int c = 0; c < 3; ++c) {
       const int i = 3 * r + c, i9 = 9 * r + c, t = 3 * c + r, t9 = 9 * c + r;
-      of_position_[i] += drift * (pv[i] + pv[t] + drift * of_velocity_[i]) +
+      of_position_[i] += drift * (pv[i] + pv[t] + drift * vv[i]) +
                          half_dt * (u[i9] + u[t9] + drift * (v[i9] + v[t9]) + half_dt * z[i]);
-      position_velocity_[i] += drift * (of_velocity_[i] + v[t9]) + half_dt * (v[i9] + z[i]) + u[t9];
-    }
-  }
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) {
-      const int i = 3 * r + c, i9 = 9 * r + c, t9 = 9 * c + r;
+      position_velocity_[i] += drift * (vv[i] + v[t9]) + half_dt * (v[i9] + z[i]) + u[t9];
       of_velocity_[i] += v[i9] + v[t9] + z[i];
-      of_rotation_[i9 + 3] += drift * of_rotation_[i9 + 6] + half_dt * transposed[i];
-      of_rotation_[i9 + 6] += transposed[i];
+      of_rotation_[i9 + 3] += drift * of_rotation_[i9 + 6] + half_dt * x[i];
+      of_rotation_[i9 + 6] += x[i];
       position_by_gyro_[i] += drift * velocity_by_gyro_[i] + half_dt * by_gyro[i];
       velocity_by_gyro_[i] += by_gyro[i];
     }
   }
 }
 
-/// The turn by E with J_r and J_r J_r^T.
-void Preintegration::Rotate(const double* turn, const double* by_bias, double dt,
-                            const double* noise) {
-  double inverse[9], rows[27], block[9], turned[9];
-  Transpose(turn, inverse);
-  TimesRows(inverse, of_rotation_.data(), rows);
-  for (int r = 0; r < 3; ++r) std::copy(rows + 9 * r, rows + 9 * r + 3, block + 3 * r);
-  MatrixProduct3(block, turn, turned);
-  std::copy(rows, rows + 27, of_rotation_.begin());
-  const double variance = noise_.gyro_noise_density * noise_.gyro_noise_density * dt;
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) {
-      of_rotation_[9 * r + c] =
-          0.5 * (turned[3 * r + c] + turned[3 * c + r]) + variance * noise[3 * r + c];
-    }
-  }
-  MatrixProduct3(inverse, rotation_by_gyro_.data(), block);
-  for (int i = 0; i < 9; ++i) rotation_by_gyro_[i] = block[i] - dt * by_bias[i];
-}
-
+/// The covariance, by the error of dR Exp(t).
 std::array<double, 81> Preintegration::covariance() const {
   std::array<double, 81> out;
+  double blocks[3][9];  // of the rotation's rows
+  for (int block = 0; block < 3; ++block) {
+    double start[9];
+    for (int i = 0; i < 9; ++i) start[i] = of_rotation_[9 * (i / 3) + 3 * block + i % 3];
+    TransposedProduct(rotation_.data(), start, blocks[block]);
+  }
+  double turned[9];
+  MatrixProduct3(blocks[0], rotation_.data(), turned);
   for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 9; ++c) {
-      out[9 * r + c] = of_rotation_[9 * r + c];
-      out[9 * c + r] = of_rotation_[9 * r + c];
-    }
     for (int c = 0; c < 3; ++c) {
-      out[9 * (3 + r) + 3 + c] = of_position_[3 * r + c];
-      out[9 * (3 + r) + 6 + c] = position_velocity_[3 * r + c];
-      out[9 * (6 + c) + 3 + r] = position_velocity_[3 * r + c];
-      out[9 * (6 + r) + 6 + c] = of_velocity_[3 * r + c];
+      const int i = 3 * r + c, t = 3 * c + r;
+      out[9 * r + c] = 0.5 * (turned[i] + turned[t]);
+      out[9 * r + 3 + c] = out[9 * (3 + c) + r] = blocks[1][i];
+      out[9 * r + 6 + c] = out[9 * (6 + c) + r] = blocks[2][i];
+      out[9 * (3 + r) + 3 + c] = 0.5 * (of_position_[i] + of_position_[t]);
+      out[9 * (3 + r) + 6 + c] = out[9 * (6 + c) + 3 + r] = position_velocity_[i];
+      out[9 * (6 + r) + 6 + c] = 0.5 * (of_velocity_[i] + of_velocity_[t]);
     }
   }
   return out;
 }
 
-/// W = U^-1 of covariance = U U^T with U upper triangular: Cholesky's recursion from the last
-/// column on. W^T W = U^-T U^-1.
-void Preintegration::UpdateSqrtInformation() {
+/// J_R, and W = U^-1 of covariance = U U^T with U upper triangular: Cholesky's recursion from the
+/// last column on. W^T W = U^-T U^-1.
+void Preintegration::Finish() {
+  TransposedProduct(rotation_.data(), turn_by_gyro_.data(), rotation_by_gyro_.data());
   constexpr int kSize = 9;
   constexpr double kSmallestPivot = 1e-14;  // beside the diagonal: rounding of the recursion
   const std::array<double, 81> covariance = this->covariance();

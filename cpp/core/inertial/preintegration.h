@@ -87,9 +87,8 @@ class Preintegration {
   using Matrix = std::array<double, 9>;
 
   void Add(const ImuSample& sample);
-  void Shear(const double* by_rotation, double half_dt, double drift);
-  void Rotate(const double* turn, const double* by_bias, double dt, const double* noise);
-  void UpdateSqrtInformation();
+  void Shear(const double k[3], double half_dt, double drift);
+  void Finish();
 
   ImuNoise noise_;
   IntegrationRule rule_;
@@ -101,7 +100,9 @@ class Preintegration {
   Vector position_ = {}, velocity_ = {};
   Matrix rotation_by_gyro_ = {}, position_by_gyro_ = {}, position_by_accel_ = {};
   Matrix velocity_by_gyro_ = {}, velocity_by_accel_ = {};
-  /// Of the covariance: the rows of the rotation (3 x 9), and the blocks below them.
+  /// With the rotation's error in the frame of the start: its Jacobian, its rows of the covariance
+  /// (3 x 9), and the blocks below them.
+  Matrix turn_by_gyro_ = {};
   std::array<double, 27> of_rotation_ = {};
   Matrix of_position_ = {}, position_velocity_ = {}, of_velocity_ = {};
   std::array<double, 81> sqrt_information_ = {};
