@@ -13,6 +13,7 @@
 #include "core/cameras/registry.h"
 #include "core/error.h"
 #include "core/factors/factor.h"
+#include "core/factors/imu_factor.h"
 #include "core/factors/measurement_factors.h"
 
 namespace py = pybind11;
@@ -84,6 +85,12 @@ class FactorReader {
       bundle::LinearPrior::Root root{static_cast<int>(py::len(arguments_[2])), At(1), At(2)};
       return std::make_unique<bundle::LinearPrior>(head_, retractions_, std::move(points),
                                                    std::move(root));
+    }
+    if (kind_ == "imu") {
+      const bool has_gravity = py::cast<bool>(arguments_[2]);
+      return std::make_unique<bundle::ImuFactor>(
+          head_, py::cast<std::shared_ptr<bundle::Preintegration>>(arguments_[0]), At(1),
+          has_gravity ? &retractions_.at(5) : nullptr, py::cast<bool>(arguments_[3]));
     }
     if (kind_ == "function") {
       return std::make_unique<PythonFactor>(head_, retractions_, arguments_[0], start_);

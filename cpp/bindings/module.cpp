@@ -18,6 +18,7 @@ void BindInspection(py::module_& m);
 void BindDiagnosis(py::module_& m);
 void BindSymbolic(py::module_& m);
 void BindGraph(py::module_& m);
+void BindInertial(py::module_& m);
 void BindPoseGraph(py::module_& m);
 void BindGraphCertainty(py::module_& m);
 void BindProcess(py::module_& m);
@@ -39,6 +40,7 @@ PYBIND11_MODULE(_core, m) {
   BindDiagnosis(m);
   BindSymbolic(m);
   BindGraph(m);
+  BindInertial(m);
   BindPoseGraph(m);
   BindGraphCertainty(m);
   BindProcess(m);

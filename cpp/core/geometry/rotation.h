@@ -142,6 +142,15 @@ inline void MatrixProduct3(const double a[9], const double b[9], double out[9]) 
   for (int row = 0; row < 3; ++row) VectorMatrix3(a + 3 * row, b, out + 3 * row);
 }
 
+/// out = a^T b
+inline void TransposedProduct3(const double* a, const double* b, double* out) {
+  for (int r = 0; r < 3; ++r) {
+    for (int c = 0; c < 3; ++c) {
+      out[3 * r + c] = a[r] * b[c] + a[3 + r] * b[3 + c] + a[6 + r] * b[6 + c];
+    }
+  }
+}
+
 inline void Cross3(const double a[3], const double b[3], double out[3]) {
   out[0] = a[1] * b[2] - a[2] * b[1];
   out[1] = a[2] * b[0] - a[0] * b[2];
@@ -159,6 +168,35 @@ inline void LogQuaternion(const double q[4], double w[3]) {
   const double factor = sine < 1e-9 * cosine ? 2 / cosine : 2 * std::atan2(sine, cosine) / sine;
   const double sign = q[3] < 0 ? -1 : 1;
   for (int i = 0; i < 3; ++i) w[i] = sign * factor * q[i];
+}
+
+/// The rotation vector of a rotation matrix, of an angle of at most pi, by its quaternion
+/// (Shepperd, "Quaternion from rotation matrix", 1978: the largest component comes from a square
+/// root).
+inline void LogRotation(const double* m, double w[3]) {
+  const double trace = m[0] + m[4] + m[8];
+  int largest = 3;
+  double most = trace;
+  for (int i = 0; i < 3; ++i) {
+    if (m[4 * i] > most) {
+      most = m[4 * i];
+      largest = i;
+    }
+  }
+  double q[4];
+  if (largest == 3) {
+    q[3] = 1 + trace;
+    q[0] = m[7] - m[5];
+    q[1] = m[2] - m[6];
+    q[2] = m[3] - m[1];
+  } else {
+    const int i = largest, j = (i + 1) % 3, k = (i + 2) % 3;
+    q[i] = 1 + 2 * m[4 * i] - trace;
+    q[j] = m[3 * j + i] + m[3 * i + j];
+    q[k] = m[3 * k + i] + m[3 * i + k];
+    q[3] = m[3 * k + j] - m[3 * j + k];
+  }
+  LogQuaternion(q, w);
 }
 
 /// D of the derivation above, as a function of the squared angle, which is below (2 pi)^2.

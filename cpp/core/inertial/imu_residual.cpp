@@ -46,44 +46,6 @@ void SetTransposedBlock(double* out, int columns, int row, int column, double sc
   }
 }
 
-/// out = a^T b
-void TransposedProduct(const double* a, const double* b, double* out) {
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) {
-      out[3 * r + c] = a[r] * b[c] + a[3 + r] * b[3 + c] + a[6 + r] * b[6 + c];
-    }
-  }
-}
-
-/// The rotation vector of a rotation matrix, of an angle of at most pi, by its quaternion
-/// (Shepperd, "Quaternion from rotation matrix", 1978: the largest component comes from a square
-/// root).
-void LogRotation(const double* m, double w[3]) {
-  const double trace = m[0] + m[4] + m[8];
-  int largest = 3;
-  double most = trace;
-  for (int i = 0; i < 3; ++i) {
-    if (m[4 * i] > most) {
-      most = m[4 * i];
-      largest = i;
-    }
-  }
-  double q[4];
-  if (largest == 3) {
-    q[3] = 1 + trace;
-    q[0] = m[7] - m[5];
-    q[1] = m[2] - m[6];
-    q[2] = m[3] - m[1];
-  } else {
-    const int i = largest, j = (i + 1) % 3, k = (i + 2) % 3;
-    q[i] = 1 + 2 * m[4 * i] - trace;
-    q[j] = m[3 * j + i] + m[3 * i + j];
-    q[k] = m[3 * k + i] + m[3 * i + k];
-    q[3] = m[3 * k + j] - m[3 * j + k];
-  }
-  LogQuaternion(q, w);
-}
-
 }  // namespace
 
 ImuState ImuStateFromRow(const double row[16]) {
@@ -102,8 +64,8 @@ void ImuResidual(const Preintegration& motion, const ImuState& i, const ImuState
   const double time = motion.duration();
   double turn[9], moved[3], gained[3], between[9], error[9];
   motion.Corrected(i.gyro_bias, i.accel_bias, turn, moved, gained);
-  TransposedProduct(i.rotation, j.rotation, between);
-  TransposedProduct(turn, between, error);
+  TransposedProduct3(i.rotation, j.rotation, between);
+  TransposedProduct3(turn, between, error);
   LogRotation(error, residual);
 
   double position[3], velocity[3], y[3], z[3];
@@ -137,7 +99,7 @@ void ImuResidual(const Preintegration& motion, const ImuState& i, const ImuState
     MatrixVector3(motion.d_rotation_d_gyro_bias(), change, angle);
     LeftJacobian(angle, right_jacobian);  // of -a: J_r(a)
     MatrixProduct3(right_jacobian, motion.d_rotation_d_gyro_bias(), block);
-    TransposedProduct(error, block, product);
+    TransposedProduct3(error, block, product);
     MatrixProduct3(inverse, product, block);
     SetBlock(jacobian_i, kStateSize, 0, kGyroColumn, -1, block);
 

@@ -50,15 +50,6 @@ namespace bundle {
 
 namespace {
 
-/// out = a^T b
-void TransposedProduct(const double* a, const double* b, double* out) {
-  for (int r = 0; r < 3; ++r) {
-    for (int c = 0; c < 3; ++c) {
-      out[3 * r + c] = a[r] * b[c] + a[3 + r] * b[3 + c] + a[6 + r] * b[6 + c];
-    }
-  }
-}
-
 /// out = [k]x m, of 3 x kColumns
 template <int kColumns>
 void CrossColumns(const double* k, const double* m, double* out) {
@@ -103,10 +94,9 @@ Preintegration::Preintegration(const ImuNoise& noise, const double gyro_bias[3],
   std::copy(accel_bias, accel_bias + 3, accel_bias_.begin());
 }
 
-void Preintegration::Integrate(const double* gyro, const double* accel, const double* dt,
-                               int count) {
-  const bool midpoint = rule_ == IntegrationRule::kMidpoint;
-  const int rows = count + (midpoint && count > 0 ? 1 : 0);
+void CheckSamples(const double* gyro, const double* accel, const double* dt, int count,
+                  IntegrationRule rule) {
+  const int rows = count + (rule == IntegrationRule::kMidpoint && count > 0 ? 1 : 0);
   RequireFinite("gyro", gyro, 3 * rows, 3);
   RequireFinite("accel", accel, 3 * rows, 3);
   for (int k = 0; k < count; ++k) {
@@ -114,6 +104,12 @@ void Preintegration::Integrate(const double* gyro, const double* accel, const do
     throw InputError("dt[" + std::to_string(k) + "]: expected a time above 0 s, found " +
                      std::to_string(dt[k]));
   }
+}
+
+void Preintegration::Integrate(const double* gyro, const double* accel, const double* dt,
+                               int count) {
+  const bool midpoint = rule_ == IntegrationRule::kMidpoint;
+  CheckSamples(gyro, accel, dt, count, rule_);
   samples_.reserve(std::max(samples_.capacity(), samples_.size() + count));
   for (int k = 0; k < count; ++k) {
     ImuSample sample;
@@ -134,18 +130,19 @@ void Preintegration::Append(const Preintegration& next) {
   if (next.rule_ != rule_) {
     throw InputError("append: expected samples of the same integration rule");
   }
-  const std::vector<ImuSample> added = next.samples_;  // `next` may be *this
-  samples_.insert(samples_.end(), added.begin(), added.end());
-  for (const ImuSample& sample : added) Add(sample);
+  Append(std::vector<ImuSample>(next.samples_));  // a copy: `next` may be *this
+}
+
+void Preintegration::Append(const std::vector<ImuSample>& samples) {
+  samples_.insert(samples_.end(), samples.begin(), samples.end());
+  for (const ImuSample& sample : samples) Add(sample);
   Finish();
 }
 
 Preintegration Preintegration::Repropagated(const double gyro_bias[3],
                                             const double accel_bias[3]) const {
   Preintegration out(noise_, gyro_bias, accel_bias, rule_);
-  out.samples_ = samples_;
-  for (const ImuSample& sample : samples_) out.Add(sample);
-  out.Finish();
+  out.Append(samples_);
   return out;
 }
 
@@ -247,7 +244,7 @@ std::array<double, 81> Preintegration::covariance() const {
   for (int block = 0; block < 3; ++block) {
     double start[9];
     for (int i = 0; i < 9; ++i) start[i] = of_rotation_[9 * (i / 3) + 3 * block + i % 3];
-    TransposedProduct(rotation_.data(), start, blocks[block]);
+    TransposedProduct3(rotation_.data(), start, blocks[block]);
   }
   double turned[9];
   MatrixProduct3(blocks[0], rotation_.data(), turned);
@@ -268,7 +265,7 @@ std::array<double, 81> Preintegration::covariance() const {
 /// J_R, and W = U^-1 of covariance = U U^T with U upper triangular: Cholesky's recursion from the
 /// last column on. W^T W = U^-T U^-1.
 void Preintegration::Finish() {
-  TransposedProduct(rotation_.data(), turn_by_gyro_.data(), rotation_by_gyro_.data());
+  TransposedProduct3(rotation_.data(), turn_by_gyro_.data(), rotation_by_gyro_.data());
   constexpr int kSize = 9;
   constexpr double kSmallestPivot = 1e-14;  // beside the diagonal: rounding of the recursion
   const std::array<double, 81> covariance = this->covariance();

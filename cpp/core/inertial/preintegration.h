@@ -31,6 +31,11 @@ struct ImuSample {
   double accel_end[3];  ///< at the end; unused with zero-order hold
 };
 
+/// Throws InputError at a number that is not finite or a dt that is not above 0. Arrays as in
+/// Preintegration::Integrate.
+void CheckSamples(const double* gyro, const double* accel, const double* dt, int count,
+                  IntegrationRule rule);
+
 /// The motion between two states as the IMU alone knows it, in the IMU's frame at the first.
 ///
 /// preintegration.cpp has the derivation. Matrices are row-major; rows of the covariance and of its
@@ -49,6 +54,7 @@ class Preintegration {
   void Integrate(const double* gyro, const double* accel, const double* dt, int count);
   /// Integrates the samples of the interval that follows, at the biases of this one.
   void Append(const Preintegration& next);
+  void Append(const std::vector<ImuSample>& samples);
   /// The same samples at other biases.
   Preintegration Repropagated(const double gyro_bias[3], const double accel_bias[3]) const;
   /// The deltas at other biases, to first order in them.

@@ -1,0 +1,42 @@
+#pragma once
+
+/// What an IMU measured between two states, as a factor: W r of inertial/imu_residual.h.
+///
+/// Variables, in this order: pose of the IMU i (se3, world_from_imu), velocity i (3), biases i (6:
+/// gyroscope, accelerometer), pose j, velocity j, and, where wanted, gravity and the scale of the
+/// positions. The tangent of a pose moves its position by R v, so that the columns of v are those
+/// of the position times R.
+///
+/// Gravity is a vector (euclidean, 3), or a rotation Q (so3) of the given one, g = Q g0, of which
+/// dg = -Q [g0]x d; the turn about g0 itself does nothing. With a scale s (euclidean, 1) positions
+/// are s p in metres, for trajectories of cameras that know no unit:
+///
+///   dr/dp <- s dr/dp,        dr/ds = dr/dp p + dr/dp' p'.
+
+#include <memory>
+#include <vector>
+
+#include "core/factors/factor.h"
+#include "core/inertial/preintegration.h"
+
+namespace bundle {
+
+class ImuFactor final : public Factor {
+ public:
+  /// `gravity` is used as it is without a variable of gravity, and turned by one on so3;
+  /// `variable` is that variable's manifold, or nullptr. Throws InputError if the motion's
+  /// covariance is not positive definite, or gravity is not three finite numbers.
+  ImuFactor(FactorHead head, std::shared_ptr<const Preintegration> motion,
+            std::vector<double> gravity, const Retraction* variable, bool has_scale);
+
+  bool Evaluate(const double* const* values, double* residual,
+                double* const* jacobians) const override;
+
+ private:
+  std::shared_ptr<const Preintegration> motion_;
+  std::vector<double> gravity_;
+  bool has_gravity_;
+  bool has_scale_;
+};
+
+}  // namespace bundle
