@@ -81,7 +81,8 @@ if TYPE_CHECKING:
     from bundle.solver import Solver, solve
     from bundle.statistics import Description, describe
     from bundle.summary import Summary
-    from bundle.synthetic import SceneOptions, SyntheticScene, synthesize
+    from bundle.synthetic import FlightOptions, SceneOptions, SyntheticScene, synthesize
+    from bundle.synthetic.flight import SyntheticFlight, synthesize_flight
     from bundle.uncertainty import Covariance, GraphCovariance, covariance
     from bundle.vio import (
         Calibration,
@@ -110,6 +111,7 @@ __all__ = [
     "Excitation",
     "FactorGraph",
     "Filtered",
+    "FlightOptions",
     "FunctionFactor",
     "GaugeFreedom",
     "GradientReport",
@@ -153,6 +155,7 @@ __all__ = [
     "Solver",
     "SquareRootPrior",
     "Summary",
+    "SyntheticFlight",
     "SyntheticScene",
     "Trajectory",
     "TrajectoryError",
@@ -199,6 +202,7 @@ __all__ = [
     "solve_rounds",
     "split_cameras",
     "synthesize",
+    "synthesize_flight",
     "warning_kinds",
 ]
 
@@ -276,7 +280,8 @@ _DEFERRED = {
     "solver": ("Solver", "solve"),
     "statistics": ("Description", "describe"),
     "summary": ("Summary",),
-    "synthetic": ("SceneOptions", "SyntheticScene", "synthesize"),
+    "synthetic": ("FlightOptions", "SceneOptions", "SyntheticScene", "synthesize"),
+    "synthetic.flight": ("SyntheticFlight", "synthesize_flight"),
     "uncertainty": ("Covariance", "GraphCovariance", "covariance"),
     "vio": (
         "Calibration",

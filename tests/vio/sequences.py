@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from bundle.inertial import ImuNoise
 from bundle.vio import Calibration, Sequence, save_sequence
-from bundle.vio.noise_stand_in import ImuNoise
 
 NOISE = ImuNoise(1.7e-4, 2e-3, 1.9e-5, 3e-3)
 START = 1_403_715_273_262_142_976  # ns, more digits than a double has

@@ -75,7 +75,7 @@ def test_figures_are_those_that_the_sequence_was_made_with() -> None:
     assert statistics.gyro_noise_density == pytest.approx(NOISE.gyro_noise_density, rel=0.05)
     assert statistics.accel_noise_density == pytest.approx(NOISE.accel_noise_density, rel=0.05)
     assert statistics.overlap == pytest.approx(19.5)
-    assert statistics.verdict == "scale unobservable"
+    assert statistics.verdict == "unobservable"
     assert statistics.tracks_per_image["median"] == 5
     assert statistics.track_length["max"] == 21
     shaken = sequence(accel=given.accel[:401] * (1 + 0.2 * np.sin(np.arange(401))[:, None]))

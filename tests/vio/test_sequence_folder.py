@@ -85,7 +85,7 @@ def test_a_bad_line_is_named(tmp_path: Path, name: str, line: int, text: str, fo
         ("camera_model", "PINHOL", "PINHOLE"),
         ("camera_model", "PINHOLE", "fx"),
         ("imu_rate", 0, "above 0"),
-        ("gyro_noise_density", -1, "above 0"),
+        ("gyro_noise_density", -1, "found -1"),
         ("focal", None, "focal"),
         ("gyro_noise_density", ..., "gyro_noise_density"),
         ("focal", ..., "focal"),

@@ -12,6 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.flight_synthesis import (
+    FLIGHT,
+    add_flight_flags,
+    refuse_flight_flags,
+    run_flight,
+)
 from bundle.cli.option_flags import add_options, naming_flags, options_given
 from bundle.cli.parser import a_path
 from bundle.errors import InputError, shown
@@ -38,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="OUTPUT",
         type=a_path,
         help="where the start goes: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
-        "folders of COLMAP models",
+        "folders of COLMAP models; of a flight the folder of a sequence",
     )
     parser.add_argument(
         "--format", choices=FORMATS, help="format of OUTPUT (default: what its name says)"
@@ -56,10 +62,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="replace what stands at these paths (default: stop if there is anything)",
     )
     add_options(parser, SceneOptions, "options of the scene")
+    add_flight_flags(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Make a scene; write its start to OUTPUT and the truth beside it."""
+    if arguments.scene == FLIGHT:
+        return run_flight(arguments)
+    refuse_flight_flags(arguments)
     from bundle.cli.output import check_json, check_new, show, write_json
     from bundle.cli.progress import Progress
     from bundle.io import check_target, output_format, save

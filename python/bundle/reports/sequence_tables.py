@@ -23,6 +23,7 @@ __all__ = [
     "described_sequence",
     "heading_of_sequence",
     "information_of_sequence",
+    "made_flight",
 ]
 
 
@@ -114,6 +115,16 @@ def converted_sequence(path: str, sequence: Sequence, output: str) -> list[Rende
         ("", contents_of_sequence(sequence)),
         ("output", f"{shown(output)} (visual-inertial sequence)"),
         ("lost", "nothing"),
+    ]
+    return [facts(rows)]
+
+
+def made_flight(path: str, sequence: Sequence) -> list[RenderableType]:
+    """Return what `bundle synth --scene flight` prints."""
+    rows = [
+        ("output", f"{shown(path)} (visual-inertial sequence)"),
+        ("", contents_of_sequence(sequence)),
+        ("ground truth", "ground_truth.csv in it, at the stamps of the images"),
     ]
     return [facts(rows)]
 

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 
 from bundle.cameras import camera_models, param_kinds
 from bundle.errors import InputError, brief, first_line, nearest, shown
+from bundle.inertial import ImuNoise
 from bundle.rotations import quaternion_from_matrix
-from bundle.vio.noise_stand_in import ImuNoise
 
 __all__ = ["Calibration", "calibration_text", "load_calibration"]
 
@@ -138,9 +138,6 @@ def load_calibration(path: Path) -> Calibration:
         raise InputError(f"{shown(path)}: expected the key {missing[0]}, found none of that name")
     try:
         noise = {name: _number(name, content.pop(name)) for name in _NOISE}
-        for name, value in noise.items():
-            if value <= 0:
-                raise InputError(f"{name}: expected a number above 0, found {value:g}")
         return Calibration(noise=ImuNoise(**noise), **content)
     except InputError as error:
         raise InputError(f"{shown(path)}: {error}") from None

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.inertial import excitation
 from bundle.vio.sequence import Sequence
 from bundle.vio.sequence_findings import GAP
 
@@ -25,7 +26,6 @@ Array = NDArray[np.float64]
 REST_SIGMAS = 3.0  # median displacement of the tracks; noise alone gives 1.7
 REST_RATE = 0.03  # rad/s: change of the mean rate
 REST_WINDOW = 0.5  # s, of that mean
-HEALTHY, UNOBSERVABLE = 0.5, 0.05  # standard deviation of the specific force's length, m/s^2
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class SequenceStatistics:
         static_start: seconds of rest at the start, 0 if it moves at once.
         gyro_noise_density, accel_noise_density: measured over the rest at the start; nan without.
         excitation: standard deviation of the specific force's length over the sequence [m/s^2].
-        verdict: "healthy", "marginal" or "scale unobservable".
+        verdict: "healthy", "marginal" or "unobservable" (the scale).
         tracks_per_image, track_length: min, median, mean, max.
     """
 
@@ -66,8 +66,7 @@ def sequence_statistics(sequence: Sequence) -> SequenceStatistics:
     rest = at_rest(sequence)
     still = slice(0, rest)
     duration = 1e-9 * float(stamps[rest - 1] - stamps[0]) if rest else 0.0
-    excitation = float(np.linalg.norm(sequence.accel, axis=1).std())
-    verdict = "scale unobservable" if excitation < UNOBSERVABLE else "marginal"
+    excited = excitation(sequence.accel)
     return SequenceStatistics(
         imu_rate=1 / period,
         camera_rate=1e9 / float(np.median(image_steps)) if len(image_steps) else float("nan"),
@@ -77,8 +76,8 @@ def sequence_statistics(sequence: Sequence) -> SequenceStatistics:
         static_start=duration,
         gyro_noise_density=_white(sequence.gyro[still], period),
         accel_noise_density=_white(sequence.accel[still], period),
-        excitation=excitation,
-        verdict="healthy" if excitation > HEALTHY else verdict,
+        excitation=excited.spread,
+        verdict=excited.verdict,
         tracks_per_image=_spread(np.diff(begin)),
         track_length=_spread(np.unique(sequence.track_ids, return_counts=True)[1]),
     )

@@ -18,10 +18,10 @@ import os
 import numpy as np
 
 from bundle.errors import InputError, brief, shown
+from bundle.inertial import ImuNoise
 from bundle.rigid_motions import inverse_poses, unit_poses
 from bundle.text_lines import numbered_lines
 from bundle.vio.calibration import Calibration
-from bundle.vio.noise_stand_in import ImuNoise
 from bundle.vio.sequence import Sequence
 
 __all__ = ["read_track_csv"]

@@ -1,0 +1,88 @@
+"""`bundle synth --scene flight`: a visual-inertial sequence in place of a reconstruction."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+
+from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.errors import InputError, shown
+from bundle.synthetic import FlightOptions, SceneOptions
+
+__all__ = ["FLIGHT", "add_flight_flags", "refuse_flight_flags", "run_flight"]
+
+FLIGHT = "flight"
+
+_OF_SCENES = {field.name: field for field in dataclasses.fields(SceneOptions)}
+_OF_FLIGHTS = {field.name: field for field in dataclasses.fields(FlightOptions)}
+
+
+def add_flight_flags(parser: argparse.ArgumentParser) -> None:
+    """Add the scene, and the options that no other scene has."""
+    action = parser._option_string_actions["--scene"]
+    action.choices = [*(action.choices or ()), FLIGHT]
+    action.help = (
+        f"{action.help}; {FLIGHT}: a visual-inertial sequence, samples of an IMU and tracks, with "
+        "ground_truth.csv in its folder"
+    )
+    add_options(
+        parser,
+        FlightOptions,
+        f"options of --scene {FLIGHT}, beside --pixel-noise, --outlier-share and --seed",
+        [name for name in _OF_FLIGHTS if name not in _OF_SCENES],
+    )
+
+
+def refuse_flight_flags(arguments: argparse.Namespace) -> None:
+    """Refuse, for another scene, what only a flight has.
+
+    Raises:
+        InputError: such a flag was given.
+    """
+    for name, field in _OF_FLIGHTS.items():
+        if name not in _OF_SCENES and getattr(arguments, name) is not None:
+            raise InputError(
+                f"{field.metadata['flag']}: expected with --scene {FLIGHT} only, found with "
+                f"--scene {arguments.scene or _OF_SCENES['scene'].default}"
+            )
+
+
+def run_flight(arguments: argparse.Namespace) -> int:
+    """Make a flight and write it, its truth beside its measurements."""
+    from bundle.cli.output import check_json, check_new, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.reports.json import plain
+    from bundle.reports.sequence_tables import heading_of_sequence, made_flight
+    from bundle.synthetic.flight import save_flight, synthesize_flight
+    from bundle.vio import check_sequence_target
+
+    flags = {name: field.metadata["flag"] for name, field in _OF_SCENES.items()}
+    flags |= {"format": "--format", "ground_truth": "--ground-truth"}
+    for name, flag in flags.items():
+        if name != "scene" and name not in _OF_FLIGHTS and getattr(arguments, name) is not None:
+            raise InputError(f"{flag}: expected with other scenes, found with --scene {FLIGHT}")
+    options = options_given(arguments, FlightOptions)
+    path = arguments.output
+    check_json(arguments.json, path)
+    if not arguments.overwrite:
+        check_new(path, "--overwrite")
+    check_sequence_target(path)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"making {options.duration:g} s of flight")
+        with naming_flags(FlightOptions):
+            flight = synthesize_flight(options)
+        progress.stage(f"writing {shown(path)}")
+        save_flight(flight, path)
+    report = {
+        **heading_of_sequence("synth", path, "sequence", flight.sequence),
+        "options": plain(options.asdict()),
+        "output": {"path": path, "format": "sequence"},
+        "ground_truth": {"path": f"{path.rstrip('/')}/ground_truth.csv", "format": "euroc"},
+    }
+    del report["input"]["path"], report["input"]["format"]
+    report["contents"] = report.pop("input")
+    if arguments.json != "-":
+        show(*made_flight(path, flight.sequence))
+    write_json(arguments.json, report)
+    return EXIT_DONE

@@ -1,0 +1,147 @@
+"""Synthetic flights: a motion, what an IMU and a camera measure along it, and the truth.
+
+A flight is decided by its options and its seed. Biases walk: from sample to sample they change by
+the random walk's density times sqrt(h). The truth is given at the stamps of the images, on the
+IMU's clock.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.inertial import ImuNoise
+from bundle.rigid_motions import inverse_poses
+from bundle.rotations import quaternion_from_matrix
+from bundle.synthetic.flight.body_motion import imu_samples, motion_at
+from bundle.synthetic.flight.flight_tracks import Pinhole, Tracked, follow
+from bundle.synthetic.flight.motions import control_points, surroundings
+from bundle.synthetic.flight_options import FlightOptions
+from bundle.vio import Calibration, Sequence, Trajectory, save_ground_truth, save_sequence
+
+__all__ = ["SyntheticFlight", "save_flight", "synthesize_flight"]
+
+Array = NDArray[np.float64]
+
+START = 1_700_000_000_000_000_000  # ns
+LENS = Pinhole(focal=460.0, center=(376.0, 240.0), size=(752, 480))
+# The camera looks ahead (its z along the body's x), 5 cm before the IMU and 3 cm to the left.
+IMU_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+CAMERA_IN_IMU = np.array([0.05, 0.03, 0.01])
+DENSITIES = np.array([1.6968e-4, 2.0e-3, 1.9393e-5, 3.0e-3])  # ADIS16448, EuRoC's sensor.yaml
+GROUND_TRUTH = "ground_truth.csv"
+
+
+class SyntheticFlight(NamedTuple):
+    """A flight: its measurements, and the true states at the stamps of its images."""
+
+    sequence: Sequence
+    ground_truth: Trajectory
+
+
+def synthesize_flight(options: FlightOptions | None = None, **changes: Any) -> SyntheticFlight:
+    """Make a visual-inertial sequence with ground truth.
+
+    Args:
+        options: of the flight; defaults where there are none.
+        **changes: fields of :class:`FlightOptions`, such as ``motion="motorway"``.
+
+    Raises:
+        InputError: an option does not exist or is out of range, or no point is in view.
+    """
+    options = FlightOptions.of(options, changes, "synthesize_flight")
+    streams = [np.random.default_rng(s) for s in np.random.SeedSequence(options.seed).spawn(4)]
+    control = control_points(options.motion, options.duration, options.rest, streams[0])
+    stamps = _stamps(options.duration, options.imu_rate)
+    images = _stamps(options.duration, options.camera_rate)
+    gyro, accel, biases = _measured(control, stamps, options, streams[1])
+
+    states = np.empty((len(images), 16))
+    states[:, :10] = motion_at(control, _seconds(images))
+    for column in range(6):
+        states[:, 10 + column] = np.interp(images, stamps, biases[:, column])
+    rotation = quaternion_from_matrix(IMU_FROM_CAMERA[None])
+    camera_from_imu = inverse_poses(np.hstack([rotation, CAMERA_IN_IMU[None]]))[0]
+    tracked = follow(
+        states[:, :7],
+        camera_from_imu,
+        LENS,
+        surroundings(options.motion, control, streams[2]),
+        options.num_tracks,
+        options.track_length,
+        streams[2],
+    )
+    offset = round(1e9 * options.time_offset)
+    sequence = Sequence(
+        imu_timestamps_ns=START + stamps,
+        gyro=gyro,
+        accel=accel,
+        track_timestamps_ns=START + images[tracked.image] - offset,
+        track_ids=tracked.track,
+        xy=_noisy(tracked, options, streams[3]),
+        calibration=Calibration(
+            camera_from_imu=tuple(camera_from_imu.tolist()),
+            noise=ImuNoise(*(DENSITIES * (options.imu_noise_scale or 1.0)).tolist()),
+            camera_model="PINHOLE",
+            camera_params=(LENS.focal, LENS.focal, *LENS.center),
+            imu_rate=options.imu_rate,
+            camera_rate=options.camera_rate,
+            time_offset=options.time_offset,
+            pixel_sigma=options.pixel_noise or 1.0,
+        ),
+    )
+    return SyntheticFlight(sequence, Trajectory(START + images, states))
+
+
+def save_flight(flight: SyntheticFlight, path: str | os.PathLike[str]) -> None:
+    """Write a flight as a sequence folder, the truth in it as EuRoC's ``ground_truth.csv``.
+
+    Raises:
+        InputError: the path is a file or a folder with other content.
+        OSError: the system refuses.
+    """
+    save_sequence(flight.sequence, path)
+    truth = flight.ground_truth
+    save_ground_truth(
+        os.path.join(os.fspath(path), GROUND_TRUTH),  # noqa: PTH118 (bytes are refused above)
+        truth.timestamps_ns,
+        truth.states,
+    )
+
+
+def _stamps(duration: float, rate: float) -> NDArray[np.int64]:
+    """Return ns from 0 on, as many as there are periods in the duration, and one."""
+    count = int(np.floor(duration * rate + 1e-9)) + 1
+    stamps: NDArray[np.int64] = np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
+    return stamps
+
+
+def _seconds(stamps: NDArray[np.int64]) -> Array:
+    return stamps.astype(np.float64) * 1e-9
+
+
+def _measured(
+    control: Array, stamps: NDArray[np.int64], options: FlightOptions, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Return rates, specific forces and biases (n, 6) with noise."""
+    count, step = len(stamps), 1 / options.imu_rate
+    noise = options.imu_noise_scale * DENSITIES
+    first = rng.normal(size=6) * np.repeat([options.gyro_bias, options.accel_bias], 3)
+    walk = rng.normal(size=(count - 1, 6)) * np.repeat(noise[2:], 3) * np.sqrt(step)
+    biases = first + np.vstack([np.zeros(6), np.cumsum(walk, axis=0)])
+    white = rng.normal(size=(count, 6)) * np.repeat(noise[:2], 3) / np.sqrt(step)
+    gyro, accel = imu_samples(control, _seconds(stamps), options.imu_samples)
+    gyro += biases[:, :3] + white[:, :3]
+    accel += biases[:, 3:] + white[:, 3:]
+    return gyro, accel, biases
+
+
+def _noisy(tracked: Tracked, options: FlightOptions, rng: np.random.Generator) -> Array:
+    xy = tracked.xy + rng.normal(0, 1, tracked.xy.shape) * options.pixel_noise
+    if options.outlier_share:
+        wrong = rng.random(len(xy)) < options.outlier_share
+        xy[wrong] = rng.uniform(0, LENS.size, (int(wrong.sum()), 2))
+    return xy
