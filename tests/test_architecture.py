@@ -382,6 +382,7 @@ PYTHON_MAY_IMPORT = {
         "graph",
         "option_fields",
     },
+    "filters": {"arguments", "display", "errors", "option_fields", "rotations"},
     "georeference": {
         "arguments",
         "arrays",

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from bundle.diagnosis import Diagnosis, GraphDiagnosis, diagnose
     from bundle.errors import InputError
     from bundle.files import load, save
+    from bundle.filters import MsckfUpdate, TrackRows, msckf_update, track_rows
     from bundle.free_degrees import GaugeFreedom, gauge_freedom
     from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
     from bundle.graph import (
@@ -132,6 +133,7 @@ __all__ = [
     "LoopClosure",
     "Merge",
     "MethodInspection",
+    "MsckfUpdate",
     "PoseGraph",
     "PoseGraphInspection",
     "PoseGraphOptions",
@@ -157,6 +159,7 @@ __all__ = [
     "Summary",
     "SyntheticFlight",
     "SyntheticScene",
+    "TrackRows",
     "Trajectory",
     "TrajectoryError",
     "__version__",
@@ -189,6 +192,7 @@ __all__ = [
     "load_trajectory",
     "losses",
     "merge",
+    "msckf_update",
     "pictures",
     "pose_graph_chi2",
     "project",
@@ -203,6 +207,7 @@ __all__ = [
     "split_cameras",
     "synthesize",
     "synthesize_flight",
+    "track_rows",
     "warning_kinds",
 ]
 
@@ -250,6 +255,7 @@ _DEFERRED = {
         "excitation",
         "propagate",
     ),
+    "filters": ("MsckfUpdate", "TrackRows", "msckf_update", "track_rows"),
     "free_degrees": ("GaugeFreedom", "gauge_freedom"),
     "headers": ("get_include",),
     "inspection": (
