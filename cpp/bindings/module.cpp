@@ -21,6 +21,7 @@ void BindGraph(py::module_& m);
 void BindInertial(py::module_& m);
 void BindPoseGraph(py::module_& m);
 void BindGraphCertainty(py::module_& m);
+void BindWindow(py::module_& m);
 void BindProcess(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
@@ -43,5 +44,6 @@ PYBIND11_MODULE(_core, m) {
   BindInertial(m);
   BindPoseGraph(m);
   BindGraphCertainty(m);
+  BindWindow(m);
   BindProcess(m);
 }

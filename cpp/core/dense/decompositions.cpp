@@ -16,6 +16,10 @@ SymmetricEigen DecomposeSymmetric(const MatrixXd& matrix) {
   return {solver.eigenvalues(), solver.eigenvectors()};
 }
 
+VectorXd EigenvaluesOfSymmetric(const MatrixXd& matrix) {
+  return Eigen::SelfAdjointEigenSolver<MatrixXd>(matrix, Eigen::EigenvaluesOnly).eigenvalues();
+}
+
 // Jacobi's rotations find small singular values to the last digit, and compile in half the time of
 // Eigen's divide and conquer.
 RightSingularVectors DecomposeSingular(const MatrixXd& matrix) {

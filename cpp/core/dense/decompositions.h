@@ -14,6 +14,9 @@ struct SymmetricEigen {
 };
 SymmetricEigen DecomposeSymmetric(const Eigen::MatrixXd& matrix);
 
+/// The values alone, ascending: a fraction of the work.
+Eigen::VectorXd EigenvaluesOfSymmetric(const Eigen::MatrixXd& matrix);
+
 /// Of A = U diag(values) V^T.
 struct RightSingularVectors {
   Eigen::VectorXd values;   ///< descending, as many as the smaller side of A

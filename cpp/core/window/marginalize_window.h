@@ -1,0 +1,58 @@
+#pragma once
+
+/// Marginalises states and landmarks of a window into a prior on what they touched.
+///
+/// The factors that are absorbed have the rows J d + r about the current state, those of anchored
+/// states taken at the anchors. With a the coordinates that go and b those that stay,
+///
+///   information   Lambda = H_bb - H_ba H_aa^-1 H_ab,      eta = -(g_b - H_ba H_aa^-1 g_a)
+///   square root   Q^T [J_a J_b r] = [R_a R_ab r_a; 0 M v; 0 0 rest]
+///
+/// where landmarks, one coordinate each that no other landmark touches, go first: by a division, or
+/// by Householder's reflection of their own rows. M^T M = Lambda. The square root halves the digits
+/// that are needed: Lambda's small eigenvalues lose their sign beyond 1e7 (1e16) times below the
+/// largest in single (double) precision, squares of M's singular values do not (N. Demmel,
+/// C. Sommer, D. Cremers, V. Usenko, Square root bundle adjustment, CVPR 2021, and its windows:
+/// ICCV 2021).
+///
+/// The prior is then written about its points: for blocks that an absorbed prior had, the point of
+/// that prior if `keep_points`; for all others the current state. With d0 the current state about
+/// the points and T = d(state)/d(d), which is J_r(d0) for rotations that are not anchored,
+///
+///   Lambda <- T^T Lambda T,   eta <- T^T eta + Lambda d0,   M <- M T,   v <- v - M d0.
+
+#include <cstdint>
+#include <vector>
+
+#include "core/window/window.h"
+
+namespace bundle {
+
+struct Marginalization {
+  std::vector<uint8_t> states;     ///< flags: they go
+  std::vector<uint8_t> landmarks;  ///< flags: they go, with all their observations
+  std::vector<uint8_t> imu;        ///< flags: these factors are absorbed
+  bool keep_points = true;
+  bool square_root = false;
+  bool single_precision = false;
+};
+
+struct MarginalizedWindow {
+  WindowPrior prior;
+  /// Largest |Lambda - Lambda^T| beside the largest |Lambda|, before it is made symmetric.
+  double asymmetry = 0;
+  int num_landmarks = 0;                ///< that went with their information
+  int num_landmarks_without_depth = 0;  ///< no row depends on their depth: they went without
+  bool is_regular = true;  ///< false where H_aa had to be inverted on part of its space
+};
+
+/// Absorbs all priors of the view. Throws InputError where a landmark that stays is anchored in a
+/// state that goes, or seen in one.
+MarginalizedWindow MarginalizeWindow(const WindowView& view, const Marginalization& request);
+
+/// Eigenvalues of a prior's Lambda, ascending.
+std::vector<double> SpectrumOfPrior(const WindowPrior& prior);
+/// The same with its diagonal scaled to 1: free of units.
+std::vector<double> ScaledSpectrumOfPrior(const WindowPrior& prior);
+
+}  // namespace bundle

@@ -1,0 +1,43 @@
+#pragma once
+
+/// Solves a window by Levenberg-Marquardt within a number of iterations and a time.
+
+#include <string>
+#include <vector>
+
+#include "core/interface/summary.h"
+#include "core/window/window.h"
+
+namespace bundle {
+
+struct WindowSolveOptions {
+  int max_num_iterations = 8;
+  /// Seconds; no iteration begins after it. The best state so far is kept.
+  double time_budget = 0.04;
+  double function_tolerance = 1e-6;
+  double gradient_tolerance = 1e-10;
+  double parameter_tolerance = 1e-8;
+  bool spectrum = false;    ///< of the reduced normal equations
+  bool covariance = false;  ///< of the last state
+  /// Covariance with the first position and yaw held, where nothing else holds them.
+  bool fix_gauge = false;
+};
+
+struct WindowOutput {
+  WindowState state;
+  WindowCosts before, after;
+  std::string termination_type, message;
+  bool out_of_time = false, interrupted = false;
+  int num_rejected = 0;
+  std::vector<IterationRecord> iterations;
+  double linearization_time = 0, linear_solver_time = 0, candidate_time = 0, total_time = 0;
+  std::vector<double> spectrum;        ///< ascending, of a unit diagonal; empty unless asked for
+  std::vector<double> residual_norms;  ///< of the observations, in sigmas, without the loss
+  std::vector<double> covariance;      ///< 15 x 15; empty where there is none
+};
+
+/// Throws InputError where a residual has no value at the start.
+WindowOutput SolveWindow(const WindowView& view, const WindowSolveOptions& options,
+                         const ProgressCallback& progress);
+
+}  // namespace bundle

@@ -1,0 +1,65 @@
+/// What the normal equations of a window say of its certainty, undamped: eigenvalues, and the
+/// covariance of the last state.
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "core/dense/decompositions.h"
+#include "core/geometry/rotation.h"
+#include "core/window/window_problem.h"
+
+namespace bundle {
+
+std::vector<double> WindowProblem::ReducedSpectrum() {
+  if (!structure_.dense || !Linearize(0).is_finite) return {};
+  const int n = structure_.num_columns();
+  Eigen::MatrixXd s = Eigen::Map<const Eigen::MatrixXd>(system_.values.data(), n, n);
+  Eigen::VectorXd scale(n);
+  for (int c = 0; c < n; ++c) {
+    // The landmarks' elimination leaves nothing of a coordinate that only they tie down.
+    scale[c] = d_squared_[c] > 0 ? 1 / std::sqrt(d_squared_[c]) : 1;
+  }
+  for (int c = 0; c < n; ++c) {
+    for (int r = c; r < n; ++r) s(r, c) *= scale[r] * scale[c];
+  }
+  const Eigen::VectorXd values = EigenvaluesOfSymmetric(s);
+  return {values.data(), values.data() + n};
+}
+
+void WindowProblem::FixGauge() {
+  const double* const first = view_.anchored[0] != 0 ? view_.anchors : x_.state(0);
+  double rotation[9];
+  QuaternionToRotation(first, rotation);
+  const double* const up = rotation + 6;  // R^T e_z
+  const BlockPlace place = Place(0, 0);
+  double turn = 0;
+  for (int k = 0; k < 3; ++k) turn = std::max(turn, d_squared_[Column(0) + k]);
+  for (int c = 0; c < 3; ++c) {
+    for (int r = 0; r < 3; ++r) place.values[int64_t{c} * place.stride + r] += turn * up[r] * up[c];
+    place.values[int64_t{c + 3} * place.stride + c + 3] += d_squared_[Column(0) + 3 + c];
+  }
+}
+
+std::vector<double> WindowProblem::CovarianceOfLastState(bool fix_gauge) {
+  if (!Linearize(0).is_finite) return {};
+  if (fix_gauge) FixGauge();
+  if (solver_->Factorize(&system_, scale_).status != LinearSolution::Status::kSuccess) return {};
+  const int n = structure_.num_columns(), last = view_.num_states - 1;
+  std::vector<int> columns;
+  for (int c = 0; c < kPoseSize; ++c) columns.push_back(Column(2 * last) + c);
+  for (int c = 0; c < kMotionSize; ++c) columns.push_back(Column(2 * last + 1) + c);
+  std::vector<double> rhs(size_t(n) * kStateTangent, 0.0), x(rhs.size());
+  for (int k = 0; k < kStateTangent; ++k) rhs[size_t(n) * k + columns[k]] = 1;
+  if (solver_->Solve(rhs.data(), kStateTangent, 0, x.data()).status !=
+      LinearSolution::Status::kSuccess) {
+    return {};
+  }
+  std::vector<double> covariance;
+  for (int r = 0; r < kStateTangent; ++r) {
+    for (int c = 0; c < kStateTangent; ++c) covariance.push_back(x[size_t(n) * c + columns[r]]);
+  }
+  return covariance;
+}
+
+}  // namespace bundle

@@ -1,0 +1,327 @@
+#pragma once
+
+/// The elimination of marginalize_window.h, in double or single precision: the rows of the absorbed
+/// factors are made in double precision, and all that follows is of `Scalar`.
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <Eigen/QR>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "core/dense/decompositions.h"
+#include "core/error.h"
+#include "core/window/marginalize_window.h"
+#include "core/window/window_prior.h"
+#include "core/window/window_rows.h"
+
+namespace bundle {
+
+/// Where the blocks stand among the columns: those that go, then those that stay.
+struct ColumnsOfBlocks {
+  std::vector<int> at;    ///< first column of a block; -1: not touched, or held
+  std::vector<int> kept;  ///< blocks that stay, ascending
+  int num_gone = 0, num_kept = 0;
+
+  int total() const { return num_gone + num_kept; }
+};
+
+template <typename Scalar>
+class WindowElimination {
+  using Matrix = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
+  using Vector = Eigen::Matrix<Scalar, Eigen::Dynamic, 1>;
+
+ public:
+  WindowElimination(const WindowView& view, const Marginalization& request,
+                    const ColumnsOfBlocks& columns, const WindowRows& rows, const WindowState& at)
+      : view_(view), request_(request), columns_(columns), rows_(rows), at_(at) {}
+
+  /// About the current state.
+  void Run(MarginalizedWindow* result) {
+    if (request_.square_root) {
+      ByQr(result);
+    } else {
+      ByCholesky(result);
+    }
+  }
+
+ private:
+  void ByCholesky(MarginalizedWindow* result) {
+    const int n = columns_.total(), a = columns_.num_gone, b = columns_.num_kept;
+    h_ = Matrix::Zero(n, n);
+    g_ = Vector::Zero(n);
+    for (size_t k = 0; k < rows_.priors.size(); ++k) AddPriorForm(view_.priors[k], rows_.priors[k]);
+    Scalar constant = static_cast<Scalar>(rows_.costs.Total());
+    for (const InertialRows& row : rows_.inertial) AddRows(DenseInertial(row), InertialBlocks(row));
+    for (size_t k = 0; k < rows_.visual.size();) {
+      const std::vector<int> blocks = BlocksOfLandmark(k);
+      const Matrix dense = DenseLandmark(&k, blocks);  // [by depth, by blocks, r]
+      const auto depth = dense.col(0);
+      const Scalar curvature = depth.squaredNorm();
+      if (!(curvature > 0)) {
+        ++result->num_landmarks_without_depth;
+        continue;
+      }
+      ++result->num_landmarks;
+      const auto rest = dense.rightCols(dense.cols() - 1);
+      const Vector w = rest.transpose() * depth;  // the last: by depth, of the gradient
+      Matrix information = rest.transpose() * rest - w * w.transpose() / curvature;
+      Scatter(information, blocks);
+      constant -= w[w.size() - 1] * w[w.size() - 1] / (2 * curvature);
+    }
+    const Matrix haa = h_.topLeftCorner(a, a), hba = h_.bottomLeftCorner(b, a);
+    Matrix solved(a, b + 1);  // H_aa^-1 [H_ab g_a]
+    Matrix rhs(a, b + 1);
+    rhs << h_.topRightCorner(a, b), g_.head(a);
+    SolveGone(haa, rhs, &solved, result);
+    Matrix lambda = h_.bottomRightCorner(b, b) - hba * solved.leftCols(b);
+    const Vector eta = hba * solved.col(b) - g_.tail(b);
+    constant -= g_.head(a).dot(solved.col(b)) / 2;
+    const double largest = b == 0 ? 0 : double(lambda.cwiseAbs().maxCoeff());
+    if (largest > 0) {
+      result->asymmetry = double((lambda - lambda.transpose()).cwiseAbs().maxCoeff()) / largest;
+    }
+    lambda = Scalar(0.5) * (lambda + lambda.transpose()).eval();
+    WindowPrior& prior = result->prior;
+    prior.is_square_root = false;
+    prior.num_rows = b;
+    for (int r = 0; r < b; ++r) {
+      for (int c = 0; c < b; ++c) prior.matrix.push_back(lambda(r, c));
+    }
+    prior.vector.assign(eta.data(), eta.data() + b);
+    prior.constant = constant;
+  }
+
+  void ByQr(MarginalizedWindow* result) {
+    const int n = columns_.total(), a = columns_.num_gone, b = columns_.num_kept;
+    std::vector<Matrix> parts;  // n + 1 columns each
+    for (size_t k = 0; k < view_.priors.size(); ++k) parts.push_back(RowsOfOnePrior(k));
+    for (const InertialRows& row : rows_.inertial) {
+      parts.push_back(Spread(DenseInertial(row), InertialBlocks(row)));
+    }
+    for (size_t k = 0; k < rows_.visual.size();) {
+      const std::vector<int> blocks = BlocksOfLandmark(k);
+      Matrix dense = DenseLandmark(&k, blocks);
+      if (!(dense.col(0).squaredNorm() > 0)) {
+        ++result->num_landmarks_without_depth;
+        continue;
+      }
+      ++result->num_landmarks;
+      Vector essential(dense.rows() - 1);
+      Scalar tau, beta;
+      dense.col(0).makeHouseholder(essential, tau, beta);
+      Vector workspace(dense.cols());
+      dense.rightCols(dense.cols() - 1).applyHouseholderOnTheLeft(essential, tau, workspace.data());
+      parts.push_back(Spread(dense.bottomRightCorner(dense.rows() - 1, dense.cols() - 1), blocks));
+    }
+    int num_rows = 0;
+    for (const Matrix& part : parts) num_rows += static_cast<int>(part.rows());
+    Matrix all(std::max(num_rows, n + 1), n + 1);
+    all.setZero();
+    int row = 0;
+    for (const Matrix& part : parts) {
+      all.middleRows(row, part.rows()) = part;
+      row += static_cast<int>(part.rows());
+    }
+    const Eigen::HouseholderQR<Eigen::Ref<Matrix>> qr(all);
+    const auto r = qr.matrixQR().template triangularView<Eigen::Upper>();
+    const Matrix triangle = r.toDenseMatrix().topRows(n + 1);
+    Scalar largest = 0;
+    for (int k = 0; k < a; ++k) largest = std::max(largest, std::abs(triangle(k, k)));
+    for (int k = 0; k < a; ++k) {
+      const Scalar least = std::numeric_limits<Scalar>::epsilon() * Scalar(n) * largest;
+      if (!(std::abs(triangle(k, k)) > least)) result->is_regular = false;
+    }
+    WindowPrior& prior = result->prior;
+    prior.is_square_root = true;
+    prior.num_rows = b;
+    for (int k = a; k < n; ++k) {
+      for (int c = a; c < n; ++c) prior.matrix.push_back(triangle(k, c));
+      prior.vector.push_back(triangle(k, n));
+    }
+    // What no step of the kept coordinates changes.
+    prior.constant = 0.5 * double(triangle(n, n)) * double(triangle(n, n));
+  }
+
+  void SolveGone(const Matrix& haa, const Matrix& rhs, Matrix* solved, MarginalizedWindow* result) {
+    const Eigen::LLT<Matrix> llt(haa);
+    if (llt.info() == Eigen::Success && llt.rcond() > std::numeric_limits<Scalar>::epsilon()) {
+      *solved = llt.solve(rhs);
+      return;
+    }
+    // Information on part of the coordinates only: the others take nothing along. Rank is judged in
+    // units in which the diagonal is 1.
+    result->is_regular = false;
+    Eigen::VectorXd scale(haa.rows());
+    for (int k = 0; k < scale.size(); ++k) {
+      const double entry = double(haa(k, k));
+      scale[k] = entry > 0 ? 1 / std::sqrt(entry) : 0;
+    }
+    const SymmetricEigen eigen =
+        DecomposeSymmetric(scale.asDiagonal() * haa.template cast<double>() * scale.asDiagonal());
+    Eigen::VectorXd inverse = eigen.values;
+    const double least = double(std::numeric_limits<Scalar>::epsilon()) * double(inverse.size()) *
+                         std::max(inverse.maxCoeff(), 0.0);
+    for (double& x : inverse) x = x > least ? 1 / x : 0;
+    const Eigen::MatrixXd scaled = scale.asDiagonal() * rhs.template cast<double>();
+    *solved = (scale.asDiagonal() * eigen.vectors * inverse.asDiagonal() *
+               (eigen.vectors.transpose() * scaled))
+                  .template cast<Scalar>();
+  }
+
+  void AddPriorForm(const WindowPrior& prior, const PriorForm& form) {
+    const std::vector<int> at = ColumnsOfPrior(prior);
+    const size_t n = at.size();
+    for (size_t r = 0; r < n; ++r) {
+      if (at[r] < 0) continue;
+      g_[at[r]] += static_cast<Scalar>(form.gradient[r]);
+      for (size_t c = 0; c < n; ++c) {
+        if (at[c] >= 0) h_(at[r], at[c]) += static_cast<Scalar>(form.information[r * n + c]);
+      }
+    }
+  }
+
+  /// The column of each coordinate of a prior; -1 for held ones.
+  std::vector<int> ColumnsOfPrior(const WindowPrior& prior) const {
+    std::vector<int> at;
+    for (const int block : prior.blocks) {
+      for (int k = 0; k < PriorBlockSize(block, view_.num_states); ++k) {
+        at.push_back(columns_.at[block] < 0 ? -1 : columns_.at[block] + k);
+      }
+    }
+    return at;
+  }
+
+  Matrix RowsOfOnePrior(size_t k) const {
+    const WindowPrior& prior = view_.priors[k];
+    if (!prior.is_square_root) {
+      throw InputError("prior: expected a square root, since its window keeps square roots");
+    }
+    std::vector<double> jacobian, residual;
+    RowsOfPrior(view_, prior, at_, &jacobian, &residual);
+    const std::vector<int> at = ColumnsOfPrior(prior);
+    Matrix out = Matrix::Zero(prior.num_rows, columns_.total() + 1);
+    for (int r = 0; r < prior.num_rows; ++r) {
+      for (size_t c = 0; c < at.size(); ++c) {
+        if (at[c] >= 0) out(r, at[c]) = static_cast<Scalar>(jacobian[r * at.size() + c]);
+      }
+      out(r, columns_.total()) = static_cast<Scalar>(residual[r]);
+    }
+    return out;
+  }
+
+  static std::vector<int> InertialBlocks(const InertialRows& row) {
+    return {2 * row.first, 2 * row.first + 1, 2 * row.first + 2, 2 * row.first + 3};
+  }
+
+  static Matrix DenseInertial(const InertialRows& row) {
+    constexpr int kRows = InertialRows::kRows;
+    Matrix out(kRows, 2 * kStateTangent + 1);
+    for (int r = 0; r < kRows; ++r) {
+      for (int c = 0; c < kStateTangent; ++c) {
+        out(r, c) = static_cast<Scalar>(row.by_first[r * kStateTangent + c]);
+        out(r, kStateTangent + c) = static_cast<Scalar>(row.by_second[r * kStateTangent + c]);
+      }
+      out(r, 2 * kStateTangent) = static_cast<Scalar>(row.r[r]);
+    }
+    return out;
+  }
+
+  /// Of the landmark whose rows begin at k.
+  std::vector<int> BlocksOfLandmark(size_t k) const {
+    const VisualRows& first = rows_.visual[k];
+    std::vector<int> blocks = {2 * first.anchor};
+    for (; k < rows_.visual.size() && rows_.visual[k].landmark == first.landmark; ++k) {
+      blocks.push_back(2 * rows_.visual[k].observer);
+    }
+    for (const int b : {view_.camera_block(), view_.time_block()}) {
+      if (view_.BlockSize(b) > 0) blocks.push_back(b);
+    }
+    std::sort(blocks.begin(), blocks.end());
+    blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());
+    return blocks;
+  }
+
+  Matrix DenseLandmark(size_t* k, const std::vector<int>& blocks) const {
+    const int landmark = rows_.visual[*k].landmark;
+    size_t end = *k;
+    while (end < rows_.visual.size() && rows_.visual[end].landmark == landmark) ++end;
+    std::vector<int> begin = {1};
+    for (const int b : blocks) begin.push_back(begin.back() + view_.BlockSize(b));
+    const auto column = [&](int b) {
+      return begin[std::lower_bound(blocks.begin(), blocks.end(), b) - blocks.begin()];
+    };
+    Matrix out = Matrix::Zero(static_cast<int>(2 * (end - *k)), begin.back() + 1);
+    for (int row = 0; *k < end; ++*k, row += 2) {
+      const VisualRows& visual = rows_.visual[*k];
+      const auto put = [&](int block, const double* by) {
+        const int size = view_.BlockSize(block);
+        for (int r = 0; r < 2; ++r) {
+          for (int c = 0; c < size; ++c) {
+            out(row + r, column(block) + c) += static_cast<Scalar>(by[r * size + c]);
+          }
+        }
+      };
+      put(2 * visual.anchor, visual.by.by_anchor);
+      put(2 * visual.observer, visual.by.by_observer);
+      if (view_.refine_camera) put(view_.camera_block(), visual.by.by_camera);
+      if (view_.refine_time_offset) put(view_.time_block(), visual.by.by_time);
+      for (int r = 0; r < 2; ++r) {
+        out(row + r, 0) = static_cast<Scalar>(visual.by.by_depth[r]);
+        out(row + r, begin.back()) = static_cast<Scalar>(visual.r[r]);
+      }
+    }
+    return out;
+  }
+
+  /// H and g of rows [by blocks, r].
+  void AddRows(const Matrix& dense, const std::vector<int>& blocks) {
+    Scatter(dense.transpose() * dense, blocks);
+  }
+
+  /// Adds [J^T J, J^T r; r^T J, .] of some blocks to H and g.
+  void Scatter(const Matrix& information, const std::vector<int>& blocks) {
+    const int last = static_cast<int>(information.cols()) - 1;
+    int row = 0;
+    for (const int a : blocks) {
+      const int at_a = columns_.at[a], size_a = view_.BlockSize(a);
+      if (at_a >= 0) g_.segment(at_a, size_a) += information.col(last).segment(row, size_a);
+      int column = 0;
+      for (const int b : blocks) {
+        const int at_b = columns_.at[b], size_b = view_.BlockSize(b);
+        if (at_a >= 0 && at_b >= 0) {
+          h_.block(at_a, at_b, size_a, size_b) += information.block(row, column, size_a, size_b);
+        }
+        column += size_b;
+      }
+      row += size_a;
+    }
+  }
+
+  /// Rows [by blocks, r] over all columns.
+  Matrix Spread(const Matrix& dense, const std::vector<int>& blocks) const {
+    Matrix out = Matrix::Zero(dense.rows(), columns_.total() + 1);
+    int column = 0;
+    for (const int b : blocks) {
+      const int size = view_.BlockSize(b);
+      if (columns_.at[b] >= 0) {
+        out.middleCols(columns_.at[b], size) = dense.middleCols(column, size);
+      }
+      column += size;
+    }
+    out.col(columns_.total()) = dense.col(dense.cols() - 1);
+    return out;
+  }
+
+  const WindowView& view_;
+  const Marginalization& request_;
+  const ColumnsOfBlocks& columns_;
+  const WindowRows& rows_;
+  const WindowState& at_;
+  Matrix h_;
+  Vector g_;
+};
+
+}  // namespace bundle

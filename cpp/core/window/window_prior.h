@@ -1,0 +1,39 @@
+#pragma once
+
+/// What a prior says at a state of the window.
+///
+/// A prior is a quadratic form of d = (state about its points). With d' the coordinates about the
+/// state, d(d)/d(d') is I but for rotations, where it is J_r^-1 (d_rotation). Jacobians of an
+/// anchored state are those at its anchor, which is the prior's point: d = 0 there, and I.
+
+#include <vector>
+
+#include "core/window/window.h"
+
+namespace bundle {
+
+/// By the coordinates about the state: gradient and second derivatives of the prior's blocks.
+struct PriorForm {
+  double cost = 0;
+  std::vector<double> gradient;
+  std::vector<double> information;  ///< row-major
+};
+
+PriorForm LinearizePrior(const WindowView& view, const WindowPrior& prior, const WindowState& at);
+double CostOfPrior(const WindowView& view, const WindowPrior& prior, const WindowState& at);
+
+/// The rows of a square-root prior by the coordinates about the state: M J, and M d + v.
+void RowsOfPrior(const WindowView& view, const WindowPrior& prior, const WindowState& at,
+                 std::vector<double>* jacobian, std::vector<double>* residual);
+
+/// Where a block is, about a point as priors store it: PriorBlockSize numbers.
+void BlockFromPoint(int block, int num_states, const double* point, const WindowState& at,
+                    double* d);
+/// What a prior stores of a block: 16 numbers.
+void PointOfBlock(int block, int num_states, const WindowState& at, double* point);
+/// True for blocks that begin with a rotation.
+inline bool HasRotation(int block, int num_states) {
+  return block == 2 * num_states || (block < 2 * num_states && block % 2 == 0);
+}
+
+}  // namespace bundle

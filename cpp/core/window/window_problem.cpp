@@ -1,0 +1,322 @@
+#include "core/window/window_problem.h"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <utility>
+
+namespace bundle {
+namespace {
+
+// Ceres' min_lm_diagonal and max_lm_diagonal.
+constexpr double kLeastWindowDiagonal = 1e-6, kLargestWindowDiagonal = 1e32;
+double Square(double x) { return x * x; }
+
+}  // namespace
+
+WindowProblem::WindowProblem(const WindowView& view)
+    : view_(view), x_(view), candidate_(view), landmarks_(view.num_landmarks) {
+  WindowStructure made = MakeWindowStructure(view);
+  place_ = std::move(made.place);
+  structure_ = std::move(made.structure);
+  solver_ = std::move(made.solver);
+  const size_t columns = structure_.num_columns();
+  system_.values.resize(structure_.num_values);
+  for (std::vector<double>* v : {&system_.rhs, &gradient_, &scale_, &d_squared_, &newton_}) {
+    v->resize(columns);
+  }
+  touched_at_.assign(view.num_blocks(), -1);
+  x_norm_ = NormOf(x_);
+}
+
+WindowProblem::BlockPlace WindowProblem::Place(int a, int b) {
+  const int column = std::min(place_[a], place_[b]), row = std::max(place_[a], place_[b]);
+  const int64_t entry = structure_.Entry(column, row);
+  return {system_.values.data() + structure_.ValueIndex(column, entry, 0, 0),
+          structure_.panel_stride[column], place_[a] < place_[b]};
+}
+
+/// S_ab += J_a^T J_b, with rows x size matrices, row-major. Of the diagonal block all is added.
+void WindowProblem::AddBlock(int a, int b, const double* ja, const double* jb, int rows) {
+  const int na = view_.BlockSize(a), nb = view_.BlockSize(b);
+  if (na == 0 || nb == 0) return;
+  const BlockPlace place = Place(a, b);
+  for (int i = 0; i < na; ++i) {
+    for (int j = 0; j < nb; ++j) {
+      double sum = 0;
+      for (int r = 0; r < rows; ++r) sum += ja[r * na + i] * jb[r * nb + j];
+      // S's lower triangle: rows are those of the block that comes later.
+      place.values[place.transposed ? int64_t{i} * place.stride + j
+                                    : int64_t{j} * place.stride + i] += sum;
+    }
+  }
+}
+
+void WindowProblem::AddGradient(int a, const double* j, const double* r, int rows) {
+  const int n = view_.BlockSize(a);
+  if (n == 0) return;
+  double* const gradient = gradient_.data() + Column(a);
+  for (int k = 0; k < rows; ++k) {
+    for (int c = 0; c < n; ++c) gradient[c] += j[k * n + c] * r[k];
+  }
+}
+
+void WindowProblem::AddVisual(const VisualRows& row) {
+  const int blocks[] = {2 * row.anchor, 2 * row.observer, view_.camera_block(), view_.time_block()};
+  const double* const by[] = {row.by.by_anchor, row.by.by_observer, row.by.by_camera,
+                              row.by.by_time};
+  for (int a = 0; a < 4; ++a) {
+    AddGradient(blocks[a], by[a], row.r, 2);
+    for (int b = a; b < 4; ++b) AddBlock(blocks[a], blocks[b], by[a], by[b], 2);
+  }
+}
+
+void WindowProblem::AddInertial(const InertialRows& row) {
+  constexpr int kRows = InertialRows::kRows;
+  double parts[4][kRows * kMotionSize];
+  const double* const both[] = {row.by_first, row.by_second};
+  for (int s = 0; s < 2; ++s) {
+    for (int r = 0; r < kRows; ++r) {
+      const double* const from = both[s] + r * kStateTangent;
+      std::copy_n(from, kPoseSize, parts[2 * s] + r * kPoseSize);
+      std::copy_n(from + kPoseSize, kMotionSize, parts[2 * s + 1] + r * kMotionSize);
+    }
+  }
+  for (int a = 0; a < 4; ++a) {
+    AddGradient(2 * row.first + a, parts[a], row.r, kRows);
+    for (int b = a; b < 4; ++b) {
+      AddBlock(2 * row.first + a, 2 * row.first + b, parts[a], parts[b], kRows);
+    }
+  }
+}
+
+void WindowProblem::AddPrior(const WindowPrior& prior, const PriorForm& form) {
+  const size_t n = form.gradient.size();
+  size_t begin_a = 0;
+  for (const int a : prior.blocks) {
+    const int size_a = PriorBlockSize(a, view_.num_states);
+    if (place_[a] >= 0) {
+      for (int k = 0; k < size_a; ++k) gradient_[Column(a) + k] += form.gradient[begin_a + k];
+    }
+    size_t begin_b = 0;
+    for (const int b : prior.blocks) {
+      const int size_b = PriorBlockSize(b, view_.num_states);
+      if (place_[a] >= 0 && place_[b] >= 0 && place_[a] >= place_[b]) {
+        const BlockPlace place = Place(a, b);
+        for (int c = 0; c < size_b; ++c) {
+          double* const values = place.values + int64_t{c} * place.stride;
+          for (int r = 0; r < size_a; ++r) {
+            values[r] += form.information[(begin_a + r) * n + begin_b + c];
+          }
+        }
+      }
+      begin_b += size_b;
+    }
+    begin_a += size_a;
+  }
+}
+
+/// Adds the rows' share of w, h and g.
+void WindowProblem::AddLandmark(const VisualRows& row, Landmark* landmark) {
+  const double* const depth = row.by.by_depth;
+  landmark->hessian += depth[0] * depth[0] + depth[1] * depth[1];
+  landmark->gradient += depth[0] * row.r[0] + depth[1] * row.r[1];
+  const int blocks[] = {2 * row.anchor, 2 * row.observer, view_.camera_block(), view_.time_block()};
+  const double* const by[] = {row.by.by_anchor, row.by.by_observer, row.by.by_camera,
+                              row.by.by_time};
+  for (int a = 0; a < 4; ++a) {
+    const int n = view_.BlockSize(blocks[a]);
+    if (n == 0) continue;
+    int& at = touched_at_[blocks[a]];
+    if (at < 0) {
+      at = static_cast<int>(w_.size());
+      touched_.push_back(blocks[a]);
+      w_.resize(w_.size() + n, 0.0);
+    }
+    double* const w = w_.data() + at;
+    for (int c = 0; c < n; ++c) w[c] += by[a][c] * depth[0] + by[a][n + c] * depth[1];
+  }
+}
+
+bool WindowProblem::LinearizeRows() {
+  LinearizeWindow(view_, x_, FactorSelection{}, &rows_);
+  costs_ = rows_.costs;
+  return rows_.is_finite;
+}
+
+Linearization WindowProblem::Linearize(double damping) {
+  damping_ = damping;
+  Linearization result;
+  result.is_finite = LinearizeRows();
+  if (!result.is_finite) return result;
+  std::fill(system_.values.begin(), system_.values.end(), 0.0);
+  std::fill(gradient_.begin(), gradient_.end(), 0.0);
+  for (const InertialRows& row : rows_.inertial) AddInertial(row);
+  for (size_t k = 0; k < rows_.priors.size(); ++k) AddPrior(view_.priors[k], rows_.priors[k]);
+  for (const VisualRows& row : rows_.visual) AddVisual(row);
+  Damp(damping);
+
+  w_.clear();
+  w_blocks_.clear();
+  w_begin_.assign(1, 0);
+  block_begin_.assign(1, 0);
+  for (Landmark& landmark : landmarks_) {
+    landmark.hessian = landmark.gradient = 0;
+    landmark.begin = landmark.end = 0;
+  }
+  for (size_t k = 0; k < system_.rhs.size(); ++k) system_.rhs[k] = -gradient_[k];
+  size_t k = 0;
+  for (int l = 0; l < view_.num_landmarks; ++l) {
+    touched_.clear();
+    Landmark& landmark = landmarks_[l];
+    for (; k < rows_.visual.size() && rows_.visual[k].landmark == l; ++k) {
+      AddLandmark(rows_.visual[k], &landmark);
+    }
+    Eliminate(&landmark);
+    for (const int block : touched_) touched_at_[block] = -1;
+    w_blocks_.insert(w_blocks_.end(), touched_.begin(), touched_.end());
+    w_begin_.push_back(w_.size());
+    block_begin_.push_back(w_blocks_.size());
+  }
+  is_scaled_ = true;
+
+  result.cost = costs_.Total();
+  double squared = 0;
+  const auto look = [&](double g) {
+    squared += g * g;
+    if (!(std::abs(g) <= result.gradient_max_norm)) result.gradient_max_norm = std::abs(g);
+  };
+  for (const double g : gradient_) look(g);
+  for (const Landmark& landmark : landmarks_) look(landmark.gradient);
+  result.gradient_norm = std::sqrt(squared);
+  result.is_finite = std::isfinite(result.cost) && std::isfinite(result.gradient_norm);
+  return result;
+}
+
+void WindowProblem::Damp(double damping) {
+  structure_.ForDiagonal([&](int column, int64_t index) {
+    double& entry = system_.values[index];
+    if (!is_scaled_) scale_[column] = 1 / (1 + std::sqrt(entry));
+    const double squared = scale_[column] * scale_[column];
+    d_squared_[column] =
+        std::clamp(squared * entry, kLeastWindowDiagonal, kLargestWindowDiagonal) / squared;
+    entry += damping * d_squared_[column];
+  });
+}
+
+void WindowProblem::Eliminate(Landmark* landmark) {
+  const double hessian = landmark->hessian;
+  if (!is_scaled_) landmark->scale = 1 / (1 + std::sqrt(hessian));
+  const double squared = Square(landmark->scale);
+  landmark->d_squared =
+      std::clamp(squared * hessian, kLeastWindowDiagonal, kLargestWindowDiagonal) / squared;
+  landmark->damped = hessian + damping_ * landmark->d_squared;
+  if (!(landmark->damped > 0)) return;  // no parallax at all, and w is zero
+  const double inverse = 1 / landmark->damped;
+  for (const int a : touched_) {
+    const double* const wa = w_.data() + touched_at_[a];
+    const int na = view_.BlockSize(a), column = Column(a);
+    for (int c = 0; c < na; ++c) system_.rhs[column + c] += wa[c] * inverse * landmark->gradient;
+    for (const int b : touched_) {
+      if (place_[a] < place_[b]) continue;  // rows are those of the later block
+      const double* const wb = w_.data() + touched_at_[b];
+      const int nb = view_.BlockSize(b);
+      const BlockPlace place = Place(a, b);
+      for (int c = 0; c < nb; ++c) {
+        const double factor = inverse * wb[c];
+        double* const values = place.values + int64_t{c} * place.stride;
+        for (int r = 0; r < na; ++r) values[r] -= wa[r] * factor;
+      }
+    }
+  }
+}
+
+NewtonResult WindowProblem::SolveNewton(double eta) {
+  const LinearSolution solution = solver_->Solve(&system_, scale_, eta, newton_.data());
+  NewtonResult result;
+  result.num_iterations = solution.num_iterations;
+  result.message = solution.message;
+  if (solution.status == LinearSolution::Status::kFatal) {
+    result.status = NewtonResult::Status::kFatal;
+  } else if (solution.status == LinearSolution::Status::kFailure) {
+    result.status = NewtonResult::Status::kFailure;
+  }
+  if (result.status != NewtonResult::Status::kSuccess) return result;
+  for (size_t l = 0; l < landmarks_.size(); ++l) {
+    Landmark& landmark = landmarks_[l];
+    double sum = landmark.gradient;
+    const double* w = w_.data() + w_begin_[l];
+    for (size_t k = block_begin_[l]; k < block_begin_[l + 1]; ++k) {
+      const double* const q = newton_.data() + Column(w_blocks_[k]);
+      const int n = view_.BlockSize(w_blocks_[k]);
+      for (int c = 0; c < n; ++c) sum += w[c] * q[c];
+      w += n;
+    }
+    landmark.newton = landmark.damped > 0 ? -sum / landmark.damped : 0;
+  }
+  return result;
+}
+
+double WindowProblem::Weighted() const {
+  double sum = 0;
+  for (size_t k = 0; k < newton_.size(); ++k) sum += Square(newton_[k]) * d_squared_[k];
+  for (const Landmark& l : landmarks_) sum += Square(l.newton) * l.d_squared;
+  return sum;
+}
+
+Candidate WindowProblem::EvaluateNewtonStep() {
+  double along = 0, squared = 0;
+  for (size_t k = 0; k < newton_.size(); ++k) {
+    along += gradient_[k] * newton_[k];
+    squared += Square(newton_[k]);
+  }
+  for (size_t l = 0; l < landmarks_.size(); ++l) {
+    along += landmarks_[l].gradient * landmarks_[l].newton;
+    squared += Square(landmarks_[l].newton);
+    candidate_.inverse_depths[l] = x_.inverse_depths[l] + landmarks_[l].newton;
+  }
+  for (int i = 0; i < view_.num_states; ++i) {
+    double d[kStateTangent];
+    std::copy_n(newton_.data() + Column(2 * i), kPoseSize, d);
+    std::copy_n(newton_.data() + Column(2 * i + 1), kMotionSize, d + kPoseSize);
+    MoveState(x_.state(i), d, candidate_.states.data() + kStateNumbers * i);
+  }
+  if (view_.refine_camera) {
+    MoveCamera(x_.camera_from_imu.data(), newton_.data() + Column(view_.camera_block()),
+               candidate_.camera_from_imu.data());
+  }
+  if (view_.refine_time_offset) {
+    candidate_.time_offset = x_.time_offset + newton_[Column(view_.time_block())];
+  }
+  candidate_costs_ = CostsOfWindow(view_, candidate_);
+  candidate_norm_ = NormOf(candidate_);
+  Candidate result;
+  result.cost = candidate_costs_.Total();
+  result.step_norm = std::sqrt(squared);
+  result.model_cost_change = 0.5 * (damping_ * Weighted() - along);
+  return result;
+}
+
+void WindowProblem::Accept() {
+  std::swap(x_, candidate_);
+  std::swap(costs_, candidate_costs_);
+  std::swap(x_norm_, candidate_norm_);
+}
+
+double WindowProblem::NormOf(const WindowState& state) const {
+  double sum = Square(state.time_offset);
+  for (const double value : state.states) sum += Square(value);
+  for (const double value : state.inverse_depths) sum += Square(value);
+  for (const double value : state.camera_from_imu) sum += Square(value);
+  return std::sqrt(sum);
+}
+
+DoglegProducts WindowProblem::Products() {
+  throw std::logic_error("windows take Levenberg-Marquardt's steps");
+}
+
+Candidate WindowProblem::EvaluateDoglegStep(double /*a*/, double /*b*/) {
+  throw std::logic_error("windows take Levenberg-Marquardt's steps");
+}
+
+}  // namespace bundle

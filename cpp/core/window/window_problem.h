@@ -1,0 +1,101 @@
+#pragma once
+
+/// A window as what a trust region minimises (minimize/least_squares.h). Landmarks are eliminated:
+/// each is one number l with the rows (J_c, J_l, r) of its observations, so that with
+/// w = J_c^T J_l, h = J_l^T J_l + damping and g = J_l^T r
+///
+///   S = J_c^T J_c - sum w w^T / h,    b = -(J_c^T r - sum w g / h),    q_l = -(g + w^T q_c) / h
+///
+/// over all landmarks. S has a block per pose, motion, camera and time offset: dense for a window,
+/// sparse and supernodal for a long batch, in AMD's or METIS' order.
+///
+/// As in pose graphs (pose_graph/pose_graph_problem.h) a Newton step q of (H + l D^2) q = -g
+/// promises 1/2 (l q^T D^2 q - g^T q), so that no row is kept.
+
+#include <memory>
+#include <vector>
+
+#include "core/linear/linear_solver.h"
+#include "core/minimize/least_squares.h"
+#include "core/window/window_rows.h"
+#include "core/window/window_structure.h"
+
+namespace bundle {
+
+class WindowProblem final : public LeastSquares {
+ public:
+  /// Keeps a reference to the view.
+  explicit WindowProblem(const WindowView& view);
+
+  Linearization Linearize(double damping) override;
+  NewtonResult SolveNewton(double eta) override;
+  Candidate EvaluateNewtonStep() override;
+  void Accept() override;
+  double StateNorm() const override { return x_norm_; }
+  /// Levenberg-Marquardt needs neither: std::logic_error.
+  DoglegProducts Products() override;
+  Candidate EvaluateDoglegStep(double a, double b) override;
+
+  const WindowState& x() const { return x_; }
+  const WindowCosts& costs() const { return costs_; }  ///< at x
+  int num_columns() const { return structure_.num_columns(); }
+
+  /// Eigenvalues, ascending, of S at x without damping, its diagonal scaled to 1. For windows,
+  /// since they are dense. Empty where S is not finite.
+  std::vector<double> ReducedSpectrum();
+
+  /// The covariance of the last state, 15 x 15, from S at x without damping; empty where S is
+  /// singular. `fix_gauge`: relative to the first state's position and yaw (minimum constraints, so
+  /// that what the gauge does not move, biases and tilt, is as in any other gauge).
+  std::vector<double> CovarianceOfLastState(bool fix_gauge);
+
+ private:
+  struct Landmark {
+    int begin = 0, end = 0;  ///< its observations among the rows
+    double hessian = 0, gradient = 0, scale = 0, d_squared = 0;
+    double damped = 0, newton = 0;
+  };
+  /// A block of S in its column, or of w.
+  struct BlockPlace {
+    double* values = nullptr;
+    int stride = 0;
+    bool transposed = false;
+  };
+
+  bool LinearizeRows();
+  BlockPlace Place(int a, int b);
+  void AddBlock(int a, int b, const double* ja, const double* jb, int rows);
+  void AddGradient(int a, const double* j, const double* r, int rows);
+  void AddVisual(const VisualRows& row);
+  void AddInertial(const InertialRows& row);
+  void AddPrior(const WindowPrior& prior, const PriorForm& form);
+  void AddLandmark(const VisualRows& row, Landmark* landmark);
+  void Eliminate(Landmark* landmark);
+  void Damp(double damping);
+  int Column(int block) const { return structure_.offset[place_[block]]; }
+  void FixGauge();
+  double Weighted() const;
+  double NormOf(const WindowState& state) const;
+
+  const WindowView& view_;
+  WindowState x_, candidate_;
+  WindowCosts costs_, candidate_costs_;
+  double x_norm_ = 0, candidate_norm_ = 0;
+
+  std::vector<int> place_;  ///< block of S of each block of the window; -1: held
+  BlockStructure structure_;
+  std::unique_ptr<LinearSolver> solver_;
+  BlockSystem system_;
+  WindowRows rows_;
+  std::vector<Landmark> landmarks_;
+  std::vector<int> touched_;     ///< blocks of the landmark that is eliminated
+  std::vector<int> touched_at_;  ///< place of a block in w, -1: none
+  std::vector<double> w_;        ///< of all landmarks, one after the other
+  std::vector<int> w_blocks_;    ///< likewise; w_begin_ and block_begin_ say where
+  std::vector<size_t> w_begin_, block_begin_;
+  std::vector<double> gradient_, scale_, d_squared_, newton_;
+  double damping_ = 0;
+  bool is_scaled_ = false;
+};
+
+}  // namespace bundle

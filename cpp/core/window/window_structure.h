@@ -1,0 +1,23 @@
+#pragma once
+
+/// Which blocks of a window's reduced system may be nonzero, in which order they are eliminated,
+/// and by which solver: dense for a window, whose states all share landmarks or a prior; for a long
+/// batch supernodal, in AMD's or METIS' order.
+
+#include <memory>
+#include <vector>
+
+#include "core/linear/linear_solver.h"
+#include "core/window/window.h"
+
+namespace bundle {
+
+struct WindowStructure {
+  std::vector<int> place;  ///< block of S of each block of the window; -1: held
+  BlockStructure structure;
+  std::unique_ptr<LinearSolver> solver;
+};
+
+WindowStructure MakeWindowStructure(const WindowView& view);
+
+}  // namespace bundle
