@@ -41,6 +41,7 @@ COMMANDS = (
     "align",
     "merge",
     "report",
+    "vio",
     "convert",
     "synth",
 )

@@ -1,6 +1,9 @@
 """Visual-inertial odometry: sequences, trajectories, and what is estimated from them."""
 
 from bundle.vio.calibration import Calibration
+from bundle.vio.keyframe_record import KeyframeRecord
+from bundle.vio.landmark_table import FrameTracks
+from bundle.vio.odometry import OdometryResult, run_odometry
 from bundle.vio.sequence import Sequence
 from bundle.vio.sequence_findings import SequenceFinding, sequence_findings
 from bundle.vio.sequence_folder import (
@@ -9,6 +12,7 @@ from bundle.vio.sequence_folder import (
     read_sequence,
     save_sequence,
 )
+from bundle.vio.sliding_window import SlidingWindow
 from bundle.vio.track_csv import read_track_csv
 from bundle.vio.trajectory_comparison import TrajectoryError, compare_trajectories, states_at
 from bundle.vio.trajectory_files import (
@@ -19,13 +23,21 @@ from bundle.vio.trajectory_files import (
     save_ground_truth,
     save_tum,
 )
+from bundle.vio.window_frame import ImuInterval
+from bundle.vio.window_options import WindowOptions
 
 __all__ = [
     "Calibration",
+    "FrameTracks",
+    "ImuInterval",
+    "KeyframeRecord",
+    "OdometryResult",
     "Sequence",
     "SequenceFinding",
+    "SlidingWindow",
     "Trajectory",
     "TrajectoryError",
+    "WindowOptions",
     "check_sequence_target",
     "compare_trajectories",
     "load_ground_truth",
@@ -34,6 +46,7 @@ __all__ = [
     "load_tum",
     "read_sequence",
     "read_track_csv",
+    "run_odometry",
     "save_ground_truth",
     "save_sequence",
     "save_tum",

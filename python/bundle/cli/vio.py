@@ -1,0 +1,112 @@
+"""`bundle vio`."""
+
+from __future__ import annotations
+
+import argparse
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.option_flags import add_options, naming_flags, options_given
+from bundle.cli.parser import a_path
+from bundle.vio.window_options import WindowOptions
+
+if TYPE_CHECKING:
+    from bundle.vio.keyframe_record import KeyframeRecord
+
+__all__ = ["HELP", "NAME", "add_arguments", "run"]
+
+NAME = "vio"
+HELP = "visual-inertial odometry from feature tracks and IMU samples"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of this command."""
+    parser.usage = "bundle vio SEQUENCE -o FILE.tum [options]"
+    parser.add_argument(
+        "sequence",
+        metavar="SEQUENCE",
+        type=a_path,
+        help="a folder with imu.csv, tracks.csv and calibration.yaml, or a table of both that "
+        "bundle convert reads",
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE.tum",
+        type=a_path,
+        required=True,
+        help="poses world_from_imu of the images that were solved for, a line each: timestamp in "
+        "seconds, tx ty tz, qx qy qz qw; z is up",
+    )
+    parser.add_argument(
+        "--ground-truth",
+        metavar="FILE",
+        type=a_path,
+        help="compare with it: EuRoC's csv or a TUM file (needs the extra bundle[vio])",
+    )
+    parser.add_argument(
+        "--telemetry",
+        metavar="FILE.jsonl",
+        type=a_path,
+        help="one line of JSON per keyframe, as it is settled",
+    )
+    add_options(parser, WindowOptions, "the window")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the odometry over SEQUENCE."""
+    started = perf_counter()
+    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.progress import Progress
+    from bundle.cli.standard_streams import complain
+    from bundle.errors import shown
+    from bundle.io import as_path, atomic
+    from bundle.io.recognition import sequence_at
+    from bundle.reports.vio import as_json, odometry_tables, telemetry_lines
+    from bundle.vio import (
+        compare_trajectories,
+        load_trajectory,
+        read_sequence,
+        read_track_csv,
+        run_odometry,
+        save_tum,
+    )
+
+    source, target = arguments.sequence, arguments.output
+    options = options_given(arguments, WindowOptions)
+    check_json(target, source, what="file")
+    check_json(arguments.json, source, target)
+    check_json(arguments.telemetry, source, target)
+    with Progress(quiet=arguments.quiet) as progress:
+        progress.stage(f"reading {shown(source)}")
+        is_table = sequence_at(source) == "track csv"
+        sequence = read_track_csv(source) if is_table else read_sequence(source)[0]
+        truth = None
+        if arguments.ground_truth is not None:
+            truth = load_trajectory(arguments.ground_truth)
+        progress.stage("following the motion")
+
+        def shown_keyframe(done: int, count: int, record: KeyframeRecord | None) -> bool:
+            if record is not None and len(record.alarms) > 0 and progress.is_live:
+                progress.stage(f"image {done} of {count}: {record.alarms[0]}")
+            return True
+
+        with naming_flags(WindowOptions):
+            result = run_odometry(sequence, options, progress=shown_keyframe)
+        error = None if truth is None else compare_trajectories(result.trajectory, truth)
+        if result.is_usable:
+            progress.stage(f"writing {shown(target)}")
+            save_tum(target, result.trajectory.timestamps_ns, result.trajectory.states)
+        if arguments.telemetry is not None:
+            atomic.write_text(as_path(arguments.telemetry), telemetry_lines(result))
+    wall = perf_counter() - started
+    written = target if result.is_usable else None
+    if arguments.json != "-":
+        show(*odometry_tables(source, result, error, written))
+    write_json(arguments.json, as_json(source, sequence, result, error, written, wall))
+    if result.is_usable:
+        return EXIT_DONE
+    if arguments.json == "-":
+        complain(result.message)
+    return EXIT_NO_SOLUTION

@@ -1,0 +1,128 @@
+"""What `bundle vio` says."""
+
+from __future__ import annotations
+
+import json as standard_json
+from collections import Counter
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from rich.console import RenderableType
+
+from bundle._core import __version__
+from bundle.errors import shown
+from bundle.reports import json
+from bundle.tables import columns, facts, notes, plural
+from bundle.vio import Sequence, TrajectoryError
+from bundle.vio.odometry import OdometryResult
+from bundle.words import number
+
+__all__ = ["as_json", "odometry_tables", "telemetry_lines"]
+
+
+def odometry_tables(
+    source: str, result: OdometryResult, error: TrajectoryError | None, written: str | None
+) -> list[RenderableType]:
+    """Return start, keyframes, times, alarms, and errors where there is a truth."""
+    stamps = result.trajectory.timestamps_ns
+    seconds = 1e-9 * float(stamps[-1] - stamps[0])
+    records = result.keyframes
+    reasons = Counter(record.reason for record in records)
+    total = 1e3 * np.array([record.times["total"] for record in records])
+    chi2 = [r.mean_visual_chi2 for r in records if r.mean_visual_chi2 is not None]
+    rows = [
+        ("sequence", f"{shown(source)}, {number(seconds)} s"),
+        ("start", result.start),
+        ("images", f"{result.num_images} solved for"),
+        (
+            "keyframes",
+            f"{len(records)}: " + ", ".join(f"{name} {count}" for name, count in reasons.items()),
+        ),
+        (
+            "time",
+            f"{number(result.solve_time)} s, "
+            f"{number(seconds / max(result.solve_time, 1e-9))} times faster than real time",
+        ),
+        ("visual cost", f"{number(float(np.mean(chi2)) if chi2 else 0.0)} per residual (mean)"),
+    ]
+    if error is not None:
+        rows += [
+            (
+                "position",
+                f"{number(error.ate)} m rms (ATE) along {number(error.path_length)} m; aligned in "
+                f"yaw and position alone {number(error.ate_yaw)} m",
+            ),
+            ("scale", f"{error.scale:.5f}"),
+            ("rotation", f"{number(error.rotation_rms)} degrees rms"),
+        ]
+    if written is not None:
+        rows.append(("output", f"{shown(written)} (TUM)"))
+    phases = ("preintegration", "assembly", "solve", "marginalization", "total")
+    parts = {
+        phase: 1e3 * np.array([record.times.get(phase, 0.0) for record in records])
+        for phase in phases
+    }
+    table = columns(
+        ("ms per keyframe", "median", "p95", "max"),
+        [
+            (phase, *(number(float(f(parts[phase]))) for f in (np.median, _p95, np.max)))
+            for phase in phases
+        ],
+    )
+    alarms = Counter(alarm.split(":")[0] for record in records for alarm in record.alarms)
+    said = [f"{alarm}: in {plural(count, 'keyframe')}." for alarm, count in alarms.items()]
+    if not result.is_usable:
+        said.insert(0, f"No trajectory was written: {result.message}.")
+    assert len(total) == len(records)
+    return [facts(rows), "", table, *([""] if said else []), *notes(said)]
+
+
+def _p95(values: Any) -> float:
+    return float(np.percentile(values, 95))
+
+
+def as_json(
+    source: str,
+    sequence: Sequence,
+    result: OdometryResult,
+    error: TrajectoryError | None,
+    written: str | None,
+    wall: float,
+) -> dict[str, Any]:
+    """Return the report of `bundle vio`."""
+    report: dict[str, Any] = json.plain(
+        {
+            "schema": json.SCHEMA,
+            "command": "vio",
+            "version": __version__,
+            "input": {
+                "path": source,
+                "num_imu_samples": len(sequence.gyro),
+                "num_images": sequence.num_frames,
+                "num_observations": len(sequence.xy),
+                "duration": sequence.duration,
+            },
+            "options": result.options.asdict(),
+            "summary": {
+                "start": result.start,
+                "is_solution_usable": result.is_usable,
+                "message": result.message,
+                "num_images": result.num_images,
+                "num_keyframes": len(result.keyframes),
+            },
+            "keyframes": [record.asdict() for record in result.keyframes],
+            "error": None if error is None else asdict(error),
+            "wall_time": {"solve": result.solve_time, "total": wall},
+            "output": None if written is None else {"path": written, "format": "tum"},
+        }
+    )
+    return report
+
+
+def telemetry_lines(result: OdometryResult) -> str:
+    """Return a line of JSON per keyframe."""
+    return "".join(
+        standard_json.dumps(json.plain(record.asdict()), allow_nan=False) + "\n"
+        for record in result.keyframes
+    )

@@ -1,0 +1,110 @@
+"""Observations of the frames of a window, by landmark.
+
+A frame's observations are three arrays with a row per track: ids (ascending), normalised image
+coordinates, and their velocities. Stacked and sorted by track and frame they become landmarks, each
+anchored in the first frame that saw it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+__all__ = ["FrameTracks", "LandmarkTable", "landmark_table"]
+
+Array = np.ndarray[Any, Any]
+
+
+class FrameTracks(NamedTuple):
+    """What one image saw: ids (n,) ascending, xy (n, 2), velocity (n, 2) per second."""
+
+    ids: Array
+    xy: Array
+    velocity: Array
+
+    def without(self, ids: Array) -> FrameTracks:
+        """Return the rest of the tracks."""
+        kept = ~np.isin(self.ids, ids, assume_unique=True)
+        return FrameTracks(self.ids[kept], self.xy[kept], self.velocity[kept])
+
+
+class LandmarkTable(NamedTuple):
+    """Landmarks (m) and their observations (k) beyond the anchor, sorted by landmark and frame."""
+
+    ids: Array
+    anchors: Array  # frame of each
+    anchor_xy: Array
+    anchor_velocity: Array
+    landmarks: Array  # of each observation
+    observers: Array  # frame of each
+    xy: Array
+    velocity: Array
+
+    @property
+    def begin(self) -> Array:
+        """First observation of each landmark."""
+        return np.searchsorted(self.landmarks, np.arange(len(self.ids)))
+
+    def only(self, kept: Array) -> LandmarkTable:
+        """Return the landmarks that are flagged, with their observations."""
+        rows = kept[self.landmarks]
+        renumbered = np.cumsum(kept) - 1
+        return LandmarkTable(
+            self.ids[kept],
+            self.anchors[kept],
+            self.anchor_xy[kept],
+            self.anchor_velocity[kept],
+            renumbered[self.landmarks[rows]].astype(np.int32),
+            self.observers[rows],
+            self.xy[rows],
+            self.velocity[rows],
+        )
+
+    def without_observations(self, dropped: Array) -> LandmarkTable:
+        """Return the table without some observations; landmarks without any stay."""
+        rows = ~dropped
+        return self._replace(
+            landmarks=self.landmarks[rows],
+            observers=self.observers[rows],
+            xy=self.xy[rows],
+            velocity=self.velocity[rows],
+        )
+
+    def parallax(self) -> Array:
+        """Return the largest distance of an observation from its landmark's anchor, per landmark.
+
+        Zero where a landmark has no observation.
+        """
+        distance = np.linalg.norm(self.xy - self.anchor_xy[self.landmarks], axis=1)
+        largest = np.zeros(len(self.ids))
+        np.maximum.at(largest, self.landmarks, distance)
+        return largest
+
+
+def landmark_table(frames: Sequence[FrameTracks]) -> LandmarkTable:
+    """Return the tracks that at least two frames see."""
+    ids = np.concatenate([f.ids for f in frames]) if frames else np.empty(0, np.int64)
+    at = np.repeat(np.arange(len(frames), dtype=np.int32), [len(f.ids) for f in frames])
+    xy = np.concatenate([f.xy for f in frames]) if frames else np.empty((0, 2))
+    velocity = np.concatenate([f.velocity for f in frames]) if frames else np.empty((0, 2))
+    order = np.argsort(ids, kind="stable")  # frames stay in order
+    ids, at, xy, velocity = ids[order], at[order], xy[order], velocity[order]
+    is_first = np.empty(len(ids), bool)
+    is_first[:1] = True
+    np.not_equal(ids[1:], ids[:-1], out=is_first[1:])
+    track = np.cumsum(is_first) - 1
+    is_seen_again = np.bincount(track, minlength=1)[track] > 1 if len(ids) else is_first
+    first, later = is_first & is_seen_again, ~is_first
+    renumbered = np.cumsum(first) - 1  # a track's rows follow its first
+    return LandmarkTable(
+        ids[first],
+        at[first],
+        xy[first],
+        velocity[first],
+        renumbered[later].astype(np.int32),
+        at[later],
+        xy[later],
+        velocity[later],
+    )

@@ -1,0 +1,220 @@
+"""What a window measures of itself between two keyframes: times, counts, spectra, alarms."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bundle.inertial import excitation
+from bundle.rotations import rotation_matrices
+from bundle.vio.keyframe_record import KeyframeRecord
+from bundle.vio.landmark_table import LandmarkTable
+from bundle.vio.window_frame import WindowFrame
+
+if TYPE_CHECKING:
+    from bundle.vio.sliding_window import SlidingWindow
+
+__all__ = ["WindowTelemetry"]
+
+Array = np.ndarray[Any, Any]
+
+FREE_DEGREES = 4  # position and yaw: no camera and no IMU sees them
+LARGEST_ASYMMETRY = 1e-9
+SMALLEST_RATIO = 1e-8
+INDEFINITE = -1e-11  # of a unit diagonal: beyond the rounding of double precision
+LARGEST_GYRO_BIAS, LARGEST_ACCEL_BIAS = 1.0, 2.5  # rad/s, m/s^2: VINS-Mono's signs of failure
+SCALE_SIGMA = 1e-4  # of a held scale, relative
+
+
+class WindowTelemetry:
+    """Gathers what :class:`KeyframeRecord` reports."""
+
+    def __init__(self, window: SlidingWindow) -> None:
+        self.window = window
+        options = window.options
+        held = 3 * (options.start_position_sigma > 0) + (options.start_yaw_sigma > 0)
+        self.expected_nullity = FREE_DEGREES - held
+        self.num_rejected_tracks = 0
+        self.num_repropagated = 0
+        self._last: dict[str, Any] = {}
+        self._exit: dict[str, Any] | None = None
+        self.num_absorbed = self.num_carried = 0
+        self.begin()
+
+    def begin(self) -> None:
+        """A new image."""
+        self._times: dict[str, float] = {}
+        self._start = self._lap = time.perf_counter()
+
+    def lap(self, phase: str) -> None:
+        """Seconds since the last call were this phase."""
+        now = time.perf_counter()
+        self._times[phase] = self._times.get(phase, 0.0) + now - self._lap
+        self._lap = now
+
+    def solved(self, table: LandmarkTable, window: dict[str, Any], solved: dict[str, Any]) -> None:
+        """Keep what the last solve said."""
+        self._last = solved
+        priors = sum(len(prior["vector"]) for prior in window["priors"])
+        states = len(window["states"])
+        self._sizes = {
+            "window_size": states,
+            "num_landmarks": len(table.ids),
+            "num_observations": len(table.landmarks),
+            "num_rows": 2 * len(table.landmarks) + 15 * (states - 1) + priors,
+            "num_columns": 15 * states
+            + len(table.ids)
+            + 6 * window["refine_camera"]
+            + window["refine_time_offset"],
+        }
+
+    def left(self, frame: WindowFrame, how: str, absorbed: int, carried: int) -> None:
+        """The oldest keyframe went."""
+        self._exit = {"timestamp_ns": frame.stamp, "how": how}
+        self.num_absorbed, self.num_carried = absorbed, carried
+
+    def excitation(self) -> tuple[float, str]:
+        """Return the excitation of the accelerometer over the window, and its verdict."""
+        parts = [f.interval.accel for f in self.window.frames if f.interval is not None]
+        if not parts:
+            return 0.0, "unobservable"
+        found = excitation(np.concatenate(parts))
+        return found.spread, found.verdict
+
+    def scale_hold(self) -> list[dict[str, Any]]:
+        """Return a prior on the scale of the window where it must be held, else none.
+
+        Along n = (0, p_k - p_0, v_k, 0, 0) all positions and velocities grow; s n^T d / |n|^2 is
+        the relative change of scale that a step d of the states makes.
+        """
+        window = self.window
+        if not window.options.hold_scale or self.excitation()[1] != "unobservable":
+            return []
+        states = window.states
+        direction = np.zeros((len(states), 15))
+        direction[:, 3:6] = states[:, 4:7] - states[0, 4:7]
+        direction[:, 6:9] = states[:, 7:10]
+        squared = float(np.sum(direction**2))
+        if squared < 1e-12:
+            return []
+        return [
+            {
+                "blocks": list(range(2 * len(states))),
+                "points": np.repeat(states, 2, axis=0),
+                "square_root": True,
+                "matrix": direction.reshape(1, -1) / (squared * SCALE_SIGMA),
+                "vector": np.zeros(1),
+                "constant": 0.0,
+            }
+        ]
+
+    def record(self, reason: str, parallax: float, now: float) -> KeyframeRecord:
+        """Return the record of the keyframe that was just settled."""
+        window, solved, sizes = self.window, self._last, self._sizes
+        newest = window.frames[-1]
+        times = {**self._times, "total": now - self._start}
+        value, verdict = self.excitation()
+        nullity = _nullity(solved["spectrum"]) if len(solved["spectrum"]) else None
+        prior = self._prior()
+        costs = solved["costs_after"]
+        sigmas, yaw = self._sigmas(solved["covariance"], newest.state)
+        alarms = self._alarms(nullity, prior, newest.state, verdict)
+        record = KeyframeRecord(
+            timestamp_ns=newest.stamp,
+            reason=reason,
+            parallax=parallax,
+            **sizes,
+            fill_ratio=1.0,
+            times=times,
+            num_iterations=solved["num_iterations"],
+            num_rejected=solved["num_rejected"],
+            out_of_time=solved["out_of_time"],
+            costs=dict(costs),
+            mean_visual_chi2=costs["visual"] / (2 * max(sizes["num_observations"], 1)),
+            nullity=nullity,
+            expected_nullity=self.expected_nullity,
+            **prior,
+            excitation=value,
+            excitation_verdict=verdict,
+            gyro_bias=_triple(newest.state[10:13]),
+            accel_bias=_triple(newest.state[13:16]),
+            gyro_bias_sigma=None if sigmas is None else _triple(sigmas[9:12]),
+            accel_bias_sigma=None if sigmas is None else _triple(sigmas[12:15]),
+            yaw_sigma=yaw,
+            marginalized=self._exit,
+            num_absorbed=self.num_absorbed,
+            num_carried=self.num_carried,
+            num_rejected_tracks=self.num_rejected_tracks,
+            num_repropagated=self.num_repropagated,
+            alarms=alarms,
+        )
+        self._exit = None
+        self.num_absorbed = self.num_carried = 0
+        self.num_rejected_tracks = self.num_repropagated = 0
+        return record
+
+    def _prior(self) -> dict[str, Any]:
+        prior = self.window.prior
+        if prior is None or prior.asymmetry is None:
+            return {
+                "prior_min_eigenvalue": None,
+                "prior_max_eigenvalue": None,
+                "prior_ratio": None,
+                "prior_definiteness": None,
+                "prior_asymmetry": None,
+            }
+        values, scaled = prior.spectrum(), prior.spectrum(scaled=True)
+        return {
+            "prior_min_eigenvalue": float(values[0]),
+            "prior_max_eigenvalue": float(values[-1]),
+            "prior_ratio": prior.oldest_ratio(),
+            "prior_definiteness": float(scaled[0] / scaled[-1]),
+            "prior_asymmetry": prior.asymmetry,
+        }
+
+    def _sigmas(self, covariance: Any, state: Array) -> tuple[Array | None, float | None]:
+        if covariance is None:
+            return None, None
+        sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        up = rotation_matrices(state[None, :4])[0][2]  # R^T e_z
+        yaw = float(np.sqrt(max(up @ covariance[:3, :3] @ up, 0.0)))
+        return sigmas, yaw if self.expected_nullity in (0, 3) else None
+
+    def _alarms(
+        self, nullity: int | None, prior: dict[str, float | None], state: Array, verdict: str
+    ) -> tuple[str, ...]:
+        alarms = []
+        if nullity is not None and nullity < self.expected_nullity:
+            alarms.append(
+                f"nullity {nullity} instead of {self.expected_nullity}: the window takes as known "
+                "what no sensor measures (position or yaw)"
+            )
+        asymmetry, ratio = prior["prior_asymmetry"], prior["prior_ratio"]
+        if asymmetry is not None and asymmetry > LARGEST_ASYMMETRY:
+            alarms.append(f"prior asymmetric by {asymmetry:.1e}: too few digits")
+        definiteness = prior["prior_definiteness"]
+        if definiteness is not None and definiteness < INDEFINITE:
+            alarms.append(f"prior not positive: eigenvalue ratio {definiteness:.1e}")
+        elif ratio is not None and ratio < SMALLEST_RATIO:
+            alarms.append(f"prior close to singular: eigenvalue ratio {ratio:.1e}")
+        if np.linalg.norm(state[10:13]) > LARGEST_GYRO_BIAS:
+            alarms.append("gyroscope bias above 1 rad/s: the window has lost the motion")
+        if np.linalg.norm(state[13:16]) > LARGEST_ACCEL_BIAS:
+            alarms.append("accelerometer bias above 2.5 m/s^2: the window has lost the motion")
+        if verdict == "unobservable":
+            held = "held" if self.window.options.hold_scale else "free to drift"
+            alarms.append(f"no excitation: the accelerometer does not tell the scale ({held})")
+        return tuple(alarms)
+
+
+def _nullity(spectrum: Any) -> int:
+    """Eigenvalues, of a unit diagonal, that are rounding."""
+    values = np.asarray(spectrum)
+    return int(np.sum(values < len(values) * np.finfo(float).eps * values[-1]))
+
+
+def _triple(values: Array) -> tuple[float, float, float]:
+    x, y, z = map(float, values)
+    return x, y, z

@@ -1,0 +1,151 @@
+"""Odometry over whole sequences, in Python and on the command line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bundle.cli.main import main
+from bundle.errors import InputError
+from bundle.vio import Sequence, load_tum, read_track_csv, run_odometry, save_sequence
+from bundle.vio.imu_slices import ImuSlices
+from bundle.vio.static_start import find_static_start
+from tests.vio.sequences import sequence
+
+
+@pytest.fixture(scope="module")
+def real(bundle_data: Path) -> Sequence:
+    return read_track_csv(bundle_data / "vio" / "euroc_V1_01_tracks_imu_30s.csv")
+
+
+def test_thirty_seconds_of_euroc(bundle_data: Path, tmp_path: Path) -> None:
+    """From rest, without a look at the truth; every figure of the report is there."""
+    pytest.importorskip("evo")
+    folder = bundle_data / "vio"
+    target, report = tmp_path / "x.tum", tmp_path / "x.json"
+    lines = tmp_path / "x.jsonl"
+    arguments = ["vio", str(folder / "euroc_V1_01_tracks_imu_30s.csv"), "-o", str(target)]
+    arguments += ["--ground-truth", str(folder / "euroc_V1_01_ground_truth.csv")]
+    arguments += ["--json", str(report), "--telemetry", str(lines), "--nullity", "--quiet"]
+    # A loaded machine must not change what is found.
+    assert main([*arguments, "--time-budget", "10"]) == 0
+    found = json.loads(report.read_text())
+    assert found["error"]["ate"] < 0.03
+    assert abs(found["error"]["scale"] - 1) < 0.01
+    assert found["error"]["rotation_rms"] < 1.5
+    keyframes = found["keyframes"]
+    assert {k["nullity"] for k in keyframes} == {4}
+    assert {k["expected_nullity"] for k in keyframes} == {4}
+    healthy = [k for k in keyframes if k["marginalized"]]
+    assert not any(k["alarms"] for k in keyframes)
+    assert max(k["prior_asymmetry"] for k in healthy) < 1e-9
+    assert min(k["prior_ratio"] for k in healthy) > 1e-7
+    assert [json.loads(line) for line in lines.read_text().splitlines()] == keyframes
+    poses = load_tum(target)
+    assert len(poses) == found["summary"]["num_images"]
+    np.testing.assert_allclose(np.linalg.norm(poses.states[:, :4], axis=1), 1, atol=1e-9)
+
+
+def test_a_batch_is_a_window_that_keeps_everything(real: Sequence, bundle_data: Path) -> None:
+    evo = pytest.importorskip("evo")
+    assert evo
+    from bundle.vio import compare_trajectories, load_trajectory
+
+    result = run_odometry(
+        real, marginalize="keep", frame_rate=4.0, min_parallax=0.0, min_translation=0.0
+    )
+    truth = load_trajectory(bundle_data / "vio" / "euroc_V1_01_ground_truth.csv")
+    error = compare_trajectories(result.trajectory, truth)
+    assert error.ate < 0.016
+    assert abs(error.scale - 1) < 0.01
+
+
+def test_rest_is_found_and_told_from_motion(real: Sequence) -> None:
+    found = find_static_start(real)
+    assert found is not None
+    seconds = 1e-9 * (real.frames()[0][found.last_image] - real.frames()[0][found.first_image])
+    assert 3.0 < seconds < 4.7  # it takes off after 4.7 s
+    np.testing.assert_allclose(found.state[10:13], [-0.0022, 0.0215, 0.0770], atol=2e-3)
+    late = real.track_timestamps_ns > real.track_timestamps_ns[0] + 6_000_000_000
+    moving = replace(
+        real,
+        track_timestamps_ns=real.track_timestamps_ns[late],
+        track_ids=real.track_ids[late],
+        xy=real.xy[late],
+    )
+    assert find_static_start(moving) is None
+
+
+@pytest.mark.parametrize("rule", ["zero_order_hold", "midpoint"])
+def test_slices_cover_what_was_asked_for(rule: str) -> None:
+    stamps = np.array([0, 10, 20, 30, 40], np.int64) * 1_000_000
+    ramp = np.arange(5.0)[:, None] * np.ones(3)
+    slices = ImuSlices(stamps, ramp, 10 * ramp, rule)
+    found = slices.between(5_000_000, 32_000_000)
+    np.testing.assert_allclose(found.dt, [0.005, 0.01, 0.01, 0.002])
+    if rule == "midpoint":
+        np.testing.assert_allclose(found.gyro[:, 0], [0.5, 1, 2, 3, 3.2])
+        both = slices.between(5_000_000, 20_000_000).then(slices.between(20_000_000, 32_000_000))
+        np.testing.assert_allclose(both.accel, found.accel)
+    else:
+        np.testing.assert_allclose(found.gyro[:, 0], [0, 1, 2, 3])
+    whole = slices.between(10_000_000, 30_000_000)
+    np.testing.assert_allclose(whole.dt, [0.01, 0.01])
+    with pytest.raises(InputError, match="IMU"):
+        slices.between(0, 50_000_000)
+
+
+def test_noise_is_a_rest_without_end(tmp_path: Path) -> None:
+    """Nothing moves: a trajectory that stays, and the alarm that scale is not told."""
+    still = sequence(
+        accel=np.random.default_rng(1).normal([0, 0, 9.81], 0.02, (401, 3)),
+        gyro=np.random.default_rng(2).normal(0, 0.002, (401, 3)),
+    )
+    save_sequence(still, tmp_path / "still")
+    report = tmp_path / "r.json"
+    arguments = ["vio", str(tmp_path / "still"), "-o", str(tmp_path / "x.tum"), "--quiet"]
+    assert main([*arguments, "--json", str(report)]) == 0
+    found = json.loads(report.read_text())
+    assert found["keyframes"][0]["excitation_verdict"] == "unobservable"
+    assert any("scale" in alarm for alarm in found["keyframes"][0]["alarms"])
+    assert np.abs(load_tum(tmp_path / "x.tum").states[:, 4:7]).max() < 0.2
+
+
+def test_a_sequence_that_begins_in_motion_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(4)
+    wild = sequence(xy=rng.uniform(-0.5, 0.5, (105, 2)), gyro=rng.normal(0, 1.0, (401, 3)))
+    save_sequence(wild, tmp_path / "wild")
+    target = tmp_path / "x.tum"
+    assert main(["vio", str(tmp_path / "wild"), "-o", str(target), "--quiet"]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+    assert not target.exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--window", "1"],
+        ["--jacobians", "second-estimate"],
+        ["--imu-noise-scale", "0"],
+        ["--ground-truth", "missing.csv"],
+        ["--time-budget", "-1"],
+    ],
+)
+def test_bad_flags_are_one_line(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_sequence(sequence(), tmp_path / "s")
+    code = main(["vio", str(tmp_path / "s"), "-o", str(tmp_path / "x.tum"), "--quiet", *words])
+    assert code == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+    assert not (tmp_path / "x.tum").exists()
