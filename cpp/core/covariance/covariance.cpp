@@ -13,48 +13,76 @@ namespace bundle {
 void CovarianceComputation::FindPoints() {
   constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
   output_.points.assign(9 * size_t(view().num_points), 0.0);
-  const std::vector<int64_t>& begin = system_.tracks().begin;
-  for (int p = 0; p < view().num_points; ++p) {
-    if (begin[p] == begin[p + 1]) std::fill_n(&output_.points[9 * size_t(p)], 9, kUnknown);
-  }
-  const std::vector<double>& c = system_.values();
-  const std::vector<double>& prior = system_.tracks().prior;
+  const auto set = [&](int p, const Matrix3& covariance) {
+    Eigen::Map<Matrix3>(&output_.points[9 * size_t(p)]) =
+        0.5 * (covariance + covariance.transpose());
+  };
   std::vector<PaddedRows> padded(system_.num_threads());
-  system_.ForPoints([&](int p, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
-    Eigen::Map<Matrix3> out(&output_.points[9 * size_t(p)]);
-    if (blocks.num_null > 0) {
-      out.fill(kUnknown);
-      return;
-    }
-    const Eigen::Map<const Matrix3> inverse(blocks.inverse);
-    PaddedRows& y = padded[thread];
-    y.Set(blocks.y);
-    if (!wanted_.sandwich) {
-      out = inverse;
-      AddPairs(system_, c, blocks, y, y, /*is_same=*/true, out.data());
-    } else {
-      PointScores scores;
-      SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(p)], &scores);
-      Matrix3 cross = Matrix3::Zero(), sum = Matrix3::Zero();
-      PaddedRows padded_e;
-      padded_e.Set(ScoresBesidePoint(blocks, scores));
-      AddPairs(system_, c, blocks, y, padded_e, /*is_same=*/false, cross.data());  // V^-1 W^T C E
-      AddPairs(system_, scatter_, blocks, y, y, /*is_same=*/true, sum.data());
-      const Eigen::Map<const Matrix3> of_point(scores.p);
-      if (constraints_ != nullptr) {
-        const FreeGauge::PointRows n = gauge_->OfPoint(p);
-        cross += n.lazyProduct(n.transpose()).eval() * inverse * of_point;
-      }
-      const Matrix3 back = cross * inverse;
-      out = inverse * of_point * inverse + sum - back - back.transpose();
-    }
-    if (constraints_ != nullptr && !wanted_.sandwich) {
-      double np[3 * kSimilarities], yp[3 * kSimilarities];
-      constraints_->RowsOfPoint(p, blocks, layout(), np, yp);
-      constraints_->Transform(3, np, yp, 3, np, yp, out.data());
-    }
-    out = (0.5 * (out + out.transpose())).eval();
-  });
+  const auto one_by_one = [&](int p, const PointBlocks& blocks, const PointAssembler& rows,
+                              int thread) {
+    set(p, wanted_.sandwich ? ScatterOfPoint(p, blocks, rows, &padded[thread])
+                            : OfPoint(p, blocks, &padded[thread]));
+  };
+  if (wanted_.sandwich) {
+    system_.ForPoints(one_by_one);
+  } else {
+    system_.FindPointCovariances(system_.values(),
+                                 [&](int p, const double* covariance, const double* inverse) {
+                                   Matrix3 out = Eigen::Map<const Matrix3>(covariance);
+                                   TakeGaugeOut(p, inverse, &out);
+                                   set(p, out);
+                                 });
+    system_.ForPoints(system_.num_threads(), system_.unclear_points(), one_by_one);
+  }
+  const std::vector<int64_t>& begin = system_.tracks().begin;
+  const auto forget = [&](int p) { std::fill_n(&output_.points[9 * size_t(p)], 9, kUnknown); };
+  for (int p = 0; p < view().num_points; ++p) {
+    if (begin[p] == begin[p + 1]) forget(p);
+  }
+  for (const NullPoint& null : system_.null_points()) forget(null.point);
+}
+
+/// - N_p N_p^T V^-1 - V^-1 N_p N_p^T (free_gauge.h)
+void CovarianceComputation::TakeGaugeOut(int point, const double* inverse,
+                                         Matrix3* covariance) const {
+  if (constraints_ == nullptr) return;
+  const FreeGauge::PointRows n = gauge_->OfPoint(point);
+  const Matrix3 squares = n.lazyProduct(n.transpose());
+  const Matrix3 back = squares * Eigen::Map<const Matrix3>(inverse);
+  *covariance -= back + back.transpose();
+}
+
+CovarianceComputation::Matrix3 CovarianceComputation::OfPoint(int point, const PointBlocks& blocks,
+                                                              PaddedRows* y) const {
+  y->Set(blocks.y);
+  Matrix3 out = Eigen::Map<const Matrix3>(blocks.inverse);
+  AddPairs(system_, system_.values(), blocks, *y, *y, /*is_same=*/true, out.data());
+  TakeGaugeOut(point, blocks.inverse, &out);
+  return out;
+}
+
+/// sandwich.h, scatter_gauge.h
+CovarianceComputation::Matrix3 CovarianceComputation::ScatterOfPoint(int point,
+                                                                     const PointBlocks& blocks,
+                                                                     const PointAssembler& rows,
+                                                                     PaddedRows* y) const {
+  const std::vector<double>& prior = system_.tracks().prior;
+  const Eigen::Map<const Matrix3> inverse(blocks.inverse);
+  y->Set(blocks.y);
+  PointScores scores;
+  SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(point)], &scores);
+  Matrix3 cross = Matrix3::Zero(), sum = Matrix3::Zero();
+  PaddedRows e;
+  e.Set(ScoresBesidePoint(blocks, scores));
+  AddPairs(system_, system_.values(), blocks, *y, e, /*is_same=*/false, cross.data());
+  AddPairs(system_, scatter_, blocks, *y, *y, /*is_same=*/true, sum.data());
+  const Eigen::Map<const Matrix3> of_point(scores.p);
+  if (constraints_ != nullptr) {
+    const FreeGauge::PointRows n = gauge_->OfPoint(point);
+    cross += n.lazyProduct(n.transpose()).eval() * inverse * of_point;
+  }
+  const Matrix3 back = cross * inverse;
+  return inverse * of_point * inverse + sum - back - back.transpose();
 }
 
 CovarianceOutput ComputeCovariance(const ProblemView& problem, const SolveOptions& options,

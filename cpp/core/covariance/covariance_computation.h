@@ -14,6 +14,7 @@
 
 #include "core/covariance/covariance.h"
 #include "core/covariance/free_gauge.h"
+#include "core/covariance/point_pairs.h"
 #include "core/covariance/reduced_system.h"
 #include "core/covariance/sandwich.h"
 #include "core/error.h"
@@ -60,7 +61,9 @@ class CovarianceComputation {
       NotDetermined(unknown, "a variance " + ShortNumber(inflation) +
                                  " times as large as with all else known");
     }
-    if (wanted_.sandwich && wanted_.of_points && constraints_ != nullptr) {
+    if (constraints_ != nullptr && !wanted_.sandwich) {
+      constraints_->TransformBlocks(system_.structure(), &system_.values());
+    } else if (constraints_ != nullptr && wanted_.of_points) {
       constraints_->TransformReduced(system_.structure(), &system_.values());
     }
     FindImages();
@@ -151,28 +154,12 @@ class CovarianceComputation {
     constraints_ = std::make_unique<InnerConstraints>(*gauge_, std::move(y));
   }
 
-  /// Turns the covariance of unknowns [first_a, ...) and [first_b, ...) into that under the
-  /// constraints.
-  void Constrain(int first_a, int first_b, Matrix* block) const {
-    const InnerConstraints* const inner = constraints_.get();
-    if (inner == nullptr) return;
-    const auto rows = static_cast<int>(block->rows()), columns = static_cast<int>(block->cols());
-    const int d = inner->degrees();
-    std::vector<double> na(size_t(rows) * d), ya(na), nb(size_t(columns) * d), yb(nb);
-    inner->RowsOfUnknowns(first_a, rows, na.data(), ya.data());
-    inner->RowsOfUnknowns(first_b, columns, nb.data(), yb.data());
-    inner->Transform(rows, na.data(), ya.data(), columns, nb.data(), yb.data(), block->data());
-  }
-
-  /// Of blocks (a, b) of the layout, under the constraints; zero where it is not known. Unknowns on
-  /// a bound have none.
+  /// Of blocks (a, b) of the layout, under the constraints, after all are; zero where it is not
+  /// known. Unknowns on a bound have none.
   Matrix BlockOf(int a, int b) const {
     Matrix block = Matrix::Zero(layout().blocks()[a].size, layout().blocks()[b].size);
     if (!system_.HasBlock(a, b)) return block;
     system_.CopyBlock(wanted_.sandwich ? scatter_ : system_.values(), a, b, block.data());
-    if (!wanted_.sandwich) {
-      Constrain(layout().blocks()[a].offset, layout().blocks()[b].offset, &block);
-    }
     return block;
   }
 
@@ -284,8 +271,14 @@ class CovarianceComputation {
   static constexpr double kSingular = 1e-13;
   static constexpr int kLocal = kPoseSize + kMaxCameraParams;
 
-  void FindPoints();    // covariance.cpp
-  void FindRelative();  // relative_poses.cpp
+  // covariance.cpp
+  void FindPoints();
+  void TakeGaugeOut(int point, const double* inverse, Matrix3* covariance) const;
+  Matrix3 OfPoint(int point, const PointBlocks& blocks, PaddedRows* y) const;
+  Matrix3 ScatterOfPoint(int point, const PointBlocks& blocks, const PointAssembler& rows,
+                         PaddedRows* y) const;
+  // relative_poses.cpp
+  void FindRelative();
   Matrix6 OfRelativePose(int a, int b, const Matrix& from_a, const Matrix& from_b) const;
   Matrix ColumnsOfImage(int image);
   Matrix LocalRows(int image, const Matrix& columns) const;

@@ -24,7 +24,10 @@
 ///   K = N_c - sum Y_p N_p,      A = sum N_p^T V_p^-1 N_p,
 ///
 /// the parts of Y = G N are C K and V_p^-1 N_p - Y_p^T C K, and N^T Y = K^T C K + A. As H N = 0,
-/// Y_p^T N_c = -N_p, and of any solution of H x = m, N^T x = K^T x_c + sum N_p^T V_p^-1 m_p.
+/// Y_p^T N_c = -N_p, and of any solution of H x = m, N^T x = K^T x_c + sum N_p^T V_p^-1 m_p. With
+/// C' = (H^+)_cc, a point's block is (scatter_gauge.h, where M = H, P = V and E = 0)
+///
+///   (H^+)_pp = V_p^-1 + Y_p^T C' Y_p - N_p N_p^T V_p^-1 - V_p^-1 N_p N_p^T.
 
 #include <Eigen/Core>
 #include <vector>
@@ -73,19 +76,26 @@ class InnerConstraints {
   InnerConstraints(const FreeGauge& gauge, Eigen::MatrixXd y);
 
   int degrees() const { return gauge_.degrees(); }
-  /// Rows of N and Y: of unknowns [first, first + count), or of a point, row-major (count x
-  /// degrees).
+  /// Rows of N and Y: of unknowns [first, first + count), row-major (count x degrees).
   void RowsOfUnknowns(int first, int count, double* n, double* y) const;
-  void RowsOfPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout, double* n,
-                   double* y) const;
   /// block (rows x columns, row-major) of G to that of H^+, by rows of N and Y, row-major.
   void Transform(int rows, const double* n_rows, const double* y_rows, int columns,
                  const double* n_columns, const double* y_columns, double* block) const;
+  /// Turns all blocks of C into those of H^+.
+  void TransformBlocks(const BlockStructure& structure, std::vector<double>* values) const {
+    TransformBlocks(k_, structure, values);
+  }
   /// Turns all blocks of C into those of P_c C P_c^T, P_c = I - N_c K^T: the covariance with as
   /// much of the gauge taken out as the camera parameters see of it (sandwich.h).
-  void TransformReduced(const BlockStructure& structure, std::vector<double>* values) const;
+  void TransformReduced(const BlockStructure& structure, std::vector<double>* values) const {
+    TransformBlocks(of_cameras_, structure, values);
+  }
 
  private:
+  /// Block (i, j) + N_i (k N_j^T - Y_j^T) - Y_i N_j^T
+  void TransformBlocks(const Eigen::MatrixXd& k, const BlockStructure& structure,
+                       std::vector<double>* values) const;
+
   const FreeGauge& gauge_;
   const Eigen::MatrixXd y_;
   const Eigen::MatrixXd of_cameras_;  ///< K^T C K

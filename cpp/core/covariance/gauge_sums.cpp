@@ -12,6 +12,7 @@ namespace bundle {
 namespace {
 
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+using PoseRows = Eigen::Matrix<double, kPoseSize, kSimilarities, Eigen::RowMajor>;
 
 }  // namespace
 
@@ -53,10 +54,7 @@ SimilarityMoves::SimilarityMoves(const ProblemView& problem, const ParameterLayo
     const PoseState& state = states.pose(pose);
     double rows[kPoseSize * kSimilarities] = {};
     if (pose < problem.num_images + problem.num_frames) {
-      GaugeRowsOfPose(state, center_, rows);
-      for (int i = 0; i < kPoseSize; ++i) {
-        for (int m = 0; m < 3; ++m) rows[i * kSimilarities + m] *= size_;
-      }
+      Eigen::Map<PoseRows>(rows, kPoseSize, kSimilarities) = OfPose(state);
     } else {  // a sensor's place on its rig scales with the world
       for (int i = 0; i < 3; ++i) rows[(3 + i) * kSimilarities + 6] = state.translation[i];
     }
@@ -65,6 +63,14 @@ SimilarityMoves::SimilarityMoves(const ProblemView& problem, const ParameterLayo
                   &cameras_[size_t(block.offset + k) * kSimilarities]);
     }
   }
+}
+
+Eigen::Matrix<double, kPoseSize, kSimilarities> SimilarityMoves::OfPose(
+    const PoseState& pose) const {
+  PoseRows rows;
+  GaugeRowsOfPose(pose, center_, rows.data());
+  rows.leftCols<3>() *= size_;
+  return rows;
 }
 
 Eigen::Matrix<double, 3, kSimilarities> SimilarityMoves::OfPoint(int point) const {
@@ -133,6 +139,24 @@ void GaugeSums::AddPoint(int point, const PointBlocks& blocks, const PointAssemb
           y[0] * n.row(0) + y[1] * n.row(1) + y[2] * n.row(2);
     }
   }
+}
+
+void GaugeSums::Add(const PointSurvey& survey, int thread) {
+  using Squares = Eigen::Map<const Eigen::Matrix<double, kSimilarities, kMoves, Eigen::RowMajor>>;
+  Sums& sums = of_thread_[thread];
+  sums.triangle.AddZeros(Eigen::Map<const SimilarityRow>(survey.parts));
+  sums.weighted += Squares(survey.weighted).leftCols<kSimilarities>();
+  sums.squares += Squares(survey.own).leftCols<kSimilarities>();
+}
+
+void GaugeSums::AddRow(const double* by_images, const double* by_point, int thread) {
+  of_thread_[thread].triangle.Add(Eigen::Map<const SimilarityRow>(by_images),
+                                  Eigen::Map<const SimilarityRow>(by_point));
+}
+
+void GaugeSums::AddEliminated(int unknown, const double* row, int thread) {
+  double* const to = &of_thread_[thread].eliminated[size_t(unknown) * kSimilarities];
+  for (int m = 0; m < kSimilarities; ++m) to[m] += row[m];
 }
 
 void GaugeSums::Finish() {

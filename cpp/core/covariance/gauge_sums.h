@@ -19,6 +19,7 @@
 #include "core/model/gauge.h"
 #include "core/model/parameter_layout.h"
 #include "core/problem/problem_view.h"
+#include "core/schur/kernels/kernels.h"
 
 namespace bundle {
 
@@ -31,6 +32,8 @@ using SimilaritySquare = Eigen::Matrix<double, kSimilarities, kSimilarities>;
 class GaugeTriangle {
  public:
   void Add(const SimilarityRow& by_cameras, const SimilarityRow& by_points);
+  /// Rows that are zero, by the squares of their parts.
+  void AddZeros(const SimilarityRow& parts) { parts_ += parts; }
   void Add(const GaugeTriangle& other);
   SimilaritySquare Triangle();
   const SimilarityRow& parts() const { return parts_; }
@@ -55,6 +58,10 @@ class SimilarityMoves {
   SimilarityRow OfUnknown(int unknown) const {
     return Eigen::Map<const SimilarityRow>(&cameras_[size_t(unknown) * kSimilarities]);
   }
+  /// What they do to all of the pose of an image, free or not: kPoseSize rows.
+  Eigen::Matrix<double, kPoseSize, kSimilarities> OfPose(const PoseState& pose) const;
+  const double* center() const { return center_; }
+  double size() const { return size_; }
   /// Three rows, one a coordinate of the point.
   Eigen::Matrix<double, 3, kSimilarities> OfPoint(int point) const;
 
@@ -74,6 +81,13 @@ class GaugeSums {
 
   /// Adds a free point, on one of the threads.
   void AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows, int thread);
+  /// Adds what a pass over many points found but its rows of J N, which came by AddRow, and what it
+  /// eliminated of the images.
+  void Add(const PointSurvey& survey, int thread);
+  /// A row of J N, kMoves numbers each.
+  void AddRow(const double* by_images, const double* by_point, int thread);
+  /// Adds a part of sum Y_p N_p: kMoves numbers, of one unknown.
+  void AddEliminated(int unknown, const double* row, int thread);
   /// Adds up what the threads have; last.
   void Finish();
 

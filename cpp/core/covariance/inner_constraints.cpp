@@ -29,24 +29,6 @@ void InnerConstraints::RowsOfUnknowns(int first, int count, double* n, double* y
   }
 }
 
-void InnerConstraints::RowsOfPoint(int point, const PointBlocks& blocks,
-                                   const ParameterLayout& layout, double* n, double* y) const {
-  using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  Eigen::Map<Rows> of_n(n, 3, degrees()), of_y(y, 3, degrees());
-  of_n = gauge_.OfPoint(point);
-  of_y = Eigen::Map<const Matrix3>(blocks.inverse).lazyProduct(of_n);
-  for (size_t b = 0; b < blocks.blocks.size(); ++b) {
-    const CameraBlock& block = layout.blocks()[blocks.blocks[b]];
-    const double* by = &blocks.y[3 * size_t(blocks.begin[b])];
-    for (int k = 0; k < block.size; ++k, by += 3) {
-      for (int m = 0; m < degrees(); ++m) {
-        const double x = y_(block.offset + k, m);
-        for (int i = 0; i < 3; ++i) of_y(i, m) -= by[i] * x;
-      }
-    }
-  }
-}
-
 void InnerConstraints::Transform(int rows, const double* n_rows, const double* y_rows, int columns,
                                  const double* n_columns, const double* y_columns,
                                  double* block) const {
@@ -59,18 +41,26 @@ void InnerConstraints::Transform(int rows, const double* n_rows, const double* y
       block, rows, columns) += ni * (k_ * nj.transpose() - yj.transpose()) - yi * nj.transpose();
 }
 
-void InnerConstraints::TransformReduced(const BlockStructure& s,
-                                        std::vector<double>* values) const {
+void InnerConstraints::TransformBlocks(const Eigen::MatrixXd& k, const BlockStructure& s,
+                                       std::vector<double>* values) const {
+  using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  const Eigen::MatrixXd& n = gauge_.cameras();
+  const int d = degrees();
+  // The change is left right^T: [N | -Y] of the row's block times [N k - Y | N] of the column's.
+  Eigen::MatrixXd left(n.rows(), 2 * d);
+  left << n, -y_;
+  Rows right(n.rows(), 2 * d);
+  right << Multiply(n, k) - y_, n;
   for (int j = 0; j < s.num_blocks(); ++j) {
-    const auto nj = gauge_.cameras().middleRows(s.offset[j], s.block_size(j));
-    const auto yj = y_.middleRows(s.offset[j], s.block_size(j));
-    const Eigen::MatrixXd by_n = (of_cameras_ * nj.transpose() - yj.transpose()).eval();
     for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) {
-      const int i = s.row_block[e], rows = s.block_size(i);
-      const Eigen::MatrixXd change = gauge_.cameras().middleRows(s.offset[i], rows) * by_n -
-                                     y_.middleRows(s.offset[i], rows) * nj.transpose();
+      const int first = s.offset[s.row_block[e]], rows = s.block_size(s.row_block[e]);
       for (int c = 0; c < s.block_size(j); ++c) {
-        for (int r = 0; r < rows; ++r) (*values)[s.ValueIndex(j, e, r, c)] += change(r, c);
+        double* const to = values->data() + s.ValueIndex(j, e, 0, c);
+        const double* const by = right.row(s.offset[j] + c).data();
+        for (int m = 0; m < 2 * d; ++m) {
+          const double* const column = left.col(m).data() + first;
+          for (int r = 0; r < rows; ++r) to[r] += by[m] * column[r];
+        }
       }
     }
   }

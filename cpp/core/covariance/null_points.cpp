@@ -1,13 +1,15 @@
-/// Points with directions that nothing sees: found in the first pass over the points, and held for
-/// those after it by factors that couple with nothing (point_blocks.h).
+/// Points with directions that nothing sees: found after a first linearisation, and held in a
+/// second one by factors that couple with nothing (point_blocks.h).
 
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "core/covariance/gauge_sums.h"
+#include "core/covariance/point_passes.h"
 #include "core/covariance/reduced_system.h"
 #include "core/geometry/rotation.h"
 
@@ -74,24 +76,32 @@ void ReducedSystem::AddResiduals(int point, const PointBlocks& blocks, const Poi
 void ReducedSystem::FindNullPoints() {
   std::vector<std::vector<NullPoint>> found(num_threads_);
   std::vector<PointSums> sums(num_threads_);
-  ForPoints([&](int point, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
-    AddResiduals(point, blocks, rows, &sums[thread]);
-    if (gauge_sums_ != nullptr) gauge_sums_->AddPoint(point, blocks, rows, thread);
-    if (blocks.num_null == 0) return;
-    NullPoint null;
-    null.point = point;
-    null.num_null = blocks.num_null;
-    std::copy_n(blocks.null_projector, 9, null.projector);
-    // A column of the projector, the longest: for one direction, a multiple of it.
-    int longest = 0;
-    for (int k = 1; k < 3; ++k) {
-      if (blocks.null_projector[4 * k] > blocks.null_projector[4 * longest]) longest = k;
-    }
-    const double norm = std::sqrt(blocks.null_projector[4 * longest]);
-    for (int k = 0; k < 3; ++k) null.direction[k] = blocks.null_projector[3 * k + longest] / norm;
-    null.root = blocks.largest > 0 ? std::sqrt(blocks.largest) : 1;
-    found[thread].push_back(null);
-  });
+  unclear_points_ = point_order_;
+  if (schur_ != nullptr) {
+    PointPasses::Found clear = PointPasses(*schur_, num_threads_).Survey(gauge_sums_.get());
+    point_sums_ = {clear.squares, clear.num_residuals, clear.decrease};
+    unclear_points_ = std::move(clear.unclear);
+  }
+  ForPoints(num_threads_, unclear_points_,
+            [&](int point, const PointBlocks& blocks, const PointAssembler& rows, int thread) {
+              AddResiduals(point, blocks, rows, &sums[thread]);
+              if (gauge_sums_ != nullptr) gauge_sums_->AddPoint(point, blocks, rows, thread);
+              if (blocks.num_null == 0) return;
+              NullPoint null;
+              null.point = point;
+              null.num_null = blocks.num_null;
+              std::copy_n(blocks.null_projector, 9, null.projector);
+              // A column of the projector, the longest: for one direction, a multiple of it.
+              int longest = 0;
+              for (int k = 1; k < 3; ++k) {
+                if (blocks.null_projector[4 * k] > blocks.null_projector[4 * longest]) longest = k;
+              }
+              const double norm = std::sqrt(blocks.null_projector[4 * longest]);
+              for (int k = 0; k < 3; ++k)
+                null.direction[k] = blocks.null_projector[3 * k + longest] / norm;
+              null.root = blocks.largest > 0 ? std::sqrt(blocks.largest) : 1;
+              found[thread].push_back(null);
+            });
   if (gauge_sums_ != nullptr) gauge_sums_->Finish();
   for (const PointSums& of_thread : sums) {
     point_sums_.squares += of_thread.squares;

@@ -5,14 +5,12 @@
 #include <algorithm>
 
 #include "core/geometry/rotation.h"
+#include "core/schur/kernels/kernels.h"
 
 namespace bundle {
 namespace {
 
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-
-/// Of a pivot beside its diagonal entry: far above what makes a null direction.
-constexpr double kClearPivot = 1e-6;
 
 /// By V = L L^T; false where V is not clearly regular.
 bool InvertRegular(PointBlocks* blocks) {

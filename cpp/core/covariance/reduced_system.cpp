@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "core/covariance/gauge_sums.h"
+#include "core/covariance/point_passes.h"
 #include "core/error.h"
 #include "core/model/coupled_blocks.h"
 #include "core/parallel/blas.h"
@@ -54,9 +55,13 @@ ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& opt
   if (sums_gauge) {
     gauge_sums_ = std::make_unique<GaugeSums>(problem_, layout_, states(), num_threads_);
   }
-  FindNullPoints();
-  HoldNullDirections();
   if (num_unknowns() > 0) LinearizeSchur(options);
+  FindNullPoints();
+  if (!null_points_.empty()) {
+    HoldNullDirections();
+    if (num_unknowns() > 0) LinearizeSchur(options);
+  }
+  if (num_unknowns() > 0) FinishLinearization();
 }
 
 ReducedSystem::~ReducedSystem() = default;
@@ -108,8 +113,14 @@ void ReducedSystem::OrderPoints() {
 }
 
 void ReducedSystem::LinearizeSchur(const SolveOptions& options) {
+  schur_.reset();
   schur_ = std::make_unique<SchurProblem>(view_, layout_, options, structure_, solver_.get());
-  if (!schur_->Linearize(0).is_finite) {
+  is_finite_ = schur_->Linearize(0).is_finite;
+}
+
+/// Of the last linearisation, which has no null points.
+void ReducedSystem::FinishLinearization() {
+  if (!is_finite_) {
     throw InputError("problem: expected finite residuals and derivatives of all observations");
   }
   held_ = schur_->active_columns();
@@ -157,7 +168,12 @@ LinearSolution ReducedSystem::Solve(const double* rhs, int num_rhs, double* x) {
 }
 
 LinearSolution ReducedSystem::Invert() {
-  return schur_ == nullptr ? LinearSolution{} : solver_->InvertBlocks();
+  if (schur_ == nullptr) return {};
+  LinearSolution solution = solver_->InvertBlocks();
+  structure_.ForDiagonal([&](int column, int64_t at) {
+    if (!held_.empty() && held_[column] != 0) values()[at] = 0;
+  });
+  return solution;
 }
 
 LinearSolution ReducedSystem::Solve(const FullVectors& rhs, FullVectors* x) {
@@ -235,16 +251,18 @@ double ReducedSystem::LargestInflation(int* unknown) const {
   return largest;
 }
 
-void ReducedSystem::ForPoints(int num_threads, const PointVisitor& visit) const {
+void ReducedSystem::ForPoints(int num_threads, const std::vector<int>& points,
+                              const PointVisitor& visit) const {
+  if (points.empty()) return;
   // Of each thread as many observations, about.
-  std::vector<size_t> first(static_cast<size_t>(num_threads) + 1, point_order_.size());
+  std::vector<size_t> first(static_cast<size_t>(num_threads) + 1, points.size());
   first[0] = 0;
   int64_t seen = 0, total = 0;
-  for (const int p : point_order_) total += tracks_.begin[p + 1] - tracks_.begin[p];
+  for (const int p : points) total += tracks_.begin[p + 1] - tracks_.begin[p];
   int thread_of_next = 1;
-  for (size_t k = 0; k < point_order_.size() && thread_of_next < num_threads; ++k) {
+  for (size_t k = 0; k < points.size() && thread_of_next < num_threads; ++k) {
     if (seen >= total / num_threads * thread_of_next) first[thread_of_next++] = k;
-    seen += tracks_.begin[point_order_[k] + 1] - tracks_.begin[point_order_[k]];
+    seen += tracks_.begin[points[k] + 1] - tracks_.begin[points[k]];
   }
   std::atomic<bool> abandoned{false};
   RunOnThreads(num_threads, [&](int64_t thread) {
@@ -254,14 +272,21 @@ void ReducedSystem::ForPoints(int num_threads, const PointVisitor& visit) const 
       for (size_t k = first[thread]; k < first[thread + 1]; ++k) {
         if (k % 256 == 0) ThrowIfInterrupted();
         if (abandoned.load(std::memory_order_relaxed)) return;
-        assembler.Assemble(point_order_[k], &blocks);
-        visit(point_order_[k], blocks, assembler, static_cast<int>(thread));
+        assembler.Assemble(points[k], &blocks);
+        visit(points[k], blocks, assembler, static_cast<int>(thread));
       }
     } catch (...) {
       abandoned.store(true);
       throw;
     }
   });
+}
+
+void ReducedSystem::FindPointCovariances(
+    const std::vector<double>& values,
+    const std::function<void(int, const double*, const double*)>& visit) const {
+  if (schur_ == nullptr) return;
+  PointPasses(*schur_, num_threads_).FindCovariances(structure_, values, visit);
 }
 
 void ReducedSystem::ForObservationsOfFixedPoints(
@@ -304,21 +329,6 @@ bool ReducedSystem::HasBlock(int row, int column) const {
   const auto first = structure_.row_block.begin() + structure_.column_begin[column];
   const auto last = structure_.row_block.begin() + structure_.column_begin[column + 1];
   return std::binary_search(first, last, row);
-}
-
-void ReducedSystem::CopyBlock(const std::vector<double>& values, int row, int column,
-                              double* out) const {
-  const int rows = structure_.block_size(row), columns = structure_.block_size(column);
-  const bool is_stored = row >= column;
-  const int j = is_stored ? column : row;
-  const int64_t entry = structure_.Entry(j, is_stored ? row : column);
-  for (int r = 0; r < rows; ++r) {
-    for (int c = 0; c < columns; ++c) {
-      // Of diagonal blocks the lower triangle counts.
-      const bool is_lower = row == column ? r >= c : is_stored;
-      *out++ = values[structure_.ValueIndex(j, entry, is_lower ? r : c, is_lower ? c : r)];
-    }
-  }
 }
 
 }  // namespace bundle

@@ -108,7 +108,7 @@ class ReducedSystem {
   LinearSolution Solve(const double* rhs, int num_rhs, double* x);
   /// Solves the whole normal equations.
   LinearSolution Solve(const FullVectors& rhs, FullVectors* x);
-  /// Replaces the factor by the blocks of S^-1 (LinearSolver::InvertBlocks).
+  /// Replaces the factor by the blocks of S^-1 (LinearSolver::InvertBlocks), zero of what is held.
   LinearSolution Invert();
   /// The least of L_jj^2 / S_jj after Factorize, and its unknown j: rounding alone where S is
   /// singular.
@@ -121,9 +121,20 @@ class ReducedSystem {
   /// of the same images one after the other: what they read of S is in the cache.
   using PointVisitor =
       std::function<void(int point, const PointBlocks&, const PointAssembler&, int thread)>;
-  void ForPoints(const PointVisitor& visit) const { ForPoints(num_threads_, visit); }
+  void ForPoints(const PointVisitor& visit) const { ForPoints(num_threads_, point_order_, visit); }
   /// The same on so many threads.
-  void ForPoints(int num_threads, const PointVisitor& visit) const;
+  void ForPoints(int num_threads, const PointVisitor& visit) const {
+    ForPoints(num_threads, point_order_, visit);
+  }
+  /// Of these points alone.
+  void ForPoints(int num_threads, const std::vector<int>& points, const PointVisitor& visit) const;
+  /// Free points of which V is not clearly regular, or which very many observations have: passes
+  /// of kernels leave these out. All of a system without unknowns.
+  const std::vector<int>& unclear_points() const { return unclear_points_; }
+  /// PointPasses::FindCovariances, by blocks of the structure of S.
+  void FindPointCovariances(const std::vector<double>& values,
+                            const std::function<void(int point, const double* covariance,
+                                                     const double* inverse)>& visit) const;
   /// Rows of a factor's Jacobian by what is free: three columns a point, then unknowns.
   struct FactorRows {
     int num_rows = 0;
@@ -139,7 +150,9 @@ class ReducedSystem {
 
   /// Block (row, column) of a matrix with the structure of S, rows of block `row` x columns of
   /// block `column`, row-major; only for blocks of the structure.
-  void CopyBlock(const std::vector<double>& values, int row, int column, double* out) const;
+  void CopyBlock(const std::vector<double>& values, int row, int column, double* out) const {
+    bundle::CopyBlock(structure_, values, row, column, out);
+  }
   /// True if block (row, column) is in the structure.
   bool HasBlock(int row, int column) const;
 
@@ -153,6 +166,7 @@ class ReducedSystem {
                     PointSums* sums) const;
   void HoldNullDirections();
   void LinearizeSchur(const SolveOptions& options);
+  void FinishLinearization();
   void ReadDiagonal();
 
   const ProblemView& problem_;
@@ -164,12 +178,14 @@ class ReducedSystem {
   std::unique_ptr<ObservationEvaluator> evaluator_;
   PointAssembler::Tracks tracks_;
   std::vector<int> point_order_;  ///< free points, in the order of their first blocks
+  std::vector<int> unclear_points_;
   PointSums point_sums_;
   std::unique_ptr<GaugeSums> gauge_sums_;
   std::vector<NullPoint> null_points_;
   ProblemFactors factors_;  ///< the problem's, and those that hold null directions
   ProblemView view_;        ///< the problem with factors_
   std::unique_ptr<SchurProblem> schur_;
+  bool is_finite_ = true;  ///< the linearisation
   bool second_order_ = false;
   std::vector<uint8_t> held_;
   std::vector<double> diagonal_;

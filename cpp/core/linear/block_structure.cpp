@@ -146,4 +146,21 @@ void AdviseHugePages(void* begin, size_t num_bytes) {
 void AdviseHugePages(void*, size_t) {}
 #endif
 
+void CopyBlock(const BlockStructure& structure, const std::vector<double>& values, int row,
+               int column, double* out) {
+  const int rows = structure.block_size(row), columns = structure.block_size(column);
+  const bool is_stored = row >= column;
+  const int j = is_stored ? column : row;
+  const int64_t entry = structure.Entry(j, is_stored ? row : column);
+  const double* const from = values.data() + structure.ValueIndex(j, entry, 0, 0);
+  const int64_t stride = structure.panel_stride[j];
+  for (int r = 0; r < rows; ++r) {
+    for (int c = 0; c < columns; ++c) {
+      // Of diagonal blocks the lower triangle counts.
+      const bool is_lower = row == column ? r >= c : is_stored;
+      *out++ = is_lower ? from[c * stride + r] : from[r * stride + c];
+    }
+  }
+}
+
 }  // namespace bundle

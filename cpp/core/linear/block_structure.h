@@ -98,6 +98,11 @@ BlockStructure CompactStructure(const BlockStructure& structure);
 void AddBlocks(const BlockStructure& from, const double* values, const BlockStructure& to,
                double* sums);
 
+/// Block (row, column) of a symmetric matrix of which the lower triangle is stored, row-major; only
+/// for blocks of the structure.
+void CopyBlock(const BlockStructure& structure, const std::vector<double>& values, int row,
+               int column, double* out);
+
 struct BlockSystem {
   std::vector<double> values;  ///< S, as the structure says; zero where it has no block
   std::vector<double> rhs;     ///< b

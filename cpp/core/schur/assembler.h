@@ -83,6 +83,10 @@ class Assembler {
   /// True if some block of the layout belongs to images of several poses.
   bool has_shared_blocks() const { return has_shared_blocks_; }
 
+  /// The blocks that an image's columns go to: their number, at most four, and the first.
+  int num_blocks(int image) const { return images_[image].count; }
+  const ImageBlock* blocks_of(int image) const { return images_[image].of; }
+
   /// Where block j of the layout begins in BlockSystem::camera_diagonal.
   const std::vector<int64_t>& diagonal_begin() const { return diagonal_begin_; }
 

@@ -103,6 +103,12 @@ class SchurProblem final : public LeastSquares {
   /// bounds.
   const std::vector<uint8_t>& active_columns() const { return active_; }
 
+  /// For other passes over the points, of the state and factors of the last linearisation.
+  const SchurSetup& setup() const { return setup_; }
+  const EliminationInput& input() const { return input_; }
+  StateRecords records() const { return x_->records(); }
+  const std::vector<HeldResidual>& held() const { return x_->held.all(); }
+
   /// Frees S, which can be most of its memory, after the last linearisation.
   void FreeSystem() { sums_.FreeSystem(); }
 

@@ -110,6 +110,44 @@ struct ProductSum {
   double d_pp = 0, d_pq = 0, d_qq = 0, j_pp = 0, j_pq = 0, j_qq = 0;
 };
 
+/// Numbers of the seven similarities of the world and padding (model/gauge.h).
+inline constexpr int kMoves = 8;
+
+/// What the similarities do to images and points, about a centre and with translations as long as
+/// the scene: N of covariance/gauge_sums.h.
+struct WorldMoves {
+  /// N by the columns of a record, num_columns x kMoves an image; nullptr: none is wanted.
+  const double* images = nullptr;
+  /// Of each image 1, if all of it moves along, so that none of its observations of free points
+  /// changes.
+  const uint8_t* moves_along = nullptr;
+  double center[3] = {};
+  double size = 1;
+};
+
+/// Pivots of a point's V above this share of their diagonal entries, and entries above this share
+/// of the largest, are clearly regular: far above what makes a null direction.
+inline constexpr double kClearPivot = 1e-6;
+
+/// Sums over the free points of chunks whose V is clearly regular.
+struct PointSurvey {
+  double squares = 0;   ///< of residuals
+  double decrease = 0;  ///< sum 1/2 g^T V^-1 g
+  int64_t num_observations = 0;
+  /// Where similarities are wanted: squares of the parts of J N's rows, by images and by points;
+  /// sum N_p^T V^-1 N_p and sum N_p^T N_p, both 7 x kMoves; J_c^T J_p V^-1 N_p of each image, as
+  /// WorldMoves::images.
+  double parts[kMoves] = {};
+  double weighted[7 * kMoves] = {};
+  double own[7 * kMoves] = {};
+  double* eliminated = nullptr;
+  /// Called for the rows of observations of images that do not move along, and for points of the
+  /// plan that are not clearly regular or spread over several chunks.
+  void* list = nullptr;
+  void (*add_row)(void* list, const double* by_images, const double* by_point) = nullptr;
+  void (*add_unclear)(void* list, int point) = nullptr;
+};
+
 /// Each pass but `cost` works in `memory`, which holds as many doubles as `memory_doubles` says.
 struct Kernels {
   const char* name;
@@ -140,6 +178,17 @@ struct Kernels {
   /// d^T J^T r over the chunk at a state, for a step d of the cameras and the points (3 each).
   double (*slope)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                   const StepRecords& step, const double* points_step, double* memory);
+
+  /// Adds to the sums, and lists (survey_points.h).
+  void (*survey_points)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
+                        const WorldMoves& moves, double* memory, PointSurvey* survey);
+
+  /// Covariances of a chunk's free points (point_covariances.h), 3 x 3 each, by the blocks of the
+  /// camera parameters' covariance, laid out as ChunkSum::blocks, whole; and V^-1, alike. None of
+  /// points that are spread over several chunks.
+  void (*point_covariances)(const EliminationInput& input, const StateRecords& x,
+                            const Chunk& chunk, const double* blocks, const int64_t* block_begin,
+                            double* memory, double* covariances, double* inverses);
 };
 
 /// Those for the best instruction set that this machine has.

@@ -1,0 +1,274 @@
+#include "core/covariance/point_passes.h"
+
+#include <algorithm>
+#include <atomic>
+#include <cstddef>
+#include <utility>
+
+#include "core/parallel/thread_pool.h"
+
+namespace bundle {
+namespace {
+
+/// Where a pass puts what it lists.
+struct SurveyLists {
+  GaugeSums* gauge;
+  int thread;
+  std::vector<int> unclear;
+
+  void ConnectTo(PointSurvey* survey) {
+    survey->list = this;
+    survey->add_row = [](void* list, const double* by_images, const double* by_point) {
+      auto& self = *static_cast<SurveyLists*>(list);
+      self.gauge->AddRow(by_images, by_point, self.thread);
+    };
+    survey->add_unclear = [](void* list, int point) {
+      static_cast<SurveyLists*>(list)->unclear.push_back(point);
+    };
+  }
+};
+
+}  // namespace
+
+PointPasses::PointPasses(const SchurProblem& schur, int num_threads)
+    : schur_(schur), num_threads_(num_threads) {
+  const SchurSetup& setup = schur_.setup();
+  blocks_.resize(setup.problem.num_images);
+  for (int i = 0; i < setup.problem.num_images; ++i) {
+    for (int b = 0; b < setup.assembler.num_blocks(i); ++b) {
+      const ImageBlock& of = setup.assembler.blocks_of(i)[b];
+      RecordBlock block{of.block, of.size, {}, {}};
+      if (of.map == nullptr) {
+        block.column.assign(of.local, of.local + of.size);
+      } else {
+        block.map.assign(size_t(NumColumns(i)) * of.size, 0.0);
+        for (int k = 0; k < of.num_local; ++k) {
+          std::copy_n(of.map + k * of.size, of.size, &block.map[size_t(of.local[k]) * of.size]);
+        }
+      }
+      blocks_[i].push_back(std::move(block));
+    }
+  }
+}
+
+int PointPasses::Width(int image) const {
+  const EliminationInput& input = schur_.input();
+  return input.mixed ? 4 * input.image_quads[image] : input.num_columns;
+}
+
+/// N by the columns of the records, and which images move along as a whole.
+void PointPasses::FillMoves(const GaugeSums& gauge, std::vector<double>* images,
+                            std::vector<uint8_t>* moves_along) const {
+  const SchurSetup& setup = schur_.setup();
+  const size_t stride = static_cast<size_t>(schur_.input().num_columns) * kMoves;
+  images->assign(blocks_.size() * stride, 0.0);
+  moves_along->assign(blocks_.size(), 0);
+  for (size_t i = 0; i < blocks_.size(); ++i) {
+    const ModelGroup& group = setup.groups.groups[setup.groups.image_group[i]];
+    double* const rows = images->data() + i * stride;
+    for (const RecordBlock& block : blocks_[i]) {
+      const int offset = setup.layout.blocks()[block.block].offset;
+      for (int k = 0; k < block.size; ++k) {
+        const SimilarityRow of = gauge.moves().OfUnknown(offset + k);
+        for (int c = 0; c < group.num_columns; ++c) {
+          const double factor = block.map.empty() ? (block.column[k] == c ? 1 : 0)
+                                                  : block.map[size_t(c) * block.size + k];
+          if (factor == 0) continue;
+          for (int m = 0; m < kSimilarities; ++m) rows[c * kMoves + m] += factor * of[m];
+        }
+      }
+    }
+    const auto whole = gauge.moves().OfPose(schur_.cameras().pose(static_cast<int>(i)));
+    bool is_whole = group.num_columns >= kPoseSize;
+    for (int c = 0; c < kPoseSize && is_whole; ++c) {
+      is_whole = group.columns[c] == c;
+      for (int m = 0; m < kSimilarities; ++m) is_whole &= rows[c * kMoves + m] == whole(c, m);
+    }
+    (*moves_along)[i] = is_whole ? 1 : 0;
+  }
+}
+
+PointPasses::Found PointPasses::Survey(GaugeSums* gauge) const {
+  const SchurSetup& setup = schur_.setup();
+  const EliminationPlan& plan = setup.plan;
+  const auto num_chunks = static_cast<int64_t>(plan.chunks.size());
+  WorldMoves moves;
+  std::vector<double> images;
+  std::vector<uint8_t> moves_along;
+  if (gauge != nullptr) {
+    FillMoves(*gauge, &images, &moves_along);
+    moves.images = images.data();
+    moves.moves_along = moves_along.data();
+    std::copy_n(gauge->moves().center(), 3, moves.center);
+    moves.size = gauge->moves().size();
+  }
+  std::vector<PointSurvey> sums(num_threads_);
+  std::vector<SurveyLists> lists(num_threads_);
+  // Each thread has chunks of its own, about as many observations, so that sums do not depend on
+  // which is faster.
+  const auto first_of = [&](int64_t thread) {
+    const int64_t wanted = plan.num_observations() / num_threads_ * thread;
+    const auto at =
+        std::partition_point(plan.chunks.begin(), plan.chunks.end(),
+                             [&](const Chunk& c) { return plan.first[c.first_point] < wanted; });
+    return thread == num_threads_ ? num_chunks : at - plan.chunks.begin();
+  };
+  RunOnThreads(num_threads_, [&](int64_t thread) {
+    std::vector<double> memory(setup.kernels.memory_doubles(schur_.input()));
+    std::vector<double> eliminated(images.size());
+    PointSurvey& survey = sums[thread];
+    lists[thread].gauge = gauge;
+    lists[thread].thread = static_cast<int>(thread);
+    lists[thread].ConnectTo(&survey);
+    survey.eliminated = eliminated.data();
+    for (int64_t c = first_of(thread); c < first_of(thread + 1); ++c) {
+      ThrowIfInterrupted();
+      setup.kernels.survey_points(schur_.input(), schur_.records(), plan.chunks[c], moves,
+                                  memory.data(), &survey);
+    }
+    if (gauge == nullptr) return;
+    gauge->Add(survey, static_cast<int>(thread));
+    AddEliminated(eliminated, gauge, static_cast<int>(thread));
+  });
+  Found found;
+  for (int thread = 0; thread < num_threads_; ++thread) {
+    found.squares += sums[thread].squares;
+    found.decrease += sums[thread].decrease;
+    found.num_residuals += 2 * sums[thread].num_observations;
+    for (const int p : lists[thread].unclear) found.unclear.push_back(plan.point[p]);
+  }
+  std::sort(found.unclear.begin(), found.unclear.end());
+  for (const HeldResidual& held : schur_.held()) {
+    const auto next = std::upper_bound(plan.first.begin(), plan.first.end(), held.observation);
+    const auto p = static_cast<int>(next - plan.first.begin()) - 1;
+    if (p >= plan.num_free_points) break;
+    if (!std::binary_search(found.unclear.begin(), found.unclear.end(), plan.point[p])) {
+      found.num_residuals -= 2;
+    }
+  }
+  // Free points without observations are in no chunk.
+  std::vector<uint8_t> is_planned(setup.problem.num_points);
+  for (int p = 0; p < plan.num_free_points; ++p) is_planned[plan.point[p]] = 1;
+  const auto num_unclear = static_cast<std::ptrdiff_t>(found.unclear.size());
+  for (int p = 0; p < setup.problem.num_points; ++p) {
+    if (setup.layout.point_is_free(p) && is_planned[p] == 0) found.unclear.push_back(p);
+  }
+  std::inplace_merge(found.unclear.begin(), found.unclear.begin() + num_unclear,
+                     found.unclear.end());
+  return found;
+}
+
+void PointPasses::AddEliminated(const std::vector<double>& of_images, GaugeSums* gauge,
+                                int thread) const {
+  const size_t stride = static_cast<size_t>(schur_.input().num_columns) * kMoves;
+  for (size_t i = 0; i < blocks_.size(); ++i) {
+    const double* const rows = of_images.data() + i * stride;
+    for (const RecordBlock& block : blocks_[i]) {
+      const int offset = schur_.setup().layout.blocks()[block.block].offset;
+      for (int k = 0; k < block.size; ++k) {
+        if (block.map.empty()) {
+          gauge->AddEliminated(offset + k, rows + block.column[k] * kMoves, thread);
+          continue;
+        }
+        double sum[kMoves] = {};
+        for (int c = 0; c < NumColumns(static_cast<int>(i)); ++c) {
+          const double factor = block.map[size_t(c) * block.size + k];
+          for (int m = 0; m < kMoves; ++m) sum[m] += factor * rows[c * kMoves + m];
+        }
+        gauge->AddEliminated(offset + k, sum, thread);
+      }
+    }
+  }
+}
+
+void PointPasses::FillPair(const BlockStructure& structure, const std::vector<double>& values,
+                           int a, int b, double* to) const {
+  constexpr int kMax = BlockSystem::kMaxBlockSize;
+  const int width = Width(b);
+  std::fill_n(to, NumColumns(a) * width, 0.0);
+  for (const RecordBlock& rows : blocks_[a]) {
+    for (const RecordBlock& columns : blocks_[b]) {
+      double own[kMax * kMax], half[kMaxMapped];
+      CopyBlock(structure, values, rows.block, columns.block, own);
+      if (rows.map.empty() && columns.map.empty()) {
+        const double* from = own;
+        for (int r = 0; r < rows.size; ++r) {
+          double* const row = to + rows.column[r] * width;
+          for (int c = 0; c < columns.size; ++c) row[columns.column[c]] += *from++;
+        }
+        continue;
+      }
+      // half = C M_b^T, then M_a times that.
+      std::fill_n(half, rows.size * width, 0.0);
+      for (int r = 0; r < rows.size; ++r) {
+        for (int k = 0; k < columns.size; ++k) {
+          const double value = own[r * columns.size + k];
+          if (columns.map.empty()) {
+            half[r * width + columns.column[k]] += value;
+            continue;
+          }
+          for (int c = 0; c < NumColumns(b); ++c) {
+            half[r * width + c] += value * columns.map[size_t(c) * columns.size + k];
+          }
+        }
+      }
+      for (int r = 0; r < NumColumns(a); ++r) {
+        for (int k = 0; k < rows.size; ++k) {
+          const double factor = rows.map.empty() ? (rows.column[k] == r ? 1 : 0)
+                                                 : rows.map[size_t(r) * rows.size + k];
+          if (factor == 0) continue;
+          for (int c = 0; c < NumColumns(b); ++c) to[r * width + c] += factor * half[k * width + c];
+        }
+      }
+    }
+  }
+}
+
+void PointPasses::FindCovariances(const BlockStructure& structure,
+                                  const std::vector<double>& values, const Visitor& visit) const {
+  const SchurSetup& setup = schur_.setup();
+  const EliminationInput& input = schur_.input();
+  const auto num_chunks = static_cast<int>(setup.plan.chunks.size());
+  std::atomic<int> next{0};
+  RunOnThreads(num_threads_, [&](int64_t) {
+    std::vector<double> memory(setup.kernels.memory_doubles(input)), blocks, found;
+    std::vector<int64_t> begin;
+    try {
+      for (int c = next.fetch_add(1); c < num_chunks; c = next.fetch_add(1)) {
+        ThrowIfInterrupted();
+        const Chunk& chunk = setup.plan.chunks[c];
+        const int last_point = std::min(chunk.last_point, setup.plan.num_free_points);
+        if (chunk.last_row > 0 || chunk.first_point >= last_point) continue;
+        const size_t num_images = chunk.images.size();
+        begin.assign(1, 0);
+        const auto images_of = [&](size_t b) {
+          if (b < num_images) return std::pair(chunk.images[b], chunk.images[b]);
+          const Chunk::Pair& pair = chunk.pairs[b - num_images];
+          return std::pair(chunk.images[pair.first], chunk.images[pair.second]);
+        };
+        for (size_t b = 0; b < static_cast<size_t>(chunk.num_blocks()); ++b) {
+          const auto [first, second] = images_of(b);
+          const int rows = input.mixed ? NumColumns(first) : input.num_rows;
+          begin.push_back(begin.back() + int64_t{rows} * Width(second));
+        }
+        blocks.assign(begin.back(), 0.0);
+        for (size_t b = 0; b < static_cast<size_t>(chunk.num_blocks()); ++b) {
+          const auto [first, second] = images_of(b);
+          FillPair(structure, values, first, second, &blocks[begin[b]]);
+        }
+        const int64_t count = last_point - chunk.first_point;
+        found.resize(18 * count);
+        setup.kernels.point_covariances(input, schur_.records(), chunk, blocks.data(), begin.data(),
+                                        memory.data(), found.data(), found.data() + 9 * count);
+        for (int64_t k = 0; k < count; ++k) {
+          visit(setup.plan.point[chunk.first_point + k], &found[9 * k], &found[9 * (count + k)]);
+        }
+      }
+    } catch (...) {
+      next.store(num_chunks);
+      throw;
+    }
+  });
+}
+
+}  // namespace bundle

@@ -1,0 +1,163 @@
+#pragma once
+
+/// Covariances of points, given those of the camera parameters; kernels.cpp says how to include
+/// this.
+///
+/// With V = L L^T, rows A_i and B_i of the point's observations, Y_i = B_i L^-T (eliminate_point.h)
+/// and Z_i = A_i^T Y_i (d x 3), W_i V^-1 = Z_i L^-1, and
+///
+///   V^-1 + V^-1 (sum_ij W_i^T C_ij W_j) V^-1 = L^-T (I + sum_ij Z_i^T C_ij Z_j) L^-1.
+///
+/// C_ij are the blocks of image pairs that the elimination sums up for the chunk, by the same
+/// numbers. For each j, the rows Z_i^T C_ij are summed over i <= j, the diagonal block by half,
+/// then multiplied by Z_j; the sum and its transpose are the whole.
+
+#include "core/schur/kernels/eliminate_chunk.h"
+#include "core/schur/kernels/point_block.h"
+#include "core/schur/kernels/strip.h"
+
+namespace bundle::BUNDLE_ISA {
+
+/// Three rows of camera parameters' columns: Z^T, or its product with C.
+template <int kQuads>
+struct ThreeRows {
+  Quad row[3][kQuads];
+
+  /// += factor z^T C: `z` has three rows of `stride` doubles, C `num_rows` rows.
+  void AddProduct(double factor, const double* z, int stride, int num_rows, const double* c) {
+    for (int r = 0; r < num_rows; ++r, c += 4 * kQuads) {
+      const double f[3] = {factor * z[r], factor * z[stride + r], factor * z[2 * stride + r]};
+#pragma GCC unroll 8
+      for (int q = 0; q < kQuads; ++q) {
+        const Quad at = LoadQuad(c + 4 * q);
+        for (int k = 0; k < 3; ++k) row[k][q] += f[k] * at;
+      }
+    }
+  }
+
+  /// sum[k][m] += row k times row m of z, quad by quad.
+  void AddTo(const double* z, int stride, Quad (*sum)[3]) const {
+    for (int m = 0; m < 3; ++m) {
+#pragma GCC unroll 8
+      for (int q = 0; q < kQuads; ++q) {
+        const Quad at = LoadQuad(z + m * stride + 4 * q);
+        for (int k = 0; k < 3; ++k) sum[k][m] += row[k][q] * at;
+      }
+    }
+  }
+};
+
+/// Of one point: its refined observations, their Z^T and the blocks of C.
+struct PointPairs {
+  const EliminationInput& input;
+  const double* blocks;        ///< of the chunk, as in Kernels::point_covariances
+  const int64_t* block_begin;  ///< where widths are mixed
+  const int32_t* image;
+  const uint16_t* image_in_chunk;
+  const uint16_t* pair_block;  ///< of the point's first pair
+  int refined;
+  const double* z;  ///< three rows an observation, of input.num_columns doubles
+
+  const double* Block(int64_t b) const {
+    return blocks + (input.mixed ? block_begin[b]
+                                 : b * input.num_rows * static_cast<int64_t>(input.num_columns));
+  }
+  int NumRows(int i) const { return input.mixed ? input.image_columns[image[i]] : input.num_rows; }
+  const double* Z(int i) const { return z + 3 * static_cast<int64_t>(i) * input.num_columns; }
+
+  /// Adds sum_i<=j Z_i^T C_ij Z_j, the last of them by half.
+  template <int kQuads>
+  void AddColumn(int j, Quad (*sum)[3]) const {
+    const int stride = input.num_columns;
+    ThreeRows<kQuads> total = {};
+    total.AddProduct(0.5, Z(j), stride, NumRows(j), Block(image_in_chunk[j]));
+    // Pair (i, j) has the number i (2 refined - i - 1) / 2 + j - i - 1.
+    const uint16_t* pair = pair_block + j - 1;
+    for (int i = 0; i < j; ++i) {
+      total.AddProduct(1, Z(i), stride, NumRows(i), Block(*pair));
+      pair += refined - i - 2;
+    }
+    total.AddTo(Z(j), stride, sum);
+  }
+};
+
+using AddColumnOfPairs = void (PointPairs::*)(int, Quad (*)[3]) const;
+inline constexpr AddColumnOfPairs kAddColumn[] = {
+    &PointPairs::AddColumn<1>, &PointPairs::AddColumn<2>, &PointPairs::AddColumn<3>,
+    &PointPairs::AddColumn<4>, &PointPairs::AddColumn<5>, &PointPairs::AddColumn<6>};
+
+/// Z^T of a white record, three rows of `stride` doubles.
+inline void FormZ(const double* head, const double* rows, int width, int stride, double* z) {
+  for (int k = 0; k < 3; ++k) {
+    for (int c = 0; c < width; c += 4) {
+      StoreQuad(head[k] * LoadQuad(rows + c) + head[4 + k] * LoadQuad(rows + width + c),
+                z + k * stride + c);
+    }
+  }
+}
+
+/// L^-T X L^-1, of a symmetric X; row-major.
+inline void Unwhiten(const PointBlock& block, const double (*x)[3], double* out) {
+  for (int a = 0; a < 3; ++a) {
+    double by_row[3] = {};  // row a of L^-T X
+    for (int s = 0; s < 3; ++s) {
+      for (int r = a; r < 3; ++r) by_row[s] += block.column[a][r] * x[r][s];
+    }
+    for (int b = 0; b < 3; ++b) {
+      out[3 * a + b] = 0;
+      for (int s = b; s < 3; ++s) out[3 * a + b] += by_row[s] * block.column[b][s];
+    }
+  }
+}
+
+inline void PointCovariances(const EliminationInput& input, const StateRecords& x,
+                             const Chunk& chunk, const double* blocks, const int64_t* block_begin,
+                             double* memory, double* covariances, double* inverses) {
+  const StripRecords records(input, memory);
+  const EliminationPlan& plan = *input.plan;
+  const int64_t* const begin = plan.first.data();
+  const int num_free = plan.num_free_points, stride = input.num_columns;
+  const int last_point = chunk.last_point < num_free ? chunk.last_point : num_free;
+  if (chunk.last_row > 0) return;
+  double* const z = memory + (kMixedStripObservations + input.longest_track) * records.stride();
+  const uint16_t* pair_block = plan.pair_block.data() + chunk.first_pair;
+  PointBlock point_blocks[kStripPoints];
+  for (int first = chunk.first_point; first < last_point;) {
+    const Strip strip(input, first, last_point);
+    VisitLanes(input, strip,
+               [&](const Lanes& lanes) { LinearizeLanes(input, x, strip, lanes, records); });
+    FormPointBlocks(input, strip, records.Of(0), records.stride(), 0, true, nullptr, point_blocks);
+    for (int p = strip.first; p < strip.last; ++p) {
+      const PointBlock& block = point_blocks[p - strip.first];
+      const int64_t slot = begin[p] - strip.begin;
+      const int refined = CountRefined(input, begin[p], begin[p + 1]);
+      const int32_t* const image = plan.image.data() + begin[p];
+      WhitenRows(records, slot, refined, &block);
+      const PointPairs pairs = {
+          input,   blocks, block_begin, image, plan.image_in_chunk.data() + begin[p], pair_block,
+          refined, z};
+      Quad sum[3][3] = {};
+      for (int j = 0; j < refined; ++j) {
+        const int quads = input.mixed ? input.image_quads[image[j]] : stride / 4;
+        FormZ(records.Of(slot + j), records.Rows(slot + j), 4 * quads, stride,
+              z + 3 * static_cast<int64_t>(j) * stride);
+        (pairs.*kAddColumn[quads - 1])(j, sum);
+      }
+      pair_block += static_cast<int64_t>(refined) * (refined - 1) / 2;
+      constexpr double kIdentity[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+      double whole[3][3];
+      for (int k = 0; k < 3; ++k) {
+        for (int m = 0; m < 3; ++m) {
+          const Quad both = sum[k][m] + sum[m][k];
+          whole[k][m] = kIdentity[k][m] + (both[0] + both[1]) + (both[2] + both[3]);
+        }
+      }
+      const int64_t at = 9 * static_cast<int64_t>(p - chunk.first_point);
+      Unwhiten(block, whole, covariances + at);
+      Unwhiten(block, kIdentity, inverses + at);
+    }
+    first = strip.last;
+  }
+}
+
+}  // namespace bundle::BUNDLE_ISA
