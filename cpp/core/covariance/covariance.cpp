@@ -12,6 +12,7 @@ namespace bundle {
 
 void CovarianceComputation::FindPoints() {
   constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+  ReserveHugePages(9 * size_t(view().num_points), &output_.points);
   output_.points.assign(9 * size_t(view().num_points), 0.0);
   const auto set = [&](int p, const Matrix3& covariance) {
     Eigen::Map<Matrix3>(&output_.points[9 * size_t(p)]) =
@@ -26,12 +27,8 @@ void CovarianceComputation::FindPoints() {
   if (wanted_.sandwich) {
     system_.ForPoints(one_by_one);
   } else {
-    system_.FindPointCovariances(system_.values(),
-                                 [&](int p, const double* covariance, const double* inverse) {
-                                   Matrix3 out = Eigen::Map<const Matrix3>(covariance);
-                                   TakeGaugeOut(p, inverse, &out);
-                                   set(p, out);
-                                 });
+    system_.FindPointCovariances(constraints_ == nullptr ? nullptr : gauge_.get(),
+                                 output_.points.data());
     system_.ForPoints(system_.num_threads(), system_.unclear_points(), one_by_one);
   }
   const std::vector<int64_t>& begin = system_.tracks().begin;

@@ -179,11 +179,16 @@ class CovarianceComputation {
   Matrix OfImage(int image) const {
     Matrix joint = Matrix::Zero(kLocal, kLocal);
     const std::vector<LocalMap>& maps = system_.evaluator().maps(image);
-    std::vector<Matrix> whole;
-    for (const LocalMap& map : maps) whole.push_back(WholeMap(map));
-    for (size_t a = 0; a < maps.size(); ++a) {
-      for (size_t b = 0; b < maps.size(); ++b) {
-        joint += whole[a] * BlockOf(maps[a].block, maps[b].block) * whole[b].transpose();
+    for (const LocalMap& a : maps) {
+      for (const LocalMap& b : maps) {
+        const Matrix block = BlockOf(a.block, b.block);
+        if (!a.values.empty() || !b.values.empty()) {
+          joint += WholeMap(a) * block * WholeMap(b).transpose();
+          continue;
+        }
+        for (int i = 0; i < a.size; ++i) {
+          for (int j = 0; j < b.size; ++j) joint(a.columns[i], b.columns[j]) += block(i, j);
+        }
       }
     }
     return joint;

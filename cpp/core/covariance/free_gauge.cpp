@@ -113,6 +113,8 @@ void FreeGauge::Take(const GaugeSums& sums) {
       MultiplyTransposed(cameras_, cameras_) + free.transpose() * sums.squares() * free;
   const Eigen::MatrixXd inverse = InverseOfCholesky(squares);
   combinations_ = Multiply(free, inverse);
+  padded_.setZero();
+  padded_.leftCols(degrees()) = combinations_;
   cameras_ = Multiply(cameras_, inverse);
   reduced_ = Multiply(reduced, combinations_);
   of_points_ = combinations_.transpose() * sums.weighted() * combinations_;

@@ -54,6 +54,9 @@ class FreeGauge {
   const Eigen::MatrixXd& reduced() const { return reduced_; }
   /// A, d x d.
   const Eigen::MatrixXd& of_points() const { return of_points_; }
+  const SimilarityMoves& moves() const { return moves_; }
+  /// Of the seven, 7 x kMoves, padded with zeros: N is what these combinations do.
+  const double* combinations() const { return padded_.data(); }
   /// N_p of a point, without what nothing says of it: 3 x d.
   using PointRows = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::ColMajor, 3, kSimilarities>;
   PointRows OfPoint(int point) const;
@@ -67,6 +70,7 @@ class FreeGauge {
   const SimilarityMoves moves_;
   Eigen::MatrixXd cameras_, reduced_, of_points_;
   Eigen::MatrixXd combinations_;  ///< of the seven, 7 x d
+  Eigen::Matrix<double, kSimilarities, kMoves, Eigen::RowMajor> padded_;
 };
 
 /// The S-transformation of blocks of G.

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cstddef>
+#include <memory>
 #include <utility>
 
 #include "core/parallel/thread_pool.h"
@@ -28,6 +29,15 @@ struct SurveyLists {
   }
 };
 
+/// Makes room for so many doubles on a cache line's boundary, which what reads whole lines likes.
+double* Aligned(int64_t count, std::vector<double>* room) {
+  constexpr size_t kLine = 64;
+  room->resize(static_cast<size_t>(count) + kLine / sizeof(double));
+  void* begin = room->data();
+  size_t space = room->size() * sizeof(double);
+  return static_cast<double*>(std::align(kLine, sizeof(double), begin, space));
+}
+
 }  // namespace
 
 PointPasses::PointPasses(const SchurProblem& schur, int num_threads)
@@ -37,9 +47,10 @@ PointPasses::PointPasses(const SchurProblem& schur, int num_threads)
   for (int i = 0; i < setup.problem.num_images; ++i) {
     for (int b = 0; b < setup.assembler.num_blocks(i); ++b) {
       const ImageBlock& of = setup.assembler.blocks_of(i)[b];
-      RecordBlock block{of.block, of.size, {}, {}};
+      RecordBlock block{of.block, of.size, {}, -1, {}};
       if (of.map == nullptr) {
         block.column.assign(of.local, of.local + of.size);
+        if (of.is_contiguous) block.first = of.local[0];
       } else {
         block.map.assign(size_t(NumColumns(i)) * of.size, 0.0);
         for (int k = 0; k < of.num_local; ++k) {
@@ -181,23 +192,39 @@ void PointPasses::AddEliminated(const std::vector<double>& of_images, GaugeSums*
   }
 }
 
+void PointPasses::AddPlain(const BlockStructure& structure, const std::vector<double>& values,
+                           const RecordBlock& rows, const RecordBlock& columns, int width,
+                           double* to) {
+  if (rows.block >= columns.block || columns.first < 0) {
+    double own[BlockSystem::kMaxBlockSize * BlockSystem::kMaxBlockSize];
+    CopyBlock(structure, values, rows.block, columns.block, own);
+    for (int r = 0; r < rows.size; ++r) {
+      double* const row = to + rows.column[r] * width;
+      for (int c = 0; c < columns.size; ++c) row[columns.column[c]] += own[r * columns.size + c];
+    }
+    return;
+  }
+  // Stored by the other's rows: a row of what is wanted is a column there.
+  const int64_t entry = structure.Entry(rows.block, columns.block);
+  const double* from = values.data() + structure.ValueIndex(rows.block, entry, 0, 0);
+  for (int r = 0; r < rows.size; ++r, from += structure.panel_stride[rows.block]) {
+    double* const row = to + rows.column[r] * width + columns.first;
+    for (int c = 0; c < columns.size; ++c) row[c] += from[c];
+  }
+}
+
 void PointPasses::FillPair(const BlockStructure& structure, const std::vector<double>& values,
                            int a, int b, double* to) const {
   constexpr int kMax = BlockSystem::kMaxBlockSize;
   const int width = Width(b);
-  std::fill_n(to, NumColumns(a) * width, 0.0);
   for (const RecordBlock& rows : blocks_[a]) {
     for (const RecordBlock& columns : blocks_[b]) {
-      double own[kMax * kMax], half[kMaxMapped];
-      CopyBlock(structure, values, rows.block, columns.block, own);
       if (rows.map.empty() && columns.map.empty()) {
-        const double* from = own;
-        for (int r = 0; r < rows.size; ++r) {
-          double* const row = to + rows.column[r] * width;
-          for (int c = 0; c < columns.size; ++c) row[columns.column[c]] += *from++;
-        }
+        AddPlain(structure, values, rows, columns, width, to);
         continue;
       }
+      double own[kMax * kMax], half[kMaxMapped];
+      CopyBlock(structure, values, rows.block, columns.block, own);
       // half = C M_b^T, then M_a times that.
       std::fill_n(half, rows.size * width, 0.0);
       for (int r = 0; r < rows.size; ++r) {
@@ -225,13 +252,21 @@ void PointPasses::FillPair(const BlockStructure& structure, const std::vector<do
 }
 
 void PointPasses::FindCovariances(const BlockStructure& structure,
-                                  const std::vector<double>& values, const Visitor& visit) const {
+                                  const std::vector<double>& values, const FreeGauge* gauge,
+                                  double* to) const {
   const SchurSetup& setup = schur_.setup();
   const EliminationInput& input = schur_.input();
   const auto num_chunks = static_cast<int>(setup.plan.chunks.size());
+  WorldMoves moves;
+  if (gauge != nullptr) {
+    std::copy_n(gauge->moves().center(), 3, moves.center);
+    moves.size = gauge->moves().size();
+    moves.combinations = gauge->combinations();
+  }
   std::atomic<int> next{0};
   RunOnThreads(num_threads_, [&](int64_t) {
-    std::vector<double> memory(setup.kernels.memory_doubles(input)), blocks, found;
+    std::vector<double> memory_room, blocks_room, found;
+    double* const memory = Aligned(setup.kernels.memory_doubles(input), &memory_room);
     std::vector<int64_t> begin;
     try {
       for (int c = next.fetch_add(1); c < num_chunks; c = next.fetch_add(1)) {
@@ -251,17 +286,18 @@ void PointPasses::FindCovariances(const BlockStructure& structure,
           const int rows = input.mixed ? NumColumns(first) : input.num_rows;
           begin.push_back(begin.back() + int64_t{rows} * Width(second));
         }
-        blocks.assign(begin.back(), 0.0);
+        double* const blocks = Aligned(begin.back(), &blocks_room);
         for (size_t b = 0; b < static_cast<size_t>(chunk.num_blocks()); ++b) {
           const auto [first, second] = images_of(b);
-          FillPair(structure, values, first, second, &blocks[begin[b]]);
+          std::fill(blocks + begin[b], blocks + begin[b + 1], 0.0);
+          FillPair(structure, values, first, second, blocks + begin[b]);
         }
         const int64_t count = last_point - chunk.first_point;
-        found.resize(18 * count);
-        setup.kernels.point_covariances(input, schur_.records(), chunk, blocks.data(), begin.data(),
-                                        memory.data(), found.data(), found.data() + 9 * count);
+        found.resize(9 * count);
+        setup.kernels.point_covariances(input, schur_.records(), chunk, moves, blocks, begin.data(),
+                                        memory, found.data());
         for (int64_t k = 0; k < count; ++k) {
-          visit(setup.plan.point[chunk.first_point + k], &found[9 * k], &found[9 * (count + k)]);
+          std::copy_n(&found[9 * k], 9, to + 9 * int64_t{setup.plan.point[chunk.first_point + k]});
         }
       }
     } catch (...) {

@@ -5,9 +5,9 @@
 /// PointAssembler takes them one by one.
 
 #include <cstdint>
-#include <functional>
 #include <vector>
 
+#include "core/covariance/free_gauge.h"
 #include "core/covariance/gauge_sums.h"
 #include "core/linear/block_structure.h"
 #include "core/schur/kernels/kernels.h"
@@ -29,12 +29,11 @@ class PointPasses {
   /// Sums over all points whose V is clearly regular; for `gauge` as well, unless it is nullptr.
   Found Survey(GaugeSums* gauge) const;
 
-  /// Calls visit(point, covariance, V^-1), both 3 x 3, for free points with observations, but those
-  /// with very many, on all threads. `values` are the covariances of the camera parameters, blocks
-  /// of `structure`.
-  using Visitor = std::function<void(int point, const double* covariance, const double* inverse)>;
+  /// The covariances of free points with observations, but those with very many, at `to`, 9 numbers
+  /// each in the order of the problem, on all threads. `values` are the covariances of the camera
+  /// parameters, blocks of `structure`, under the constraints of `gauge`; nullptr: there are none.
   void FindCovariances(const BlockStructure& structure, const std::vector<double>& values,
-                       const Visitor& visit) const;
+                       const FreeGauge* gauge, double* to) const;
 
  private:
   /// A block of an image in the columns of its record.
@@ -42,6 +41,7 @@ class PointPasses {
     int block = -1;
     int size = 0;
     std::vector<int> column;  ///< of each unknown; empty: `map` says
+    int first = -1;           ///< column of the first unknown, where the others follow it
     std::vector<double> map;  ///< record's columns x size, row-major
   };
 
@@ -50,7 +50,9 @@ class PointPasses {
   void FillMoves(const GaugeSums& gauge, std::vector<double>* images,
                  std::vector<uint8_t>* moves_along) const;
   void AddEliminated(const std::vector<double>& of_images, GaugeSums* gauge, int thread) const;
-  /// The covariance of two images' columns, NumColumns(a) rows of Width(b).
+  static void AddPlain(const BlockStructure& structure, const std::vector<double>& values,
+                       const RecordBlock& rows, const RecordBlock& columns, int width, double* to);
+  /// Adds the covariance of two images' columns, NumColumns(a) rows of Width(b).
   void FillPair(const BlockStructure& structure, const std::vector<double>& values, int a, int b,
                 double* to) const;
 

@@ -282,11 +282,9 @@ void ReducedSystem::ForPoints(int num_threads, const std::vector<int>& points,
   });
 }
 
-void ReducedSystem::FindPointCovariances(
-    const std::vector<double>& values,
-    const std::function<void(int, const double*, const double*)>& visit) const {
+void ReducedSystem::FindPointCovariances(const FreeGauge* gauge, double* to) const {
   if (schur_ == nullptr) return;
-  PointPasses(*schur_, num_threads_).FindCovariances(structure_, values, visit);
+  PointPasses(*schur_, num_threads_).FindCovariances(structure_, values(), gauge, to);
 }
 
 void ReducedSystem::ForObservationsOfFixedPoints(

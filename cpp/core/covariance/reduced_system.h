@@ -32,6 +32,7 @@
 
 namespace bundle {
 
+class FreeGauge;  // free_gauge.h
 class GaugeSums;  // gauge_sums.h
 
 /// A free point with null directions.
@@ -132,9 +133,7 @@ class ReducedSystem {
   /// of kernels leave these out. All of a system without unknowns.
   const std::vector<int>& unclear_points() const { return unclear_points_; }
   /// PointPasses::FindCovariances, by blocks of the structure of S.
-  void FindPointCovariances(const std::vector<double>& values,
-                            const std::function<void(int point, const double* covariance,
-                                                     const double* inverse)>& visit) const;
+  void FindPointCovariances(const FreeGauge* gauge, double* to) const;
   /// Rows of a factor's Jacobian by what is free: three columns a point, then unknowns.
   struct FactorRows {
     int num_rows = 0;

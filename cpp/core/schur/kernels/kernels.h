@@ -123,6 +123,8 @@ struct WorldMoves {
   const uint8_t* moves_along = nullptr;
   double center[3] = {};
   double size = 1;
+  /// T: the combinations N T that inner constraints take out of points, 7 x kMoves; nullptr: none.
+  const double* combinations = nullptr;
 };
 
 /// Pivots of a point's V above this share of their diagonal entries, and entries above this share
@@ -184,11 +186,11 @@ struct Kernels {
                         const WorldMoves& moves, double* memory, PointSurvey* survey);
 
   /// Covariances of a chunk's free points (point_covariances.h), 3 x 3 each, by the blocks of the
-  /// camera parameters' covariance, laid out as ChunkSum::blocks, whole; and V^-1, alike. None of
-  /// points that are spread over several chunks.
+  /// camera parameters' covariance, laid out as ChunkSum::blocks, whole. None of points that are
+  /// spread over several chunks.
   void (*point_covariances)(const EliminationInput& input, const StateRecords& x,
-                            const Chunk& chunk, const double* blocks, const int64_t* block_begin,
-                            double* memory, double* covariances, double* inverses);
+                            const Chunk& chunk, const WorldMoves& moves, const double* blocks,
+                            const int64_t* block_begin, double* memory, double* covariances);
 };
 
 /// Those for the best instruction set that this machine has.

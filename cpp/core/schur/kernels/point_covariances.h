@@ -12,36 +12,67 @@
 /// numbers. For each j, the rows Z_i^T C_ij are summed over i <= j, the diagonal block by half,
 /// then multiplied by Z_j; the sum and its transpose are the whole.
 
+#include <type_traits>
+
 #include "core/schur/kernels/eliminate_chunk.h"
 #include "core/schur/kernels/point_block.h"
 #include "core/schur/kernels/strip.h"
+#include "core/schur/kernels/survey_points.h"
 
 namespace bundle::BUNDLE_ISA {
 
-/// Three rows of camera parameters' columns: Z^T, or its product with C.
+/// As many doubles as a register or a row of so many quads has.
+template <int kQuads>
+struct WideRow {
+  static constexpr bool kIsWide = kLanes == 8 && kQuads % 2 == 0;
+  using Oct = double __attribute__((vector_size(64)));
+  using Type = std::conditional_t<kIsWide, Oct, Quad>;
+  static constexpr int kDoubles = kIsWide ? 8 : 4;
+  static constexpr int kCount = 4 * kQuads / kDoubles;
+
+  static Type Load(const double* from) {
+    Type value;
+    __builtin_memcpy(&value, from, sizeof value);
+    return value;
+  }
+};
+
+/// Z^T C for some rows of C: three rows of camera parameters' columns.
 template <int kQuads>
 struct ThreeRows {
-  Quad row[3][kQuads];
+  using Wide = WideRow<kQuads>;
+  typename Wide::Type row[3][Wide::kCount];
 
-  /// += factor z^T C: `z` has three rows of `stride` doubles, C `num_rows` rows.
-  void AddProduct(double factor, const double* z, int stride, int num_rows, const double* c) {
+  /// += Z^T C: `z` has three rows of `stride` doubles, C `num_rows` rows.
+  void AddProduct(const double* z, int stride, int num_rows, const double* c) {
     for (int r = 0; r < num_rows; ++r, c += 4 * kQuads) {
-      const double f[3] = {factor * z[r], factor * z[stride + r], factor * z[2 * stride + r]};
 #pragma GCC unroll 8
-      for (int q = 0; q < kQuads; ++q) {
-        const Quad at = LoadQuad(c + 4 * q);
-        for (int k = 0; k < 3; ++k) row[k][q] += f[k] * at;
+      for (int q = 0; q < Wide::kCount; ++q) {
+        const auto at = Wide::Load(c + Wide::kDoubles * q);
+        for (int k = 0; k < 3; ++k) row[k][q] += z[k * stride + r] * at;
       }
     }
   }
 
-  /// sum[k][m] += row k times row m of z, quad by quad.
+  void Halve() {
+    for (auto& of_row : row) {
+      for (int q = 0; q < Wide::kCount; ++q) of_row[q] *= 0.5;
+    }
+  }
+
+  /// sum[k][m] += row k times row m of z, in four parts.
   void AddTo(const double* z, int stride, Quad (*sum)[3]) const {
     for (int m = 0; m < 3; ++m) {
+      typename Wide::Type product[3] = {};
 #pragma GCC unroll 8
-      for (int q = 0; q < kQuads; ++q) {
-        const Quad at = LoadQuad(z + m * stride + 4 * q);
-        for (int k = 0; k < 3; ++k) sum[k][m] += row[k][q] * at;
+      for (int q = 0; q < Wide::kCount; ++q) {
+        const auto at = Wide::Load(z + m * stride + Wide::kDoubles * q);
+        for (int k = 0; k < 3; ++k) product[k] += row[k][q] * at;
+      }
+      for (int k = 0; k < 3; ++k) {
+        Quad parts[2];
+        __builtin_memcpy(parts, &product[k], sizeof product[k]);
+        sum[k][m] += Wide::kIsWide ? parts[0] + parts[1] : parts[0];
       }
     }
   }
@@ -70,11 +101,12 @@ struct PointPairs {
   void AddColumn(int j, Quad (*sum)[3]) const {
     const int stride = input.num_columns;
     ThreeRows<kQuads> total = {};
-    total.AddProduct(0.5, Z(j), stride, NumRows(j), Block(image_in_chunk[j]));
+    total.AddProduct(Z(j), stride, NumRows(j), Block(image_in_chunk[j]));
+    total.Halve();
     // Pair (i, j) has the number i (2 refined - i - 1) / 2 + j - i - 1.
     const uint16_t* pair = pair_block + j - 1;
     for (int i = 0; i < j; ++i) {
-      total.AddProduct(1, Z(i), stride, NumRows(i), Block(*pair));
+      total.AddProduct(Z(i), stride, NumRows(i), Block(*pair));
       pair += refined - i - 2;
     }
     total.AddTo(Z(j), stride, sum);
@@ -103,16 +135,43 @@ inline void Unwhiten(const PointBlock& block, const double (*x)[3], double* out)
     for (int s = 0; s < 3; ++s) {
       for (int r = a; r < 3; ++r) by_row[s] += block.column[a][r] * x[r][s];
     }
-    for (int b = 0; b < 3; ++b) {
-      out[3 * a + b] = 0;
-      for (int s = b; s < 3; ++s) out[3 * a + b] += by_row[s] * block.column[b][s];
+    for (int b = a; b < 3; ++b) {
+      double sum = 0;
+      for (int s = b; s < 3; ++s) sum += by_row[s] * block.column[b][s];
+      out[3 * a + b] = out[3 * b + a] = sum;
     }
   }
 }
 
+/// Takes N_p N_p^T V^-1 and its transpose off (covariance/free_gauge.h).
+inline void TakeMovesOut(const WorldMoves& moves, const double* point, const double* inverse,
+                         double* covariance) {
+  MoveRow n[3], free[3];
+  MovesOfPoint(moves, point, n);
+  for (int i = 0; i < 3; ++i) {
+    free[i] = {};
+    for (int m = 0; m < 7; ++m) {
+      free[i] = free[i] + n[i].half[m / 4][m % 4] * MoveRow::Load(moves.combinations + kMoves * m);
+    }
+  }
+  double squares[3][3], back[3][3];
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      const Quad dot = free[i].half[0] * free[j].half[0] + free[i].half[1] * free[j].half[1];
+      squares[i][j] = (dot[0] + dot[1]) + (dot[2] + dot[3]);
+    }
+  }
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) back[i][j] = Dot3(squares[i], inverse + 3 * j);
+  }
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) covariance[3 * i + j] -= back[i][j] + back[j][i];
+  }
+}
+
 inline void PointCovariances(const EliminationInput& input, const StateRecords& x,
-                             const Chunk& chunk, const double* blocks, const int64_t* block_begin,
-                             double* memory, double* covariances, double* inverses) {
+                             const Chunk& chunk, const WorldMoves& moves, const double* blocks,
+                             const int64_t* block_begin, double* memory, double* covariances) {
   const StripRecords records(input, memory);
   const EliminationPlan& plan = *input.plan;
   const int64_t* const begin = plan.first.data();
@@ -152,9 +211,12 @@ inline void PointCovariances(const EliminationInput& input, const StateRecords& 
           whole[k][m] = kIdentity[k][m] + (both[0] + both[1]) + (both[2] + both[3]);
         }
       }
-      const int64_t at = 9 * static_cast<int64_t>(p - chunk.first_point);
-      Unwhiten(block, whole, covariances + at);
-      Unwhiten(block, kIdentity, inverses + at);
+      double* const out = covariances + 9 * static_cast<int64_t>(p - chunk.first_point);
+      Unwhiten(block, whole, out);
+      if (moves.combinations == nullptr) continue;
+      double inverse[9];
+      Unwhiten(block, kIdentity, inverse);
+      TakeMovesOut(moves, x.points + 3 * int64_t{p}, inverse, out);
     }
     first = strip.last;
   }
