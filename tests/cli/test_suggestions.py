@@ -14,7 +14,10 @@ from bundle.cli.main import COMMANDS
         (["Info", "MODEL"], ["info"]),
         (["info", "--solver", "auto", "MODEL"], ["refine has --solver"]),
         (["info", "MODEL", "--solver=auto"], ["refine has --solver"]),
-        (["info", "MODEL", "--max-iterations", "3"], ["refine and compare have --max-iterations"]),
+        (
+            ["info", "MODEL", "--max-iterations", "3"],
+            ["refine, compare and vio have --max-iterations"],
+        ),
         (["info", "MODEL", "--loss-scael", "3"], ["mean --loss-scale or", "of refine"]),
         (["compare", "MODEL", "--solver", "auto"], ["mean --solvers", "refine has --solver"]),
         (["refine", "MODEL", "--outptu", "x"], ["mean --output"]),  # before what is missing

@@ -5,11 +5,14 @@
 #include <stdexcept>
 #include <utility>
 
+#include "core/window/block_products.h"
+
 namespace bundle {
 namespace {
 
 // Ceres' min_lm_diagonal and max_lm_diagonal.
 constexpr double kLeastWindowDiagonal = 1e-6, kLargestWindowDiagonal = 1e32;
+
 double Square(double x) { return x * x; }
 
 }  // namespace
@@ -41,14 +44,11 @@ void WindowProblem::AddBlock(int a, int b, const double* ja, const double* jb, i
   const int na = view_.BlockSize(a), nb = view_.BlockSize(b);
   if (na == 0 || nb == 0) return;
   const BlockPlace place = Place(a, b);
-  for (int i = 0; i < na; ++i) {
-    for (int j = 0; j < nb; ++j) {
-      double sum = 0;
-      for (int r = 0; r < rows; ++r) sum += ja[r * na + i] * jb[r * nb + j];
-      // S's lower triangle: rows are those of the block that comes later.
-      place.values[place.transposed ? int64_t{i} * place.stride + j
-                                    : int64_t{j} * place.stride + i] += sum;
-    }
+  // S's lower triangle: rows are those of the block that comes later.
+  if (place.transposed) {
+    AddProduct(jb, nb, ja, na, rows, place.values, place.stride);
+  } else {
+    AddProduct(ja, na, jb, nb, rows, place.values, place.stride);
   }
 }
 
@@ -222,6 +222,10 @@ void WindowProblem::Eliminate(Landmark* landmark) {
       const double* const wb = w_.data() + touched_at_[b];
       const int nb = view_.BlockSize(b);
       const BlockPlace place = Place(a, b);
+      if (na == kPoseSize && nb == kPoseSize) {
+        SubtractOuter<kPoseSize>(wa, wb, inverse, place.values, place.stride);
+        continue;
+      }
       for (int c = 0; c < nb; ++c) {
         const double factor = inverse * wb[c];
         double* const values = place.values + int64_t{c} * place.stride;

@@ -36,7 +36,8 @@ def unknown_flag(found: str, command: str, flags: Mapping[str, Iterable[str]]) -
     others = {other: _long(names) for other, names in flags.items() if other != command}
     having = [other for other, names in others.items() if name in names]
     if having:
-        meant += f"; {' and '.join(having[:3])} {'has' if len(having) == 1 else 'have'} {name}"
+        listed = " and ".join(filter(None, [", ".join(having[:3][:-1]), having[:3][-1]]))
+        meant += f"; {listed} {'has' if len(having) == 1 else 'have'} {name}"
     elif not meant:
         near = ((other, nearest(name, names)) for other, names in others.items())
         meant = next((f"{words[:-1]} of {other}?" for other, words in near if words), "")

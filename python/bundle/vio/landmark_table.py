@@ -25,8 +25,11 @@ class FrameTracks(NamedTuple):
     velocity: Array
 
     def without(self, ids: Array) -> FrameTracks:
-        """Return the rest of the tracks."""
-        kept = ~np.isin(self.ids, ids, assume_unique=True)
+        """Return the rest of the tracks; `ids` are ascending."""
+        if not len(ids):
+            return self
+        at = np.minimum(np.searchsorted(ids, self.ids), len(ids) - 1)
+        kept = ids[at] != self.ids
         return FrameTracks(self.ids[kept], self.xy[kept], self.velocity[kept])
 
 

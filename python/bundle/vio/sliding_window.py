@@ -37,6 +37,7 @@ Array = np.ndarray[Any, Any]
 
 # Sigmas beyond which a whole track is taken for wrong.
 OUTLIER = 6.0
+NEGLIGIBLE_ANGLE = 0.02  # rad: 6e-5 rad of error in the first-order correction
 
 
 class SlidingWindow:
@@ -89,6 +90,15 @@ class SlidingWindow:
     def states(self) -> Array:
         """States of the frames (n, 16): qx qy qz qw, position, velocity, two biases."""
         return np.array([frame.state for frame in self.frames]).reshape(-1, 16)
+
+    @property
+    def covariance(self) -> Array | None:
+        """(15, 15) of the newest state after the last solve, with ``covariance=True``.
+
+        Rotation (R Exp(d), rad), position, velocity, biases. Where the start has no prior on
+        position and yaw, relative to those of the oldest frame; None where it does not exist.
+        """
+        return self._telemetry.covariance
 
     def start(
         self,
@@ -262,7 +272,11 @@ class SlidingWindow:
         """Integrate intervals anew whose biases have moved too far for a first-order correction."""
         for before, frame in zip(self.frames, self.frames[1:], strict=False):
             assert frame.inertia is not None
-            if frame.inertia.needs_repropagation(before.state[10:13]):
+            motion, change = frame.inertia, before.state[10:13] - frame.inertia.gyro_bias
+            # A sixth of the squared angle at most, which the closed form need not tell us.
+            if motion.duration**2 * float(change @ change) < NEGLIGIBLE_ANGLE**2:
+                continue
+            if motion.needs_repropagation(before.state[10:13]):
                 frame.inertia = frame.inertia.repropagated(before.state[10:13], before.state[13:16])
                 self._telemetry.num_repropagated += 1
 

@@ -70,6 +70,12 @@ class WindowTelemetry:
             + window["refine_time_offset"],
         }
 
+    @property
+    def covariance(self) -> Array | None:
+        """Of the newest state after the last solve."""
+        found: Array | None = self._last.get("covariance")
+        return found
+
     def left(self, frame: WindowFrame, how: str, absorbed: int, carried: int) -> None:
         """The oldest keyframe went."""
         self._exit = {"timestamp_ns": frame.stamp, "how": how}

@@ -1,0 +1,51 @@
+#pragma once
+
+/// Products of small matrices, added to blocks of a window's system. Those of images' poses have
+/// sizes that the compiler knows: they are nearly all there are.
+
+#include <cstdint>
+
+#include "core/window/window.h"
+
+namespace bundle {
+
+/// out (m x n, column-major) += A^T B of rows x m and rows x n matrices, row-major.
+template <int kM, int kN, int kRows>
+void AddFixedProduct(const double* a, const double* b, double* out, int64_t stride) {
+  for (int c = 0; c < kN; ++c) {
+    double* const column = out + c * stride;
+    for (int r = 0; r < kM; ++r) {
+      double sum = 0;
+      for (int k = 0; k < kRows; ++k) sum += a[k * kM + r] * b[k * kN + c];
+      column[r] += sum;
+    }
+  }
+}
+
+inline void AddProduct(const double* a, int m, const double* b, int n, int rows, double* out,
+                int64_t stride) {
+  if (rows == 2 && m == kPoseSize && n == kPoseSize) {  // of images
+    return AddFixedProduct<kPoseSize, kPoseSize, 2>(a, b, out, stride);
+  }
+  for (int k = 0; k < rows; ++k) {
+    for (int c = 0; c < n; ++c) {
+      const double factor = b[k * n + c];
+      if (factor == 0) continue;  // half of an inertial factor's entries
+      double* const column = out + c * stride;
+      for (int r = 0; r < m; ++r) column[r] += a[k * m + r] * factor;
+    }
+  }
+}
+
+/// S_ab -= w_a w_b^T / h
+template <int kSize>
+void SubtractOuter(const double* wa, const double* wb, double inverse, double* out,
+                   int64_t stride) {
+  for (int c = 0; c < kSize; ++c) {
+    const double factor = inverse * wb[c];
+    double* const column = out + c * stride;
+    for (int r = 0; r < kSize; ++r) column[r] -= wa[r] * factor;
+  }
+}
+
+}  // namespace bundle
