@@ -388,6 +388,18 @@ PYTHON_MAY_IMPORT = {
         "option_fields",
     },
     "filters": {"arguments", "display", "errors", "option_fields", "rotations"},
+    "two_loops": {
+        "_core",
+        "arguments",
+        "display",
+        "errors",
+        "inertial",
+        "option_fields",
+        "pose_graph",
+        "rigid_motions",
+        "rotations",
+        "solver",
+    },
     "georeference": {
         "arguments",
         "arrays",

@@ -6,7 +6,16 @@ TYPE_CHECKING = False  # as of typing, whose import takes longer than all that i
 if TYPE_CHECKING:
     from typing import Any
 
-    from bundle import constraints, figures, georeference, html, losses, pictures, warning_kinds
+    from bundle import (
+        constraints,
+        figures,
+        georeference,
+        html,
+        losses,
+        pictures,
+        two_loops,
+        warning_kinds,
+    )
     from bundle._core import __version__
     from bundle.camera_edits import (
         CameraModelChange,
@@ -84,6 +93,11 @@ if TYPE_CHECKING:
     from bundle.summary import Summary
     from bundle.synthetic import FlightOptions, SceneOptions, SyntheticScene, synthesize
     from bundle.synthetic.flight import SyntheticFlight, synthesize_flight
+    from bundle.two_loops import (
+        ClosureLoop,
+        PosePublisher,
+        WindowLoop,
+    )
     from bundle.uncertainty import Covariance, GraphCovariance, covariance
     from bundle.vio import (
         Calibration,
@@ -110,6 +124,7 @@ __all__ = [
     "Calibration",
     "CameraModelChange",
     "ChangedModels",
+    "ClosureLoop",
     "Comparison",
     "Constraints",
     "Covariance",
@@ -150,6 +165,7 @@ __all__ = [
     "PoseGraphOptions",
     "PoseGraphResult",
     "PoseGraphSummary",
+    "PosePublisher",
     "PositionFactor",
     "PositionPrior",
     "Preintegration",
@@ -174,6 +190,7 @@ __all__ = [
     "TrackRows",
     "Trajectory",
     "TrajectoryError",
+    "WindowLoop",
     "WindowOptions",
     "__version__",
     "align",
@@ -222,6 +239,7 @@ __all__ = [
     "synthesize",
     "synthesize_flight",
     "track_rows",
+    "two_loops",
     "warning_kinds",
 ]
 
@@ -269,6 +287,7 @@ _DEFERRED = {
         "excitation",
         "propagate",
     ),
+    "two_loops": ("ClosureLoop", "PosePublisher", "WindowLoop"),
     "filters": ("MsckfUpdate", "TrackRows", "msckf_update", "track_rows"),
     "free_degrees": ("GaugeFreedom", "gauge_freedom"),
     "headers": ("get_include",),

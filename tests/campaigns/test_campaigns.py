@@ -3,9 +3,10 @@
 import os
 import sys
 
+import numpy as np
 import pytest
 
-from tests.campaigns import covariance, degenerate, healthy, jobs, kills, mutants
+from tests.campaigns import covariance, degenerate, healthy, jobs, kills, mutants, two_loops
 
 
 def misbehave(job):
@@ -56,3 +57,12 @@ def test_covariances_are_the_dense_ones():
     found = covariance.campaign(8, seed=100)
     assert [entry for entry in found if entry.is_wrong] == []
     assert {entry.kind for entry in found} > {"refused"}  # seed 105 leaves an intrinsic free
+
+
+def test_two_loops(monkeypatch):
+    """Every pose of each run comes, with both solves behind them."""
+    monkeypatch.setattr(two_loops, "STALL", 0.01)
+    for solver in (None, two_loops.sleeping, two_loops.solving):
+        late = two_loops.lateness(1.1, solver) if solver else two_loops.lateness(0.05, None)
+        assert np.isfinite(late).all()
+        assert len(late) == (220 if solver else 10)
