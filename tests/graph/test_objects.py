@@ -30,6 +30,13 @@ def everything():
     graph.add_variable("angle", 0.3, "so2")
     graph.add_variable("turn", [0, 0, 0.6, 0.8], "so3")
     graph.add_variable("place", [1, 2, 0.3], "se2")
+    graph.add_variable("speed", [0.0, 0, 1])
+    graph.add_variable("rest", [0.0, 0, 1])
+    graph.add_variable("biases", np.zeros(6))
+    graph.add_variable("later biases", np.zeros(6))
+    noise = bundle.ImuNoise(1e-3, 1e-2, 1e-4, 1e-3)
+    motion = bundle.Preintegration(noise)
+    motion.integrate(np.zeros((5, 3)), np.tile([0, 0, 9.81], (5, 1)), np.full(5, 0.2))
     for factor in (
         bundle.PriorFactor("plain", [0, 0], 1.0, loss="huber", loss_scale=2.0),
         bundle.FunctionFactor(["plain"], Twice()),
@@ -44,6 +51,9 @@ def everything():
         bundle.PriorFactor("angle", [0.1], 1.0),
         bundle.PriorFactor("turn", EYE, 1.0),
         bundle.PriorFactor("place", [0, 0, 0], 1.0),
+        bundle.ImuFactor("pose", "speed", "biases", "next", "rest", motion),
+        bundle.BiasWalkFactor("biases", "later biases", noise, 1.0),
+        bundle.PriorFactor("biases", np.zeros(6), 1.0),
     ):
         graph.add_factor(factor)
     return graph
@@ -98,7 +108,7 @@ def test_no_array_of_a_graph_can_be_written(how):
     arrays = list(graph.values.values())
     for factor in graph.factors:
         arrays += [value for value in arrays_of(factor) if isinstance(value, np.ndarray)]
-    assert len(arrays) == 8 + 2 * 7 + 4 + 3 + 3
+    assert len(arrays) == 12 + 2 * 8 + 4 + 3 + 3 + 1
     for array in arrays:
         with pytest.raises(ValueError, match=r"read-only|WRITEABLE"):
             array[...] = 0

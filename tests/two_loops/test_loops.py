@@ -100,6 +100,35 @@ def test_lost_keyframes_are_bridged_and_their_closures_counted():
     assert graph.measurements[bridge] == pytest.approx(expected, abs=1e-12)
 
 
+def test_a_solve_starts_where_the_one_before_has_ended():
+    flight = Flight(80)
+    solved, graphs = threading.Event(), []
+
+    def solver(graph):
+        graphs.append(graph)
+        return np.array([YawMotion(0.3, [1, 2, 3]).moved(pose) for pose in graph.poses])
+
+    class Noticed(Ring):
+        def put(self, record):
+            super().put(record)
+            solved.set()
+
+    loop = bundle.ClosureLoop(Noticed(), solver=solver)
+    keyframes = list(keyframes_of(flight, flight.states))
+    for keyframe in keyframes[:3]:
+        loop.put_keyframe(keyframe)
+    loop.put_closure(closure_of(flight, 0, 40))
+    assert solved.wait(PATIENCE)
+    loop.put_keyframe(keyframes[3])
+    loop.put_closure(closure_of(flight, 0, 60))
+    assert loop.close(PATIENCE)
+    first, second = graphs
+    assert second.poses[:3] == pytest.approx(solver(first), abs=1e-12)
+    assert second.poses[3] == pytest.approx(
+        YawMotion(0.3, [1, 2, 3]).moved(np.asarray(keyframes[3].pose)), abs=1e-12
+    )
+
+
 def test_a_stalled_solve_delays_no_pose_and_its_correction_is_composed_in_shares():
     """The solve ends only once 4 s of poses are out: whoever waited for it would never end."""
     shares, before, stalled = 100, 200, 800

@@ -45,6 +45,14 @@ def test_a_solution_of_the_past_is_rewound_to_and_replayed(flight, between):
     follow = flight.publish(publisher, 202)
     assert follow.replayed == 0
     assert follow.solution_timestamp_ns == pose.solution_timestamp_ns
+    # The same frame solved once more: what held there is still known.
+    publisher.solutions.put(Solution(flight.stamps[150] + between, state))
+    again = flight.publish(publisher, 203)
+    assert again.replayed == 53
+    rows, dt = slice(150, 203), np.r_[dt, 0.005, 0.005]
+    expected = bundle.propagate(state, flight.gyro[rows], flight.accel[rows], dt)[-1]
+    assert again.state == pytest.approx(expected, abs=1e-12)
+    assert publisher.num_refused == 0
 
 
 def test_the_newest_solution_counts_and_an_early_one_waits(flight):
