@@ -105,7 +105,7 @@ class WindowArrays {
   }
 
   void ReadLandmarks(const py::dict& window) {
-    view_.inverse_depths = Numbers(window, "inverse_depths", 1, &view_.num_landmarks);
+    view_.points = Numbers(window, "points", 3, &view_.num_landmarks);
     const int n = view_.num_landmarks;
     view_.anchor_states = Indices(window, "anchor_states", n, view_.num_states);
     view_.anchor_xy = NumbersOf(window, "anchor_xy", 2, n);
@@ -226,7 +226,7 @@ py::dict SolveWindowFromPython(const py::dict& window, const py::dict& options,
   const py::ssize_t n = arrays.view().num_states, m = arrays.view().num_landmarks;
   py::dict result;
   result["states"] = ToImmutableNumpy(std::move(output.state.states), {n, kStateNumbers});
-  result["inverse_depths"] = ToImmutableNumpy(std::move(output.state.inverse_depths), {m});
+  result["points"] = ToImmutableNumpy(std::move(output.state.points), {m, 3});
   result["camera_from_imu"] = output.state.camera_from_imu;
   result["time_offset"] = output.state.time_offset;
   result["costs_before"] = CostsToPython(output.before);

@@ -52,7 +52,7 @@ def make_window(
         "time_offset": 0.0,
         "refine_camera": False,
         "refine_time_offset": False,
-        "inverse_depths": depths,
+        "points": np.c_[table.anchor_xy, depths],
         "anchor_states": table.anchors,
         "anchor_xy": table.anchor_xy,
         "anchor_velocity": rng.normal(0, 0.1, table.anchor_xy.shape),
@@ -71,9 +71,9 @@ def make_window(
 
 
 def size_of(window: dict[str, Any]) -> int:
-    states, landmarks = len(window["states"]), len(window["inverse_depths"])
+    states, landmarks = len(window["states"]), len(window["points"])
     extra = 6 * window["refine_camera"] + window["refine_time_offset"]
-    return 15 * states + landmarks + int(extra)
+    return 15 * states + 3 * landmarks + int(extra)
 
 
 def perturbed(window: dict[str, Any], scale: float, seed: int = 3) -> dict[str, Any]:
@@ -81,10 +81,10 @@ def perturbed(window: dict[str, Any], scale: float, seed: int = 3) -> dict[str, 
     rng = np.random.default_rng(seed)
     sizes = scale * np.r_[[0.01] * 3, [0.05] * 3, [0.05] * 3, [0.002] * 3, [0.02] * 3]
     states = np.array([moved(s, sizes * rng.normal(size=15)) for s in window["states"]])
-    depths = window["inverse_depths"] * np.exp(
-        scale * rng.normal(0, 0.05, len(window["inverse_depths"]))
-    )
-    return {**window, "states": states, "anchors": states, "inverse_depths": depths}
+    points = window["points"].copy()
+    points[:, 2] *= np.exp(scale * rng.normal(0, 0.05, len(points)))
+    points[:, :2] += scale * rng.normal(0, 1e-3, (len(points), 2))
+    return {**window, "states": states, "anchors": states, "points": points}
 
 
 FREE = [(False, False), (True, True)]
@@ -121,8 +121,8 @@ def test_the_first_step_is_levenberg_and_marquardts(camera: bool, offset: bool) 
         expected = moved(state, step[15 * k : 15 * k + 15])
         np.testing.assert_allclose(solved["states"][k], expected, rtol=0, atol=2e-6)
     at = 15 * len(window["states"])
-    depths = window["inverse_depths"] + step[at : at + len(window["inverse_depths"])]
-    np.testing.assert_allclose(solved["inverse_depths"], depths, rtol=0, atol=2e-6)
+    points = window["points"] + step[at : at + window["points"].size].reshape(-1, 3)
+    np.testing.assert_allclose(solved["points"], points, rtol=0, atol=2e-6)
     if offset:
         assert solved["time_offset"] == pytest.approx(step[-1], abs=1e-6)
 
@@ -159,16 +159,16 @@ def oldest_goes(window: dict[str, Any], **changes: Any) -> dict[str, Any]:
 def schur(window: dict[str, Any], motions: list[Any]) -> tuple[Any, Any]:
     """Lambda and eta of the kept states, camera and offset by dense numerical algebra."""
     goes = window["anchor_states"] == 0
-    rows = np.repeat(goes[window["landmarks"]], 2)
+    rows = np.repeat(np.r_[goes[window["landmarks"]], goes], 2)
     inertial = np.zeros(15 * len(motions), bool)
     inertial[:15] = True
     size = size_of(window)
     function = lambda x: residuals(window, motions, x)[np.r_[rows, inertial]]  # noqa: E731
     j, r = jacobian(function, size), function(np.zeros(size))
     n = 15 * len(window["states"])
-    landmarks = np.arange(n, n + len(goes))
-    a = np.r_[np.arange(15), landmarks[goes]]
-    b = np.r_[np.arange(15, n), np.arange(n + len(goes), size)]
+    landmarks = n + np.arange(3 * len(goes))
+    a = np.r_[np.arange(15), landmarks[np.repeat(goes, 3)]]
+    b = np.r_[np.arange(15, n), np.arange(n + 3 * len(goes), size)]
     h, g = j.T @ j, j.T @ r
     gain = np.linalg.solve(h[np.ix_(a, a)], np.c_[h[np.ix_(a, b)], g[a]])
     return h[np.ix_(b, b)] - h[np.ix_(b, a)] @ gain[:, :-1], h[np.ix_(b, a)] @ gain[:, -1] - g[b]
@@ -224,7 +224,7 @@ def without_oldest(window: dict[str, Any], found: dict[str, Any]) -> dict[str, A
         "states": window["states"][1:],
         "anchors": window["anchors"][1:],
         "anchored": window["anchored"][1:],
-        "inverse_depths": window["inverse_depths"][stays],
+        "points": window["points"][stays],
         "anchor_states": window["anchor_states"][stays] - 1,
         "anchor_xy": window["anchor_xy"][stays],
         "anchor_velocity": window["anchor_velocity"][stays],
@@ -249,7 +249,7 @@ def test_what_is_left_keeps_the_minimum(square_root: bool, anchored: int) -> Non
         "states": solved["states"],
         "anchors": solved["states"],
         "anchored": np.full(6, anchored, np.uint8),
-        "inverse_depths": solved["inverse_depths"],
+        "points": solved["points"],
     }
     found = _core.marginalize_window(window, oldest_goes(window, square_root=square_root))
     rest = without_oldest(window, found)
@@ -305,7 +305,7 @@ def test_the_covariance_is_that_of_the_gauge() -> None:
     flight = Flight(5, 8, landmarks=25)
     window, motions = make_window(flight, noise=1 / FOCAL)
     solved = _core.solve_window(window, SOLVE, None)
-    window = {**window, "states": solved["states"], "inverse_depths": solved["inverse_depths"]}
+    window = {**window, "states": solved["states"], "points": solved["points"]}
     j = jacobian(lambda x: residuals(window, motions, x), size_of(window))
     inner = np.linalg.pinv(j.T @ j, rcond=1e-14)
     last = slice(15 * 4 + 9, 15 * 5)
@@ -334,14 +334,14 @@ def test_arrays_that_do_not_fit_are_refused(name: str, value: Any) -> None:
 
 def test_landmarks_that_stay_may_not_lose_their_anchor() -> None:
     window, _ = make_window(Flight(4, landmarks=8))
-    request = oldest_goes(window, landmarks=np.zeros(len(window["inverse_depths"]), np.uint8))
+    request = oldest_goes(window, landmarks=np.zeros(len(window["points"]), np.uint8))
     with pytest.raises(InputError, match="landmark"):
         _core.marginalize_window(window, request)
 
 
 def test_a_landmark_behind_a_camera_is_refused_at_the_start() -> None:
     window, _ = make_window(Flight(4, landmarks=8))
-    depths = window["inverse_depths"].copy()
-    depths[:] = 50.0  # two centimetres ahead, and passed by the next image
+    points = window["points"].copy()
+    points[:, 2] = 50.0  # two centimetres ahead, and passed by the next image
     with pytest.raises(InputError, match="before the cameras"):
-        _core.solve_window({**window, "inverse_depths": depths}, SOLVE, None)
+        _core.solve_window({**window, "points": points}, SOLVE, None)

@@ -114,12 +114,12 @@ def imu_residual(motion: Preintegration, i: Array, j: Array) -> Array:
 
 
 def residuals(window: dict[str, Any], motions: list[Preintegration], x: Array) -> Array:
-    """All residuals of a window (trivial loss, no prior) at x: states, depths, camera, offset."""
+    """All residuals of a window (trivial loss, no prior) at x: states, points, camera, offset."""
     n = len(window["states"])
     states = [moved(s, x[15 * k : 15 * k + 15]) for k, s in enumerate(window["states"])]
     at = 15 * n
-    depths = window["inverse_depths"] + x[at : at + len(window["inverse_depths"])]
-    at += len(depths)
+    points = window["points"] + x[at : at + window["points"].size].reshape(-1, 3)
+    at += points.size
     camera = np.array(window["camera_from_imu"])
     if window["refine_camera"]:
         turned = Rotation.from_quat(camera[:4]) * Rotation.from_rotvec(x[at : at + 3])
@@ -131,14 +131,15 @@ def residuals(window: dict[str, Any], motions: list[Preintegration], x: Array) -
         window["landmarks"], window["observers"], window["xy"], window["xy_velocity"], strict=True
     ):
         anchor = states[window["anchor_states"][landmark]]
-        there = window["anchor_xy"][landmark] - offset * window["anchor_velocity"][landmark]
-        ray = np.r_[there, 1.0] / depths[landmark]
+        there = points[landmark, :2] - offset * window["anchor_velocity"][landmark]
+        ray = np.r_[there, 1.0] / points[landmark, 2]
         body = Rotation.from_quat(camera[:4]).inv().apply(ray - camera[4:])
         point = Rotation.from_quat(anchor[:4]).apply(body) + anchor[4:7]
         seen = seen_from(states[observer], camera, point[None])[0]
         rows.append((seen[:2] / seen[2] - (xy - offset * velocity)) / window["sigma"])
+    anchors = (points[:, :2] - window["anchor_xy"]) / window["sigma"]
     inertial = [imu_residual(m, states[k], states[k + 1]) for k, m in enumerate(motions)]
-    return np.concatenate([*rows, *inertial])
+    return np.concatenate([*rows, *anchors, *inertial])
 
 
 def jacobian(function: Any, size: int, h: float = 1e-6) -> Array:

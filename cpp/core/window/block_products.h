@@ -9,6 +9,11 @@
 
 namespace bundle {
 
+// Ceres' min_lm_diagonal and max_lm_diagonal.
+inline constexpr double kLeastWindowDiagonal = 1e-6, kLargestWindowDiagonal = 1e32;
+
+inline double Squared(double x) { return x * x; }
+
 /// out (m x n, column-major) += A^T B of rows x m and rows x n matrices, row-major.
 template <int kM, int kN, int kRows>
 void AddFixedProduct(const double* a, const double* b, double* out, int64_t stride) {
@@ -23,7 +28,7 @@ void AddFixedProduct(const double* a, const double* b, double* out, int64_t stri
 }
 
 inline void AddProduct(const double* a, int m, const double* b, int n, int rows, double* out,
-                int64_t stride) {
+                       int64_t stride) {
   if (rows == 2 && m == kPoseSize && n == kPoseSize) {  // of images
     return AddFixedProduct<kPoseSize, kPoseSize, 2>(a, b, out, stride);
   }
@@ -37,14 +42,13 @@ inline void AddProduct(const double* a, int m, const double* b, int n, int rows,
   }
 }
 
-/// S_ab -= w_a w_b^T / h
-template <int kSize>
-void SubtractOuter(const double* wa, const double* wb, double inverse, double* out,
-                   int64_t stride) {
-  for (int c = 0; c < kSize; ++c) {
-    const double factor = inverse * wb[c];
+/// out (m x n, column-major) -= A B^T of m x 3 and n x 3 matrices, row-major.
+inline void SubtractProduct(const double* a, int m, const double* b, int n, double* out,
+                            int64_t stride) {
+  for (int c = 0; c < n; ++c) {
+    const double x = b[3 * c], y = b[3 * c + 1], z = b[3 * c + 2];
     double* const column = out + c * stride;
-    for (int r = 0; r < kSize; ++r) column[r] -= wa[r] * factor;
+    for (int r = 0; r < m; ++r) column[r] -= a[3 * r] * x + a[3 * r + 1] * y + a[3 * r + 2] * z;
   }
 }
 

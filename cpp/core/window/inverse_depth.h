@@ -1,8 +1,14 @@
 #pragma once
 
-/// The residual of a landmark that is stored by its inverse depth in the image that anchors it.
+/// The residual of a landmark that is stored by where it is in the image that anchors it, and its
+/// inverse depth there: three numbers (x, y, l).
 ///
-/// Image h saw it at m = (x, y, 1), normalised, with l = 1 / z. With camera_from_imu (C, c) and the
+/// In image h it is at m = (x, y, 1), normalised, with l = 1 / z. The image's own observation of it
+/// is a measurement of x and y like any other: taken for exact, as is often done to have one number
+/// per landmark, its noise would be in all residuals of the landmark, which least squares then
+/// takes for independent; an estimator that does so is several times too certain.
+///
+///  With camera_from_imu (C, c) and the
 /// poses world_from_imu (R_h, p_h), (R_j, p_j) of both images, its point in camera j, times l, is
 ///
 ///   a = C^T (m - l c)                     in the IMU of h
@@ -18,6 +24,7 @@
 ///   dy/d(C)   = -C [b]x + G R_h [a]x
 ///   dy/d(c)   = l (I - G R_h C^T)
 ///   dy/dl     = c + G (p_h - p_j - R_h C^T c)
+///   dy/dm     = G R_h C^T, its first two columns by (x, y)
 ///
 /// (a moves by [a]x d with C, since C^T becomes Exp(-d) C^T.) Both images were taken t seconds
 /// after the instants of their states, t the time offset beyond the one that the states were placed
@@ -47,22 +54,23 @@ struct CameraOfImu {
 
 /// What two images saw of a landmark.
 struct LandmarkSight {
-  double anchor[2], anchor_velocity[2];
+  double anchor_velocity[2];
   double seen[2], velocity[2];
 };
 
 /// Row-major, 2 rows each.
 struct DepthJacobians {
-  double by_anchor[12], by_observer[12], by_camera[12], by_time[2], by_depth[2];
+  double by_anchor[12], by_observer[12], by_camera[12], by_time[2], by_point[6];
 };
 
 /// The residual, in units of sigma; with `jacobians` also these. False where the landmark is not
 /// before camera j: there is no image of it.
 inline bool InverseDepthResidual(const ImuPose& h, const ImuPose& j, const CameraOfImu& camera,
-                                 double depth, double time, const LandmarkSight& sight,
+                                 const double point[3], double time, const LandmarkSight& sight,
                                  double sigma, double residual[2], DepthJacobians* jacobians) {
-  const double m[3] = {sight.anchor[0] - time * sight.anchor_velocity[0],
-                       sight.anchor[1] - time * sight.anchor_velocity[1], 1};
+  const double m[3] = {point[0] - time * sight.anchor_velocity[0],
+                       point[1] - time * sight.anchor_velocity[1], 1};
+  const double depth = point[2];
   double a[3], b[3], y[3], moved[3], turned[3];
   for (int k = 0; k < 3; ++k) moved[k] = m[k] - depth * camera.translation[k];
   VectorMatrix3(moved, camera.rotation, a);
@@ -107,7 +115,9 @@ inline bool InverseDepthResidual(const ImuPose& h, const ImuPose& j, const Camer
       by_depth += row[k] * camera.translation[k] + by_world[k] * baseline[k];
       if (k < 2) by_time -= by_m[k] * sight.anchor_velocity[k];
     }
-    out.by_depth[r] = by_depth;
+    out.by_point[3 * r] = by_m[0];
+    out.by_point[3 * r + 1] = by_m[1];
+    out.by_point[3 * r + 2] = by_depth;
     out.by_time[r] = by_time + scale * sight.velocity[r];
   }
   return true;

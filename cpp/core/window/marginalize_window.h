@@ -8,12 +8,12 @@
 ///   information   Lambda = H_bb - H_ba H_aa^-1 H_ab,      eta = -(g_b - H_ba H_aa^-1 g_a)
 ///   square root   Q^T [J_a J_b r] = [R_a R_ab r_a; 0 M v; 0 0 rest]
 ///
-/// where landmarks, one coordinate each that no other landmark touches, go first: by a division, or
-/// by Householder's reflection of their own rows. M^T M = Lambda. The square root halves the digits
-/// that are needed: Lambda's small eigenvalues lose their sign beyond 1e7 (1e16) times below the
-/// largest in single (double) precision, squares of M's singular values do not (N. Demmel,
-/// C. Sommer, D. Cremers, V. Usenko, Square root bundle adjustment, CVPR 2021, and its windows:
-/// ICCV 2021).
+/// where landmarks, three coordinates each that no other landmark touches, go first: by a Cholesky
+/// factor of their own block, or by Householder's reflections of their own rows. M^T M = Lambda.
+/// The square root halves the digits that are needed: Lambda's small eigenvalues lose their sign
+/// beyond 1e7 (1e16) times below the largest in single (double) precision, squares of M's singular
+/// values do not (N. Demmel, C. Sommer, D. Cremers, V. Usenko, Square root bundle adjustment, CVPR
+/// 2021, and its windows: ICCV 2021).
 ///
 /// The prior is then written about its points: for blocks that an absorbed prior had, the point of
 /// that prior if `keep_points`; for all others the current state. With d0 the current state about

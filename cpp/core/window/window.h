@@ -66,9 +66,9 @@ struct WindowView {
   bool refine_time_offset = false;
 
   int num_landmarks = 0;
-  const double* inverse_depths = nullptr;   ///< 1 / z in the anchoring image
+  const double* points = nullptr;  ///< m x 3: x, y, 1 / z in the anchoring image (inverse_depth.h)
   const int32_t* anchor_states = nullptr;   ///< the state of that image
-  const double* anchor_xy = nullptr;        ///< m x 2, normalised image coordinates there
+  const double* anchor_xy = nullptr;        ///< m x 2, what that image saw, normalised
   const double* anchor_velocity = nullptr;  ///< m x 2, of these coordinates, 1/s
 
   int num_observations = 0;  ///< in other images, sorted by landmark
@@ -106,18 +106,19 @@ inline int PriorBlockSize(int block, int num_states) {
 /// What a solve changes.
 struct WindowState {
   std::vector<double> states;
-  std::vector<double> inverse_depths;
+  std::vector<double> points;
   std::array<double, 7> camera_from_imu{};
   double time_offset = 0;
 
   WindowState() = default;
   explicit WindowState(const WindowView& view)
       : states(view.states, view.states + kStateNumbers * view.num_states),
-        inverse_depths(view.inverse_depths, view.inverse_depths + view.num_landmarks),
+        points(view.points, view.points + 3 * size_t(view.num_landmarks)),
         camera_from_imu(view.camera_from_imu),
         time_offset(view.time_offset) {}
 
   const double* state(int i) const { return states.data() + kStateNumbers * i; }
+  const double* point(int l) const { return points.data() + 3 * size_t(l); }
 };
 
 /// out = state + d, 15 tangent coordinates; `out` may be `state`.

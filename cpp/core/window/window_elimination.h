@@ -32,6 +32,7 @@ template <typename Scalar>
 class WindowElimination {
   using Matrix = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>;
   using Vector = Eigen::Matrix<Scalar, Eigen::Dynamic, 1>;
+  static constexpr int kPoint = 3, kDepth = 2;  ///< numbers of a landmark, the last its depth
 
  public:
   WindowElimination(const WindowView& view, const Marginalization& request,
@@ -55,21 +56,24 @@ class WindowElimination {
     for (size_t k = 0; k < rows_.priors.size(); ++k) AddPriorForm(view_.priors[k], rows_.priors[k]);
     Scalar constant = static_cast<Scalar>(rows_.costs.Total());
     for (const InertialRows& row : rows_.inertial) AddRows(DenseInertial(row), InertialBlocks(row));
-    for (size_t k = 0; k < rows_.visual.size();) {
+    for (size_t k = 0, anchor = 0; k < rows_.visual.size(); ++anchor) {
       const std::vector<int> blocks = BlocksOfLandmark(k);
-      const Matrix dense = DenseLandmark(&k, blocks);  // [by depth, by blocks, r]
-      const auto depth = dense.col(0);
-      const Scalar curvature = depth.squaredNorm();
-      if (!(curvature > 0)) {
+      const Matrix dense = DenseLandmark(&k, blocks, rows_.anchors[anchor]);
+      if (!(dense.col(kDepth).squaredNorm() > 0)) {
+        ++result->num_landmarks_without_depth;
+        continue;
+      }
+      const auto own = dense.leftCols(kPoint), rest = dense.rightCols(dense.cols() - kPoint);
+      const Eigen::Matrix<Scalar, kPoint, kPoint> h = own.transpose() * own;
+      const Eigen::LLT<Eigen::Matrix<Scalar, kPoint, kPoint>> llt(h);
+      if (llt.info() != Eigen::Success) {
         ++result->num_landmarks_without_depth;
         continue;
       }
       ++result->num_landmarks;
-      const auto rest = dense.rightCols(dense.cols() - 1);
-      const Vector w = rest.transpose() * depth;  // the last: by depth, of the gradient
-      Matrix information = rest.transpose() * rest - w * w.transpose() / curvature;
-      Scatter(information, blocks);
-      constant -= w[w.size() - 1] * w[w.size() - 1] / (2 * curvature);
+      const Matrix w = llt.matrixL().solve(own.transpose() * rest);  // its last column: L^-1 g
+      Scatter(rest.transpose() * rest - w.transpose() * w, blocks);
+      constant -= w.col(w.cols() - 1).squaredNorm() / 2;
     }
     const Matrix haa = h_.topLeftCorner(a, a), hba = h_.bottomLeftCorner(b, a);
     Matrix solved(a, b + 1);  // H_aa^-1 [H_ab g_a]
@@ -101,20 +105,24 @@ class WindowElimination {
     for (const InertialRows& row : rows_.inertial) {
       parts.push_back(Spread(DenseInertial(row), InertialBlocks(row)));
     }
-    for (size_t k = 0; k < rows_.visual.size();) {
+    for (size_t k = 0, anchor = 0; k < rows_.visual.size(); ++anchor) {
       const std::vector<int> blocks = BlocksOfLandmark(k);
-      Matrix dense = DenseLandmark(&k, blocks);
-      if (!(dense.col(0).squaredNorm() > 0)) {
+      Matrix dense = DenseLandmark(&k, blocks, rows_.anchors[anchor]);
+      if (!(dense.col(kDepth).squaredNorm() > 0)) {
         ++result->num_landmarks_without_depth;
         continue;
       }
       ++result->num_landmarks;
-      Vector essential(dense.rows() - 1);
-      Scalar tau, beta;
-      dense.col(0).makeHouseholder(essential, tau, beta);
       Vector workspace(dense.cols());
-      dense.rightCols(dense.cols() - 1).applyHouseholderOnTheLeft(essential, tau, workspace.data());
-      parts.push_back(Spread(dense.bottomRightCorner(dense.rows() - 1, dense.cols() - 1), blocks));
+      for (int c = 0; c < kPoint; ++c) {  // its own columns go, one reflection each
+        auto rest = dense.bottomRightCorner(dense.rows() - c, dense.cols() - c);
+        Vector essential(rest.rows() - 1);
+        Scalar tau, beta;
+        rest.col(0).makeHouseholder(essential, tau, beta);
+        rest.rightCols(rest.cols() - 1).applyHouseholderOnTheLeft(essential, tau, workspace.data());
+      }
+      const auto rows = dense.rows() - kPoint, columns = dense.cols() - kPoint;
+      parts.push_back(Spread(dense.bottomRightCorner(rows, columns), blocks));
     }
     int num_rows = 0;
     for (const Matrix& part : parts) num_rows += static_cast<int>(part.rows());
@@ -244,16 +252,22 @@ class WindowElimination {
     return blocks;
   }
 
-  Matrix DenseLandmark(size_t* k, const std::vector<int>& blocks) const {
+  /// Rows of a landmark, the anchor's two last: by its three numbers, by blocks, r.
+  Matrix DenseLandmark(size_t* k, const std::vector<int>& blocks, const AnchorRows& anchor) const {
     const int landmark = rows_.visual[*k].landmark;
     size_t end = *k;
     while (end < rows_.visual.size() && rows_.visual[end].landmark == landmark) ++end;
-    std::vector<int> begin = {1};
+    std::vector<int> begin = {kPoint};
     for (const int b : blocks) begin.push_back(begin.back() + view_.BlockSize(b));
     const auto column = [&](int b) {
       return begin[std::lower_bound(blocks.begin(), blocks.end(), b) - blocks.begin()];
     };
-    Matrix out = Matrix::Zero(static_cast<int>(2 * (end - *k)), begin.back() + 1);
+    Matrix out = Matrix::Zero(static_cast<int>(2 * (end - *k) + 2), begin.back() + 1);
+    const auto last = out.rows() - 2;
+    for (int r = 0; r < 2; ++r) {
+      out(last + r, r) = static_cast<Scalar>(anchor.scale);
+      out(last + r, begin.back()) = static_cast<Scalar>(anchor.r[r]);
+    }
     for (int row = 0; *k < end; ++*k, row += 2) {
       const VisualRows& visual = rows_.visual[*k];
       const auto put = [&](int block, const double* by) {
@@ -269,7 +283,9 @@ class WindowElimination {
       if (view_.refine_camera) put(view_.camera_block(), visual.by.by_camera);
       if (view_.refine_time_offset) put(view_.time_block(), visual.by.by_time);
       for (int r = 0; r < 2; ++r) {
-        out(row + r, 0) = static_cast<Scalar>(visual.by.by_depth[r]);
+        for (int c = 0; c < kPoint; ++c) {
+          out(row + r, c) = static_cast<Scalar>(visual.by.by_point[kPoint * r + c]);
+        }
         out(row + r, begin.back()) = static_cast<Scalar>(visual.r[r]);
       }
     }

@@ -8,15 +8,6 @@
 #include "core/window/block_products.h"
 
 namespace bundle {
-namespace {
-
-// Ceres' min_lm_diagonal and max_lm_diagonal.
-constexpr double kLeastWindowDiagonal = 1e-6, kLargestWindowDiagonal = 1e32;
-
-double Square(double x) { return x * x; }
-
-}  // namespace
-
 WindowProblem::WindowProblem(const WindowView& view)
     : view_(view), x_(view), candidate_(view), landmarks_(view.num_landmarks) {
   WindowStructure made = MakeWindowStructure(view);
@@ -116,28 +107,6 @@ void WindowProblem::AddPrior(const WindowPrior& prior, const PriorForm& form) {
   }
 }
 
-/// Adds the rows' share of w, h and g.
-void WindowProblem::AddLandmark(const VisualRows& row, Landmark* landmark) {
-  const double* const depth = row.by.by_depth;
-  landmark->hessian += depth[0] * depth[0] + depth[1] * depth[1];
-  landmark->gradient += depth[0] * row.r[0] + depth[1] * row.r[1];
-  const int blocks[] = {2 * row.anchor, 2 * row.observer, view_.camera_block(), view_.time_block()};
-  const double* const by[] = {row.by.by_anchor, row.by.by_observer, row.by.by_camera,
-                              row.by.by_time};
-  for (int a = 0; a < 4; ++a) {
-    const int n = view_.BlockSize(blocks[a]);
-    if (n == 0) continue;
-    int& at = touched_at_[blocks[a]];
-    if (at < 0) {
-      at = static_cast<int>(w_.size());
-      touched_.push_back(blocks[a]);
-      w_.resize(w_.size() + n, 0.0);
-    }
-    double* const w = w_.data() + at;
-    for (int c = 0; c < n; ++c) w[c] += by[a][c] * depth[0] + by[a][n + c] * depth[1];
-  }
-}
-
 bool WindowProblem::LinearizeRows() {
   LinearizeWindow(view_, x_, FactorSelection{}, &rows_);
   costs_ = rows_.costs;
@@ -161,17 +130,18 @@ Linearization WindowProblem::Linearize(double damping) {
   w_begin_.assign(1, 0);
   block_begin_.assign(1, 0);
   for (Landmark& landmark : landmarks_) {
-    landmark.hessian = landmark.gradient = 0;
-    landmark.begin = landmark.end = 0;
+    std::fill_n(landmark.hessian, 6, 0.0);
+    std::fill_n(landmark.gradient, 3, 0.0);
   }
   for (size_t k = 0; k < system_.rhs.size(); ++k) system_.rhs[k] = -gradient_[k];
-  size_t k = 0;
+  size_t k = 0, next_anchor = 0;
   for (int l = 0; l < view_.num_landmarks; ++l) {
     touched_.clear();
     Landmark& landmark = landmarks_[l];
     for (; k < rows_.visual.size() && rows_.visual[k].landmark == l; ++k) {
       AddLandmark(rows_.visual[k], &landmark);
     }
+    if (!touched_.empty()) AddAnchor(rows_.anchors[next_anchor++], &landmark);
     Eliminate(&landmark);
     for (const int block : touched_) touched_at_[block] = -1;
     w_blocks_.insert(w_blocks_.end(), touched_.begin(), touched_.end());
@@ -187,7 +157,9 @@ Linearization WindowProblem::Linearize(double damping) {
     if (!(std::abs(g) <= result.gradient_max_norm)) result.gradient_max_norm = std::abs(g);
   };
   for (const double g : gradient_) look(g);
-  for (const Landmark& landmark : landmarks_) look(landmark.gradient);
+  for (const Landmark& landmark : landmarks_) {
+    for (const double g : landmark.gradient) look(g);
+  }
   result.gradient_norm = std::sqrt(squared);
   result.is_finite = std::isfinite(result.cost) && std::isfinite(result.gradient_norm);
   return result;
@@ -204,37 +176,6 @@ void WindowProblem::Damp(double damping) {
   });
 }
 
-void WindowProblem::Eliminate(Landmark* landmark) {
-  const double hessian = landmark->hessian;
-  if (!is_scaled_) landmark->scale = 1 / (1 + std::sqrt(hessian));
-  const double squared = Square(landmark->scale);
-  landmark->d_squared =
-      std::clamp(squared * hessian, kLeastWindowDiagonal, kLargestWindowDiagonal) / squared;
-  landmark->damped = hessian + damping_ * landmark->d_squared;
-  if (!(landmark->damped > 0)) return;  // no parallax at all, and w is zero
-  const double inverse = 1 / landmark->damped;
-  for (const int a : touched_) {
-    const double* const wa = w_.data() + touched_at_[a];
-    const int na = view_.BlockSize(a), column = Column(a);
-    for (int c = 0; c < na; ++c) system_.rhs[column + c] += wa[c] * inverse * landmark->gradient;
-    for (const int b : touched_) {
-      if (place_[a] < place_[b]) continue;  // rows are those of the later block
-      const double* const wb = w_.data() + touched_at_[b];
-      const int nb = view_.BlockSize(b);
-      const BlockPlace place = Place(a, b);
-      if (na == kPoseSize && nb == kPoseSize) {
-        SubtractOuter<kPoseSize>(wa, wb, inverse, place.values, place.stride);
-        continue;
-      }
-      for (int c = 0; c < nb; ++c) {
-        const double factor = inverse * wb[c];
-        double* const values = place.values + int64_t{c} * place.stride;
-        for (int r = 0; r < na; ++r) values[r] -= wa[r] * factor;
-      }
-    }
-  }
-}
-
 NewtonResult WindowProblem::SolveNewton(double eta) {
   const LinearSolution solution = solver_->Solve(&system_, scale_, eta, newton_.data());
   NewtonResult result;
@@ -248,23 +189,33 @@ NewtonResult WindowProblem::SolveNewton(double eta) {
   if (result.status != NewtonResult::Status::kSuccess) return result;
   for (size_t l = 0; l < landmarks_.size(); ++l) {
     Landmark& landmark = landmarks_[l];
-    double sum = landmark.gradient;
+    std::fill_n(landmark.newton, 3, 0.0);
+    if (!landmark.is_regular) continue;
+    double sum[3] = {landmark.solved[0], landmark.solved[1], landmark.solved[2]};
     const double* w = w_.data() + w_begin_[l];
     for (size_t k = block_begin_[l]; k < block_begin_[l + 1]; ++k) {
       const double* const q = newton_.data() + Column(w_blocks_[k]);
       const int n = view_.BlockSize(w_blocks_[k]);
-      for (int c = 0; c < n; ++c) sum += w[c] * q[c];
-      w += n;
+      for (int c = 0; c < n; ++c) {
+        for (int i = 0; i < 3; ++i) sum[i] += w[3 * c + i] * q[c];
+      }
+      w += 3 * size_t(n);
     }
-    landmark.newton = landmark.damped > 0 ? -sum / landmark.damped : 0;
+    const double* const h = landmark.hessian;
+    double* const step = landmark.newton;
+    step[2] = -sum[2] / h[5];
+    step[1] = (-sum[1] - h[4] * step[2]) / h[3];
+    step[0] = (-sum[0] - h[1] * step[1] - h[2] * step[2]) / h[0];
   }
   return result;
 }
 
 double WindowProblem::Weighted() const {
   double sum = 0;
-  for (size_t k = 0; k < newton_.size(); ++k) sum += Square(newton_[k]) * d_squared_[k];
-  for (const Landmark& l : landmarks_) sum += Square(l.newton) * l.d_squared;
+  for (size_t k = 0; k < newton_.size(); ++k) sum += Squared(newton_[k]) * d_squared_[k];
+  for (const Landmark& l : landmarks_) {
+    for (int i = 0; i < 3; ++i) sum += Squared(l.newton[i]) * l.d_squared[i];
+  }
   return sum;
 }
 
@@ -272,12 +223,15 @@ Candidate WindowProblem::EvaluateNewtonStep() {
   double along = 0, squared = 0;
   for (size_t k = 0; k < newton_.size(); ++k) {
     along += gradient_[k] * newton_[k];
-    squared += Square(newton_[k]);
+    squared += Squared(newton_[k]);
   }
   for (size_t l = 0; l < landmarks_.size(); ++l) {
-    along += landmarks_[l].gradient * landmarks_[l].newton;
-    squared += Square(landmarks_[l].newton);
-    candidate_.inverse_depths[l] = x_.inverse_depths[l] + landmarks_[l].newton;
+    for (int i = 0; i < 3; ++i) {
+      const double step = landmarks_[l].newton[i];
+      along += landmarks_[l].gradient[i] * step;
+      squared += Squared(step);
+      candidate_.points[3 * l + i] = x_.points[3 * l + i] + step;
+    }
   }
   for (int i = 0; i < view_.num_states; ++i) {
     double d[kStateTangent];
@@ -308,10 +262,10 @@ void WindowProblem::Accept() {
 }
 
 double WindowProblem::NormOf(const WindowState& state) const {
-  double sum = Square(state.time_offset);
-  for (const double value : state.states) sum += Square(value);
-  for (const double value : state.inverse_depths) sum += Square(value);
-  for (const double value : state.camera_from_imu) sum += Square(value);
+  double sum = Squared(state.time_offset);
+  for (const double value : state.states) sum += Squared(value);
+  for (const double value : state.points) sum += Squared(value);
+  for (const double value : state.camera_from_imu) sum += Squared(value);
   return std::sqrt(sum);
 }
 

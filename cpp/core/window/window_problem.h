@@ -1,10 +1,10 @@
 #pragma once
 
 /// A window as what a trust region minimises (minimize/least_squares.h). Landmarks are eliminated:
-/// each is one number l with the rows (J_c, J_l, r) of its observations, so that with
-/// w = J_c^T J_l, h = J_l^T J_l + damping and g = J_l^T r
+/// each is three numbers with the rows (J_c, J_l, r) of its observations, so that with
+/// W = J_c^T J_l, H = J_l^T J_l + damping = L L^T, g = J_l^T r and V = W L^-T
 ///
-///   S = J_c^T J_c - sum w w^T / h,    b = -(J_c^T r - sum w g / h),    q_l = -(g + w^T q_c) / h
+///   S = J_c^T J_c - sum V V^T,    b = -(J_c^T r - sum V L^-1 g),    q_l = -L^-T (L^-1 g + V^T q_c)
 ///
 /// over all landmarks. S has a block per pose, motion, camera and time offset: dense for a window,
 /// sparse and supernodal for a long batch, in AMD's or METIS' order.
@@ -51,9 +51,11 @@ class WindowProblem final : public LeastSquares {
 
  private:
   struct Landmark {
-    int begin = 0, end = 0;  ///< its observations among the rows
-    double hessian = 0, gradient = 0, scale = 0, d_squared = 0;
-    double damped = 0, newton = 0;
+    double hessian[6] = {};  ///< xx, xy, xl, yy, yl, ll; then L in its place
+    double gradient[3] = {}, scale[3] = {}, d_squared[3] = {};
+    double solved[3] = {};  ///< L^-1 g
+    double newton[3] = {};
+    bool is_regular = false;
   };
   /// A block of S in its column, or of w.
   struct BlockPlace {
@@ -70,6 +72,8 @@ class WindowProblem final : public LeastSquares {
   void AddInertial(const InertialRows& row);
   void AddPrior(const WindowPrior& prior, const PriorForm& form);
   void AddLandmark(const VisualRows& row, Landmark* landmark);
+  void AddAnchor(const AnchorRows& row, Landmark* landmark);
+  bool FactorizeLandmark(Landmark* landmark);
   void Eliminate(Landmark* landmark);
   void Damp(double damping);
   int Column(int block) const { return structure_.offset[place_[block]]; }
@@ -90,7 +94,7 @@ class WindowProblem final : public LeastSquares {
   std::vector<Landmark> landmarks_;
   std::vector<int> touched_;     ///< blocks of the landmark that is eliminated
   std::vector<int> touched_at_;  ///< place of a block in w, -1: none
-  std::vector<double> w_;        ///< of all landmarks, one after the other
+  std::vector<double> w_;        ///< V of all landmarks: a row of 3 per coordinate
   std::vector<int> w_blocks_;    ///< likewise; w_begin_ and block_begin_ say where
   std::vector<size_t> w_begin_, block_begin_;
   std::vector<double> gradient_, scale_, d_squared_, newton_;

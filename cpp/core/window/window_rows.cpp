@@ -32,7 +32,6 @@ const double* PointOfJacobian(const WindowView& view, const WindowState& at, int
 LandmarkSight SightOf(const WindowView& view, int k) {
   const int l = view.landmarks[k];
   LandmarkSight sight;
-  std::copy_n(view.anchor_xy + 2 * l, 2, sight.anchor);
   std::copy_n(view.anchor_velocity + 2 * l, 2, sight.anchor_velocity);
   std::copy_n(view.xy + 2 * k, 2, sight.seen);
   std::copy_n(view.xy_velocity + 2 * k, 2, sight.velocity);
@@ -109,9 +108,9 @@ bool LinearizeSight(const WindowView& view, const WindowState& at, const WindowP
   row.anchor = view.anchor_states[l];
   row.observer = view.observers[k];
   const LandmarkSight sight = SightOf(view, k);
-  const double depth = at.inverse_depths[l];
+  const double* const point = at.point(l);
   const bool is_anchored = view.anchored[row.anchor] != 0 || view.anchored[row.observer] != 0;
-  if (!InverseDepthResidual(poses.now[row.anchor], poses.now[row.observer], poses.camera, depth,
+  if (!InverseDepthResidual(poses.now[row.anchor], poses.now[row.observer], poses.camera, point,
                             at.time_offset, sight, view.sigma, row.r,
                             is_anchored ? nullptr : &row.by)) {
     return false;
@@ -119,7 +118,7 @@ bool LinearizeSight(const WindowView& view, const WindowState& at, const WindowP
   double unused[2];
   if (is_anchored &&
       !InverseDepthResidual(poses.jacobian[row.anchor], poses.jacobian[row.observer], poses.camera,
-                            depth, at.time_offset, sight, view.sigma, unused, &row.by)) {
+                            point, at.time_offset, sight, view.sigma, unused, &row.by)) {
     return false;
   }
   const double squared = row.r[0] * row.r[0] + row.r[1] * row.r[1];
@@ -133,10 +132,27 @@ bool LinearizeSight(const WindowView& view, const WindowState& at, const WindowP
     for (double& x : row.by.by_observer) x *= weight;
     for (double& x : row.by.by_camera) x *= weight;
     for (double& x : row.by.by_time) x *= weight;
-    for (double& x : row.by.by_depth) x *= weight;
+    for (double& x : row.by.by_point) x *= weight;
   }
   rows->visual.push_back(row);
   return true;
+}
+
+/// The anchoring image's observation of a landmark; adds 1/2 rho.
+AnchorRows LinearizeAnchor(const WindowView& view, const WindowState& at, int landmark,
+                           double* cost) {
+  AnchorRows row;
+  row.landmark = landmark;
+  double rho[3];
+  for (int k = 0; k < 2; ++k) {
+    row.r[k] = (at.point(landmark)[k] - view.anchor_xy[2 * landmark + k]) / view.sigma;
+  }
+  ValueOfLoss(view.loss, view.loss_scale, row.r[0] * row.r[0] + row.r[1] * row.r[1], rho);
+  *cost += 0.5 * rho[0];
+  const double weight = std::sqrt(rho[1]);
+  row.scale = weight / view.sigma;
+  for (double& x : row.r) x *= weight;
+  return row;
 }
 
 }  // namespace
@@ -146,12 +162,17 @@ void LinearizeWindow(const WindowView& view, const WindowState& at,
   rows->is_finite = true;
   rows->costs = {};
   rows->visual.clear();
+  rows->anchors.clear();
   rows->inertial.clear();
   rows->priors.clear();
   const WindowPoses poses(view, at);
   for (int k = 0; k < view.num_observations; ++k) {
     if (!selection.all && selection.landmarks[view.landmarks[k]] == 0) continue;
     if (!LinearizeSight(view, at, poses, k, rows)) rows->is_finite = false;
+  }
+  for (const VisualRows& row : rows->visual) {
+    if (!rows->anchors.empty() && rows->anchors.back().landmark == row.landmark) continue;
+    rows->anchors.push_back(LinearizeAnchor(view, at, row.landmark, &rows->costs.visual));
   }
   for (size_t i = 0; i < view.imu.size(); ++i) {
     if (view.imu[i] == nullptr || (!selection.all && selection.imu[i] == 0)) continue;
@@ -174,7 +195,7 @@ std::vector<double> VisualResidualNorms(const WindowView& view, const WindowStat
     const int l = view.landmarks[k];
     double r[2];
     if (InverseDepthResidual(poses.now[view.anchor_states[l]], poses.now[view.observers[k]],
-                             poses.camera, at.inverse_depths[l], at.time_offset, SightOf(view, k),
+                             poses.camera, at.point(l), at.time_offset, SightOf(view, k),
                              view.sigma, r, nullptr)) {
       norms[k] = std::sqrt(r[0] * r[0] + r[1] * r[1]);
     }
@@ -192,6 +213,11 @@ WindowCosts CostsOfWindow(const WindowView& view, const WindowState& at) {
       costs.visual = norm;  // a bounded loss would hide it
       return costs;
     }
+  }
+  for (int k = 0, last = -1; k < view.num_observations; ++k) {
+    if (view.landmarks[k] == last) continue;
+    last = view.landmarks[k];
+    LinearizeAnchor(view, at, last, &costs.visual);
   }
   for (size_t i = 0; i < view.imu.size(); ++i) {
     if (view.imu[i] != nullptr) AddImuCost(view, at, static_cast<int>(i), &costs);

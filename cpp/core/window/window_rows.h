@@ -16,6 +16,13 @@ struct VisualRows {
   DepthJacobians by;
 };
 
+/// The anchoring image's own observation: two rows by (x, y) of the landmark, both `scale`.
+struct AnchorRows {
+  int landmark = 0;
+  double r[2];
+  double scale = 0;
+};
+
 /// Preintegrated samples (9 rows: rotation, position, velocity) and the biases' walk (6).
 struct InertialRows {
   static constexpr int kRows = 15;
@@ -35,6 +42,7 @@ struct WindowRows {
   bool is_finite = true;
   WindowCosts costs;
   std::vector<VisualRows> visual;
+  std::vector<AnchorRows> anchors;  ///< of the landmarks in `visual`, in the same order
   std::vector<InertialRows> inertial;
   std::vector<PriorForm> priors;
 };

@@ -217,15 +217,15 @@ class SlidingWindow:
         return {frame.stamp: place for place, frame in enumerate(self.frames)}
 
     def _table(self) -> tuple[LandmarkTable, Array]:
-        """Return the landmarks of the window and their inverse depths."""
+        """Return the landmarks of the window, and x, y, 1 / z of each in its anchor."""
         table = landmark_table([frame.tracks for frame in self.frames])
         return self._depths.of(table, self.frames, self.camera_from_imu, self.sigma)
 
     def _solve(self, generous: bool = False) -> None:
         options = self.options
         self._repropagate()
-        table, depths = self._table()
-        window = window_arrays(self, table, depths)
+        table, points = self._table()
+        window = window_arrays(self, table, points)
         if options.jacobians == "relinearize_prior" and self.prior is not None:
             self.prior = self.prior.relinearized({f.stamp: f.state for f in self.frames})
         places = self._places()
@@ -249,7 +249,7 @@ class SlidingWindow:
             frame.state = state
         self.camera_from_imu = np.array(solved["camera_from_imu"])
         self.time_offset = solved["time_offset"]
-        self._depths.put(table, self.frames, solved["inverse_depths"])
+        self._depths.put(table, self.frames, solved["points"])
         self._reject(table, solved["residual_norms"])
         self._telemetry.solved(table, window, solved)
         self._telemetry.lap("solve")
@@ -290,13 +290,13 @@ class SlidingWindow:
             self._telemetry.left(oldest, "drop", 0, 0)
             self._telemetry.lap("marginalization")
             return
-        table, depths = self._table()
+        table, points = self._table()
         goes = table.anchors == 0
         moved = self.focal * table.parallax() >= self.options.marginal_parallax
         absorbed = goes & moved
         carried = goes & ~moved
         kept = table.only(~carried)
-        window = window_arrays(self, kept, depths[~carried])
+        window = window_arrays(self, kept, points[~carried])
         places = self._places()
         window["priors"] = [self.prior.at(places)] if self.prior is not None else []
         flags = np.zeros(len(self.frames), np.uint8)

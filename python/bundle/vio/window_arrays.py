@@ -16,7 +16,7 @@ __all__ = ["window_arrays"]
 Array = np.ndarray[Any, Any]
 
 
-def window_arrays(window: SlidingWindow, table: LandmarkTable, depths: Array) -> dict[str, Any]:
+def window_arrays(window: SlidingWindow, table: LandmarkTable, points: Array) -> dict[str, Any]:
     """Return the window as the core takes it, without priors."""
     states = window.states
     first_estimates = window.options.jacobians == "first_estimate"
@@ -30,7 +30,7 @@ def window_arrays(window: SlidingWindow, table: LandmarkTable, depths: Array) ->
         "time_offset": window.time_offset,
         "refine_camera": window.options.refine_extrinsics,
         "refine_time_offset": window.options.refine_time_offset,
-        "inverse_depths": depths,
+        "points": points,
         "anchor_states": table.anchors,
         "anchor_xy": table.anchor_xy,
         "anchor_velocity": table.anchor_velocity,

@@ -89,7 +89,7 @@ class WindowOptions(Options):
         metavar="S",
     )
     function_tolerance: float = option(
-        1e-4,
+        1e-5,
         "--function-tolerance",
         "stop when |change of cost| < X * cost",
         minimum=0.0,
@@ -103,7 +103,7 @@ class WindowOptions(Options):
         metavar="HZ",
     )
     min_parallax: float = option(
-        20.0,
+        30.0,
         "--min-parallax",
         "median motion of the tracks since the last keyframe that makes a keyframe, pixels",
         minimum=0.0,

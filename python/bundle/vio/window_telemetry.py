@@ -63,9 +63,9 @@ class WindowTelemetry:
             "window_size": states,
             "num_landmarks": len(table.ids),
             "num_observations": len(table.landmarks),
-            "num_rows": 2 * len(table.landmarks) + 15 * (states - 1) + priors,
+            "num_rows": 2 * (len(table.landmarks) + len(table.ids)) + 15 * (states - 1) + priors,
             "num_columns": 15 * states
-            + len(table.ids)
+            + 3 * len(table.ids)
             + 6 * window["refine_camera"]
             + window["refine_time_offset"],
         }
@@ -138,7 +138,8 @@ class WindowTelemetry:
             num_rejected=solved["num_rejected"],
             out_of_time=solved["out_of_time"],
             costs=dict(costs),
-            mean_visual_chi2=costs["visual"] / (2 * max(sizes["num_observations"], 1)),
+            mean_visual_chi2=costs["visual"]
+            / (2 * max(sizes["num_observations"] + sizes["num_landmarks"], 1)),
             nullity=nullity,
             expected_nullity=self.expected_nullity,
             **prior,

@@ -1,0 +1,103 @@
+/// Landmarks go first: three numbers each, by a Cholesky factor of their own 3 x 3 block
+/// (window_problem.h has the formulae).
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/window/block_products.h"
+#include "core/window/window_problem.h"
+
+namespace bundle {
+
+/// Adds the rows' share of W, H and g.
+void WindowProblem::AddLandmark(const VisualRows& row, Landmark* landmark) {
+  const double* const p = row.by.by_point;
+  int entry = 0;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = i; j < 3; ++j) landmark->hessian[entry++] += p[i] * p[j] + p[3 + i] * p[3 + j];
+    landmark->gradient[i] += p[i] * row.r[0] + p[3 + i] * row.r[1];
+  }
+  const int blocks[] = {2 * row.anchor, 2 * row.observer, view_.camera_block(), view_.time_block()};
+  const double* const by[] = {row.by.by_anchor, row.by.by_observer, row.by.by_camera,
+                              row.by.by_time};
+  for (int a = 0; a < 4; ++a) {
+    const int n = view_.BlockSize(blocks[a]);
+    if (n == 0) continue;
+    int& at = touched_at_[blocks[a]];
+    if (at < 0) {
+      at = static_cast<int>(w_.size());
+      touched_.push_back(blocks[a]);
+      w_.resize(w_.size() + 3 * size_t(n), 0.0);
+    }
+    double* const w = w_.data() + at;
+    for (int c = 0; c < n; ++c) {
+      for (int i = 0; i < 3; ++i) w[3 * c + i] += by[a][c] * p[i] + by[a][n + c] * p[3 + i];
+    }
+  }
+}
+
+/// The same of the anchoring image's own rows.
+void WindowProblem::AddAnchor(const AnchorRows& row, Landmark* landmark) {
+  landmark->hessian[0] += Squared(row.scale);
+  landmark->hessian[3] += Squared(row.scale);
+  for (int i = 0; i < 2; ++i) landmark->gradient[i] += row.scale * row.r[i];
+}
+
+/// Damps H, then L in its place and L^-1 g. False where H is not positive definite.
+bool WindowProblem::FactorizeLandmark(Landmark* landmark) {
+  constexpr int kDiagonal[] = {0, 3, 5};
+  constexpr double kNothing = 1e-15;
+  double* const h = landmark->hessian;
+  for (int i = 0; i < 3; ++i) {
+    double& entry = h[kDiagonal[i]];
+    if (!is_scaled_) landmark->scale[i] = 1 / (1 + std::sqrt(entry));
+    const double squared = Squared(landmark->scale[i]);
+    landmark->d_squared[i] =
+        std::clamp(squared * entry, kLeastWindowDiagonal, kLargestWindowDiagonal) / squared;
+    entry += damping_ * landmark->d_squared[i];
+  }
+  const double yy = h[3], ll = h[5];
+  if (!(h[0] > 0)) return false;
+  h[0] = std::sqrt(h[0]);
+  h[1] /= h[0];
+  h[2] /= h[0];
+  h[3] -= h[1] * h[1];
+  if (!(h[3] > kNothing * yy)) return false;
+  h[3] = std::sqrt(h[3]);
+  h[4] = (h[4] - h[1] * h[2]) / h[3];
+  h[5] -= h[2] * h[2] + h[4] * h[4];
+  if (!(h[5] > kNothing * ll)) return false;
+  h[5] = std::sqrt(h[5]);
+  double* const y = landmark->solved;
+  y[0] = landmark->gradient[0] / h[0];
+  y[1] = (landmark->gradient[1] - h[1] * y[0]) / h[3];
+  y[2] = (landmark->gradient[2] - h[2] * y[0] - h[4] * y[1]) / h[5];
+  return true;
+}
+
+void WindowProblem::Eliminate(Landmark* landmark) {
+  landmark->is_regular = FactorizeLandmark(landmark);
+  if (!landmark->is_regular) return;  // nothing is known of its depth
+  const double* const l = landmark->hessian;
+  const double* const y = landmark->solved;
+  for (const int a : touched_) {  // V = W L^-T, row by row
+    double* row = w_.data() + touched_at_[a];
+    const int n = view_.BlockSize(a), column = Column(a);
+    for (int c = 0; c < n; ++c, row += 3) {
+      row[0] /= l[0];
+      row[1] = (row[1] - l[1] * row[0]) / l[3];
+      row[2] = (row[2] - l[2] * row[0] - l[4] * row[1]) / l[5];
+      system_.rhs[column + c] += row[0] * y[0] + row[1] * y[1] + row[2] * y[2];
+    }
+  }
+  for (const int a : touched_) {
+    for (const int b : touched_) {
+      if (place_[a] < place_[b]) continue;  // rows are those of the later block
+      const BlockPlace place = Place(a, b);
+      SubtractProduct(w_.data() + touched_at_[a], view_.BlockSize(a), w_.data() + touched_at_[b],
+                      view_.BlockSize(b), place.values, place.stride);
+    }
+  }
+}
+
+}  // namespace bundle

@@ -1,0 +1,157 @@
+"""Is a window as certain as it is right? NEES over flights, with and without first estimates.
+
+``python -m tests.campaigns.window_consistency [FLIGHTS [PICTURE]]`` flies that often (50) with each
+kind of Jacobians, from the true first states and a sharp prior on the first position and yaw. The
+normalised squared error of the newest state, yaw (1 degree of freedom) and position (3), averaged
+over flights and the later half of the time, is 1 per degree for a consistent estimator. With
+current estimates the prior and the live factors are blind along different directions; yaw seems
+known, its sigma falls while its error does not.
+"""
+
+from __future__ import annotations
+
+import sys
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bundle.synthetic.flight import SyntheticFlight, synthesize_flight
+from bundle.vio import FrameTracks, SlidingWindow
+from bundle.vio.imu_slices import ImuSlices
+
+Array = np.ndarray[Any, Any]
+
+SECONDS = 30.0
+START, SPACING = 6, 4  # keyframes of the start, images between them
+KINDS = ("first_estimate", "current", "relinearize_prior")
+
+
+def fly(seed: int, seconds: float = SECONDS) -> SyntheticFlight:
+    return synthesize_flight(
+        seed=seed, duration=seconds, rest=1.0, pixel_noise=1.0, num_tracks=40, imu_noise_scale=1.0
+    )
+
+
+def follow(flight: SyntheticFlight, jacobians: str, **options: Any) -> Array:
+    """Return per keyframe: seconds, yaw error and sigma, NEES of the position, rotation made."""
+    sequence = flight.sequence
+    slices = ImuSlices(sequence.imu_timestamps_ns, sequence.gyro, sequence.accel, "zero_order_hold")
+    _, begin = sequence.frames()
+    stamps = sequence.image_timestamps_ns[begin[:-1]]
+    xy = sequence.normalized()
+    truth = flight.ground_truth
+
+    def tracks(k: int) -> FrameTracks:
+        rows = slice(begin[k], begin[k + 1])
+        return FrameTracks(sequence.track_ids[rows], xy[rows], np.zeros_like(xy[rows]))
+
+    def true_state(k: int) -> Array:
+        row = int(np.searchsorted(truth.timestamps_ns, stamps[k]))
+        found: Array = truth.states[row]
+        return found
+
+    first = int(np.searchsorted(stamps, stamps[0] + 2_000_000_000))
+    images = [first + SPACING * k for k in range(START)]
+    settings: dict[str, Any] = {
+        "imu_noise_scale": 1.0,
+        "loss": "trivial",
+        "start_position_sigma": 1e-3,
+        "start_yaw_sigma": 0.01,
+        "start_gyro_bias_sigma": 1e-3,
+        "start_accel_bias_sigma": 0.02,
+        "covariance": True,
+        "time_budget": 10.0,
+        "max_num_iterations": 20,
+        "function_tolerance": 1e-8,
+        "jacobians": jacobians,
+    }
+    window = SlidingWindow(
+        sequence.calibration.camera_from_imu,
+        sequence.calibration.noise,
+        sequence.calibration.focal,
+        **settings | options,
+    )
+    states = np.array([true_state(k) for k in images])
+    rng = np.random.default_rng(seed_of(flight))
+    states[:, 10:13] += rng.normal(0, settings["start_gyro_bias_sigma"], 3)
+    states[:, 13:16] += rng.normal(0, settings["start_accel_bias_sigma"], 3)
+    window.start(
+        [int(stamps[k]) for k in images],
+        states,
+        [tracks(k) for k in images],
+        [slices.between(int(stamps[a]), int(stamps[b])) for a, b in pairwise(images)],
+    )
+    rows, turned, last = [], 0.0, true_state(images[-1])
+    for k in range(images[-1] + 2, len(stamps), 2):
+        interval = slices.between(window.frames[-1].stamp, int(stamps[k]))
+        record = window.add_frame(int(stamps[k]), interval, tracks(k))
+        true = true_state(k)
+        turned += (Rotation.from_quat(last[:4]).inv() * Rotation.from_quat(true[:4])).magnitude()
+        last = true
+        if record is None or window.covariance is None or record.yaw_sigma is None:
+            continue
+        state = window.frames[-1].state
+        yaw = (Rotation.from_quat(state[:4]) * Rotation.from_quat(true[:4]).inv()).as_rotvec()[2]
+        error = state[4:7] - true[4:7]
+        nees = float(error @ np.linalg.solve(window.covariance[3:6, 3:6], error))
+        rows.append([1e-9 * float(stamps[k] - stamps[0]), yaw, record.yaw_sigma, nees, turned])
+    return np.array(rows)
+
+
+def seed_of(flight: SyntheticFlight) -> int:
+    return (
+        int(abs(hash(flight.sequence.xy[:8].tobytes())) % 2**32)
+        if False
+        else int(np.abs(flight.sequence.xy[:8]).sum() * 1e3)
+    )
+
+
+def summary(runs: list[Array]) -> tuple[float, float]:
+    """Return NEES per degree of freedom of yaw and of position, over the later half."""
+    late = [run[len(run) // 2 :] for run in runs]
+    yaw = float(np.mean([np.mean((r[:, 1] / r[:, 2]) ** 2) for r in late]))
+    position = float(np.mean([np.mean(r[:, 3]) / 3 for r in late]))
+    return yaw, position
+
+
+def main(flights: int, picture: str | None) -> None:
+    runs: dict[str, list[Array]] = {kind: [] for kind in KINDS}
+    for seed in range(flights):
+        flight = fly(seed)
+        for kind in KINDS:
+            runs[kind].append(follow(flight, kind))
+        line = "  ".join(
+            f"{kind} {summary(runs[kind])[0]:.2f} {summary(runs[kind])[1]:.2f}" for kind in KINDS
+        )
+        print(f"{seed + 1:3d} flights, NEES of yaw and position: {line}", flush=True)
+    if picture:
+        draw(runs, picture)
+
+
+def draw(runs: dict[str, list[Array]], picture: str) -> None:
+    """Plot the signature: sigma of yaw and its true error over the rotation made."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(1, 2, figsize=(10, 4), sharey=True)
+    for axis, kind in zip(axes, ("first_estimate", "current"), strict=True):
+        count = min(len(run) for run in runs[kind])
+        stack = np.array([run[:count] for run in runs[kind]])
+        turned = np.degrees(stack[:, :, 4].mean(axis=0))
+        axis.plot(turned, np.degrees(stack[:, :, 2].mean(axis=0)), label="sigma that it reports")
+        axis.plot(
+            turned, np.degrees(np.sqrt((stack[:, :, 1] ** 2).mean(axis=0))), label="true error, rms"
+        )
+        axis.set(title=f"Jacobians at {kind.replace('_', ' ')}s", xlabel="rotation made, degrees")
+        axis.legend()
+    axes[0].set_ylabel("yaw, degrees")
+    figure.tight_layout()
+    figure.savefig(picture, dpi=110)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 50, sys.argv[2] if len(sys.argv) > 2 else None)
