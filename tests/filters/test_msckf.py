@@ -160,6 +160,14 @@ def test_tracks_without_parallax_tell_nothing():
     update = bundle.msckf_update(np.eye(24), [rows])
     assert [place for place, _ in update.rejected] == [0]
     assert np.isnan(update.nis).all()
+    noise = SIGMA * np.random.default_rng(0).standard_normal((30, 4, 2))
+    behind = 0
+    for shake in noise:  # at rest a landmark of least squares may be anywhere
+        try:
+            rows_of(poses, project(poses, points[0]) + shake)
+        except InputError as error:
+            behind += "parallax" in str(error)
+    assert behind > 0
     one = rows_of(poses[:1], project(poses[:1], points[0]), point=points[0])
     assert bundle.msckf_update(np.eye(6), [one]).rejected
 

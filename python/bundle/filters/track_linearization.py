@@ -26,7 +26,7 @@ __all__ = ["TrackRows", "track_rows"]
 Array = NDArray[np.float64]
 
 _STEPS = 10  # of Gauss-Newton for the landmark
-_SMALL = 1e-10  # a step beside the distance that ends it
+_SMALL = 1e-12  # a step that ends it
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,7 +92,8 @@ def track_rows(
             its image coordinates.
 
     Raises:
-        InputError: shapes do not fit, numbers are not finite, or the landmark is behind a camera.
+        InputError: shapes do not fit, numbers are not finite, or the landmark is behind a camera:
+            if it was triangulated, the track has too little parallax and tells nothing.
     """
     given = _finite("poses", poses, 7)
     image = _finite("xy", xy, 2)
@@ -117,9 +118,13 @@ def track_rows(
         landmark = _finite("point", [point], 3)[0]
     in_camera = cam_from_world @ landmark + offset
     if not (in_camera[:, 2] > 0).all():
-        raise InputError(
-            f"point: expected in front of all cameras, found a depth of {in_camera[:, 2].min():.3g}"
-        )
+        if point is None:
+            raise InputError(
+                "xy: expected a track with parallax, found one whose landmark of least squares is "
+                "behind its cameras"
+            )
+        depth = in_camera[:, 2].min()
+        raise InputError(f"point: expected in front of all cameras, found a depth of {depth:.3g}")
     by_camera = _project_jacobian(in_camera) / sigma
     by_point = by_camera @ cam_from_world
     in_imu = np.einsum("kji,kj->ki", world_from_imu, landmark - given[:, 4:])
@@ -133,22 +138,29 @@ def track_rows(
 
 
 def _triangulate(rotations: Array, offsets: Array, image: Array) -> Array:
-    """Return the landmark of least squares: linear first, then Gauss-Newton."""
-    # x c_z = c_x and y c_z = c_y
-    rows = image[:, :, None] * rotations[:, 2:] - rotations[:, :2]
-    sides = offsets[:, :2] - image * offsets[:, 2:]
-    solution = np.linalg.lstsq(rows.reshape(-1, 3), sides.ravel(), rcond=None)[0]
-    point: Array = np.asarray(solution, np.float64)
-    for _ in range(_STEPS):
-        in_camera = rotations @ point + offsets
-        if not (in_camera[:, 2] > 0).all():
-            break
-        residual = in_camera[:, :2] / in_camera[:, 2:] - image
-        jacobian = (_project_jacobian(in_camera) @ rotations).reshape(-1, 3)
-        step = np.linalg.lstsq(jacobian, -residual.ravel(), rcond=None)[0]
-        point = np.asarray(point + step, np.float64)
-        if np.linalg.norm(step) < _SMALL * np.abs(in_camera[:, 2]).max():
-            break
+    """Return the landmark of least squares; behind the first camera, or at infinity: nan.
+
+    Gauss-Newton on (a, b, 1 / z) in the first camera, from infinity on: c ~ R (a, b, 1) + t / z.
+    """
+    turns = rotations @ rotations[0].T
+    shifts = offsets - turns @ offsets[0]
+    landmark = np.array([image[0, 0], image[0, 1], 0.0])
+    with np.errstate(divide="ignore", invalid="ignore"):  # on a camera's plane: ends as nan
+        for _ in range(_STEPS):
+            in_camera = turns @ np.append(landmark[:2], 1.0) + landmark[2] * shifts
+            by_camera = _project_jacobian(in_camera)
+            by_depth = np.einsum("kij,kj->ki", by_camera, shifts)
+            jacobian = np.concatenate([by_camera @ turns[:, :, :2], by_depth[:, :, None]], axis=2)
+            residual = in_camera[:, :2] / in_camera[:, 2:] - image
+            if not np.isfinite(residual).all():
+                break
+            step = np.linalg.lstsq(jacobian.reshape(-1, 3), -residual.ravel(), rcond=None)[0]
+            landmark = landmark + step
+            if np.abs(step).max() < _SMALL * max(1.0, np.abs(landmark).max()):
+                break
+    if not landmark[2] > 0:
+        return np.full(3, np.nan)
+    point: Array = rotations[0].T @ (np.append(landmark[:2], 1.0) / landmark[2] - offsets[0])
     return point
 
 
