@@ -17,13 +17,13 @@ def scene(**settings):
     return make_problem(**{"num_images": 4, "num_points": 25, "seed": 4, **settings})
 
 
-def assert_same(cov, other, tolerance=1e-9):
-    """Equal but for this share of the sigmas."""
+def assert_same(cov, other, factor=1.0, tolerance=1e-9):
+    """So many times the other, but for this share of the sigmas."""
     for kind in KINDS:
         ours, theirs = (getattr(of, f"{kind}_covariance") for of in (cov, other))
         sigma = np.sqrt(np.nan_to_num(np.diagonal(theirs, axis1=1, axis2=2)))
         scale = np.where(sigma > 0, sigma, 1)
-        error = np.nan_to_num(ours - theirs) / scale[:, :, None] / scale[:, None]
+        error = np.nan_to_num(ours - factor * theirs) / scale[:, :, None] / scale[:, None]
         assert (np.isnan(ours) == np.isnan(theirs)).all()
         assert np.abs(error).max() < tolerance, kind
 

@@ -70,16 +70,17 @@ CovarianceComputation::Matrix3 CovarianceComputation::ScatterOfPoint(int point,
   SumScores(blocks, rows, prior.empty() ? nullptr : &prior[9 * size_t(point)], &scores);
   Matrix3 cross = Matrix3::Zero(), sum = Matrix3::Zero();
   PaddedRows e;
-  e.Set(ScoresBesidePoint(blocks, scores));
+  const std::vector<double> scores_e = ScoresBesidePoint(blocks, scores);
+  e.Set(scores_e);
   AddPairs(system_, system_.values(), blocks, *y, e, /*is_same=*/false, cross.data());
   AddPairs(system_, scatter_, blocks, *y, *y, /*is_same=*/true, sum.data());
   const Eigen::Map<const Matrix3> of_point(scores.p);
-  if (constraints_ != nullptr) {
-    const FreeGauge::PointRows n = gauge_->OfPoint(point);
-    cross += n.lazyProduct(n.transpose()).eval() * inverse * of_point;
-  }
   const Matrix3 back = cross * inverse;
-  return inverse * of_point * inverse + sum - back - back.transpose();
+  Matrix3 out = inverse * of_point * inverse + sum - back - back.transpose();
+  if (scatter_gauge_ != nullptr) {
+    scatter_gauge_->TransformPoint(point, blocks, layout(), scores_e.data(), scores.p, out.data());
+  }
+  return out;
 }
 
 CovarianceOutput ComputeCovariance(const ProblemView& problem, const SolveOptions& options,

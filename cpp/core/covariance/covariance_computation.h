@@ -46,14 +46,21 @@ class CovarianceComputation {
     }
     HoldGauge();
     CountResiduals();
+    std::vector<double> held;  // of a dense system
+    std::vector<double> whole_inverse;
+    if (wanted_.sandwich && system_.structure().dense) held = system_.values();
     Factorize();
     FindDirections();
     FindRelative();
     if (wanted_.sandwich) {
-      std::unique_ptr<ScatterGauge> gauge;
-      if (constraints_ != nullptr) gauge = std::make_unique<ScatterGauge>(*gauge_);
-      const std::vector<double> meat = SumMeat(system_, gauge.get());
-      Check(SolveForScatter(&system_, meat, gauge.get(), &scatter_));
+      if (constraints_ != nullptr) scatter_gauge_ = std::make_unique<ScatterGauge>(*gauge_);
+      const std::vector<double> meat = SumMeat(system_, scatter_gauge_.get());
+      if (scatter_gauge_ != nullptr && !held.empty()) {
+        Check(scatter_gauge_->FinishDense(&system_, held, meat, &scatter_, &whole_inverse));
+      } else {
+        Check(SolveForScatter(&system_, meat, scatter_gauge_.get(), &scatter_));
+        if (scatter_gauge_ != nullptr) Check(scatter_gauge_->Finish(&system_, meat));
+      }
     }
     Check(system_.Invert());
     int unknown = -1;
@@ -63,12 +70,17 @@ class CovarianceComputation {
     }
     if (constraints_ != nullptr && !wanted_.sandwich) {
       constraints_->TransformBlocks(system_.structure(), &system_.values());
-    } else if (constraints_ != nullptr && wanted_.of_points) {
-      constraints_->TransformReduced(system_.structure(), &system_.values());
+    } else if (!whole_inverse.empty()) {
+      system_.values() = std::move(whole_inverse);
+    } else if (scatter_gauge_ != nullptr) {
+      scatter_gauge_->TransformInverse(system_.structure(), &system_.values());
+    }
+    if (wanted_.of_points) FindPoints();
+    if (scatter_gauge_ != nullptr) {
+      scatter_gauge_->TransformScatter(system_.structure(), &scatter_);
     }
     FindImages();
     FindRigs();
-    if (wanted_.of_points) FindPoints();
     for (const NullPoint& null : system_.null_points()) output_.null_points.push_back(null.point);
     output_.warnings = system_.warnings();
     return std::move(output_);
@@ -295,7 +307,8 @@ class CovarianceComputation {
   ReducedSystem system_;
   std::unique_ptr<FreeGauge> gauge_;
   std::unique_ptr<InnerConstraints> constraints_;  ///< where the gauge has degrees
-  std::vector<double> scatter_;                    ///< D or D', where the sandwich is wanted
+  std::unique_ptr<ScatterGauge> scatter_gauge_;    ///< likewise, where the sandwich is wanted
+  std::vector<double> scatter_;                    ///< D, and in the end D'; of the sandwich
   CovarianceOutput output_;
 };
 

@@ -73,6 +73,10 @@ class FreeGauge {
   Eigen::Matrix<double, kSimilarities, kMoves, Eigen::RowMajor> padded_;
 };
 
+/// Adds N_i (k N_j^T - Y_j^T) - Y_i N_j^T to all blocks (i, j).
+void TransformBlocks(const Eigen::MatrixXd& n, const Eigen::MatrixXd& y, const Eigen::MatrixXd& k,
+                     const BlockStructure& structure, std::vector<double>* values);
+
 /// The S-transformation of blocks of G.
 class InnerConstraints {
  public:
@@ -87,23 +91,13 @@ class InnerConstraints {
                  const double* n_columns, const double* y_columns, double* block) const;
   /// Turns all blocks of C into those of H^+.
   void TransformBlocks(const BlockStructure& structure, std::vector<double>* values) const {
-    TransformBlocks(k_, structure, values);
-  }
-  /// Turns all blocks of C into those of P_c C P_c^T, P_c = I - N_c K^T: the covariance with as
-  /// much of the gauge taken out as the camera parameters see of it (sandwich.h).
-  void TransformReduced(const BlockStructure& structure, std::vector<double>* values) const {
-    TransformBlocks(of_cameras_, structure, values);
+    bundle::TransformBlocks(gauge_.cameras(), y_, k_, structure, values);
   }
 
  private:
-  /// Block (i, j) + N_i (k N_j^T - Y_j^T) - Y_i N_j^T
-  void TransformBlocks(const Eigen::MatrixXd& k, const BlockStructure& structure,
-                       std::vector<double>* values) const;
-
   const FreeGauge& gauge_;
   const Eigen::MatrixXd y_;
-  const Eigen::MatrixXd of_cameras_;  ///< K^T C K
-  const Eigen::MatrixXd k_;           ///< N^T Y
+  const Eigen::MatrixXd k_;  ///< N^T Y
 };
 
 }  // namespace bundle

@@ -17,8 +17,7 @@ using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 InnerConstraints::InnerConstraints(const FreeGauge& gauge, Eigen::MatrixXd y)
     : gauge_(gauge),
       y_(std::move(y)),
-      of_cameras_(MultiplyTransposed(gauge.reduced(), y_)),
-      k_(of_cameras_ + gauge.of_points()) {}
+      k_(MultiplyTransposed(gauge.reduced(), y_) + gauge.of_points()) {}
 
 void InnerConstraints::RowsOfUnknowns(int first, int count, double* n, double* y) const {
   for (int i = 0; i < count; ++i) {
@@ -41,23 +40,22 @@ void InnerConstraints::Transform(int rows, const double* n_rows, const double* y
       block, rows, columns) += ni * (k_ * nj.transpose() - yj.transpose()) - yi * nj.transpose();
 }
 
-void InnerConstraints::TransformBlocks(const Eigen::MatrixXd& k, const BlockStructure& s,
-                                       std::vector<double>* values) const {
+void TransformBlocks(const Eigen::MatrixXd& n, const Eigen::MatrixXd& y, const Eigen::MatrixXd& k,
+                     const BlockStructure& s, std::vector<double>* values) {
   using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-  const Eigen::MatrixXd& n = gauge_.cameras();
-  const int d = degrees();
+  const Eigen::Index d = n.cols();
   // The change is left right^T: [N | -Y] of the row's block times [N k - Y | N] of the column's.
   Eigen::MatrixXd left(n.rows(), 2 * d);
-  left << n, -y_;
+  left << n, -y;
   Rows right(n.rows(), 2 * d);
-  right << Multiply(n, k) - y_, n;
+  right << Multiply(n, k) - y, n;
   for (int j = 0; j < s.num_blocks(); ++j) {
     for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) {
       const int first = s.offset[s.row_block[e]], rows = s.block_size(s.row_block[e]);
       for (int c = 0; c < s.block_size(j); ++c) {
         double* const to = values->data() + s.ValueIndex(j, e, 0, c);
         const double* const by = right.row(s.offset[j] + c).data();
-        for (int m = 0; m < 2 * d; ++m) {
+        for (Eigen::Index m = 0; m < 2 * d; ++m) {
           const double* const column = left.col(m).data() + first;
           for (int r = 0; r < rows; ++r) to[r] += by[m] * column[r];
         }

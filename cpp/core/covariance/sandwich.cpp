@@ -193,11 +193,11 @@ LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>&
     if (solution.status != LinearSolution::Status::kSuccess) return solution;
     if (gauge != nullptr) gauge->RemoveGauge(x);
     for (int c = 0; c < columns; ++c) product.Multiply(meat, x.col(c).data(), y.col(c).data());
-    if (gauge != nullptr) gauge->AddCrossTerms(begin, y);
+    if (gauge != nullptr) gauge->RemoveGauge(y);
     of_columns.setZero(n, columns);
     solution = system->Solve(y.data(), columns, of_columns.data());
     if (solution.status != LinearSolution::Status::kSuccess) return solution;
-    if (gauge != nullptr) gauge->RemoveGauge(begin, x, of_columns);
+    if (gauge != nullptr) gauge->RemoveGauge(of_columns);
     for (int j = first; j < last; ++j) {
       for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) {
         const int i = s.row_block[e];

@@ -54,7 +54,8 @@ std::vector<double> ScoresBesidePoint(const PointBlocks& blocks, const PointScor
 /// B, with the structure of S; and what is summed up beside it, unless `gauge` is nullptr.
 std::vector<double> SumMeat(const ReducedSystem& system, ScatterGauge* gauge);
 
-/// D at the blocks of S, of a factorised system; D' of scatter_gauge.h, unless `gauge` is nullptr.
+/// D at the blocks of S, of a factorised system; that of scatter_gauge.h, unless `gauge` is
+/// nullptr.
 LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>& meat,
                                const ScatterGauge* gauge, std::vector<double>* scatter);
 

@@ -6,35 +6,41 @@
 /// each solution by G. Out of G M G it cannot be taken in the end: that is as much larger than the
 /// result as the square of the gauge's share in G, and nothing is left of its digits.
 ///
-/// With the points eliminated, a gradient g of the points and b = G - sum Y_p g_p of the camera
-/// parameters move these by
+/// It goes in two steps. A point that is hardly known moves far, and with it the whole world, if
+/// that is held by all points; so the camera parameters hold it first. Let O be an orthonormal
+/// basis of N_c and Q = I - O O^T. With the points eliminated, a gradient g of the points and b = G
+/// - sum Y_p g_p of the camera parameters move these by
 ///
-///   delta_c' = C b - N_c (K^T C b + q),        q = sum N_p^T V_p^-1 g_p.
+///   delta_c = S^+ b,   S^+ = Q C Q,        D = cov delta_c = S^+ B S^+,
 ///
-/// For column j of D' = cov delta_c', n_j being row j of N_c, and
+/// column by column x = Q C Q e_j, D_j = Q C Q (B x). N_c^T B = 0: the Q before C and behind B take
+/// off what rounding adds beside the range of S, which C would multiply.
 ///
-///   E_q = E[b q^T] = sum E_p V_p^-1 N_p,        Q = E[q q^T] = sum N_p^T V_p^-1 P_p V_p^-1 N_p,
+/// What is left of the constraints is N^T delta = 0. As N_c^T delta_c = 0 and delta_p = V_p^-1 g_p
+/// - Y_p^T delta_c, and as sum Y_p N_p = N_c - K,
 ///
-///   x = C (e_j - K n_j^T),      w = C (B x - E_q n_j^T),
-///   D'_j = w - N_c (K^T w + E_q^T x - Q n_j^T).
+///   s = N^T delta = q + K^T delta_c,        q = sum N_p^T V_p^-1 g_p,        delta' = delta - N s.
 ///
-/// N_c^T B = 0 and N_c^T E_q = 0: both right-hand sides are within the range of S, and what
-/// rounding adds beside it, which C would multiply, is taken off by z - K (N_c^T z), as N_c^T K =
-/// I. B does not see what x has along N_c; there x is taken off before, since B rounds.
+/// With E_q = E[b q^T] = sum E_p V_p^-1 N_p, Q_q = E[q q^T] = sum N_p^T V_p^-1 P_p V_p^-1 N_p and X
+/// = S^+ K, the seven numbers s have
 ///
-/// Points follow the camera parameters, as Y_p^T N_c = -N_p: delta_p' = V_p^-1 g_p - Y_p^T
-/// delta_c',
+///   R = E[delta_c s^T] = S^+ (E_q + B X),        T = E[s s^T] = Q_q + K^T R + E_q^T X,
 ///
-///   cov delta_p' = V^-1 P V^-1 + Y^T D' Y - F - F^T,
-///   F = Y^T E[delta_c' g_p^T] V^-1 = (Y^T P_c C P_c^T E_p + N_p N_p^T V^-1 P) V^-1
+/// and for any part i of delta, cov delta' = cov delta - R_i N_j^T - N_i R_j^T + N_i T N_j^T. Of a
+/// point,
 ///
-/// with P_c = I - N_c K^T, where P_c^T E_p = E_p, as N_c^T E_p = 0.
+///   cov delta_p = V^-1 P V^-1 + Y^T D Y - F - F^T,        F = Y^T S^+ E_p V^-1,
+///   R_p = V^-1 (P V^-1 N_p + E_p^T X) - Y^T R.
+
 ///
-/// Where a point is hardly known, N^T delta is large, and with it the part of D' along N_c, of
-/// which Y^T D' Y has the squares: points keep fewer digits than poses, a few 1e-6 sigmas off at
-/// worst.
+/// Parameters that nearly compensate each other have sigmas far above what points see of them: D
+/// and S^+ are large where Y^T D Y is not. Columns then have to be known to more digits than those
+/// of a double, which S and B, D and S^+ themselves need not be (a condition of 3e8 left points
+/// 5e-6 of their sigmas off). Of a dense S, which is small, columns are solved for by refinement in
+/// long doubles.
 
 #include <Eigen/Core>
+#include <vector>
 
 #include "core/covariance/free_gauge.h"
 #include "core/covariance/point_blocks.h"
@@ -44,6 +50,8 @@ namespace bundle {
 
 class ScatterGauge {
  public:
+  using PointRows = FreeGauge::PointRows;
+
   /// Keeps a reference to the gauge.
   explicit ScatterGauge(const FreeGauge& gauge);
 
@@ -51,19 +59,33 @@ class ScatterGauge {
   void AddPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout,
                 const double* e, const double p[9]);
 
-  /// Columns [first, first + columns) of the identity, within the range of S: unknowns x columns.
+  /// Columns [first, first + columns) of Q: unknowns x columns.
   Eigen::MatrixXd UnitColumns(int first, int columns) const;
-  /// x without its part along the gauge.
+  /// x to Q x.
   void RemoveGauge(Eigen::Ref<Eigen::MatrixXd> x) const;
-  /// B x to B x - E_q n^T, of the same columns.
-  void AddCrossTerms(int first, Eigen::Ref<Eigen::MatrixXd> product) const;
-  /// w to D', of the same columns and their x.
-  void RemoveGauge(int first, const Eigen::Ref<const Eigen::MatrixXd>& x,
-                   Eigen::Ref<Eigen::MatrixXd> w) const;
+
+  /// Finds X, R and T, by the factorised system and B.
+  LinearSolution Finish(ReducedSystem* system, const std::vector<double>& meat);
+
+  /// The same of a dense S in long doubles, and D and S^+ as a whole. `held`: what was factorised.
+  LinearSolution FinishDense(ReducedSystem* system, const std::vector<double>& held,
+                             const std::vector<double>& meat, std::vector<double>* scatter,
+                             std::vector<double>* inverse);
+
+  /// Turns blocks of C into those of S^+; after Finish.
+  void TransformInverse(const BlockStructure& structure, std::vector<double>* values) const;
+  /// Turns blocks of D into those of cov delta_c'.
+  void TransformScatter(const BlockStructure& structure, std::vector<double>* values) const;
+  /// Turns cov delta_p (3 x 3, row-major) into cov delta_p'; arguments as of AddPoint.
+  void TransformPoint(int point, const PointBlocks& blocks, const ParameterLayout& layout,
+                      const double* e, const double p[9], double* covariance) const;
 
  private:
   const FreeGauge& gauge_;
-  Eigen::MatrixXd e_, q_;  ///< E_q, unknowns x d, and Q
+  const Eigen::MatrixXd basis_;                ///< O, unknowns x d
+  Eigen::MatrixXd e_, q_;                      ///< E_q, unknowns x d, and Q_q
+  Eigen::MatrixXd solved_basis_;               ///< C O
+  Eigen::MatrixXd x_, of_unknowns_, of_rest_;  ///< X, R and T
 };
 
 }  // namespace bundle

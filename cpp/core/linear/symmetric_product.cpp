@@ -149,7 +149,9 @@ void SymmetricProduct::MultiplyPanel(const double* values, int block, const doub
   const double* panel = values + s.panel_begin[block];
   const double* x_j = x + s.offset[block];
   double* y_j = &range->sum[s.offset[block] - range->begin_row];
-  MultiplyDiagonalBlock(panel, stride, size, x_j, y_j);
+  // In the panel of a factor, other columns' rows are above.
+  const int top = s.row_in_panel[s.column_begin[block]];
+  MultiplyDiagonalBlock(panel + top, stride, size, x_j, y_j);
 
   // Gathered from the diagonal block's end on.
   const int64_t first = s.column_begin[block] + 1;
@@ -160,7 +162,7 @@ void SymmetricProduct::MultiplyPanel(const double* values, int block, const doub
   }
   const int rows = PanelRows(s, block);
   std::fill_n(range->panel_y.begin(), rows, 0.0);
-  for (int begin = size; begin < rows; begin += kRowsAtATime) {
+  for (int begin = top + size; begin < rows; begin += kRowsAtATime) {
     const int count = std::min(kRowsAtATime, rows - begin);
     const double* rows_x = range->panel_x.data() + begin;
     double* rows_y = range->panel_y.data() + begin;
