@@ -1,6 +1,7 @@
 """Visual-inertial odometry: sequences, trajectories, and what is estimated from them."""
 
 from bundle.vio.calibration import Calibration
+from bundle.vio.initialize import VioStart, initialize_vio
 from bundle.vio.keyframe_record import KeyframeRecord
 from bundle.vio.landmark_table import FrameTracks
 from bundle.vio.odometry import OdometryResult, run_odometry
@@ -37,9 +38,11 @@ __all__ = [
     "SlidingWindow",
     "Trajectory",
     "TrajectoryError",
+    "VioStart",
     "WindowOptions",
     "check_sequence_target",
     "compare_trajectories",
+    "initialize_vio",
     "load_ground_truth",
     "load_sequence",
     "load_trajectory",

@@ -13,6 +13,7 @@ import numpy as np
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.vio.imu_slices import ImuSlices
+from bundle.vio.initialize import initialize_vio
 from bundle.vio.keyframe_record import KeyframeRecord
 from bundle.vio.landmark_table import FrameTracks
 from bundle.vio.sequence import Sequence
@@ -36,7 +37,7 @@ class OdometryResult(Displayed):
         trajectory: states when their images were solved for, as a robot has them in time; with
             ``marginalize="keep"`` those of the last solve, a batch.
         keyframes: telemetry.
-        start: "static", or how else the first states were found.
+        start: "static" or "moving": how the first states were found.
         is_usable: False where the window lost the motion; ``message`` says when.
         message: one sentence.
         num_images: solved for.
@@ -185,10 +186,7 @@ def _begin(window: SlidingWindow, sequence: Sequence, images: _Images) -> tuple[
     """Start the window; return how, and the image that it ends with."""
     found = find_static_start(sequence, float(np.linalg.norm(window.gravity)))
     if found is None:
-        raise InputError(
-            "sequence: expected it to begin at rest for half a second at least, to find gravity "
-            "and the gyroscope's bias"
-        )
+        return _begin_moving(window, sequence, images)
     spread = np.linspace(found.first_image, found.last_image, START_KEYFRAMES).round().astype(int)
     chosen = np.unique(spread)
     pairs = pairwise(chosen)
@@ -200,6 +198,26 @@ def _begin(window: SlidingWindow, sequence: Sequence, images: _Images) -> tuple[
         at_rest=True,
     )
     return "static", int(chosen[-1])
+
+
+def _begin_moving(window: SlidingWindow, sequence: Sequence, images: _Images) -> tuple[str, int]:
+    gravity = float(np.linalg.norm(window.gravity))
+    found = initialize_vio(
+        sequence, gravity=gravity, integration=window.options.integration, try_rest=False
+    )
+    if not found:
+        raise InputError(
+            "sequence: expected rest for half a second at its begin, or motion that shows scale "
+            f"and gravity, found neither ({found.reason})"
+        )
+    chosen = found.images.tolist()
+    window.start(
+        found.timestamps_ns,
+        found.states,
+        [images.tracks(image) for image in chosen],
+        [images.interval(images.stamp(a), b) for a, b in pairwise(chosen)],
+    )
+    return "moving", chosen[-1]
 
 
 def _is_sane(state: Array) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from bundle.vio.sequence import Sequence
 
-__all__ = ["StaticStart", "find_static_start"]
+__all__ = ["StaticStart", "find_static_start", "level_quaternion"]
 
 Array = np.ndarray[Any, Any]
 
@@ -75,12 +75,12 @@ def find_static_start(sequence: Sequence, gravity: float = 9.81) -> StaticStart 
     ):
         return None
     state = np.zeros(16)
-    state[:4] = _level(mean)
+    state[:4] = level_quaternion(mean)
     state[10:13] = gyro.mean(axis=0)
     return StaticStart(state, first, last)
 
 
-def _level(force: Array) -> Array:
+def level_quaternion(force: Array) -> Array:
     """Return the quaternion x y z w of the shortest rotation that takes a force to the z axis."""
     up = force / np.linalg.norm(force)
     w = 1.0 + up[2]
