@@ -146,7 +146,7 @@ def draw(runs: dict[str, list[Array]], picture: str) -> None:
         axis.plot(
             turned, np.degrees(np.sqrt((stack[:, :, 1] ** 2).mean(axis=0))), label="true error, rms"
         )
-        axis.set(title=f"Jacobians at {kind.replace('_', ' ')}s", xlabel="rotation made, degrees")
+        axis.set(title=f"Jacobians: {kind.replace('_', ' ')}", xlabel="rotation made, degrees")
         axis.legend()
     axes[0].set_ylabel("yaw, degrees")
     figure.tight_layout()

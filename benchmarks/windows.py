@@ -1,0 +1,202 @@
+"""A batch of visual-inertial keyframes: bundle beside GTSAM, same factors.
+
+The batch is V1_01 at 4 images per second from 4 s on, started from the states of a window that ran
+over it: reprojections with Cauchy's loss, preintegrated samples, walking biases, priors on the
+first position, yaw and biases. Landmarks have three numbers in both, by inverse depth here and as
+points there, so that both have one minimum. GTSAM's preintegration of 0.25 s differs by some 1e-8,
+its covariance by some 1e-4.
+
+Run: OPENBLAS_NUM_THREADS=1 python -m benchmarks.windows [REPEATS]
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bundle import _core
+from bundle.rotations import rotation_matrices
+from bundle.vio import SlidingWindow, read_track_csv, run_odometry
+from bundle.vio.odometry import _Images
+from bundle.vio.window_arrays import window_arrays
+from bundle.vio.window_options import WindowOptions
+
+DATA = Path(os.environ.get("BUNDLE_DATA", Path(__file__).parents[2] / "shared" / "data")) / "vio"
+SETTINGS: dict[str, Any] = {
+    "marginalize": "keep",
+    "frame_rate": 4.0,
+    "min_parallax": 0.0,
+    "min_translation": 0.0,
+    "start_position_sigma": 1e-4,
+    "start_yaw_sigma": 0.01,
+    "start_gyro_bias_sigma": 0.1,
+    "start_accel_bias_sigma": 0.2,
+    "time_budget": 100.0,
+    "integration": "zero_order_hold",
+}
+OPTIONS = {
+    "max_num_iterations": 60,
+    "time_budget": 100.0,
+    "function_tolerance": 1e-8,
+    "spectrum": False,
+    "covariance": False,
+    "fix_gauge": False,
+}
+
+
+def batch() -> tuple[SlidingWindow, dict[str, Any]]:
+    """Return the window of all keyframes and its arrays, at states of a sliding window."""
+    sequence = read_track_csv(DATA / "euroc_V1_01_tracks_imu_30s.csv")
+    rough = run_odometry(sequence, frame_rate=4.0, min_parallax=10.0, time_budget=100.0)
+    options = WindowOptions(**SETTINGS)
+    images = _Images(sequence, options)
+    place = {int(stamp): k for k, stamp in enumerate(images.stamps)}
+    rows = [k for k, stamp in enumerate(rough.trajectory.timestamps_ns) if int(stamp) in place]
+    stamps = [int(rough.trajectory.timestamps_ns[k]) for k in rows]
+    calibration = sequence.calibration
+    window = SlidingWindow(
+        calibration.camera_from_imu, calibration.noise, calibration.focal, options=options
+    )
+    window.start(
+        stamps,
+        rough.trajectory.states[rows],
+        [images.tracks(place[stamp]) for stamp in stamps],
+        [images.interval(a, place[b]) for a, b in pairwise(stamps)],
+    )
+    # The start above is solved; the comparison begins where it did.
+    for frame, k in zip(window.frames, rows, strict=True):
+        frame.state = rough.trajectory.states[k].copy()
+    table, points = window._table()
+    arrays = window_arrays(window, table, points)
+    assert window.prior is not None
+    arrays["priors"] = [window.prior.at(window._places())]
+    return window, arrays
+
+
+def by_bundle(arrays: dict[str, Any]) -> tuple[float, float, int]:
+    start = time.process_time()
+    solved = _core.solve_window(arrays, OPTIONS, None)
+    took = time.process_time() - start
+    return took, sum(solved["costs_after"].values()), solved["num_iterations"]
+
+
+def gtsam_problem(window: SlidingWindow, arrays: dict[str, Any]) -> tuple[Any, Any]:
+    """Return GTSAM's graph and values of the same factors."""
+    import gtsam
+    from gtsam.symbol_shorthand import B, L, V, X
+
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    states, noise = arrays["states"], window.noise
+    rotations = rotation_matrices(states[:, :4])
+    for k, state in enumerate(states):
+        values.insert(X(k), gtsam.Pose3(gtsam.Rot3(rotations[k]), state[4:7]))
+        values.insert(V(k), state[7:10])
+        values.insert(B(k), gtsam.imuBias.ConstantBias(state[13:16], state[10:13]))
+    camera = arrays["camera_from_imu"]
+    turn = rotation_matrices(np.asarray(camera)[None, :4])[0]
+    body_from_camera = gtsam.Pose3(gtsam.Rot3(turn.T), -turn.T @ np.asarray(camera[4:]))
+    robust = gtsam.noiseModel.Robust.Create(
+        gtsam.noiseModel.mEstimator.Cauchy.Create(1.0),
+        gtsam.noiseModel.Isotropic.Sigma(2, arrays["sigma"]),
+    )
+    lens = gtsam.Cal3_S2(1, 1, 0, 0, 0)
+
+    def see(frame: int, landmark: int, xy: Any) -> None:
+        graph.add(
+            gtsam.GenericProjectionFactorCal3_S2(
+                np.asarray(xy), robust, X(frame), L(landmark), lens, body_from_camera
+            )
+        )
+
+    for landmark, (x, y, inverse) in enumerate(arrays["points"]):
+        anchor = int(arrays["anchor_states"][landmark])
+        ray = np.array([x, y, 1.0]) / max(inverse, 1e-3)
+        values.insert(
+            L(landmark), values.atPose3(X(anchor)).compose(body_from_camera).transformFrom(ray)
+        )
+        see(anchor, landmark, arrays["anchor_xy"][landmark])
+    rows = zip(arrays["landmarks"], arrays["observers"], arrays["xy"], strict=True)
+    for landmark, frame, xy in rows:
+        see(int(frame), int(landmark), xy)
+    params = gtsam.PreintegrationParams.MakeSharedU(9.81)
+    params.setAccelerometerCovariance(np.eye(3) * noise.accel_noise_density**2)
+    params.setGyroscopeCovariance(np.eye(3) * noise.gyro_noise_density**2)
+    params.setIntegrationCovariance(np.eye(3) * noise.integration_covariance)
+    for k, frame in enumerate(window.frames[1:]):
+        interval, state = frame.interval, states[k]
+        assert interval is not None
+        motion = gtsam.PreintegratedImuMeasurements(
+            params, gtsam.imuBias.ConstantBias(state[13:16], state[10:13])
+        )
+        for gyro, accel, dt in zip(interval.gyro, interval.accel, interval.dt, strict=True):
+            motion.integrateMeasurement(accel, gyro, dt)
+        graph.add(gtsam.ImuFactor(X(k), V(k), X(k + 1), V(k + 1), B(k), motion))
+        root = np.sqrt(float(interval.dt.sum()))
+        walk = [noise.accel_bias_random_walk * root] * 3 + [noise.gyro_bias_random_walk * root] * 3
+        graph.add(
+            gtsam.BetweenFactorConstantBias(
+                B(k), B(k + 1), gtsam.imuBias.ConstantBias(),
+                gtsam.noiseModel.Diagonal.Sigmas(np.array(walk)),
+            )
+        )  # fmt: skip
+    options = window.options
+    up = rotations[0].T[:, 2]
+    information = np.zeros((6, 6))
+    information[:3, :3] = np.outer(up, up) / np.radians(options.start_yaw_sigma) ** 2
+    information[3:, 3:] = np.eye(3) / options.start_position_sigma**2
+    information[:3, :3] += 1e-9 * np.eye(3)
+    graph.add(
+        gtsam.PriorFactorPose3(
+            X(0), values.atPose3(X(0)), gtsam.noiseModel.Gaussian.Information(information)
+        )
+    )
+    sigmas = [options.start_accel_bias_sigma] * 3 + [options.start_gyro_bias_sigma] * 3
+    graph.add(
+        gtsam.PriorFactorConstantBias(
+            B(0), values.atConstantBias(B(0)), gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
+        )
+    )
+    return graph, values
+
+
+def by_gtsam(graph: Any, values: Any) -> tuple[float, float, int]:
+    import gtsam
+
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(60)
+    params.setRelativeErrorTol(1e-8)
+    start = time.process_time()
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
+    result = optimizer.optimize()
+    took = time.process_time() - start
+    return took, graph.error(result), optimizer.iterations()
+
+
+def main(repeats: int) -> None:
+    window, arrays = batch()
+    graph, values = gtsam_problem(window, arrays)
+    ours = [by_bundle(arrays) for _ in range(repeats)]
+    theirs = [by_gtsam(graph, values) for _ in range(repeats)]
+    print(
+        f"{len(arrays['states'])} keyframes, {len(arrays['points'])} landmarks, "
+        f"{len(arrays['xy']) + len(arrays['points'])} observations"
+    )
+    for name, runs in (("bundle", ours), ("GTSAM", theirs)):
+        seconds = statistics.median(run[0] for run in runs)
+        print(
+            f"{name:>8}: {seconds:.3f} s of processor time, cost {runs[0][1]:.4f}, "
+            f"{runs[0][2]} steps"
+        )
+    ratio = statistics.median(run[0] for run in theirs) / statistics.median(run[0] for run in ours)
+    print(f"   ratio: {ratio:.1f}")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
