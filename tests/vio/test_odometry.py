@@ -149,3 +149,21 @@ def test_bad_flags_are_one_line(
     assert captured.err.startswith("error: ")
     assert captured.err.count("\n") == 1
     assert not (tmp_path / "x.tum").exists()
+
+
+def test_a_gap_of_the_imu_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = sequence()
+    kept = np.r_[0:150, 300:401]  # three quarters of a second without a sample
+    holed = replace(
+        whole,
+        imu_timestamps_ns=whole.imu_timestamps_ns[kept],
+        gyro=whole.gyro[kept],
+        accel=whole.accel[kept],
+    )
+    save_sequence(holed, tmp_path / "holed")
+    target = tmp_path / "x.tum"
+    assert main(["vio", str(tmp_path / "holed"), "-o", str(target), "--quiet"]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+    assert not target.exists()

@@ -66,8 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.vio import as_json, odometry_tables, telemetry_lines
     from bundle.vio import (
         compare_trajectories,
+        load_sequence,
         load_trajectory,
-        read_sequence,
         read_track_csv,
         run_odometry,
         save_tum,
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         is_table = sequence_at(source) == "track csv"
-        sequence = read_track_csv(source) if is_table else read_sequence(source)[0]
+        sequence = read_track_csv(source) if is_table else load_sequence(source)
         truth = None
         if arguments.ground_truth is not None:
             truth = load_trajectory(arguments.ground_truth)

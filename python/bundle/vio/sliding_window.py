@@ -230,8 +230,7 @@ class SlidingWindow:
             self.prior = self.prior.relinearized({f.stamp: f.state for f in self.frames})
         places = self._places()
         priors = [self.prior.at(places)] if self.prior is not None else []
-        held = self._telemetry.scale_hold()
-        window["priors"] = [*priors, *held]
+        window["priors"] = priors
         self._telemetry.lap("assembly")
         solved = _core.solve_window(
             window,

@@ -158,12 +158,6 @@ class WindowOptions(Options):
         above=0.0,
         metavar="X",
     )
-    hold_scale: bool = option(
-        False,
-        "--hold-scale",
-        "hold the scale of the window where the accelerometer does not tell it (excitation below "
-        "0.05 m/s^2)",
-    )
     nullity: bool = option(
         False,
         "--nullity",

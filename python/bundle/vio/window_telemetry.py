@@ -25,7 +25,6 @@ LARGEST_ASYMMETRY = 1e-9
 SMALLEST_RATIO = 1e-8
 INDEFINITE = -1e-11  # of a unit diagonal: beyond the rounding of double precision
 LARGEST_GYRO_BIAS, LARGEST_ACCEL_BIAS = 1.0, 2.5  # rad/s, m/s^2: VINS-Mono's signs of failure
-SCALE_SIGMA = 1e-4  # of a held scale, relative
 
 
 class WindowTelemetry:
@@ -88,33 +87,6 @@ class WindowTelemetry:
             return 0.0, "unobservable"
         found = excitation(np.concatenate(parts))
         return found.spread, found.verdict
-
-    def scale_hold(self) -> list[dict[str, Any]]:
-        """Return a prior on the scale of the window where it must be held, else none.
-
-        Along n = (0, p_k - p_0, v_k, 0, 0) all positions and velocities grow; s n^T d / |n|^2 is
-        the relative change of scale that a step d of the states makes.
-        """
-        window = self.window
-        if not window.options.hold_scale or self.excitation()[1] != "unobservable":
-            return []
-        states = window.states
-        direction = np.zeros((len(states), 15))
-        direction[:, 3:6] = states[:, 4:7] - states[0, 4:7]
-        direction[:, 6:9] = states[:, 7:10]
-        squared = float(np.sum(direction**2))
-        if squared < 1e-12:
-            return []
-        return [
-            {
-                "blocks": list(range(2 * len(states))),
-                "points": np.repeat(states, 2, axis=0),
-                "square_root": True,
-                "matrix": direction.reshape(1, -1) / (squared * SCALE_SIGMA),
-                "vector": np.zeros(1),
-                "constant": 0.0,
-            }
-        ]
 
     def record(self, reason: str, parallax: float, now: float) -> KeyframeRecord:
         """Return the record of the keyframe that was just settled."""
@@ -211,8 +183,9 @@ class WindowTelemetry:
         if np.linalg.norm(state[13:16]) > LARGEST_ACCEL_BIAS:
             alarms.append("accelerometer bias above 2.5 m/s^2: the window has lost the motion")
         if verdict == "unobservable":
-            held = "held" if self.window.options.hold_scale else "free to drift"
-            alarms.append(f"no excitation: the accelerometer does not tell the scale ({held})")
+            alarms.append(
+                "no excitation: the accelerometer does not tell the scale, which may drift"
+            )
         return tuple(alarms)
 
 
