@@ -23,7 +23,7 @@ Array = np.ndarray[Any, Any]
 FREE_DEGREES = 4  # position and yaw: no camera and no IMU sees them
 LARGEST_ASYMMETRY = 1e-9
 SMALLEST_RATIO = 1e-8
-INDEFINITE = -1e-11  # of a unit diagonal: beyond the rounding of double precision
+INDEFINITE = -1e-9  # of a unit diagonal: beyond the rounding of double precision
 LARGEST_GYRO_BIAS, LARGEST_ACCEL_BIAS = 1.0, 2.5  # rad/s, m/s^2: VINS-Mono's signs of failure
 
 
