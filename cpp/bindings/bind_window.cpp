@@ -237,6 +237,7 @@ py::dict SolveWindowFromPython(const py::dict& window, const py::dict& options,
   result["interrupted"] = output.interrupted;
   result["num_iterations"] = static_cast<int>(output.iterations.size()) - 1;
   result["num_rejected"] = output.num_rejected;
+  result["fill_ratio"] = output.fill_ratio;
   result["linearization_time"] = output.linearization_time;
   result["linear_solver_time"] = output.linear_solver_time;
   result["candidate_time"] = output.candidate_time;

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from bundle import _core
 from bundle.cli.main import main
 from bundle.errors import InputError
+from bundle.synthetic.flight import synthesize_flight
 from bundle.vio import Sequence, load_tum, read_track_csv, run_odometry, save_sequence
 from bundle.vio.imu_slices import ImuSlices
 from bundle.vio.static_start import find_static_start
@@ -167,3 +170,33 @@ def test_a_gap_of_the_imu_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert captured.err.startswith("error: ")
     assert captured.err.count("\n") == 1
     assert not target.exists()
+
+
+@pytest.mark.parametrize("where", ["between images", "in a solve"])
+def test_ctrl_c_keeps_what_is_solved(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = synthesize_flight(duration=4.0, rest=1.5, num_tracks=20, seed=2)
+
+    def progress(done: int, _count: int, _record: object) -> bool:
+        if done > 50:
+            if where == "between images":
+                raise KeyboardInterrupt
+            monkeypatch.setattr(_core, "solve_window", interrupted_solve)
+        return True
+
+    solve = _core.solve_window
+
+    def interrupted_solve(*arguments: Any) -> dict[str, Any]:
+        return {**solve(*arguments), "interrupted": True}
+
+    result = run_odometry(flight.sequence, progress=progress)
+    assert result.interrupted
+    assert 5 < len(result.trajectory) < 40
+    assert result.is_usable
+
+
+def test_the_fill_of_a_batch_is_counted() -> None:
+    flight = synthesize_flight(duration=14.0, rest=1.5, num_tracks=20, seed=2)
+    settings: dict[str, Any] = {"min_parallax": 0.0, "min_translation": 0.0, "frame_rate": 4.0}
+    batch = run_odometry(flight.sequence, marginalize="keep", **settings)
+    assert batch.keyframes[0].fill_ratio == 1  # dense
+    assert 1 < batch.keyframes[-1].fill_ratio < 4

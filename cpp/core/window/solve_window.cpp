@@ -36,6 +36,7 @@ WindowOutput SolveWindow(const WindowView& view, const WindowSolveOptions& optio
   output.termination_type = minimum.termination_type;
   output.message = std::move(minimum.message);
   output.interrupted = minimum.interrupted && !output.out_of_time;
+  output.fill_ratio = problem.fill_ratio();
   output.num_rejected = minimum.num_unsuccessful_steps;
   output.iterations = std::move(minimum.iterations);
   output.linearization_time = minimum.linearization_time_in_seconds;

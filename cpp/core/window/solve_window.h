@@ -29,6 +29,7 @@ struct WindowOutput {
   std::string termination_type, message;
   bool out_of_time = false, interrupted = false;
   int num_rejected = 0;
+  double fill_ratio = 1;  ///< WindowStructure::fill_ratio
   std::vector<IterationRecord> iterations;
   double linearization_time = 0, linear_solver_time = 0, candidate_time = 0, total_time = 0;
   std::vector<double> spectrum;        ///< ascending, of a unit diagonal; empty unless asked for

@@ -14,6 +14,7 @@ WindowProblem::WindowProblem(const WindowView& view)
   place_ = std::move(made.place);
   structure_ = std::move(made.structure);
   solver_ = std::move(made.solver);
+  fill_ratio_ = made.fill_ratio;
   const size_t columns = structure_.num_columns();
   system_.values.resize(structure_.num_values);
   for (std::vector<double>* v : {&system_.rhs, &gradient_, &scale_, &d_squared_, &newton_}) {

@@ -39,6 +39,7 @@ class WindowProblem final : public LeastSquares {
   const WindowState& x() const { return x_; }
   const WindowCosts& costs() const { return costs_; }  ///< at x
   int num_columns() const { return structure_.num_columns(); }
+  double fill_ratio() const { return fill_ratio_; }  ///< WindowStructure::fill_ratio
 
   /// Eigenvalues, ascending, of S at x without damping, its diagonal scaled to 1. For windows,
   /// since they are dense. Empty where S is not finite.
@@ -89,6 +90,7 @@ class WindowProblem final : public LeastSquares {
   std::vector<int> place_;  ///< block of S of each block of the window; -1: held
   BlockStructure structure_;
   std::unique_ptr<LinearSolver> solver_;
+  double fill_ratio_ = 1;
   BlockSystem system_;
   WindowRows rows_;
   std::vector<Landmark> landmarks_;

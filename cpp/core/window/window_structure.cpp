@@ -69,6 +69,14 @@ WindowStructure MakeWindowStructure(const WindowView& view) {
   }
   const BlockStructure natural = SparseStructure(free_sizes, below);
   const FillOrdering ordering = FindFillOrdering(natural);
+  double entries = 0;
+  for (size_t k = 0; k < free.size(); ++k) {
+    for (const int row : below[k]) {
+      const double size = free_sizes[k];
+      entries += row == static_cast<int>(k) ? size * (size + 1) / 2 : size * free_sizes[row];
+    }
+  }
+  result.fill_ratio = ordering.entries / entries;
   result.structure = Reorder(natural, ordering.order);
   for (size_t k = 0; k < free.size(); ++k) {
     result.place[free[ordering.order[k]]] = static_cast<int>(k);

@@ -16,6 +16,7 @@ struct WindowStructure {
   std::vector<int> place;  ///< block of S of each block of the window; -1: held
   BlockStructure structure;
   std::unique_ptr<LinearSolver> solver;
+  double fill_ratio = 1;  ///< nonzeros of the factor beside those of S's lower triangle
 };
 
 WindowStructure MakeWindowStructure(const WindowView& view);

@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json != "-":
         show(*odometry_tables(source, result, error, written))
     write_json(arguments.json, as_json(source, sequence, result, error, written, wall))
-    if result.is_usable:
+    if result.is_usable and not result.interrupted:
         return EXIT_DONE
     if arguments.json == "-":
         complain(result.message)

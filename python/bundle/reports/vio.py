@@ -72,6 +72,8 @@ def odometry_tables(
     )
     alarms = Counter(alarm.split(":")[0] for record in records for alarm in record.alarms)
     said = [f"{alarm}: in {plural(count, 'keyframe')}." for alarm, count in alarms.items()]
+    if result.interrupted:
+        said.insert(0, "Interrupted: the trajectory goes as far as it came.")
     if not result.is_usable:
         said.insert(0, f"No trajectory was written: {result.message}.")
     assert len(total) == len(records)
@@ -107,6 +109,7 @@ def as_json(
             "summary": {
                 "start": result.start,
                 "is_solution_usable": result.is_usable,
+                "interrupted": result.interrupted,
                 "message": result.message,
                 "num_images": result.num_images,
                 "num_keyframes": len(result.keyframes),

@@ -39,6 +39,7 @@ class OdometryResult(Displayed):
         keyframes: telemetry.
         start: "static" or "moving": how the first states were found.
         is_usable: False where the window lost the motion; ``message`` says when.
+        interrupted: Ctrl-C ended it; the trajectory goes as far as it came.
         message: one sentence.
         num_images: solved for.
         solve_time: seconds, without reading.
@@ -49,6 +50,7 @@ class OdometryResult(Displayed):
     keyframes: tuple[KeyframeRecord, ...]
     start: str
     is_usable: bool
+    interrupted: bool
     message: str
     num_images: int
     solve_time: float
@@ -99,23 +101,28 @@ def run_odometry(
     start, next_image = _begin(window, sequence, images)
     stamps = [frame.stamp for frame in window.frames]
     states = [frame.state for frame in window.frames]
-    message, usable = "done", True
-    for image in images.after(next_image):
-        record = window.add_frame(
-            images.stamp(image),
-            images.interval(window.frames[-1].stamp, image),
-            images.tracks(image),
-        )
-        newest = window.frames[-1]
-        stamps.append(newest.stamp)
-        states.append(newest.state)
-        if not _is_sane(newest.state):
-            seconds = 1e-9 * (newest.stamp - stamps[0])
-            message, usable = f"the motion was lost {seconds:.2f} s after the start", False
-            break
-        if progress is not None and not progress(image + 1, images.count, record):
-            message = "stopped by the caller"
-            break
+    message, usable, interrupted = "done", True, False
+    try:
+        for image in images.after(next_image):
+            record = window.add_frame(
+                images.stamp(image),
+                images.interval(window.frames[-1].stamp, image),
+                images.tracks(image),
+            )
+            newest = window.frames[-1]
+            stamps.append(newest.stamp)
+            states.append(newest.state)
+            if not _is_sane(newest.state):
+                seconds = 1e-9 * (newest.stamp - stamps[0])
+                message, usable = f"the motion was lost {seconds:.2f} s after the start", False
+                break
+            if window.was_interrupted:
+                raise KeyboardInterrupt
+            if progress is not None and not progress(image + 1, images.count, record):
+                message = "stopped by the caller"
+                break
+    except KeyboardInterrupt:  # what is solved stays
+        message, interrupted = "interrupted", True
     if options.marginalize == "keep":
         stamps = [frame.stamp for frame in window.frames]
         states = [frame.state for frame in window.frames]
@@ -124,6 +131,7 @@ def run_odometry(
         tuple(window.records),
         start,
         usable,
+        interrupted,
         message,
         len(stamps),
         time.perf_counter() - began,

@@ -78,6 +78,7 @@ class SlidingWindow:
         self.frames: list[WindowFrame] = []
         self.prior: MarginalPrior | None = None
         self.records: list[KeyframeRecord] = []
+        self.was_interrupted = False
         self._depths = LandmarkDepths()
         self._telemetry = WindowTelemetry(self)
 
@@ -244,6 +245,7 @@ class SlidingWindow:
             },
             None,
         )
+        self.was_interrupted |= solved["interrupted"]
         for frame, state in zip(self.frames, solved["states"], strict=True):
             frame.state = state
         self.camera_from_imu = np.array(solved["camera_from_imu"])

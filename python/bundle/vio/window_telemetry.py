@@ -104,7 +104,7 @@ class WindowTelemetry:
             reason=reason,
             parallax=parallax,
             **sizes,
-            fill_ratio=1.0,
+            fill_ratio=solved["fill_ratio"],
             times=times,
             num_iterations=solved["num_iterations"],
             num_rejected=solved["num_rejected"],
