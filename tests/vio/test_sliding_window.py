@@ -176,3 +176,23 @@ def test_bad_calls_are_refused(flight: Flight) -> None:
     window.start(flight.stamps[:4], flight.states[:4], tracks[:4], flight.intervals[:3])
     with pytest.raises(InputError, match="stamp"):
         window.add_frame(int(flight.stamps[2]), flight.intervals[0], tracks[2])
+
+
+def test_tracks_that_would_be_misread_are_refused(flight: Flight) -> None:
+    tracks = flight.tracks()
+    window = SlidingWindow(CAMERA, NOISE, FOCAL)
+    begin = (flight.stamps[:4], flight.states[:4])
+    swapped = tracks[1]._replace(ids=tracks[1].ids[::-1])
+    with pytest.raises(InputError, match=r"tracks\[1\].*ascend"):
+        window.start(*begin, [tracks[0], swapped, *tracks[2:4]], flight.intervals[:3])
+    short = tracks[2]._replace(xy=tracks[2].xy[1:])
+    with pytest.raises(InputError, match=r"tracks\[2\]"):
+        window.start(*begin, [*tracks[:2], short, tracks[3]], flight.intervals[:3])
+    with pytest.raises(InputError, match="stamps"):
+        window.start(flight.stamps[[0, 2, 1, 3]], *begin[1:], tracks[:4], flight.intervals[:3])
+    with pytest.raises(InputError, match="quaternion"):
+        SlidingWindow([0.0] * 7, NOISE, FOCAL)
+    window.start(*begin, tracks[:4], flight.intervals[:3])
+    blind = tracks[4]._replace(xy=np.full_like(tracks[4].xy, np.nan))
+    with pytest.raises(InputError, match="finite"):
+        window.add_frame(int(flight.stamps[4]), flight.intervals[3], blind)

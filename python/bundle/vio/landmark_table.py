@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bundle.errors import InputError
+
 __all__ = ["FrameTracks", "LandmarkTable", "landmark_table"]
 
 Array = np.ndarray[Any, Any]
@@ -23,6 +25,26 @@ class FrameTracks(NamedTuple):
     ids: Array
     xy: Array
     velocity: Array
+
+    def check(self, where: str) -> None:
+        """Refuse shapes that do not fit, ids that are not ascending, and numbers not finite.
+
+        Raises:
+            InputError: the message begins with ``where``.
+        """
+        ids, xy, velocity = np.asarray(self.ids), np.asarray(self.xy), np.asarray(self.velocity)
+        if ids.ndim != 1 or xy.shape != (len(ids), 2) or velocity.shape != xy.shape:
+            raise InputError(
+                f"{where}: expected ids (n,), xy and velocity (n, 2), found {ids.shape}, "
+                f"{xy.shape}, {velocity.shape}"
+            )
+        if not np.all(ids[1:] > ids[:-1]):
+            row = int(np.argmin(ids[1:] > ids[:-1])) + 1
+            raise InputError(
+                f"{where}: expected ids that ascend, found {ids[row]} after {ids[row - 1]}"
+            )
+        if not (np.isfinite(xy).all() and np.isfinite(velocity).all()):
+            raise InputError(f"{where}: expected finite coordinates")
 
     def without(self, ids: Array) -> FrameTracks:
         """Return the rest of the tracks; `ids` are ascending."""

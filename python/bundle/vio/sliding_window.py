@@ -68,6 +68,8 @@ class SlidingWindow:
     ) -> None:
         self.options = WindowOptions.of(options, changes, "SlidingWindow")
         self.camera_from_imu = _numbers("camera_from_imu", camera_from_imu, 7)
+        if not abs(np.linalg.norm(self.camera_from_imu[:4]) - 1) < 1e-3:
+            raise InputError("camera_from_imu: expected a unit quaternion first, x y z w")
         self.gravity = _numbers("gravity", gravity, 3)
         self.noise = _scaled(noise, self.options.imu_noise_scale)
         self.focal = float(focal)
@@ -127,6 +129,10 @@ class SlidingWindow:
             raise InputError(f"states: expected two rows of 16 at least, found {rows.shape}")
         if not (len(rows) == len(stamps) == len(tracks) == len(intervals) + 1):
             raise InputError("start: expected a stamp, a state and tracks per image")
+        for k, seen in enumerate(tracks):
+            seen.check(f"tracks[{k}]")
+            if k and not int(stamps[k]) > int(stamps[k - 1]):
+                raise InputError(f"stamps[{k}]: expected more than {stamps[k - 1]}")
         self.frames = [
             WindowFrame(int(stamp), row.copy(), seen, is_keyframe=True)
             for stamp, row, seen in zip(stamps, rows, tracks, strict=True)
@@ -168,6 +174,7 @@ class SlidingWindow:
         newest = self.frames[-1]
         if stamp <= newest.stamp:
             raise InputError(f"stamp: expected more than {newest.stamp}, found {stamp}")
+        tracks.check(f"tracks of {stamp}")
         if not newest.is_keyframe:
             interval = self._drop_newest().then(interval)
             newest = self.frames[-1]
