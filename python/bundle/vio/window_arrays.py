@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from bundle.vio.landmark_table import LandmarkTable
-
-if TYPE_CHECKING:
-    from bundle.vio.sliding_window import SlidingWindow
+from bundle.vio.window_contents import WindowContents
 
 __all__ = ["window_arrays"]
 
 Array = np.ndarray[Any, Any]
 
 
-def window_arrays(window: SlidingWindow, table: LandmarkTable, points: Array) -> dict[str, Any]:
+def window_arrays(window: WindowContents, table: LandmarkTable, points: Array) -> dict[str, Any]:
     """Return the window as the core takes it, without priors."""
     states = window.states
     first_estimates = window.options.jacobians == "first_estimate"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +11,8 @@ from bundle.inertial import excitation
 from bundle.rotations import rotation_matrices
 from bundle.vio.keyframe_record import KeyframeRecord
 from bundle.vio.landmark_table import LandmarkTable
+from bundle.vio.window_contents import WindowContents
 from bundle.vio.window_frame import WindowFrame
-
-if TYPE_CHECKING:
-    from bundle.vio.sliding_window import SlidingWindow
 
 __all__ = ["WindowTelemetry"]
 
@@ -30,7 +28,7 @@ LARGEST_GYRO_BIAS, LARGEST_ACCEL_BIAS = 1.0, 2.5  # rad/s, m/s^2: VINS-Mono's si
 class WindowTelemetry:
     """Gathers what :class:`KeyframeRecord` reports."""
 
-    def __init__(self, window: SlidingWindow) -> None:
+    def __init__(self, window: WindowContents) -> None:
         self.window = window
         options = window.options
         held = 3 * (options.start_position_sigma > 0) + (options.start_yaw_sigma > 0)
