@@ -35,7 +35,7 @@ CORE_MAY_INCLUDE = {
         *{"interface", "problem", "factors", "cameras", "geometry", "symbolic", "parallel"},
         "dense",
     },
-    "linear": {"interface", "symbolic", "parallel", "cameras"},
+    "linear": {"interface", "minimize", "symbolic", "parallel", "cameras"},
     "window": {
         *{"linear", "minimize", "interface", "factors", "inertial", "geometry", "dense"},
     },

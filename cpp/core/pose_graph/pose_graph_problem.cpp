@@ -8,6 +8,8 @@
 
 #include "core/interface/summary.h"
 #include "core/linear/block_structure.h"
+#include "core/linear/newton_result.h"
+#include "core/minimize/damping.h"
 #include "core/parallel/thread_pool.h"
 #include "core/pose_graph/block_pattern_of_edges.h"
 #include "core/pose_graph/edge_kernel.h"
@@ -15,8 +17,6 @@
 namespace bundle {
 namespace {
 
-// Ceres' min_lm_diagonal and max_lm_diagonal.
-constexpr double kLeastDiagonal = 1e-6, kLargestDiagonal = 1e32;
 constexpr int64_t kEdgesAtATime = 4096;
 /// Edges, each the square of its coordinates, below which waking a thread takes longer than a pass.
 constexpr int64_t kWorkOfAThread = 70000;
@@ -96,16 +96,7 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   }
 
   NewtonResult SolveNewton(double eta) override {
-    const LinearSolution solution = solver_->Solve(&system_, scale_, eta, newton_.data());
-    NewtonResult result;
-    result.num_iterations = solution.num_iterations;
-    result.message = solution.message;
-    if (solution.status == LinearSolution::Status::kFatal) {
-      result.status = NewtonResult::Status::kFatal;
-    } else if (solution.status == LinearSolution::Status::kFailure) {
-      result.status = NewtonResult::Status::kFailure;
-    }
-    return result;
+    return AsNewtonResult(solver_->Solve(&system_, scale_, eta, newton_.data()));
   }
 
   Candidate EvaluateNewtonStep() override {
@@ -235,10 +226,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
       for (int c = 0; c < kSize; ++c) {
         const size_t k = size_t{kSize} * b + c;
         double& entry = block[c * stride];
-        if (!is_scaled_) scale_[k] = 1 / (1 + std::sqrt(entry));
-        const double squared_scale = scale_[k] * scale_[k];
-        d_squared_[k] =
-            std::clamp(squared_scale * entry, kLeastDiagonal, kLargestDiagonal) / squared_scale;
+        if (!is_scaled_) scale_[k] = JacobiScale(entry);
+        d_squared_[k] = SquaredDamping(entry, scale_[k]);
         entry += damping * d_squared_[k];
       }
     }

@@ -6,6 +6,8 @@
 #include <numeric>
 #include <utility>
 
+#include "core/linear/newton_result.h"
+#include "core/minimize/damping.h"
 #include "core/model/gauge.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/assembler.h"
@@ -117,14 +119,10 @@ NewtonResult SchurProblem::SolveNewton(double eta) {
     sums_.sums().system.gauge_directions = GaugeDirections(problem_, layout_, x_->cameras());
   }
   const LinearSolution solution = solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
-  NewtonResult result;
-  result.num_iterations = solution.num_iterations;
-  result.message = solution.message;
+  NewtonResult result = AsNewtonResult(solution);
   const bool finite = std::all_of(newton_.begin(), newton_.end(),
                                   [](double value) { return std::isfinite(value); });
-  if (solution.status == LinearSolution::Status::kFatal) {
-    result.status = NewtonResult::Status::kFatal;
-  } else if (solution.status == LinearSolution::Status::kFailure || !finite) {
+  if (result.status == NewtonResult::Status::kSuccess && !finite) {
     result.status = NewtonResult::Status::kFailure;
   }
   return result;
@@ -257,10 +255,8 @@ void SchurProblem::DampCameras(double damping, bool first) {
   CameraSums& sums = sums_.sums();
   for (size_t j = 0; j < scale_.size(); ++j) {
     const double squared_norm = sums.squared_norms[j];
-    if (first) scale_[j] = 1 / (1 + std::sqrt(squared_norm));
-    const double squared_scale = scale_[j] * scale_[j];
-    d_squared_[j] =
-        std::clamp(squared_scale * squared_norm, kMinDiagonal, kMaxDiagonal) / squared_scale;
+    if (first) scale_[j] = JacobiScale(squared_norm);
+    d_squared_[j] = SquaredDamping(squared_norm, scale_[j]);
   }
   assembler_.AddDamping(damping, d_squared_, &sums);
 }

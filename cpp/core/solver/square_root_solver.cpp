@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "core/error.h"
+#include "core/minimize/damping.h"
 #include "core/minimize/trust_region.h"
 #include "core/model/problem_factors.h"
 #include "core/prepare/prepare.h"
@@ -32,8 +33,6 @@ namespace {
 using Eigen::VectorXd;
 using Sparse = GraphJacobian::Sparse;
 using Values = GraphJacobian::Values;
-
-constexpr double kLeastDiagonal = 1e-6, kLargestDiagonal = 1e32;  // Ceres'
 
 class SquareRootProblem final : public LeastSquares {
  public:
@@ -120,11 +119,9 @@ class SquareRootProblem final : public LeastSquares {
     if (is_first) scale_.resize(n);
     diagonal_.resize(n);
     for (Eigen::Index c = 0; c < n; ++c) {
-      const double norm = jacobian_.col(c).norm();
-      if (is_first) scale_[c] = 1 / (1 + norm);
-      const double s = scale_[c];
-      diagonal_[c] =
-          std::sqrt(std::clamp(s * s * norm * norm, kLeastDiagonal, kLargestDiagonal)) / s;
+      const double squared_norm = jacobian_.col(c).squaredNorm();
+      if (is_first) scale_[c] = JacobiScale(squared_norm);
+      diagonal_[c] = std::sqrt(SquaredDamping(squared_norm, scale_[c]));
     }
   }
 

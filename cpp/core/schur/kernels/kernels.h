@@ -19,9 +19,6 @@ struct ModelGroup {
   int num_quads = 1;  ///< of a row of its Jacobian records: num_columns in whole quads
 };
 
-/// Of D^2 (minimize/least_squares.h): Ceres' defaults.
-inline constexpr double kMinDiagonal = 1e-6, kMaxDiagonal = 1e32;
-
 /// What no pass changes.
 struct EliminationInput {
   const EliminationPlan* plan = nullptr;
