@@ -9,9 +9,6 @@
 
 namespace bundle {
 
-// Ceres' min_lm_diagonal and max_lm_diagonal.
-inline constexpr double kLeastWindowDiagonal = 1e-6, kLargestWindowDiagonal = 1e32;
-
 inline double Squared(double x) { return x * x; }
 
 /// out (m x n, column-major) += A^T B of rows x m and rows x n matrices, row-major.

@@ -38,14 +38,9 @@
 #include <cmath>
 
 #include "core/geometry/rotation.h"
+#include "core/inertial/imu_residual.h"
 
 namespace bundle {
-
-/// World_from_imu as a matrix.
-struct ImuPose {
-  double rotation[9];  ///< row-major
-  double position[3];
-};
 
 struct CameraOfImu {
   double rotation[9];  ///< camera_from_imu, row-major
@@ -65,7 +60,7 @@ struct DepthJacobians {
 
 /// The residual, in units of sigma; with `jacobians` also these. False where the landmark is not
 /// before camera j: there is no image of it.
-inline bool InverseDepthResidual(const ImuPose& h, const ImuPose& j, const CameraOfImu& camera,
+inline bool InverseDepthResidual(const ImuState& h, const ImuState& j, const CameraOfImu& camera,
                                  const double point[3], double time, const LandmarkSight& sight,
                                  double sigma, double residual[2], DepthJacobians* jacobians) {
   const double m[3] = {point[0] - time * sight.anchor_velocity[0],

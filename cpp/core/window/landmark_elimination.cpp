@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/minimize/damping.h"
 #include "core/window/block_products.h"
 #include "core/window/window_problem.h"
 
@@ -50,10 +51,8 @@ bool WindowProblem::FactorizeLandmark(Landmark* landmark) {
   double* const h = landmark->hessian;
   for (int i = 0; i < 3; ++i) {
     double& entry = h[kDiagonal[i]];
-    if (!is_scaled_) landmark->scale[i] = 1 / (1 + std::sqrt(entry));
-    const double squared = Squared(landmark->scale[i]);
-    landmark->d_squared[i] =
-        std::clamp(squared * entry, kLeastWindowDiagonal, kLargestWindowDiagonal) / squared;
+    if (!is_scaled_) landmark->scale[i] = JacobiScale(entry);
+    landmark->d_squared[i] = SquaredDamping(entry, landmark->scale[i]);
     entry += damping_ * landmark->d_squared[i];
   }
   const double yy = h[3], ll = h[5];

@@ -5,9 +5,12 @@
 #include <stdexcept>
 #include <utility>
 
+#include "core/linear/newton_result.h"
+#include "core/minimize/damping.h"
 #include "core/window/block_products.h"
 
 namespace bundle {
+
 WindowProblem::WindowProblem(const WindowView& view)
     : view_(view), x_(view), candidate_(view), landmarks_(view.num_landmarks) {
   WindowStructure made = MakeWindowStructure(view);
@@ -108,16 +111,12 @@ void WindowProblem::AddPrior(const WindowPrior& prior, const PriorForm& form) {
   }
 }
 
-bool WindowProblem::LinearizeRows() {
-  LinearizeWindow(view_, x_, FactorSelection{}, &rows_);
-  costs_ = rows_.costs;
-  return rows_.is_finite;
-}
-
 Linearization WindowProblem::Linearize(double damping) {
   damping_ = damping;
   Linearization result;
-  result.is_finite = LinearizeRows();
+  LinearizeWindow(view_, x_, FactorSelection{}, &rows_);
+  costs_ = rows_.costs;
+  result.is_finite = rows_.is_finite;
   if (!result.is_finite) return result;
   std::fill(system_.values.begin(), system_.values.end(), 0.0);
   std::fill(gradient_.begin(), gradient_.end(), 0.0);
@@ -169,24 +168,14 @@ Linearization WindowProblem::Linearize(double damping) {
 void WindowProblem::Damp(double damping) {
   structure_.ForDiagonal([&](int column, int64_t index) {
     double& entry = system_.values[index];
-    if (!is_scaled_) scale_[column] = 1 / (1 + std::sqrt(entry));
-    const double squared = scale_[column] * scale_[column];
-    d_squared_[column] =
-        std::clamp(squared * entry, kLeastWindowDiagonal, kLargestWindowDiagonal) / squared;
+    if (!is_scaled_) scale_[column] = JacobiScale(entry);
+    d_squared_[column] = SquaredDamping(entry, scale_[column]);
     entry += damping * d_squared_[column];
   });
 }
 
 NewtonResult WindowProblem::SolveNewton(double eta) {
-  const LinearSolution solution = solver_->Solve(&system_, scale_, eta, newton_.data());
-  NewtonResult result;
-  result.num_iterations = solution.num_iterations;
-  result.message = solution.message;
-  if (solution.status == LinearSolution::Status::kFatal) {
-    result.status = NewtonResult::Status::kFatal;
-  } else if (solution.status == LinearSolution::Status::kFailure) {
-    result.status = NewtonResult::Status::kFailure;
-  }
+  NewtonResult result = AsNewtonResult(solver_->Solve(&system_, scale_, eta, newton_.data()));
   if (result.status != NewtonResult::Status::kSuccess) return result;
   for (size_t l = 0; l < landmarks_.size(); ++l) {
     Landmark& landmark = landmarks_[l];

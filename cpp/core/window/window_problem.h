@@ -65,7 +65,6 @@ class WindowProblem final : public LeastSquares {
     bool transposed = false;
   };
 
-  bool LinearizeRows();
   BlockPlace Place(int a, int b);
   void AddBlock(int a, int b, const double* ja, const double* jb, int rows);
   void AddGradient(int a, const double* j, const double* r, int rows);

@@ -10,13 +10,6 @@
 namespace bundle {
 namespace {
 
-ImuPose PoseOfState(const double* state) {
-  ImuPose pose;
-  QuaternionToRotation(state, pose.rotation);
-  std::copy_n(state + 4, 3, pose.position);
-  return pose;
-}
-
 CameraOfImu CameraFrom(const std::array<double, 7>& camera) {
   CameraOfImu result;
   QuaternionToRotation(camera.data(), result.rotation);
@@ -24,10 +17,20 @@ CameraOfImu CameraFrom(const std::array<double, 7>& camera) {
   return result;
 }
 
-/// Where the Jacobians of state i are taken.
-const double* PointOfJacobian(const WindowView& view, const WindowState& at, int i) {
-  return view.anchored[i] != 0 ? view.anchors + kStateNumbers * i : at.state(i);
-}
+/// The states as matrices, where residuals and where Jacobians are taken.
+struct WindowStates {
+  std::vector<ImuState> now, jacobian;
+  CameraOfImu camera;
+
+  WindowStates(const WindowView& view, const WindowState& at)
+      : camera(CameraFrom(at.camera_from_imu)) {
+    for (int i = 0; i < view.num_states; ++i) {
+      now.push_back(ImuStateFromRow(at.state(i)));
+      jacobian.push_back(view.anchored[i] != 0 ? ImuStateFromRow(view.anchors + kStateNumbers * i)
+                                               : now.back());
+    }
+  }
+};
 
 LandmarkSight SightOf(const WindowView& view, int k) {
   const int l = view.landmarks[k];
@@ -45,80 +48,73 @@ void BiasWalkScales(const Preintegration& imu, double* gyro, double* accel) {
   *accel = 1 / (imu.noise().accel_bias_random_walk * root);
 }
 
-void LinearizeImu(const WindowView& view, const WindowState& at, int i, InertialRows* out) {
+/// The rows of the biases' walk: six numbers, each divided by its sigma.
+void BiasWalk(const Preintegration& imu, const ImuState& i, const ImuState& j, double scales[6],
+              double r[6]) {
+  double of_bias[2];
+  BiasWalkScales(imu, &of_bias[0], &of_bias[1]);
+  for (int k = 0; k < 3; ++k) {
+    scales[k] = of_bias[0];
+    scales[3 + k] = of_bias[1];
+    r[k] = scales[k] * (j.gyro_bias[k] - i.gyro_bias[k]);
+    r[3 + k] = scales[3 + k] * (j.accel_bias[k] - i.accel_bias[k]);
+  }
+}
+
+void LinearizeImu(const WindowView& view, const WindowStates& states, int i, InertialRows* out) {
   const Preintegration& imu = *view.imu[i];
   out->first = i;
-  ImuResidual(imu, ImuStateFromRow(at.state(i)), ImuStateFromRow(at.state(i + 1)),
-              view.gravity.data(), out->r, nullptr, nullptr, nullptr);
-  double unused[9];
   std::fill_n(out->by_first, InertialRows::kRows * kStateTangent, 0.0);
   std::fill_n(out->by_second, InertialRows::kRows * kStateTangent, 0.0);
-  ImuResidual(imu, ImuStateFromRow(PointOfJacobian(view, at, i)),
-              ImuStateFromRow(PointOfJacobian(view, at, i + 1)), view.gravity.data(), unused,
+  ImuResidual(imu, states.jacobian[i], states.jacobian[i + 1], view.gravity.data(), out->r,
               out->by_first, out->by_second, nullptr);
+  if (view.anchored[i] != 0 || view.anchored[i + 1] != 0) {
+    ImuResidual(imu, states.now[i], states.now[i + 1], view.gravity.data(), out->r, nullptr,
+                nullptr, nullptr);
+  }
   WhitenImu(imu, out->r, 1);
   WhitenImu(imu, out->by_first, kStateTangent);
   WhitenImu(imu, out->by_second, kStateTangent);
-  double scales[2];
-  BiasWalkScales(imu, &scales[0], &scales[1]);
+  double scales[6];
+  BiasWalk(imu, states.now[i], states.now[i + 1], scales, out->r + 9);
   for (int k = 0; k < 6; ++k) {
-    const double scale = scales[k / 3];
     const int row = 9 + k, column = 9 + k;  // biases are the last six coordinates
-    out->r[row] = scale * (at.state(i + 1)[10 + k] - at.state(i)[10 + k]);
-    out->by_first[row * kStateTangent + column] = -scale;
-    out->by_second[row * kStateTangent + column] = scale;
+    out->by_first[row * kStateTangent + column] = -scales[k];
+    out->by_second[row * kStateTangent + column] = scales[k];
   }
 }
 
-void AddImuCost(const WindowView& view, const WindowState& at, int i, WindowCosts* costs) {
+void AddImuCost(const WindowView& view, const WindowStates& states, int i, WindowCosts* costs) {
   const Preintegration& imu = *view.imu[i];
-  double r[9];
-  ImuResidual(imu, ImuStateFromRow(at.state(i)), ImuStateFromRow(at.state(i + 1)),
-              view.gravity.data(), r, nullptr, nullptr, nullptr);
+  double r[9], scales[6], walk[6];
+  ImuResidual(imu, states.now[i], states.now[i + 1], view.gravity.data(), r, nullptr, nullptr,
+              nullptr);
   WhitenImu(imu, r, 1);
   for (const double x : r) costs->imu += 0.5 * x * x;
-  double scales[2];
-  BiasWalkScales(imu, &scales[0], &scales[1]);
-  for (int k = 0; k < 6; ++k) {
-    const double x = scales[k / 3] * (at.state(i + 1)[10 + k] - at.state(i)[10 + k]);
-    costs->bias_walk += 0.5 * x * x;
-  }
+  BiasWalk(imu, states.now[i], states.now[i + 1], scales, walk);
+  for (const double x : walk) costs->bias_walk += 0.5 * x * x;
 }
 
-struct WindowPoses {
-  std::vector<ImuPose> now, jacobian;
-  CameraOfImu camera;
-
-  WindowPoses(const WindowView& view, const WindowState& at)
-      : camera(CameraFrom(at.camera_from_imu)) {
-    for (int i = 0; i < view.num_states; ++i) {
-      now.push_back(PoseOfState(at.state(i)));
-      jacobian.push_back(view.anchored[i] != 0 ? PoseOfState(view.anchors + kStateNumbers * i)
-                                               : now.back());
-    }
-  }
-};
+/// The residual of observation k where the states are, or, for `jacobians`, where theirs are taken.
+bool ResidualOfSight(const WindowView& view, const WindowState& at,
+                     const std::vector<ImuState>& states, const CameraOfImu& camera, int k,
+                     double r[2], DepthJacobians* jacobians) {
+  const int l = view.landmarks[k];
+  return InverseDepthResidual(states[view.anchor_states[l]], states[view.observers[k]], camera,
+                              at.point(l), at.time_offset, SightOf(view, k), view.sigma, r,
+                              jacobians);
+}
 
 /// Appends the rows of an observation; false where it has no value.
-bool LinearizeSight(const WindowView& view, const WindowState& at, const WindowPoses& poses, int k,
-                    WindowRows* rows) {
-  const int l = view.landmarks[k];
+bool LinearizeSight(const WindowView& view, const WindowState& at, const WindowStates& states,
+                    int k, WindowRows* rows) {
   VisualRows row;
-  row.landmark = l;
-  row.anchor = view.anchor_states[l];
+  row.landmark = view.landmarks[k];
+  row.anchor = view.anchor_states[row.landmark];
   row.observer = view.observers[k];
-  const LandmarkSight sight = SightOf(view, k);
-  const double* const point = at.point(l);
   const bool is_anchored = view.anchored[row.anchor] != 0 || view.anchored[row.observer] != 0;
-  if (!InverseDepthResidual(poses.now[row.anchor], poses.now[row.observer], poses.camera, point,
-                            at.time_offset, sight, view.sigma, row.r,
-                            is_anchored ? nullptr : &row.by)) {
-    return false;
-  }
-  double unused[2];
-  if (is_anchored &&
-      !InverseDepthResidual(poses.jacobian[row.anchor], poses.jacobian[row.observer], poses.camera,
-                            point, at.time_offset, sight, view.sigma, unused, &row.by)) {
+  if (!ResidualOfSight(view, at, states.jacobian, states.camera, k, row.r, &row.by) ||
+      (is_anchored && !ResidualOfSight(view, at, states.now, states.camera, k, row.r, nullptr))) {
     return false;
   }
   const double squared = row.r[0] * row.r[0] + row.r[1] * row.r[1];
@@ -155,6 +151,18 @@ AnchorRows LinearizeAnchor(const WindowView& view, const WindowState& at, int la
   return row;
 }
 
+std::vector<double> ResidualNorms(const WindowView& view, const WindowState& at,
+                                  const WindowStates& states) {
+  std::vector<double> norms(view.num_observations, std::numeric_limits<double>::infinity());
+  for (int k = 0; k < view.num_observations; ++k) {
+    double r[2];
+    if (ResidualOfSight(view, at, states.now, states.camera, k, r, nullptr)) {
+      norms[k] = std::sqrt(r[0] * r[0] + r[1] * r[1]);
+    }
+  }
+  return norms;
+}
+
 }  // namespace
 
 void LinearizeWindow(const WindowView& view, const WindowState& at,
@@ -165,10 +173,10 @@ void LinearizeWindow(const WindowView& view, const WindowState& at,
   rows->anchors.clear();
   rows->inertial.clear();
   rows->priors.clear();
-  const WindowPoses poses(view, at);
+  const WindowStates states(view, at);
   for (int k = 0; k < view.num_observations; ++k) {
     if (!selection.all && selection.landmarks[view.landmarks[k]] == 0) continue;
-    if (!LinearizeSight(view, at, poses, k, rows)) rows->is_finite = false;
+    if (!LinearizeSight(view, at, states, k, rows)) rows->is_finite = false;
   }
   for (const VisualRows& row : rows->visual) {
     if (!rows->anchors.empty() && rows->anchors.back().landmark == row.landmark) continue;
@@ -177,7 +185,7 @@ void LinearizeWindow(const WindowView& view, const WindowState& at,
   for (size_t i = 0; i < view.imu.size(); ++i) {
     if (view.imu[i] == nullptr || (!selection.all && selection.imu[i] == 0)) continue;
     InertialRows& row = rows->inertial.emplace_back();
-    LinearizeImu(view, at, static_cast<int>(i), &row);
+    LinearizeImu(view, states, static_cast<int>(i), &row);
     for (int k = 0; k < InertialRows::kRows; ++k) {
       (k < 9 ? rows->costs.imu : rows->costs.bias_walk) += 0.5 * row.r[k] * row.r[k];
     }
@@ -189,23 +197,13 @@ void LinearizeWindow(const WindowView& view, const WindowState& at,
 }
 
 std::vector<double> VisualResidualNorms(const WindowView& view, const WindowState& at) {
-  const WindowPoses poses(view, at);
-  std::vector<double> norms(view.num_observations, std::numeric_limits<double>::infinity());
-  for (int k = 0; k < view.num_observations; ++k) {
-    const int l = view.landmarks[k];
-    double r[2];
-    if (InverseDepthResidual(poses.now[view.anchor_states[l]], poses.now[view.observers[k]],
-                             poses.camera, at.point(l), at.time_offset, SightOf(view, k),
-                             view.sigma, r, nullptr)) {
-      norms[k] = std::sqrt(r[0] * r[0] + r[1] * r[1]);
-    }
-  }
-  return norms;
+  return ResidualNorms(view, at, WindowStates(view, at));
 }
 
 WindowCosts CostsOfWindow(const WindowView& view, const WindowState& at) {
   WindowCosts costs;
-  for (const double norm : VisualResidualNorms(view, at)) {
+  const WindowStates states(view, at);
+  for (const double norm : ResidualNorms(view, at, states)) {
     double rho[3];
     ValueOfLoss(view.loss, view.loss_scale, norm * norm, rho);
     costs.visual += 0.5 * rho[0];
@@ -220,7 +218,7 @@ WindowCosts CostsOfWindow(const WindowView& view, const WindowState& at) {
     LinearizeAnchor(view, at, last, &costs.visual);
   }
   for (size_t i = 0; i < view.imu.size(); ++i) {
-    if (view.imu[i] != nullptr) AddImuCost(view, at, static_cast<int>(i), &costs);
+    if (view.imu[i] != nullptr) AddImuCost(view, states, static_cast<int>(i), &costs);
   }
   for (const WindowPrior& prior : view.priors) {
     costs.prior += CostOfPrior(view, prior, at);
