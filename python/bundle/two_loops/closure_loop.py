@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.arguments import as_array, check_function, check_type
-from bundle.display import Display, Displayed
+from bundle.display import Display
 from bundle.errors import InputError
 from bundle.inertial.preintegration import as_vector
 from bundle.pose_graph import PoseGraph
 from bundle.rigid_motions import inverse_poses, multiply_poses, unit_poses
 from bundle.solver import solve
-from bundle.two_loops.loop_thread import LoopThread
+from bundle.two_loops.loop_thread import SolveLoop
 from bundle.two_loops.ring import Ring
 from bundle.two_loops.yaw_motion import Correction, YawMotion
 
@@ -85,7 +85,7 @@ class Closure:
         object.__setattr__(self, "information", matrix)
 
 
-class ClosureLoop(Displayed):
+class ClosureLoop(SolveLoop):
     """Solves a pose graph whenever a closure arrives, and corrects a publisher.
 
     The solve releases the interpreter, and the loop's own work per solve are copies of arrays:
@@ -122,18 +122,8 @@ class ClosureLoop(Displayed):
         self._information = _Rows(36)
         self._newest_ns = 0
         self._last_put_ns: int | None = None
-        self._num_solves = self._num_closures = self._num_unknown = 0
-        self._worker = LoopThread("bundle closures", self._work)
-
-    @property
-    def error(self) -> BaseException | None:
-        """What ended the thread, if anything did."""
-        return self._worker.error
-
-    @property
-    def num_solves(self) -> int:
-        """Solves that have ended."""
-        return self._num_solves
+        self._num_closures = self._num_unknown = 0
+        self._start("bundle closures")
 
     @property
     def num_lost(self) -> int:
@@ -166,14 +156,6 @@ class ClosureLoop(Displayed):
         check_type("ClosureLoop.put_closure", closure, Closure)
         self._closures.put(closure)
         self._worker.notify()
-
-    def close(self, timeout: float | None = None) -> bool:
-        """Solve what waits and end the thread; return whether it has ended in time.
-
-        Raises:
-            Exception: what the solver raised.
-        """
-        return self._worker.close(timeout)
 
     def _work(self) -> None:
         closures = self._closures.take_all()  # before the keyframes, which were put earlier

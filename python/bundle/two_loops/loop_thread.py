@@ -5,7 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-__all__ = ["LoopThread"]
+from bundle.display import Displayed
+
+__all__ = ["LoopThread", "SolveLoop"]
 
 
 class LoopThread:
@@ -56,3 +58,39 @@ class LoopThread:
                     return
         except BaseException as error:  # for whoever closes: a thread's traceback helps nobody
             self.error = error
+
+
+class SolveLoop(Displayed):
+    """What loops that solve have in common: a thread of their own, a count, an end."""
+
+    _worker: LoopThread
+    _num_solves = 0
+
+    def _start(self, name: str) -> None:
+        """Start the thread, once there is all that its work needs."""
+        self._worker = LoopThread(name, self._work)
+
+    def _work(self) -> None:
+        """Do what there is to do, on the thread."""
+        raise NotImplementedError
+
+    @property
+    def error(self) -> BaseException | None:
+        """What ended the thread, if anything did."""
+        return self._worker.error
+
+    @property
+    def num_solves(self) -> int:
+        """Solves that have ended."""
+        return self._num_solves
+
+    def close(self, timeout: float | None = None) -> bool:
+        """Solve what waits and end the thread; return whether it has ended in time.
+
+        Args:
+            timeout: seconds to wait for it; None: as long as it takes.
+
+        Raises:
+            Exception: what the solve raised.
+        """
+        return self._worker.close(timeout)

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from typing import Any
 
 from bundle.arguments import check_function, check_type
-from bundle.display import Display, Displayed
+from bundle.display import Display
 from bundle.option_fields import number
-from bundle.two_loops.loop_thread import LoopThread
+from bundle.two_loops.loop_thread import SolveLoop
 from bundle.two_loops.pose_publisher import Solution
 from bundle.two_loops.ring import Ring
 
 __all__ = ["WindowLoop"]
 
 
-class WindowLoop(Displayed):
+class WindowLoop(SolveLoop):
     """Solves a window for the frames that arrive, on a thread of its own.
 
     Of any window: ``solve(frames, deadline)`` gets the frames since its last call, oldest first,
@@ -49,19 +49,9 @@ class WindowLoop(Displayed):
         self._solutions = solutions
         self._budget = number("WindowLoop: budget", budget, above=0)
         self._frames: Ring[Any] = Ring(capacity)
-        self._num_solves = self._num_late = 0
+        self._num_late = 0
         self._longest = 0.0
-        self._worker = LoopThread("bundle window", self._work)
-
-    @property
-    def error(self) -> BaseException | None:
-        """What ended the thread, if anything did."""
-        return self._worker.error
-
-    @property
-    def num_solves(self) -> int:
-        """Calls of ``solve``."""
-        return self._num_solves
+        self._start("bundle window")
 
     @property
     def num_late(self) -> int:
@@ -82,14 +72,6 @@ class WindowLoop(Displayed):
         """Hand over a frame; returns at once."""
         self._frames.put(frame)
         self._worker.notify()
-
-    def close(self, timeout: float | None = None) -> bool:
-        """Solve what waits and end the thread; return whether it has ended in time.
-
-        Raises:
-            Exception: what ``solve`` raised.
-        """
-        return self._worker.close(timeout)
 
     def _work(self) -> None:
         frames = self._frames.take_all()
