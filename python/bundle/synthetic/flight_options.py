@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from bundle.errors import InputError
 from bundle.option_fields import Options, documented, option
+from bundle.synthetic.observation_options import outlier_share_option, pixel_noise_option
 
 __all__ = ["FlightOptions"]
 
@@ -54,22 +55,8 @@ class FlightOptions(Options):
         minimum=1.0,
         metavar="N",
     )
-    pixel_noise: float = option(
-        0.5,
-        "--pixel-noise",
-        "standard deviation of x and of y, in pixels",
-        minimum=0.0,
-        below=1e6,
-        metavar="PIXELS",
-    )
-    outlier_share: float = option(
-        0.0,
-        "--outlier-share",
-        "share of the observations replaced by uniformly random pixels",
-        minimum=0.0,
-        below=1.0,
-        metavar="X",
-    )
+    pixel_noise: float = pixel_noise_option()
+    outlier_share: float = outlier_share_option()
     imu_noise_scale: float = option(
         1.0,
         "--imu-noise",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from bundle.errors import InputError
 from bundle.option_fields import Options, documented, option
+from bundle.synthetic.observation_options import outlier_share_option, pixel_noise_option
 
 __all__ = ["SceneOptions"]
 
@@ -68,22 +69,8 @@ class SceneOptions(Options):
         minimum=64,
         metavar=("WIDTH", "HEIGHT"),
     )
-    pixel_noise: float = option(
-        0.5,
-        "--pixel-noise",
-        "standard deviation of x and of y, in pixels",
-        minimum=0.0,
-        below=1e6,
-        metavar="PIXELS",
-    )
-    outlier_share: float = option(
-        0.0,
-        "--outlier-share",
-        "share of the observations replaced by uniformly random pixels",
-        minimum=0.0,
-        below=1.0,
-        metavar="X",
-    )
+    pixel_noise: float = pixel_noise_option()
+    outlier_share: float = outlier_share_option()
     rotation_noise: float = option(
         0.5,
         "--rotation-noise",
