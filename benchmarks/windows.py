@@ -15,7 +15,6 @@ import os
 import statistics
 import sys
 import time
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ import numpy as np
 from bundle import _core
 from bundle.rotations import rotation_matrices
 from bundle.vio import SlidingWindow, read_track_csv, run_odometry
-from bundle.vio.odometry import _Images
+from bundle.vio.sequence_images import SequenceImages
 from bundle.vio.window_arrays import window_arrays
 from bundle.vio.window_options import WindowOptions
 
@@ -56,19 +55,19 @@ def batch() -> tuple[SlidingWindow, dict[str, Any]]:
     sequence = read_track_csv(DATA / "euroc_V1_01_tracks_imu_30s.csv")
     rough = run_odometry(sequence, frame_rate=4.0, min_parallax=10.0, time_budget=100.0)
     options = WindowOptions(**SETTINGS)
-    images = _Images(sequence, options)
-    place = {int(stamp): k for k, stamp in enumerate(images.stamps)}
-    rows = [k for k, stamp in enumerate(rough.trajectory.timestamps_ns) if int(stamp) in place]
-    stamps = [int(rough.trajectory.timestamps_ns[k]) for k in rows]
+    images = SequenceImages(sequence, options.integration)
+    at, place = rough.trajectory.timestamps_ns, np.arange(len(rough.trajectory))
+    rows = place[np.isin(at, images.stamps)]
+    chosen = np.searchsorted(images.stamps, at[rows]).tolist()
     calibration = sequence.calibration
     window = SlidingWindow(
         calibration.camera_from_imu, calibration.noise, calibration.focal, options=options
     )
     window.start(
-        stamps,
+        at[rows],
         rough.trajectory.states[rows],
-        [images.tracks(place[stamp]) for stamp in stamps],
-        [images.interval(a, place[b]) for a, b in pairwise(stamps)],
+        [images.tracks(image) for image in chosen],
+        images.intervals(chosen),
     )
     # The start above is solved; the comparison begins where it did.
     for frame, k in zip(window.frames, rows, strict=True):

@@ -11,15 +11,14 @@ known, its sigma falls while its error does not.
 from __future__ import annotations
 
 import sys
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bundle.synthetic.flight import SyntheticFlight, synthesize_flight
-from bundle.vio import FrameTracks, SlidingWindow
-from bundle.vio.imu_slices import ImuSlices
+from bundle.vio import SlidingWindow, states_at
+from bundle.vio.sequence_images import SequenceImages
 
 Array = np.ndarray[Any, Any]
 
@@ -37,23 +36,13 @@ def fly(seed: int, seconds: float = SECONDS) -> SyntheticFlight:
 def follow(flight: SyntheticFlight, jacobians: str, **options: Any) -> Array:
     """Return per keyframe: seconds, yaw error and sigma, NEES of the position, rotation made."""
     sequence = flight.sequence
-    slices = ImuSlices(sequence.imu_timestamps_ns, sequence.gyro, sequence.accel, "zero_order_hold")
-    _, begin = sequence.frames()
-    stamps = sequence.image_timestamps_ns[begin[:-1]]
-    xy = sequence.normalized()
-    truth = flight.ground_truth
-
-    def tracks(k: int) -> FrameTracks:
-        rows = slice(begin[k], begin[k + 1])
-        return FrameTracks(sequence.track_ids[rows], xy[rows], np.zeros_like(xy[rows]))
+    images = SequenceImages(sequence)
 
     def true_state(k: int) -> Array:
-        row = int(np.searchsorted(truth.timestamps_ns, stamps[k]))
-        found: Array = truth.states[row]
-        return found
+        return states_at(flight.ground_truth, images.stamps[[k]])[0]
 
-    first = int(np.searchsorted(stamps, stamps[0] + 2_000_000_000))
-    images = [first + SPACING * k for k in range(START)]
+    first = int(np.searchsorted(images.stamps, images.stamps[0] + 2_000_000_000))
+    begin = [first + SPACING * k for k in range(START)]
     settings: dict[str, Any] = {
         "imu_noise_scale": 1.0,
         "loss": "trivial",
@@ -73,20 +62,17 @@ def follow(flight: SyntheticFlight, jacobians: str, **options: Any) -> Array:
         sequence.calibration.focal,
         **settings | options,
     )
-    states = np.array([true_state(k) for k in images])
+    states = np.array([true_state(k) for k in begin])
     rng = np.random.default_rng(seed_of(flight))
     states[:, 10:13] += rng.normal(0, settings["start_gyro_bias_sigma"], 3)
     states[:, 13:16] += rng.normal(0, settings["start_accel_bias_sigma"], 3)
     window.start(
-        [int(stamps[k]) for k in images],
-        states,
-        [tracks(k) for k in images],
-        [slices.between(int(stamps[a]), int(stamps[b])) for a, b in pairwise(images)],
+        images.stamps[begin], states, [images.tracks(k) for k in begin], images.intervals(begin)
     )
-    rows, turned, last = [], 0.0, true_state(images[-1])
-    for k in range(images[-1] + 2, len(stamps), 2):
-        interval = slices.between(window.frames[-1].stamp, int(stamps[k]))
-        record = window.add_frame(int(stamps[k]), interval, tracks(k))
+    rows, turned, last = [], 0.0, true_state(begin[-1])
+    for k in range(begin[-1] + 2, len(images), 2):
+        interval = images.interval(window.frames[-1].stamp, k)
+        record = window.add_frame(images.stamp(k), interval, images.tracks(k))
         true = true_state(k)
         turned += (Rotation.from_quat(last[:4]).inv() * Rotation.from_quat(true[:4])).magnitude()
         last = true
@@ -96,7 +82,9 @@ def follow(flight: SyntheticFlight, jacobians: str, **options: Any) -> Array:
         yaw = (Rotation.from_quat(state[:4]) * Rotation.from_quat(true[:4]).inv()).as_rotvec()[2]
         error = state[4:7] - true[4:7]
         nees = float(error @ np.linalg.solve(window.covariance[3:6, 3:6], error))
-        rows.append([1e-9 * float(stamps[k] - stamps[0]), yaw, record.yaw_sigma, nees, turned])
+        rows.append(
+            [1e-9 * float(images.stamps[k] - images.stamps[0]), yaw, record.yaw_sigma, nees, turned]
+        )
     return np.array(rows)
 
 

@@ -16,6 +16,7 @@ from bundle.errors import InputError
 from bundle.synthetic.flight import synthesize_flight
 from bundle.vio import Sequence, load_tum, read_track_csv, run_odometry, save_sequence
 from bundle.vio.imu_slices import ImuSlices
+from bundle.vio.sequence_images import SequenceImages
 from bundle.vio.static_start import find_static_start
 from tests.vio.sequences import sequence
 
@@ -68,7 +69,7 @@ def test_a_batch_is_a_window_that_keeps_everything(real: Sequence, bundle_data: 
 
 
 def test_rest_is_found_and_told_from_motion(real: Sequence) -> None:
-    found = find_static_start(real)
+    found = find_static_start(SequenceImages(real))
     assert found is not None
     seconds = 1e-9 * (real.frames()[0][found.last_image] - real.frames()[0][found.first_image])
     assert 3.0 < seconds < 4.7  # it takes off after 4.7 s
@@ -80,7 +81,7 @@ def test_rest_is_found_and_told_from_motion(real: Sequence) -> None:
         track_ids=real.track_ids[late],
         xy=real.xy[late],
     )
-    assert find_static_start(moving) is None
+    assert find_static_start(SequenceImages(moving)) is None
 
 
 @pytest.mark.parametrize("rule", ["zero_order_hold", "midpoint"])

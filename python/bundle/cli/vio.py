@@ -62,13 +62,12 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.standard_streams import complain
     from bundle.errors import shown
     from bundle.io import as_path, atomic
-    from bundle.io.recognition import sequence_at
+    from bundle.io.recognition import sequence_format
     from bundle.reports.vio import as_json, odometry_tables, telemetry_lines
     from bundle.vio import (
         compare_trajectories,
         load_sequence,
         load_trajectory,
-        read_track_csv,
         run_odometry,
         save_tum,
     )
@@ -80,8 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.telemetry, source, target)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
-        is_table = sequence_at(source) == "track csv"
-        sequence = read_track_csv(source) if is_table else load_sequence(source)
+        sequence = load_sequence(source)
         truth = None
         if arguments.ground_truth is not None:
             truth = load_trajectory(arguments.ground_truth)
@@ -104,7 +102,10 @@ def run(arguments: argparse.Namespace) -> int:
     written = target if result.is_usable else None
     if arguments.json != "-":
         show(*odometry_tables(source, result, error, written))
-    write_json(arguments.json, as_json(source, sequence, result, error, written, wall))
+    write_json(
+        arguments.json,
+        as_json(source, sequence_format(source), sequence, result, error, written, wall),
+    )
     if result.is_usable and not result.interrupted:
         return EXIT_DONE
     if arguments.json == "-":

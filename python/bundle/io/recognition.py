@@ -61,6 +61,11 @@ def sequence_at(path: object) -> str | None:
     return "track csv" if is_table else None
 
 
+def sequence_format(path: object) -> str:
+    """Return what reports call it: "track_csv" for GTSAM's file, "sequence" for all else."""
+    return "track_csv" if sequence_at(path) == "track csv" else "sequence"
+
+
 def _beginning(path: Path) -> bytes:
     try:
         with path.open("rb") as file:

@@ -94,6 +94,7 @@ def described_sequence(
 
 def information_of_sequence(
     path: str,
+    format: str,
     sequence: Sequence,
     statistics: SequenceStatistics,
     findings: Iterable[SequenceFinding],
@@ -101,7 +102,7 @@ def information_of_sequence(
     """Return the same for programs."""
     calibration = dataclasses.asdict(sequence.calibration)
     return {
-        **heading_of_sequence("info", path, "sequence", sequence),
+        **heading_of_sequence("info", path, format, sequence),
         "calibration": plain(calibration),
         "statistics": plain(dataclasses.asdict(statistics)),
         "findings": plain([dataclasses.asdict(finding) for finding in findings]),

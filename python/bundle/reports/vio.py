@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from rich.console import RenderableType
 
-from bundle._core import __version__
 from bundle.errors import shown
 from bundle.reports import json
+from bundle.reports.sequence_tables import heading_of_sequence
 from bundle.tables import columns, facts, notes, plural
 from bundle.vio import Sequence, TrajectoryError
 from bundle.vio.odometry import OdometryResult
@@ -29,7 +29,6 @@ def odometry_tables(
     seconds = 1e-9 * float(stamps[-1] - stamps[0])
     records = result.keyframes
     reasons = Counter(record.reason for record in records)
-    total = 1e3 * np.array([record.times["total"] for record in records])
     chi2 = [r.mean_visual_chi2 for r in records if r.mean_visual_chi2 is not None]
     rows = [
         ("sequence", f"{shown(source)}, {number(seconds)} s"),
@@ -76,7 +75,6 @@ def odometry_tables(
         said.insert(0, "Interrupted: the trajectory goes as far as it came.")
     if not result.is_usable:
         said.insert(0, f"No trajectory was written: {result.message}.")
-    assert len(total) == len(records)
     return [facts(rows), "", table, *([""] if said else []), *notes(said)]
 
 
@@ -86,6 +84,7 @@ def _p95(values: Any) -> float:
 
 def as_json(
     source: str,
+    format: str,
     sequence: Sequence,
     result: OdometryResult,
     error: TrajectoryError | None,
@@ -93,18 +92,11 @@ def as_json(
     wall: float,
 ) -> dict[str, Any]:
     """Return the report of `bundle vio`."""
+    heading = heading_of_sequence("vio", source, format, sequence)
+    heading["input"]["duration"] = sequence.duration
     report: dict[str, Any] = json.plain(
         {
-            "schema": json.SCHEMA,
-            "command": "vio",
-            "version": __version__,
-            "input": {
-                "path": source,
-                "num_imu_samples": len(sequence.gyro),
-                "num_images": sequence.num_frames,
-                "num_observations": len(sequence.xy),
-                "duration": sequence.duration,
-            },
+            **heading,
             "options": result.options.asdict(),
             "summary": {
                 "start": result.start,

@@ -18,7 +18,6 @@ rotation which levels the IMU.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,12 +31,13 @@ from bundle.rotations import (
     quaternion_rotate,
     rotation_matrices,
 )
-from bundle.vio.imu_slices import ImuSlices
+from bundle.vio.calibration import Calibration
 from bundle.vio.linear_start import LinearStart, Observations, solve_linear_start
 from bundle.vio.sequence import Sequence
+from bundle.vio.sequence_images import SequenceImages
 from bundle.vio.static_start import find_static_start, level_quaternion
 
-__all__ = ["VioStart", "initialize_vio"]
+__all__ = ["VioStart", "find_start", "initialize_vio"]
 
 Array = np.ndarray[Any, Any]
 
@@ -125,37 +125,38 @@ def initialize_vio(
     """
     check_type("sequence", sequence, Sequence)
     gravity = number("gravity", gravity, above=0)
-    stamps = sequence.image_timestamps_ns[sequence.frames()[1][:-1]]
-    rest = find_static_start(sequence, gravity) if try_rest else None
+    return find_start(SequenceImages(sequence, integration), gravity, integration, try_rest)
+
+
+def find_start(
+    images: SequenceImages, gravity: float, integration: str, try_rest: bool = True
+) -> VioStart:
+    """Find the first states of a sequence's images, as :func:`initialize_vio`."""
+    stamps = images.stamps
+    rest = find_static_start(images, gravity) if try_rest else None
     if rest is not None:
-        images = np.array([rest.first_image, rest.last_image])
+        ends = np.array([rest.first_image, rest.last_image])
         return VioStart(
             kind="static",
             reason="",
-            images=images,
-            timestamps_ns=stamps[images],
+            images=ends,
+            timestamps_ns=stamps[ends],
             states=np.repeat(rest.state[None], 2, axis=0),
             track_ids=np.zeros(0, np.int64),
             points=np.zeros((0, 3)),
         )
-    samples = sequence.imu_timestamps_ns
-    covered = np.flatnonzero((stamps >= samples[0]) & (stamps <= samples[-1]))
-    slices = ImuSlices(samples, sequence.gyro, sequence.accel, integration)
-    xy = sequence.normalized()
+    covered = np.flatnonzero(images.covered)
+    calibration = images.sequence.calibration
     reason, begin, next_stamp = "too few tracks", 0, stamps[covered[0]]
     latest = min(stamps[covered[0]] + round(1e9 * LATEST), stamps[covered[-1]])
     while next_stamp <= latest:
         begin = int(np.searchsorted(stamps, next_stamp))
         next_stamp += round(1e9 * STRIDE)
-        span = _span(sequence, xy, stamps, begin, int(covered[-1]))
+        span = _span(images, begin, int(covered[-1]))
         if span is None:
             continue
-        intervals = [
-            slices.between(int(stamps[a]), int(stamps[b])) for a, b in pairwise(span.images)
-        ]
-        calibration = sequence.calibration
         found = solve_linear_start(
-            intervals,
+            images.intervals(span.images.tolist()),
             span.seen,
             np.array(calibration.camera_from_imu),
             calibration.noise,
@@ -164,38 +165,38 @@ def initialize_vio(
             gravity,
             integration,
         )
-        reason = _objection(found, span, sequence)
+        reason = _objection(found, span, calibration)
         if not reason:
             return _levelled(found, span, stamps[span.images])
     nothing = np.zeros(0, np.int64)
     return VioStart("none", reason, nothing, nothing, np.zeros((0, 16)), nothing, np.zeros((0, 3)))
 
 
-def _span(sequence: Sequence, xy: Array, stamps: Array, first: int, end: int) -> _Span | None:
+def _span(images: SequenceImages, first: int, end: int) -> _Span | None:
     """Return images over two seconds and the points that three of them see, if there are enough."""
+    stamps = images.stamps
     last = int(np.searchsorted(stamps, stamps[first] + round(1e9 * SPAN), "right")) - 1
     last = min(last, end)
-    images = np.unique(np.linspace(first, last, IMAGES).round().astype(int))
-    if len(images) < LEAST_VIEWS or stamps[last] - stamps[first] < 0.75e9 * SPAN:
+    chosen = np.unique(np.linspace(first, last, IMAGES).round().astype(int))
+    if len(chosen) < LEAST_VIEWS or stamps[last] - stamps[first] < 0.75e9 * SPAN:
         return None
-    begin = sequence.frames()[1]
-    rows = [np.arange(begin[image], begin[image + 1]) for image in images]
-    place = np.repeat(np.arange(len(images)), [len(part) for part in rows])
+    rows = [np.arange(images.begin[image], images.begin[image + 1]) for image in chosen]
+    place = np.repeat(np.arange(len(chosen)), [len(part) for part in rows])
     row = np.concatenate(rows)
-    _, point, views = np.unique(sequence.track_ids[row], return_inverse=True, return_counts=True)
+    _, point, views = np.unique(images.ids[row], return_inverse=True, return_counts=True)
     kept = views[point] >= LEAST_VIEWS
     row, place = row[kept], place[kept]
-    ids, point = np.unique(sequence.track_ids[row], return_inverse=True)
+    ids, point = np.unique(images.ids[row], return_inverse=True)
     if len(ids) < LEAST_TRACKS:
         return None
     order = np.lexsort((place, point))
-    seen = Observations(point[order], place[order], xy[row[order]])
-    return _Span(images, seen, ids)
+    seen = Observations(point[order], place[order], images.xy[row[order]])
+    return _Span(chosen, seen, ids)
 
 
-def _objection(found: LinearStart, span: _Span, sequence: Sequence) -> str:
+def _objection(found: LinearStart, span: _Span, calibration: Calibration) -> str:
     """Return which test a solution fails, or nothing."""
-    seen, calibration = span.seen, sequence.calibration
+    seen = span.seen
     turn = rotation_matrices(np.array(calibration.camera_from_imu)[None, :4])[0]
     rays = np.column_stack([seen.xy, np.ones(len(seen.xy))]) @ turn
     rays = np.einsum("nij,nj->ni", found.rotations[seen.image], rays)

@@ -5,20 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
-from bundle.vio.imu_slices import ImuSlices
-from bundle.vio.initialize import initialize_vio
+from bundle.vio.initialize import find_start
 from bundle.vio.keyframe_record import KeyframeRecord
-from bundle.vio.landmark_table import FrameTracks
 from bundle.vio.sequence import Sequence
+from bundle.vio.sequence_images import SequenceImages
 from bundle.vio.sliding_window import SlidingWindow
-from bundle.vio.static_start import find_static_start
 from bundle.vio.trajectory_files import Trajectory
 from bundle.vio.window_options import WindowOptions
 
@@ -91,23 +88,23 @@ def run_odometry(
     """
     options = WindowOptions.of(options, changes, "run_odometry")
     began = time.perf_counter()
-    images = _Images(sequence, options)
+    images = SequenceImages(sequence, options.integration)
     window = SlidingWindow(
         sequence.calibration.camera_from_imu,
         sequence.calibration.noise,
         sequence.calibration.focal,
         options=options,
     )
-    start, next_image = _begin(window, sequence, images)
+    start, next_image = _begin(window, images)
     stamps = [frame.stamp for frame in window.frames]
     states = [frame.state for frame in window.frames]
     message, usable, interrupted = "done", True, False
     try:
-        for image in images.after(next_image):
+        for image in images.after(next_image, options.frame_rate):
             record = window.add_frame(
                 images.stamp(image),
                 images.interval(window.frames[-1].stamp, image),
-                images.tracks(image),
+                images.tracks(image, options.refine_time_offset),
             )
             newest = window.frames[-1]
             stamps.append(newest.stamp)
@@ -118,7 +115,7 @@ def run_odometry(
                 break
             if window.was_interrupted:
                 raise KeyboardInterrupt
-            if progress is not None and not progress(image + 1, images.count, record):
+            if progress is not None and not progress(image + 1, len(images), record):
                 message = "stopped by the caller"
                 break
     except KeyboardInterrupt:  # what is solved stays
@@ -139,93 +136,28 @@ def run_odometry(
     )
 
 
-class _Images:
-    """The images of a sequence that are solved for."""
-
-    def __init__(self, sequence: Sequence, options: WindowOptions) -> None:
-        self.slices = ImuSlices(
-            sequence.imu_timestamps_ns, sequence.gyro, sequence.accel, options.integration
-        )
-        _, self.begin = sequence.frames()
-        self.stamps = sequence.image_timestamps_ns[self.begin[:-1]]
-        self.xy, self.ids = sequence.normalized(), sequence.track_ids
-        self.period = 1e9 / options.frame_rate
-        self.velocities = options.refine_time_offset
-        t = sequence.imu_timestamps_ns
-        self.covered = (self.stamps >= t[0]) & (self.stamps <= t[-1])
-
-    @property
-    def count(self) -> int:
-        return len(self.stamps)
-
-    def stamp(self, image: int) -> int:
-        return int(self.stamps[image])
-
-    def rows(self, image: int) -> slice:
-        return slice(self.begin[image], self.begin[image + 1])
-
-    def tracks(self, image: int) -> FrameTracks:
-        """What it saw; velocities from the image before, where they matter."""
-        rows = self.rows(image)
-        ids, xy = self.ids[rows], self.xy[rows]
-        velocity = np.zeros_like(xy)
-        if self.velocities and image > 0:
-            before = self.rows(image - 1)
-            _, a, b = np.intersect1d(ids, self.ids[before], assume_unique=True, return_indices=True)
-            seconds = 1e-9 * float(self.stamps[image] - self.stamps[image - 1])
-            velocity[a] = (xy[a] - self.xy[before][b]) / seconds
-        return FrameTracks(ids, xy, velocity)
-
-    def interval(self, since: int, image: int) -> Any:
-        return self.slices.between(since, self.stamp(image))
-
-    def after(self, image: int) -> list[int]:
-        """Images beyond this one, not closer in time than the frame rate allows."""
-        chosen, last = [], self.stamps[image]
-        for k in range(image + 1, self.count):
-            # Half a millisecond for cameras whose stamps jitter.
-            if self.covered[k] and self.stamps[k] - last >= self.period - 5e5:
-                chosen.append(k)
-                last = self.stamps[k]
-        return chosen
-
-
-def _begin(window: SlidingWindow, sequence: Sequence, images: _Images) -> tuple[str, int]:
+def _begin(window: SlidingWindow, images: SequenceImages) -> tuple[str, int]:
     """Start the window; return how, and the image that it ends with."""
-    found = find_static_start(sequence, float(np.linalg.norm(window.gravity)))
-    if found is None:
-        return _begin_moving(window, sequence, images)
-    spread = np.linspace(found.first_image, found.last_image, START_KEYFRAMES).round().astype(int)
-    chosen = np.unique(spread)
-    pairs = pairwise(chosen)
-    window.start(
-        [images.stamp(int(k)) for k in chosen],
-        np.repeat(found.state[None], len(chosen), axis=0),
-        [images.tracks(int(k)) for k in chosen],
-        [images.interval(images.stamp(int(a)), int(b)) for a, b in pairs],
-        at_rest=True,
-    )
-    return "static", int(chosen[-1])
-
-
-def _begin_moving(window: SlidingWindow, sequence: Sequence, images: _Images) -> tuple[str, int]:
-    gravity = float(np.linalg.norm(window.gravity))
-    found = initialize_vio(
-        sequence, gravity=gravity, integration=window.options.integration, try_rest=False
-    )
+    options = window.options
+    found = find_start(images, float(np.linalg.norm(window.gravity)), options.integration)
     if not found:
         raise InputError(
             "sequence: expected rest for half a second at its begin, or motion that shows scale "
             f"and gravity, found neither ({found.reason})"
         )
-    chosen = found.images.tolist()
+    chosen, states = found.images.tolist(), found.states
+    if found.kind == "static":
+        spread = np.linspace(chosen[0], chosen[-1], START_KEYFRAMES).round().astype(int)
+        chosen = np.unique(spread).tolist()
+        states = np.repeat(states[:1], len(chosen), axis=0)
     window.start(
-        found.timestamps_ns,
-        found.states,
-        [images.tracks(image) for image in chosen],
-        [images.interval(images.stamp(a), b) for a, b in pairwise(chosen)],
+        images.stamps[chosen],
+        states,
+        [images.tracks(image, options.refine_time_offset) for image in chosen],
+        images.intervals(chosen),
+        at_rest=found.kind == "static",
     )
-    return "moving", chosen[-1]
+    return found.kind, chosen[-1]
 
 
 def _is_sane(state: Array) -> bool:

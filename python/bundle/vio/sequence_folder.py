@@ -24,6 +24,7 @@ from bundle.vio.calibration import calibration_text, load_calibration
 from bundle.vio.csv_tables import CsvTable, csv_lines, read_csv
 from bundle.vio.sequence import Sequence, check_imu, check_overlap, check_tracks
 from bundle.vio.sequence_findings import SequenceFinding, sequence_findings
+from bundle.vio.track_csv import read_track_csv
 
 __all__ = [
     "check_sequence_target",
@@ -40,7 +41,7 @@ TRACKS_HEAD = "timestamp_ns,track_id,x,y"
 
 
 def load_sequence(path: str | os.PathLike[str]) -> Sequence:
-    """Read a sequence folder that an odometry can run on.
+    """Read a sequence folder, or the csv of GTSAM's examples, that an odometry can run on.
 
     Raises:
         InputError: the content is not what the formats say, or the IMU has a gap in which images
@@ -57,13 +58,18 @@ def load_sequence(path: str | os.PathLike[str]) -> Sequence:
 def read_sequence(
     path: str | os.PathLike[str],
 ) -> tuple[Sequence, tuple[SequenceFinding, ...]]:
-    """Read a sequence folder, and tell what looks wrong in it.
+    """Read a sequence folder, or the csv of GTSAM's examples; tell what looks wrong in it.
 
     Raises:
         InputError: as :func:`load_sequence`, gaps aside.
         OSError: a file cannot be read.
     """
     folder = as_path(path)
+    if sequence_at(folder) == "track csv":
+        sequence = read_track_csv(folder)
+        return sequence, sequence_findings(
+            sequence, lambda row: f"IMU sample {row}", lambda row: f"observation {row}"
+        )
     if folder.exists() and not folder.is_dir():
         raise InputError(
             f"{shown(folder)}: expected a folder with {', '.join(FILES)}, found a file"

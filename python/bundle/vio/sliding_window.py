@@ -21,6 +21,7 @@ import numpy as np
 from bundle import _core
 from bundle.errors import InputError
 from bundle.inertial import ImuNoise
+from bundle.inertial.preintegration import as_vector
 from bundle.vio.keyframe_record import KeyframeRecord
 from bundle.vio.keyframe_rule import keyframe_reason
 from bundle.vio.landmark_depths import LandmarkDepths
@@ -67,10 +68,10 @@ class SlidingWindow:
         **changes: Any,
     ) -> None:
         self.options = WindowOptions.of(options, changes, "SlidingWindow")
-        self.camera_from_imu = _numbers("camera_from_imu", camera_from_imu, 7)
+        self.camera_from_imu = as_vector("camera_from_imu", camera_from_imu, 7)
         if not abs(np.linalg.norm(self.camera_from_imu[:4]) - 1) < 1e-3:
             raise InputError("camera_from_imu: expected a unit quaternion first, x y z w")
-        self.gravity = _numbers("gravity", gravity, 3)
+        self.gravity = as_vector("gravity", gravity)
         self.noise = _scaled(noise, self.options.imu_noise_scale)
         self.focal = float(focal)
         if not self.focal > 0:
@@ -346,10 +347,3 @@ def _scaled(noise: ImuNoise, scale: float) -> ImuNoise:
         gyro_noise_density=scale * noise.gyro_noise_density,
         accel_noise_density=scale * noise.accel_noise_density,
     )
-
-
-def _numbers(name: str, values: Any, count: int) -> Array:
-    array = np.array(values, float).ravel()
-    if len(array) != count or not np.all(np.isfinite(array)):
-        raise InputError(f"{name}: expected {count} finite numbers, found {values}")
-    return array

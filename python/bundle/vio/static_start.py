@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bundle.vio.sequence import Sequence
+from bundle.vio.sequence_images import SequenceImages
 
 __all__ = ["StaticStart", "find_static_start", "level_quaternion"]
 
@@ -32,26 +32,24 @@ class StaticStart(NamedTuple):
     last_image: int
 
 
-def find_static_start(sequence: Sequence, gravity: float = 9.81) -> StaticStart | None:
+def find_static_start(images: SequenceImages, gravity: float = 9.81) -> StaticStart | None:
     """Return the rest at the begin of a sequence, or None if it begins in motion.
 
     At rest means for half a second at least: tracks stay within 2 pixels, the gyroscope within 0.06
     rad/s and the accelerometer within 0.8 m/s^2 (standard deviations), and its mean within 1 m/s^2
     of gravity.
     """
-    stamps, begin = sequence.frames()
-    images = sequence.image_timestamps_ns[begin[:-1]]
-    inside = (images >= sequence.imu_timestamps_ns[0]) & (images <= sequence.imu_timestamps_ns[-1])
-    first = int(np.argmax(inside))
-    xy, ids = sequence.normalized(), sequence.track_ids
+    sequence, stamps = images.sequence, images.stamps
+    first = int(np.argmax(images.covered))
+    ids, xy = images.ids, images.xy
     focal = sequence.calibration.focal
-    rows = slice(begin[first], begin[first + 1])
+    rows = images.rows(first)
     start_ids, start_xy = ids[rows], xy[rows]
     last = first
-    for image in range(first + 1, len(stamps)):
-        if images[image] - images[first] > 1e9 * LONGEST or not inside[image]:
+    for image in range(first + 1, len(images)):
+        if stamps[image] - stamps[first] > 1e9 * LONGEST or not images.covered[image]:
             break
-        rows = slice(begin[image], begin[image + 1])
+        rows = images.rows(image)
         _, a, b = np.intersect1d(start_ids, ids[rows], assume_unique=True, return_indices=True)
         if len(a) < 4:
             break
@@ -60,12 +58,12 @@ def find_static_start(sequence: Sequence, gravity: float = 9.81) -> StaticStart 
             break
         last = image
     # Tracks begin to move a little after the platform does.
-    until = images[first] + int(0.8 * (images[last] - images[first]))
-    last = int(np.searchsorted(images, until, "right")) - 1
-    if images[last] - images[first] < 1e9 * SHORTEST:
+    until = stamps[first] + int(0.8 * (stamps[last] - stamps[first]))
+    last = int(np.searchsorted(stamps, until, "right")) - 1
+    if stamps[last] - stamps[first] < 1e9 * SHORTEST:
         return None
     t = sequence.imu_timestamps_ns
-    rest = slice(int(np.searchsorted(t, images[first])), int(np.searchsorted(t, images[last])))
+    rest = slice(int(np.searchsorted(t, stamps[first])), int(np.searchsorted(t, stamps[last])))
     gyro, accel = sequence.gyro[rest], sequence.accel[rest]
     mean = accel.mean(axis=0)
     if (
