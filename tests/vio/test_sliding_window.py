@@ -9,6 +9,7 @@ import pytest
 
 from bundle import SlidingWindow
 from bundle.errors import InputError
+from bundle.vio import FrameTracks
 from tests.vio.window_scenes import CAMERA, FOCAL, GRAVITY, NOISE, Flight
 
 SIGMA = 1.0 / FOCAL
@@ -196,3 +197,23 @@ def test_tracks_that_would_be_misread_are_refused(flight: Flight) -> None:
     blind = tracks[4]._replace(xy=np.full_like(tracks[4].xy, np.nan))
     with pytest.raises(InputError, match="finite"):
         window.add_frame(int(flight.stamps[4]), flight.intervals[3], blind)
+
+
+@pytest.mark.parametrize("marginalize", ["marginalize", "drop"])
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_window_without_tracks_goes_on_by_the_imu(
+    flight: Flight, marginalize: str, count: int
+) -> None:
+    """No track at all, or one: what is left is inertia, which here is exact."""
+    tracks = [FrameTracks(*(part[:count] for part in seen)) for seen in flight.tracks()]
+    window = run(flight, tracks, window=3, marginalize=marginalize)
+    assert len(window.records) == len(flight.stamps) - 3
+    np.testing.assert_allclose(window.states[-1], flight.states[-1], rtol=0, atol=1e-6)
+
+
+def test_states_without_a_rotation_are_refused(flight: Flight) -> None:
+    states = flight.states[:4].copy()
+    states[2, :4] = 0
+    window = SlidingWindow(CAMERA, NOISE, FOCAL)
+    with pytest.raises(InputError, match=r"states\[2\].*quaternion"):
+        window.start(flight.stamps[:4], states, flight.tracks()[:4], flight.intervals[:3])

@@ -128,6 +128,10 @@ class SlidingWindow:
         rows = np.asarray(states, float)
         if rows.ndim != 2 or rows.shape[1] != 16 or len(rows) < 2:
             raise InputError(f"states: expected two rows of 16 at least, found {rows.shape}")
+        norms = np.linalg.norm(rows[:, :4], axis=1)
+        if not np.all(norms > 0):
+            row = int(np.argmin(norms > 0))
+            raise InputError(f"states[{row}]: expected a quaternion x y z w, found one of norm 0")
         if not (len(rows) == len(stamps) == len(tracks) == len(intervals) + 1):
             raise InputError("start: expected a stamp, a state and tracks per image")
         for k, seen in enumerate(tracks):

@@ -76,7 +76,8 @@ class Triangulation:
         front = z > 1e-3
         error = point[:, :2] / np.where(front, z, 1.0)[:, None] - table.xy
         each = np.log1p(np.sum(error**2, 1) / self.sigma**2)
-        cost = np.bincount(table.landmarks, each, len(table.ids))
+        # Of no observation at all, bincount counts whole numbers.
+        cost = np.bincount(table.landmarks, each, len(table.ids)).astype(np.float64)
         cost[table.landmarks[~front]] = np.inf
         return cost
 
