@@ -40,21 +40,26 @@ class ImuNoise(Displayed):
                 value = number(name, value, minimum=0)
             object.__setattr__(self, entry.name, value)
 
-    def scaled(self, scale: float) -> ImuNoise:
+    def scaled(self, scale: float, *, walks: bool = True) -> ImuNoise:
         """Return the noise with its four densities times a number.
 
         Data sheets are optimistic: an estimator takes 3 to 10 times what they say.
+
+        Args:
+            scale: the number.
+            walks: the random walks, too; vibration adds to the white noises alone.
 
         Raises:
             InputError: the scale is no number above 0.
         """
         scale = number("ImuNoise.scaled: scale", scale, above=0)
+        walk = scale if walks else 1.0
         return replace(
             self,
             gyro_noise_density=scale * self.gyro_noise_density,
             accel_noise_density=scale * self.accel_noise_density,
-            gyro_bias_random_walk=scale * self.gyro_bias_random_walk,
-            accel_bias_random_walk=scale * self.accel_bias_random_walk,
+            gyro_bias_random_walk=walk * self.gyro_bias_random_walk,
+            accel_bias_random_walk=walk * self.accel_bias_random_walk,
         )
 
     def astuple(self) -> tuple[float, float, float, float, float]:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -72,7 +71,7 @@ class SlidingWindow:
         if not abs(np.linalg.norm(self.camera_from_imu[:4]) - 1) < 1e-3:
             raise InputError("camera_from_imu: expected a unit quaternion first, x y z w")
         self.gravity = as_vector("gravity", gravity)
-        self.noise = _scaled(noise, self.options.imu_noise_scale)
+        self.noise = noise.scaled(self.options.imu_noise_scale, walks=False)
         self.focal = float(focal)
         if not self.focal > 0:
             raise InputError(f"focal: expected pixels above 0, found {focal}")
@@ -342,12 +341,3 @@ class SlidingWindow:
         record = self._telemetry.record(reason, parallax, time.perf_counter())
         self.records.append(record)
         return record
-
-
-def _scaled(noise: ImuNoise, scale: float) -> ImuNoise:
-    """Vibration adds to the white noises; the biases' walks stay."""
-    return replace(
-        noise,
-        gyro_noise_density=scale * noise.gyro_noise_density,
-        accel_noise_density=scale * noise.accel_noise_density,
-    )
