@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bundle import SlidingWindow
 from bundle.errors import InputError
@@ -217,3 +218,23 @@ def test_states_without_a_rotation_are_refused(flight: Flight) -> None:
     window = SlidingWindow(CAMERA, NOISE, FOCAL)
     with pytest.raises(InputError, match=r"states\[2\].*quaternion"):
         window.start(flight.stamps[:4], states, flight.tracks()[:4], flight.intervals[:3])
+
+
+def test_landmarks_without_parallax_are_carried_and_stay(flight: Flight) -> None:
+    """No landmark goes into the prior; all go on, so that the window keeps seeing."""
+    window = run(flight, flight.tracks(SIGMA), window=4, marginal_parallax=1e4)
+    left = [record for record in window.records if record.marginalized]
+    assert len(left) > 10
+    assert all(record.num_absorbed == 0 and record.num_carried > 5 for record in left)
+    assert left[-1].num_landmarks > 20
+    assert np.linalg.norm(window.states[-1, 4:7] - flight.states[-1, 4:7]) < 0.3
+
+
+def test_yaw_is_about_the_vertical(flight: Flight) -> None:
+    options = {"start_position_sigma": 0.01, "start_yaw_sigma": 0.1}
+    window = run(flight, flight.tracks(SIGMA), covariance=True, window=6, **options)
+    assert window.covariance is not None
+    up = Rotation.from_quat(window.states[-1, :4]).as_matrix().T @ [0.0, 0.0, 1.0]
+    expected = np.sqrt(up @ window.covariance[:3, :3] @ up)
+    assert window.records[-1].yaw_sigma == pytest.approx(expected, rel=1e-9)
+    assert np.abs(up[:2]).max() > 0.05  # it is tilted
