@@ -165,10 +165,10 @@ def _uncertainty(results: Results) -> list[Target]:
             for who, mine in runs.items()
         }
         if uncertainty.THEIRS in runs:
-            theirs = of.pop(uncertainty.THEIRS)["cpu"]
-            what = f"{name}, covariance of all, CPU time: pycolmap"
+            theirs = of.pop(uncertainty.THEIRS)["wall"]
+            what = f"{name}, covariance of all, wall time: pycolmap"
             lines += [
-                Target(f"{what} / {who}", quotient(theirs, mine["cpu"]), 20.0)
+                Target(f"{what} / {who}", quotient(theirs, mine["wall"]), 20.0)
                 for who, mine in of.items()
                 if name == uncertainty.STREET_NAME
             ]

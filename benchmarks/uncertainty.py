@@ -3,10 +3,11 @@
 Each run is a process of its own, ours and pycolmap's in turn, of the same model as it stands. Ours
 computes marginal covariances of all images, cameras and points, under inner constraints and with
 two cameras held; pycolmap's ``estimate_ba_covariance`` of ALL holds two cameras, and its points are
-conditional: they hold the images. CPU time, of the call alone: of as many threads as are asked for.
-A drive of 5000 images has no peer, whose memory does not suffice; its diagnosis counts too. It has
-one camera: with a lens for each image, nothing holds such a drive one way but noise, and the normal
-equations have no digits left for its covariance, which is refused.
+conditional: they hold the images. Times are of the call alone. Both are given the same threads, of
+which pycolmap uses one: wall times differ by more than CPU times do. A drive of 5000 images has no
+peer, whose memory does not suffice; its diagnosis counts too. It has one camera: with a lens for
+each image, nothing holds such a drive one way but noise, and the normal equations have no digits
+left for its covariance, which is refused.
 
 Run: python -m benchmarks.uncertainty [--repeat N] [--threads N] [--timeout SECONDS]
 """
@@ -122,7 +123,7 @@ def as_table(found: Mapping[str, Runs]) -> str:
                 continue
             failures = [run["failure"] for run in mine if run["failure"]]
             if failures:
-                lines.append([name, who, f"no result: {failures[0]}", "", "", "", ""])
+                lines.append([name, who, f"no result: {failures[0]}", "", "", "", "", ""])
                 continue
             line = [name, who, *(table.absolute(spread(mine, what)) for what in ("cpu", "wall"))]
             memory = spread(mine, "memory")
@@ -130,16 +131,19 @@ def as_table(found: Mapping[str, Runs]) -> str:
             if THEIRS in runs:
                 theirs = runs[THEIRS]
                 line += [
-                    table.ratio(spread(theirs, "cpu"), spread(mine, "cpu"), missing="no result"),
+                    table.ratio(spread(theirs, what), spread(mine, what), missing="no result")
+                    for what in ("wall", "cpu")
+                ]
+                line.append(
                     table.ratio(
                         spread(theirs, "memory"), memory, table.megabytes, missing="no result"
-                    ),
-                ]
+                    )
+                )
             else:
-                line += ["", ""]
+                line += ["", "", ""]
             lines.append(line)
     header = ["model", "computation", "CPU time", "wall time", "peak memory"]
-    header += ["pycolmap, CPU time", "pycolmap, memory"]
+    header += ["pycolmap, wall time", "pycolmap, CPU time", "pycolmap, memory"]
     return table.grid(header, lines) if lines else ""
 
 

@@ -73,7 +73,7 @@ ReducedSystem::~ReducedSystem() = default;
 /// of a drive to the other makes a path of the tree: of 400 images with a lens each, some variances
 /// come out negative, of 800, 1e36 times too large. Dissected, the tree has the logarithm's depth.
 void ReducedSystem::Order(const SolveOptions& options) {
-  TakeBlasBuffers();
+  if (HasMemoryLimit()) TakeBlasBuffers();
   const int threads = options.deterministic ? 1 : num_threads_;
   std::vector<int> sizes;
   for (const CameraBlock& block : layout_.blocks()) sizes.push_back(block.size);

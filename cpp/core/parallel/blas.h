@@ -46,7 +46,8 @@ class ScopedBlasThreads {
 
 /// Makes OpenBLAS take its buffers now, 128 MiB per thread: where it cannot have one it tries for
 /// ever. Where there is room for one only, OpenBLAS has one thread from then on. Throws
-/// std::bad_alloc.
+/// std::bad_alloc. Only where memory is limited: its threads wake up for it and spin, for 30 to
+/// 60 ms of CPU time.
 void TakeBlasBuffers();
 
 /// Columns of a dense matrix from which on its factorisation is worth OpenBLAS' threads.

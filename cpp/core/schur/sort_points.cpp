@@ -2,11 +2,17 @@
 /// points are sorted leads anywhere. Each point is therefore read once on the way to its key and
 /// once on the way to its place, both times in the order of the problem. In between, the keys are
 /// dealt out by the first image that sees the point, and sorted image by image.
+///
+/// An observation is one number while it is sorted, its image's rank above its own index, so that
+/// nothing is looked up to compare two.
 
 #include <algorithm>
+#include <cstdint>
 #include <limits>
 #include <numeric>
+#include <string>
 
+#include "core/error.h"
 #include "core/linear/block_structure.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/elimination_plan.h"
@@ -44,12 +50,22 @@ class PointSorter {
                        images_.refined[problem_.observation_image[i]] != 0);
   }
 
-  int RankOf(int64_t observation) const {
-    return images_.rank[problem_.observation_image[observation]];
+  static constexpr int kIndexBits = 32;
+  static constexpr uint64_t kIndex = (uint64_t{1} << kIndexBits) - 1;
+
+  uint64_t Ranked(int64_t observation) const {
+    const auto rank = static_cast<uint64_t>(images_.rank[problem_.observation_image[observation]]);
+    return rank << kIndexBits | static_cast<uint64_t>(observation);
   }
+  static int RankOf(uint64_t ranked) { return static_cast<int>(ranked >> kIndexBits); }
+  static int64_t IndexOf(uint64_t ranked) { return static_cast<int64_t>(ranked & kIndex); }
 
   /// by_point_: the wanted observations of each point, found by counting.
   void GroupObservations() {
+    if (problem_.num_observations > static_cast<int64_t>(kIndex)) {
+      throw InputError("observation_xy: expected at most " + std::to_string(kIndex) + ", found " +
+                       std::to_string(problem_.num_observations));
+    }
     begin_.assign(problem_.num_points + 1, 0);
     for (int64_t i = 0; i < problem_.num_observations; ++i) {
       if (IsWanted(i)) ++begin_[problem_.observation_point[i] + 1];
@@ -58,7 +74,7 @@ class PointSorter {
     by_point_.resize(begin_.back());
     std::vector<int64_t> next(begin_.begin(), begin_.end() - 1);
     for (int64_t i = 0; i < problem_.num_observations; ++i) {
-      if (IsWanted(i)) by_point_[next[problem_.observation_point[i]]++] = i;
+      if (IsWanted(i)) by_point_[next[problem_.observation_point[i]]++] = Ranked(i);
     }
   }
 
@@ -67,11 +83,7 @@ class PointSorter {
     keys_.resize(problem_.num_points);
     ParallelFor(problem_.num_points, num_threads_, [this](int64_t begin, int64_t end) {
       for (int64_t p = begin; p < end; ++p) {
-        std::sort(by_point_.begin() + begin_[p], by_point_.begin() + begin_[p + 1],
-                  [this](int64_t a, int64_t b) {
-                    const int rank_a = RankOf(a), rank_b = RankOf(b);
-                    return rank_a != rank_b ? rank_a < rank_b : a < b;
-                  });
+        std::sort(by_point_.begin() + begin_[p], by_point_.begin() + begin_[p + 1]);
         keys_[p] = KeyOf(static_cast<int>(p));
       }
     });
@@ -179,7 +191,7 @@ class PointSorter {
     for (int64_t p = first_point; p < last_point; ++p) {
       int64_t to = place_[p];
       for (int64_t at = begin_[p]; at < begin_[p + 1]; ++at, ++to) {
-        const int64_t i = by_point_[at];
+        const int64_t i = IndexOf(by_point_[at]);
         plan_.image[to] = problem_.observation_image[i];
         plan_.xy[2 * to] = problem_.observation_xy[2 * i];
         plan_.xy[2 * to + 1] = problem_.observation_xy[2 * i + 1];
@@ -198,7 +210,7 @@ class PointSorter {
   const int num_threads_;
   const bool keep_order_;
   std::vector<int64_t> begin_;  ///< of each point of the problem in by_point_, and the end
-  std::vector<int64_t> by_point_;
+  std::vector<uint64_t> by_point_;
   std::vector<Key> keys_;              ///< of the points of the problem, then of those in the plan
   std::vector<int64_t> bucket_begin_;  ///< in keys_, then in plan_.point
   std::vector<int64_t> first_observation_;  ///< of each bucket in the plan
