@@ -308,3 +308,25 @@ def test_covariance_counts_the_positions(run, model):
     assert "no minimum" in printed
     code, _, error = run("covariance", out, "-o", target, "--gps-sigma", "2")
     assert code == 2 and "--gps-sigma" in error
+
+
+def test_diagnosis_counts_the_positions(run, model):
+    geo, report = model.parent / "geo.txt", model.parent / "d.json"
+    assert run("diagnose", model, "--json", report).code == 0
+    alone = json.loads(report.read_text())
+    assert (alone["nullity"], alone["expected_nullity"]) == (7, 7)
+    assert run("diagnose", model, "--json", report, "--gps", geo, "--gps-sigma", "0.1").code == 0
+    held = json.loads(report.read_text())
+    assert (held["nullity"], held["expected_nullity"]) == (0, 0)
+    # The less certain the positions, the weaker they hold the world.
+    assert run("diagnose", model, "--json", report, "--gps", geo, "--gps-sigma", "10").code == 0
+    assert json.loads(report.read_text())["condition_number"] > 10 * held["condition_number"]
+
+
+@pytest.mark.parametrize("command", ["diagnose", "report"])
+def test_flags_of_positions_without_them(run, model, command):
+    words = () if command == "diagnose" else ("-o", model.parent / "page.html")
+    done = run(command, model, *words, "--gps-sigma", "2", "--quiet")
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith("error: --gps-sigma: ") and done.err.count("\n") == 1
+    assert not (model.parent / "page.html").exists()

@@ -18,6 +18,11 @@ def model(tmp_path):
     return path
 
 
+def certainty(page):
+    """The section as it is written, numbers and all."""
+    return page.read_text().partition('id="certainty"')[2].partition("<h2")[0]
+
+
 def test_a_page_is_written_and_described(run, model, tmp_path):
     page, report = tmp_path / "page.html", tmp_path / "report.json"
     code, out, _ = run("report", model, "-o", page, "--json", report)
@@ -60,6 +65,12 @@ def test_positions_are_on_the_page_of_refine(run, tmp_path):
     words = ("refine", tmp_path / "model", "-o", tmp_path / "out/", "--gps", tmp_path / "geo.txt")
     assert run(*words, "--html", page, "--images", tmp_path, "--quiet").code == 0
     assert "Measured positions of images" in page.read_text()
+    # The same priors are counted in a page of its own; without them, the model is less certain.
+    alone, again = tmp_path / "alone.html", tmp_path / "again.html"
+    assert run("report", tmp_path / "out", "-o", alone, "--quiet").code == 0
+    positions = ("--gps", tmp_path / "geo.txt")
+    assert run("report", tmp_path / "out", "-o", again, "--quiet", *positions).code == 0
+    assert certainty(again) == certainty(page) != certainty(alone)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from time import perf_counter
 
 from bundle.cli.constraint_flags import add_constraint_flags, as_options, constraints_given
 from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
 from bundle.cli.option_flags import (
     WHAT_IS_REFINED,
     add_options,
@@ -39,7 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_rig_config(parser)
     add_options(parser, SolveOptions, "what would be refined", OPTIONS)
     add_constraint_flags(parser)
+    add_gps_flags(
+        parser,
+        "What a refine with the same flags would be given; the model is looked at in metres about "
+        "the middle of the control points, or of the positions where there are none.",
+    )
     add_pose_graph_flags(parser, GRAPH_OPTIONS, "pose graphs (.g2o), beside loss and threads")
+    parser.set_defaults(html=None, only_images=None)  # of a refine
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -50,6 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         return diagnose_graph_file(arguments)
     refuse_flags_of_graphs(arguments)
+    from bundle.cli.gps_flags import priors_given
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.diagnosis import diagnose
@@ -58,15 +66,22 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.diagnose import as_json, diagnosed
 
     options = options_given(arguments, SolveOptions, names_follow=True)
+    check_gps_flags(arguments, options)
     constraints = constraints_given(arguments)
     check_json(arguments.json, arguments.input, *filter(None, [arguments.constraints]))
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = with_rigs(load(arguments.input), arguments.rig_config)
         options = with_named_images(options, arguments, problem)
+        known = priors_given(arguments, problem)
         progress.stage("diagnosing")
-        with naming_flags(SolveOptions):
-            diagnosis = diagnose(problem, options, constraints=constraints)
+        with naming_flags(SolveOptions, **NAMED, priors=main_flag(arguments)):
+            diagnosis = diagnose(
+                problem,
+                options,
+                priors=() if known is None else known.priors,
+                constraints=constraints,
+            )
     if arguments.json != "-":
         show(*diagnosed(arguments.input, problem, diagnosis))
     wall = perf_counter() - started

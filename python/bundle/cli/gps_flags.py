@@ -52,10 +52,14 @@ MOVED = (
 )
 
 
-def add_gps_flags(parser: argparse.ArgumentParser, what_becomes: str = MOVED) -> None:
+def add_gps_flags(
+    parser: argparse.ArgumentParser,
+    what_becomes: str = MOVED,
+    images_are_for: str = "--gps exif and --html",
+) -> None:
     """Add the flags of ``bundle.georeference.gps_priors`` and ``gcp_priors``."""
     group = parser.add_argument_group("positions of images", what_becomes)
-    add_position_flags(group, "--gps exif and --html")
+    add_position_flags(group, images_are_for)
     add_gcp_flags(
         parser.add_argument_group(
             "ground control points",

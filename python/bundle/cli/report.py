@@ -8,8 +8,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from bundle.cli.constraint_flags import add_constraint_flags, constraints_given
 from bundle.cli.error_lines import EXIT_DONE
+from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
+from bundle.cli.option_flags import naming_flags
 from bundle.cli.parser import a_path, add_input, add_rig_config, with_rigs
+from bundle.options import SolveOptions
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -30,13 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the page to write, a single file",
     )
     add_rig_config(parser)
-    parser.add_argument(
-        "--images",
-        metavar="DIR",
-        type=a_path,
-        help="folder of the photographs, on which residuals of the worst images are drawn "
-        "(default: none, residuals on a blank frame)",
+    add_constraint_flags(parser)
+    add_gps_flags(
+        parser,
+        "The priors of the refine that made INPUT, by the same flags: how certain it is depends on "
+        "them. Nothing is moved.",
+        "--gps exif and residuals of the worst images on their photographs",
     )
+    parser.set_defaults(html="", only_images=None)  # of a refine with a page
 
 
 def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
@@ -63,6 +68,7 @@ def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
 def run(arguments: argparse.Namespace) -> int:
     """Write the page on INPUT."""
     started = perf_counter()
+    from bundle.cli.gps_flags import priors_given
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import InputError, shown
@@ -73,16 +79,27 @@ def run(arguments: argparse.Namespace) -> int:
     source, page = arguments.input, arguments.output
     if page == "-":
         raise InputError("--output: expected a file for the page, found -")
-    check_json(page, source, what="page")
-    check_json(arguments.json, source, page)
+    check_gps_flags(arguments, SolveOptions())
+    constraints = constraints_given(arguments)
+    read = [*filter(None, [arguments.constraints])]
+    check_json(page, source, *read, what="page")
+    check_json(arguments.json, source, page, *read)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         problem = with_rigs(load(source), arguments.rig_config)
         place, lost = placed(source)
+        known = priors_given(arguments, problem)
         progress.stage(f"writing {shown(page)}")
-        notes = write_report(
-            problem, page, images=arguments.images, georeference=place, name=str(source)
-        )
+        with naming_flags(**NAMED, priors=main_flag(arguments)):
+            notes = write_report(
+                problem,
+                page,
+                images=arguments.images,
+                georeference=place,
+                priors=() if known is None else known.priors,
+                constraints=constraints,
+                name=str(source),
+            )
         notes = (*lost, *notes)
     if arguments.json != "-":
         show(*reported(source, problem, page, notes))
