@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks import flops, practitioners, scaling, table, targets, uncertainty, whole
+from benchmarks import backend, flops, practitioners, scaling, table, targets, uncertainty, whole
 from benchmarks.results import Results
 from benchmarks.solvers import REFERENCE
 
@@ -35,6 +35,9 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
             practitioners.as_table(results.practitioners),
         ),
         ("Covariance and diagnosis", uncertainty.as_table(results.uncertainty)),
+        ("Pose graphs", backend.graphs_table(results.pose_graphs)),
+        ("Preintegration", backend.inertial_table(results.inertial)),
+        ("A batch of visual-inertial keyframes", backend.windows_table(results.windows)),
         ("Whole processes: start, load, solve, save", _whole_table(results)),
     ):
         if text:

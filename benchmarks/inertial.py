@@ -5,20 +5,24 @@ minute at 200 Hz, integrated interval by interval with covariance and Jacobians 
 GTSAM takes samples one by one from Python; its manifold variant has our formulas, its default
 integrates in the tangent space. The implementations take turns; the table has medians.
 
-Run: python -m benchmarks.inertial [--repeat N]
+Run: python -m benchmarks.inertial [--repeat N] [--json FILE]
 """
 
 from __future__ import annotations
 
 import argparse
-import statistics
+import importlib.util
+import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle
+from benchmarks import backend
+from benchmarks.backend import OURS
 
 RATE, SAMPLES = 200, 12_000
 INTERVALS = (10, 50, 1000)
@@ -65,43 +69,35 @@ def by_gtsam(variant: str) -> Integration:
     return integrate
 
 
-def measured(repeat: int) -> dict[tuple[str, int], float]:
-    """Return microseconds of processor time per sample, by implementation and interval."""
-    implementations: dict[str, Integration] = {
-        "bundle": by_bundle,
-        "gtsam manifold": by_gtsam("Manifold"),
-        "gtsam default": by_gtsam(""),
-    }
+def measured(repeat: int) -> dict[str, dict[str, list[float]]]:
+    """Return microseconds of processor time per sample, by implementation and interval, of runs."""
+    implementations: dict[str, Integration] = {OURS: by_bundle}
+    if importlib.util.find_spec("gtsam") is not None:
+        implementations |= {"gtsam manifold": by_gtsam("Manifold"), "gtsam default": by_gtsam("")}
     given = samples()
-    took: dict[tuple[str, int], list[float]] = {}
+    took: dict[str, dict[str, list[float]]] = {
+        name: {str(interval): [] for interval in INTERVALS} for name in implementations
+    }
     for _ in range(repeat):
         for interval in INTERVALS:
             for name, integrate in implementations.items():
                 start = time.process_time()
                 integrate(*given, interval)
                 seconds = time.process_time() - start
-                took.setdefault((name, interval), []).append(1e6 * seconds / SAMPLES)
-    return {which: statistics.median(times) for which, times in took.items()}
-
-
-def as_table(times: dict[tuple[str, int], float]) -> str:
-    """Return the table in Markdown."""
-    names = list(dict.fromkeys(name for name, _ in times))
-    lines = [
-        f"| us per sample | {' | '.join(f'{n} samples' for n in INTERVALS)} |",
-        "|---|" + "---:|" * len(INTERVALS),
-    ]
-    for name in names:
-        cells = " | ".join(f"{times[name, interval]:.3f}" for interval in INTERVALS)
-        lines.append(f"| {name} | {cells} |")
-    return "\n".join(lines)
+                took[name][str(interval)].append(1e6 * seconds / SAMPLES)
+    return took
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, print the table, and write the runs with --json."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--repeat", type=int, default=5, help="runs of each (default 5)")
-    print(as_table(measured(parser.parse_args().repeat)))
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all runs there")
+    given = parser.parse_args()
+    found = measured(given.repeat)
+    if given.json is not None:
+        given.json.write_text(json.dumps(found))
+    print(backend.inertial_table(found))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
@@ -14,6 +15,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 # Every library that has its own idea of how many threads it may start.
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -80,6 +82,20 @@ def run_child(command: Sequence[str], env: dict[str, str], timeout: float) -> Ch
         failure = f"exit {process.returncode}: {last_words[-1] if last_words else 'no message'}"
     unit = 1 if sys.platform == "darwin" else 1024
     return Child(failure, wall, usage.ru_utime + usage.ru_stime, unit * usage.ru_maxrss)
+
+
+def run_module(
+    module: str, arguments: Sequence[str], env: dict[str, str], timeout: float
+) -> Any | None:
+    """Return what ``python -m module ... --json FILE`` writes; None, and a line, if it fails."""
+    with tempfile.TemporaryDirectory() as folder:
+        answer = Path(folder) / "answer.json"
+        command = [sys.executable, "-m", module, *arguments, "--json", str(answer)]
+        child = run_child(command, env, timeout)
+        if child.failure:
+            print(f"{module}: not measured: {child.failure}", file=sys.stderr)
+            return None
+        return json.loads(answer.read_text())
 
 
 @dataclass(frozen=True)

@@ -9,27 +9,30 @@ GTSAM's ``NonlinearFactorGraph`` is made outside the time, as is bundle's ``Pose
 bundle's analytic Jacobians and a radius of 1e16, which makes its steps those of Gauss-Newton.
 
 Run: OPENBLAS_NUM_THREADS=1 python -m benchmarks.pose_graphs [--threads N] [--only NAME,...]
+[--repeat N] [--poses N] [--no-synthetic] [--json FILE]
 """
 
 from __future__ import annotations
 
 import argparse
 import bz2
+import json
 import os
-import statistics
+import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import bundle
+from benchmarks import backend
+from benchmarks.backend import CERES, GTSAM, MANY, OURS
 
 DATA = Path(os.environ.get("BUNDLE_DATA", Path(__file__).parents[2] / "shared" / "data")) / "g2o"
 SETS = ("smallGrid3D", "parking-garage", "sphere2500", "intel", "M3500", "CSAIL")
-MANY = "synthetic"
 TOLERANCE = 1e-6
 
 
@@ -115,47 +118,55 @@ def many_poses(count: int, seed: int = 0) -> bundle.PoseGraph:
     )
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--only", default=",".join((*SETS, MANY)))
-    parser.add_argument("--poses", type=int, default=100_000, help="of the synthetic graph")
-    given = parser.parse_args()
+def measured(
+    names: Sequence[str], repeats: int, threads: int, poses: int
+) -> dict[str, dict[str, list[dict[str, float]]]]:
+    """Return the runs by data set and solver; a solver that fails on a set has none there."""
     solvers = {
-        "bundle": by_bundle("fused", given.threads),
-        "Ceres": by_bundle("ceres", given.threads),
-        "GTSAM": by_gtsam,
+        OURS: by_bundle("fused", threads),
+        CERES: by_bundle("ceres", threads),
+        GTSAM: by_gtsam,
     }
-    print(f"{'set':<16}{'solver':<10}{'seconds':>10}{'ratio':>8}{'solves':>8}{'chi2':>18}")
-    for name in given.only.split(","):
+    found: dict[str, dict[str, list[dict[str, float]]]] = {}
+    for name in names:
+        source = DATA / f"{name}.g2o.bz2"
+        if name != MANY and not source.exists():
+            continue
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"{name}.g2o"
             if name == MANY:
-                graph = many_poses(given.poses)
-                start = bundle.initial_poses(graph, "chordal")
-                graph = graph.replace(poses=start)
+                graph = many_poses(poses)
+                graph = graph.replace(poses=bundle.initial_poses(graph, "chordal"))
             else:
-                path.write_bytes(bz2.decompress((DATA / f"{name}.g2o.bz2").read_bytes()))
+                path.write_bytes(bz2.decompress(source.read_bytes()))
                 graph = bundle.load(path)
             bundle.save(graph, path)
-            runs: dict[str, list[Measured]] = {solver: [] for solver in solvers}
-            for _ in range(given.repeats):
+            runs: dict[str, list[dict[str, float]]] = {solver: [] for solver in solvers}
+            for _ in range(repeats):
                 for solver, solve in solvers.items():
                     try:
-                        runs[solver].append(solve(graph, path))
+                        runs[solver].append(solve(graph, path)._asdict())
                     except (ImportError, RuntimeError) as error:
-                        print(f"{name:<16}{solver:<10}{str(error).splitlines()[0]}")
-        ours = statistics.median(run.seconds for run in runs["bundle"])
-        for solver, found in runs.items():
-            if found:
-                seconds = statistics.median(run.seconds for run in found)
-                print(
-                    f"{name:<16}{solver:<10}{seconds:>10.4f}{seconds / ours:>8.2f}"
-                    f"{found[-1].solves:>8}{found[-1].chi2:>18.9f}",
-                    flush=True,
-                )
+                        print(f"{name}: {solver}: {str(error).splitlines()[0]}", file=sys.stderr)
+            found[name] = runs
+    return found
+
+
+def main() -> None:
+    """Measure, print the table, and write the runs with --json."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--repeat", type=int, default=5)
+    parser.add_argument("--only", default=",".join((*SETS, MANY)))
+    parser.add_argument("--poses", type=int, default=100_000, help="of the synthetic graph")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all runs there")
+    parser.add_argument("--no-synthetic", action="store_true", help="without that graph")
+    given = parser.parse_args()
+    names = [n for n in given.only.split(",") if n != MANY or not given.no_synthetic]
+    found = measured(names, given.repeat, given.threads, given.poses)
+    if given.json is not None:
+        given.json.write_text(json.dumps(found))
+    print(backend.graphs_table(found))
 
 
 if __name__ == "__main__":

@@ -147,8 +147,19 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
     with tempfile.TemporaryDirectory() as folder:
         processes = run_whole(real, options, Path(folder))
     further, certain = {}, {}
+    graphs, inertia, windows = None, None, None
     if not (options.quick or options.synthetic or options.only):
         further = practitioners.measured(options.repeat, options.threads, options.timeout)
+        env = measure.environment(problems.ROOT, 1)  # OpenBLAS'; bundle is told its own
+        repeat, threads = ["--repeat", str(options.repeat)], ["--threads", str(options.threads)]
+        sets = ["--no-synthetic"] if options.no_synthetic else []
+        graphs = measure.run_module(
+            "benchmarks.pose_graphs", [*repeat, *threads, *sets], env, 10 * options.timeout
+        )
+        inertia, windows = (
+            measure.run_module(module, repeat, env, options.timeout)
+            for module in ("benchmarks.inertial", "benchmarks.windows")
+        )
         if not options.no_synthetic:
             certain = uncertainty.measured(options.repeat, options.threads, options.timeout)
     return Results(
@@ -168,6 +179,9 @@ def measure_all(chosen: list[BenchmarkProblem], options: argparse.Namespace) -> 
         whole=processes,
         practitioners=further,
         uncertainty=certain,
+        pose_graphs=graphs or {},
+        inertial=inertia or {},
+        windows=windows or {},
     )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks import agreement, practitioners, scaling, table, uncertainty, whole
+from benchmarks import agreement, backend, practitioners, scaling, table, uncertainty, whole
 from benchmarks.measure import Spread
 from benchmarks.results import Results
 from benchmarks.rows import Row
@@ -54,6 +55,8 @@ def of(results: Results) -> list[Target]:
         *_whole_models(results),
         *_practitioners(results),
         *_uncertainty(results),
+        *_pose_graphs(results),
+        *_inertial(results),
         *_large_synthetic(results),
         *_growth(results),
         *_choice(results),
@@ -181,6 +184,51 @@ def _uncertainty(results: Results) -> list[Target]:
             if who == uncertainty.INNER:
                 value = memory.median / 1e9 if memory else None
                 lines.append(Target(f"{name}, {who}, peak memory in GB", value, 3.0, False))
+    return lines
+
+
+GRAPH_LIMITS = (
+    (("parking-garage", "intel", "M3500", "CSAIL"), {backend.GTSAM: 5.0, backend.CERES: 3.0}),
+    (("sphere2500",), {backend.GTSAM: 3.0, backend.CERES: 2.0}),
+)
+
+
+def _pose_graphs(results: Results) -> list[Target]:
+    found = results.pose_graphs
+    lines = []
+    for names, limits in GRAPH_LIMITS:
+        known = [name for name in names if name in found]
+        for peer, limit in limits.items() if known else ():
+            ratios = [
+                (
+                    name,
+                    quotient(
+                        backend.graph_seconds(found, name, peer),
+                        backend.graph_seconds(found, name, backend.OURS),
+                    ),
+                )
+                for name in known
+            ]
+            lines.append(_extreme(f"pose graphs, total: {peer} / bundle, least of", ratios, limit))
+    if backend.MANY in found:
+        took = backend.graph_seconds(found, backend.MANY, backend.OURS)
+        lines.append(
+            Target("synthetic pose graph, seconds", took.median if took else None, 3.0, False)
+        )
+    return lines
+
+
+def _inertial(results: Results) -> list[Target]:
+    lines = []
+    if backend.OURS in results.inertial:
+        slowest = max(statistics.median(t) for t in results.inertial[backend.OURS].values())
+        lines.append(Target("preintegration, us per sample, most of", slowest, 0.2, False))
+    if results.windows:
+        ratio = quotient(
+            backend.window_seconds(results.windows, backend.GTSAM),
+            backend.window_seconds(results.windows, backend.OURS),
+        )
+        lines.append(Target("a batch of keyframes, CPU time: GTSAM / bundle", ratio, 5.0))
     return lines
 
 

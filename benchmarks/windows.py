@@ -6,20 +6,23 @@ first position, yaw and biases. Landmarks have three numbers in both, by inverse
 points there, so that both have one minimum. GTSAM's preintegration of 0.25 s differs by some 1e-8,
 its covariance by some 1e-4.
 
-Run: OPENBLAS_NUM_THREADS=1 python -m benchmarks.windows [REPEATS]
+Run: OPENBLAS_NUM_THREADS=1 python -m benchmarks.windows [--repeat N] [--json FILE]
 """
 
 from __future__ import annotations
 
+import argparse
+import importlib.util
+import json
 import os
-import statistics
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks import backend
+from benchmarks.backend import GTSAM, OURS
 from bundle import _core
 from bundle.rotations import rotation_matrices
 from bundle.vio import SlidingWindow, read_track_csv, run_odometry
@@ -28,6 +31,7 @@ from bundle.vio.window_arrays import window_arrays
 from bundle.vio.window_options import WindowOptions
 
 DATA = Path(os.environ.get("BUNDLE_DATA", Path(__file__).parents[2] / "shared" / "data")) / "vio"
+SEQUENCE = DATA / "euroc_V1_01_tracks_imu_30s.csv"
 SETTINGS: dict[str, Any] = {
     "marginalize": "keep",
     "frame_rate": 4.0,
@@ -52,7 +56,7 @@ OPTIONS = {
 
 def batch() -> tuple[SlidingWindow, dict[str, Any]]:
     """Return the window of all keyframes and its arrays, at states of a sliding window."""
-    sequence = read_track_csv(DATA / "euroc_V1_01_tracks_imu_30s.csv")
+    sequence = read_track_csv(SEQUENCE)
     rough = run_odometry(sequence, frame_rate=4.0, min_parallax=10.0, time_budget=100.0)
     options = WindowOptions(**SETTINGS)
     images = SequenceImages(sequence, options.integration)
@@ -178,24 +182,40 @@ def by_gtsam(graph: Any, values: Any) -> tuple[float, float, int]:
     return took, graph.error(result), optimizer.iterations()
 
 
-def main(repeats: int) -> None:
+def measured(repeat: int) -> dict[str, Any]:
+    """Return the size of the batch, and the runs by whose they are: seconds, cost, steps."""
+    if not SEQUENCE.exists():
+        return {}
     window, arrays = batch()
-    graph, values = gtsam_problem(window, arrays)
-    ours = [by_bundle(arrays) for _ in range(repeats)]
-    theirs = [by_gtsam(graph, values) for _ in range(repeats)]
-    print(
-        f"{len(arrays['states'])} keyframes, {len(arrays['points'])} landmarks, "
-        f"{len(arrays['xy']) + len(arrays['points'])} observations"
-    )
-    for name, runs in (("bundle", ours), ("GTSAM", theirs)):
-        seconds = statistics.median(run[0] for run in runs)
-        print(
-            f"{name:>8}: {seconds:.3f} s of processor time, cost {runs[0][1]:.4f}, "
-            f"{runs[0][2]} steps"
-        )
-    ratio = statistics.median(run[0] for run in theirs) / statistics.median(run[0] for run in ours)
-    print(f"   ratio: {ratio:.1f}")
+    runs: dict[str, list[tuple[float, float, int]]] = {OURS: [], GTSAM: []}
+    for _ in range(repeat):
+        runs[OURS].append(by_bundle(arrays))
+    if importlib.util.find_spec("gtsam") is not None:
+        graph, values = gtsam_problem(window, arrays)
+        for _ in range(repeat):
+            runs[GTSAM].append(by_gtsam(graph, values))
+    return {
+        "keyframes": len(arrays["states"]),
+        "landmarks": len(arrays["points"]),
+        "observations": len(arrays["xy"]) + len(arrays["points"]),
+        "runs": {
+            who: [dict(zip(("seconds", "cost", "steps"), run, strict=True)) for run in mine]
+            for who, mine in runs.items()
+        },
+    }
+
+
+def main() -> None:
+    """Measure, print the table, and write the runs with --json."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--repeat", type=int, default=5, help="runs of each (default 5)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all runs there")
+    given = parser.parse_args()
+    found = measured(given.repeat)
+    if given.json is not None:
+        given.json.write_text(json.dumps(found))
+    print(backend.windows_table(found))
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)
+    main()
