@@ -27,6 +27,8 @@ def as_array(name: str, value: Any) -> NDArray[np.float64]:
     Raises:
         InputError: complex, masked, ragged or no numbers; the message begins with the name.
     """
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.c_contiguous:
+        return value  # calls by the thousand, each with a few samples
     with np.errstate(over="ignore"):  # of long doubles; infinity is for the caller to judge
         return np.asarray(real_numbers(name, value), dtype=np.float64, order="C")
 
