@@ -9,6 +9,7 @@ DEMO_OPTIONS ?= --loss cauchy
 VENV := .venv
 READY := $(VENV)/ready
 READY_TO_BENCH := $(VENV)/ready-to-bench
+READY_TO_DOCUMENT := $(VENV)/ready-to-document
 BUILT_FROM := pyproject.toml CMakeLists.txt $(shell find cpp -type f) tools/setup.sh
 CPP_SOURCES = $(shell find cpp python/bundle examples tests -name '*.h' -o -name '*.cpp')
 # Where pip builds the module (pyproject.toml); the C++ tests share its objects.
@@ -22,7 +23,7 @@ SHARDED = seq 0 $$(($$(nproc) - 1)) | UBSAN_OPTIONS=print_stacktrace=1 \
   xargs -P 0 -I {} env GTEST_SHARD_INDEX={}
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test sanitize tsan lint lint-python lint-cpp format docs bench clean
+.PHONY: help setup demo test sanitize tsan lint lint-python lint-cpp format docs quotes bench clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 14
@@ -35,6 +36,10 @@ $(READY): $(BUILT_FROM)
 
 $(READY_TO_BENCH): $(READY)
 	bash tools/setup.sh $(PYTHON) $(VENV) test,lint,bench
+	@touch $@
+
+$(READY_TO_DOCUMENT): $(READY)
+	bash tools/setup.sh $(PYTHON) $(VENV) test,lint,docs
 	@touch $@
 
 demo: $(READY)  ## refine the model in data/ and show where the time went
@@ -75,7 +80,12 @@ format: $(READY)  ## rewrite the sources in the house format
 	$(VENV)/bin/ruff format .
 	$(VENV)/bin/clang-format -i $(CPP_SOURCES)
 
-docs: $(READY)  ## rewrite what documents quote from the code
+docs: $(READY_TO_DOCUMENT)  ## build the documentation, build/site/index.html; a warning is an error
+	$(VENV)/bin/python -m sphinx --quiet --fail-on-warning --keep-going \
+	  -c tools/site -d build/doctrees docs build/site
+	@echo "build/site/index.html"
+
+quotes: $(READY)  ## rewrite what documents quote from the code
 	$(VENV)/bin/python tools/camera_table.py --update
 	$(VENV)/bin/python tools/demo_output.py --update
 	$(VENV)/bin/python tools/readme_picture.py

@@ -127,7 +127,7 @@ def test_the_page_of_camera_models_has_the_table_that_the_code_gives() -> None:
     assert all(model in table for model in bundle.camera_models())
     page = (ROOT / "docs" / "camera_models.md").read_text()
     between = page.split("<!-- cameras:begin -->\n")[1].split("<!-- cameras:end -->")[0]
-    assert between == table, "run `make docs`"
+    assert between == table, "run `make quotes`"
 
 
 def test_the_readme_shows_what_the_demo_prints() -> None:
@@ -141,5 +141,5 @@ def test_the_readme_shows_what_the_demo_prints() -> None:
     printed = subprocess.run(script, capture_output=True, text=True, check=True).stdout
     readme = (ROOT / "README.md").read_text()
     shown = readme.split("<!-- demo:begin -->\n")[1].split("<!-- demo:end -->")[0]
-    assert rows(shown) == rows(printed), "run `make docs`"
+    assert rows(shown) == rows(printed), "run `make quotes`"
     assert len(rows(shown)) > 8

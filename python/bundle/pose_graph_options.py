@@ -80,7 +80,7 @@ class PoseGraphOptions(Options):
         False,
         "--consistency",
         "before the solve, find the largest set of closures that agree with each other pair by "
-        "pair along the odometry, and leave the others out (needs the extra bundle[consistency])",
+        "pair along the odometry, and leave the others out (needs SciPy)",
     )
     trust_region_strategy_type: str = option(
         "gauss_newton",

@@ -3,8 +3,9 @@
 /// The normal equations of a problem at its own values, without damping, and their solution by the
 /// reduced camera system:
 ///
-///   | U   W | |x_c|   |b_c|            S = U - sum W_p V_p^-1 W_p^T,    S x_c = b_c - sum W_p
-///   V_p^-1 b_p, | W^T V | |x_p| = |b_p|    =>      x_p = V_p^-1 (b_p - W_p^T x_c).
+///   [ U   W ] [x_c]   [b_c]        S = U - sum W_p V_p^-1 W_p^T,
+///   [ W^T V ] [x_p] = [b_p]   =>   S x_c = b_c - sum W_p V_p^-1 b_p,
+///                                  x_p = V_p^-1 (b_p - W_p^T x_c).
 ///
 /// S is that of the solvers, summed up by their own passes (schur/) and factorised by their own
 /// direct solvers (linear/). Null directions of points are left out (point_blocks.h): the passes

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ground-truth",
         metavar="FILE",
         type=a_path,
-        help="compare with it: EuRoC's csv or a TUM file (needs the extra bundle[vio])",
+        help="compare with it: EuRoC's csv or a TUM file (needs evo)",
     )
     parser.add_argument(
         "--telemetry",

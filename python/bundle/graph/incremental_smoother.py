@@ -3,7 +3,7 @@
 iSAM2 keeps the factorised problem as a Bayes tree and, for each update, eliminates again only the
 part of it that new factors or variables that moved have to do with (M. Kaess et al., iSAM2:
 Incremental smoothing and mapping using the Bayes tree, IJRR 31, 2012). GTSAM is an optional extra,
-``pip install 'bundle[incremental]'``. Its tangent coordinates, errors and losses are those of
+``pip install gtsam``. Its tangent coordinates, errors and losses are those of
 :class:`bundle.FactorGraph`: rotation first in se3, full logarithms.
 """
 
@@ -298,8 +298,7 @@ def _import_gtsam() -> ModuleType:
         import gtsam
     except ImportError:
         raise InputError(
-            "IncrementalSmoother: expected GTSAM, found none; install it with pip install "
-            "'bundle[incremental]'"
+            "IncrementalSmoother: expected GTSAM, found none; install it with pip install gtsam"
         ) from None
     found: ModuleType = gtsam
     return found

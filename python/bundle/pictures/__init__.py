@@ -6,7 +6,7 @@
     bundle.pictures.draw_covisibility(axes[0, 0], problem)
     made.savefig("covisibility.svg")
 
-Matplotlib is an optional extra, ``pip install 'bundle[pictures]'``.
+Matplotlib is not installed with bundle: ``pip install matplotlib``.
 """
 
 from bundle.pictures.charts import (

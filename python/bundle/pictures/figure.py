@@ -28,8 +28,7 @@ def figure(
         from matplotlib.figure import Figure
     except ImportError:
         raise InputError(
-            "pictures: expected Matplotlib, found none; install it with pip install "
-            "'bundle[pictures]'"
+            "pictures: expected Matplotlib, found none; install it with pip install matplotlib"
         ) from None
     num_rows = number("num_rows", num_rows, whole=True, minimum=1, maximum=100)
     num_columns = number("num_columns", num_columns, whole=True, minimum=1, maximum=100)

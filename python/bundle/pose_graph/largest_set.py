@@ -123,7 +123,6 @@ def _import_scipy() -> Any:
         from scipy import sparse
     except ImportError:
         raise InputError(
-            "consistency: expected SciPy, found none; install it with pip install "
-            "'bundle[consistency]'"
+            "consistency: expected SciPy, found none; install it with pip install scipy"
         ) from None
     return sparse

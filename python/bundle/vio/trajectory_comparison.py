@@ -77,7 +77,7 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
         from evo.core import metrics
         from evo.core.trajectory import PosePath3D
     except ImportError:
-        raise InputError("comparing trajectories needs evo: pip install 'bundle[vio]'") from None
+        raise InputError("comparing trajectories needs evo: pip install evo") from None
     stamps = estimate.timestamps_ns
     inside = (stamps >= truth.timestamps_ns[0]) & (stamps <= truth.timestamps_ns[-1])
     if inside.sum() < LEAST_POSES:

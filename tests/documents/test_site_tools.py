@@ -1,0 +1,119 @@
+"""What the site makes of sources: comments, links, names."""
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("sphinx")
+from tools.site import derivations, repository_files
+
+HEADER = """\
+#pragma once
+
+/// A title.
+///
+/// With a formula
+///
+///   S = U - W V^-1 W^T,
+///
+///   b = a  (a ~ 0)
+///
+/// where
+/// - `V` is a block
+///   of a point;
+/// - U is not.
+
+#include <cmath>
+
+/// Short.
+int Short();
+
+/// One
+/// two
+/// three
+/// four
+/// five
+/// six
+struct Long {
+  /// Inside, and therefore
+  /// left
+  /// out
+  /// of
+  /// the
+  /// page.
+  int x;
+};
+"""
+
+
+def test_comments_of_a_header(tmp_path):
+    path = tmp_path / "a.h"
+    path.write_text(HEADER)
+    head, above = derivations.comments_of(path)
+    assert (head.line, head.stands_above, head.lines[0]) == (3, "", "A title.")
+    assert (above.line, above.stands_above) == (21, "struct Long")
+    assert above.lines == ["One", "two", "three", "four", "five", "six"]
+
+
+def test_formulas_and_text_of_a_comment(tmp_path):
+    path = tmp_path / "a.h"
+    path.write_text(HEADER)
+    assert list(derivations.paragraphs(derivations.comments_of(path)[0].lines)) == [
+        ("text", "A title."),
+        ("text", "With a formula"),
+        ("formula", "S = U - W V^-1 W^T,\n\nb = a  (a ~ 0)"),
+        ("text", "where"),
+        ("text", "- `V` is a block of a point;"),
+        ("text", "- U is not."),
+    ]
+
+
+def test_a_docstring_is_the_comment_of_a_module(tmp_path):
+    path = tmp_path / "a.py"
+    path.write_text('"""Title.\n\nText::\n\n    x = 1\n"""\n\n\ndef f():\n    """No."""\n')
+    (comment,) = derivations.comments_of(path)
+    assert list(derivations.paragraphs(comment.lines))[1:] == [
+        ("text", "Text::"),
+        ("formula", "x = 1"),
+    ]
+    path.write_text("x = 1\n")
+    assert derivations.comments_of(path) == []
+
+
+def test_code_in_text_is_set_as_code():
+    found = derivations.text_nodes("as :func:`bundle.solve` does with ``x[0]``::")
+    assert [node.astext() for node in found] == ["as ", "bundle.solve", " does with ", "x[0]", ":"]
+    assert [node.tagname for node in found] == ["#text", "literal", "#text", "literal", "#text"]
+
+
+@pytest.mark.parametrize(
+    ("written", "on_the_page"),
+    [
+        ("[a](docs/align.md#errors)", "[a](../align.md#errors)"),
+        ("[a](README.md)", "[a](../overview.md)"),
+        ("[a](cpp/core/io/bal.h)", "[a](../../cpp/core/io/bal.h)"),
+        ("[core](cpp/core), [`io`](cpp/core/io/)", "`core`, `io`"),
+        ("![two](docs/bench.png) and [b](LICENSE)", "![two](../bench.png) and [b](../../LICENSE)"),
+        ("[a](https://a.b/c.md), [b](#here)", "[a](https://a.b/c.md), [b](#here)"),
+    ],
+)
+def test_links_of_a_file_that_a_page_shows(written, on_the_page):
+    root = repository_files.ROOT
+    shown = repository_files.pages_that_show()
+    page = root / "docs" / "project" / "contributing.md"
+    assert shown[root / "CONTRIBUTING.md"] == page
+    assert repository_files.relinked(written, root / "CONTRIBUTING.md", page, shown) == on_the_page
+
+
+def test_links_in_code_stay():
+    text = "```python\nx = [a](b)\n```\n[a](README.md)\n"
+    root = repository_files.ROOT
+    page = root / "docs" / "align.md"
+    found = repository_files.relinked(text, root / "a.md", page, repository_files.pages_that_show())
+    assert found == "```python\nx = [a](b)\n```\n[a](overview.md)\n"
+
+
+def test_every_picture_is_in_the_gallery():
+    docs = Path(repository_files.DOCS)
+    gallery = (docs / "gallery.md").read_text(encoding="utf-8")
+    assert all(f"({path.name})" in gallery for path in docs.glob("*.png"))
