@@ -487,6 +487,7 @@ PYTHON_MAY_IMPORT = {
         "camera_edits",
         "cameras",
         "errors",
+        "inertial",
         "losses",
         "problem",
         "reprojection",
@@ -494,6 +495,7 @@ PYTHON_MAY_IMPORT = {
         "rounds",
         "uncertainty",
         "worst_images",
+        "vio",
     },
     "html": {
         "arguments",
@@ -514,6 +516,7 @@ PYTHON_MAY_IMPORT = {
         "result",
         "statistics",
         "uncertainty",
+        "vio",
         "words",
     },
     "reports": {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=a_path,
         help="one line of JSON per keyframe, as it is settled",
     )
+    parser.add_argument(
+        "--html",
+        metavar="PAGE",
+        type=a_path,
+        help="a page with the curves of the telemetry and the path, a single file",
+    )
     add_options(parser, WindowOptions, "the window")
 
 
@@ -77,6 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(target, source, what="file")
     check_json(arguments.json, source, target)
     check_json(arguments.telemetry, source, target)
+    others = filter(None, (arguments.json, arguments.telemetry))
+    check_json(arguments.html, source, target, *others, what="page")
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         sequence = load_sequence(source)
@@ -98,6 +107,11 @@ def run(arguments: argparse.Namespace) -> int:
             save_tum(target, result.trajectory.timestamps_ns, result.trajectory.states)
         if arguments.telemetry is not None:
             atomic.write_text(as_path(arguments.telemetry), telemetry_lines(result))
+        if arguments.html is not None:
+            from bundle.html import write_odometry
+
+            progress.stage(f"writing {shown(arguments.html)}")
+            write_odometry(result, arguments.html, truth=truth, error=error, name=Path(source).name)
     wall = perf_counter() - started
     written = target if result.is_usable else None
     if arguments.json != "-":

@@ -3,6 +3,8 @@
 from bundle.figures.certainty import Certainty, certainty
 from bundle.figures.image_residuals import ImageResiduals, image_residuals, worst_residuals
 from bundle.figures.lens_curves import LensCurve, lens_curve, most_observed_cameras
+from bundle.figures.line_figure import Line, LineFigure
+from bundle.figures.odometry_figures import odometry_figures
 from bundle.figures.placement_errors import Placement, placement
 from bundle.figures.projection_uncertainty import (
     ProjectionUncertainty,
@@ -18,6 +20,8 @@ __all__ = [
     "Certainty",
     "ImageResiduals",
     "LensCurve",
+    "Line",
+    "LineFigure",
     "Placement",
     "ProjectionUncertainty",
     "RadialProfile",
@@ -30,6 +34,7 @@ __all__ = [
     "image_residuals",
     "lens_curve",
     "most_observed_cameras",
+    "odometry_figures",
     "placement",
     "projection_uncertainty",
     "residual_fields",

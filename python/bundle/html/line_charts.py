@@ -22,7 +22,7 @@ from bundle.html.svg_charts import (
     place_y,
 )
 
-__all__ = ["Band", "error_bars", "lines"]
+__all__ = ["Band", "dots", "error_bars", "lines"]
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,22 @@ def lines(
         aria_label=f"{y_label} against {x_label}",
     )
     return chart + legend(drawn)
+
+
+def dots(line: Curve, x_scale: Scale, y_scale: Scale) -> str:
+    """Return a dot for each finite value."""
+    return "".join(
+        tag(
+            "circle",
+            tag("title", escape(line.label)),
+            cx=f"{place_x(x_scale(x)):.1f}",
+            cy=f"{place_y(y_scale(y)):.1f}",
+            r=2.6,
+            style=f"fill:var(--c{line.colour})",
+        )
+        for x, y in zip(line.x, line.y, strict=True)
+        if math.isfinite(x) and math.isfinite(y)
+    )
 
 
 def error_bars(line: Curve, errors: Sequence[float], x_scale: Scale, y_scale: Scale) -> str:

@@ -18,6 +18,7 @@ from bundle.pictures.charts import (
 )
 from bundle.pictures.covisibility_graph import draw_covisibility
 from bundle.pictures.figure import figure
+from bundle.pictures.line_pictures import draw_lines
 from bundle.pictures.matrix_pattern import MatrixPattern
 from bundle.pictures.placement_pictures import (
     draw_correlations,
@@ -59,6 +60,7 @@ __all__ = [
     "draw_flops",
     "draw_image_residuals",
     "draw_lens_curves",
+    "draw_lines",
     "draw_orderings",
     "draw_performance_profile",
     "draw_position_errors",

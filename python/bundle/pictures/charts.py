@@ -88,7 +88,7 @@ def draw_column_counts(ax: Axes, counts: Mapping[str, ArrayLike]) -> None:
         xticklabels=["first", "middle", "last"],
     )
     if counts:
-        _legend_below(ax)
+        legend_below(ax)
 
 
 def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
@@ -113,7 +113,7 @@ def draw_cost_against_time(ax: Axes, comparison: Comparison, problem: int = 0) -
     _title(ax, comparison.problems[problem].name)
     ax.grid(which="major", color="0.9")
     if ax.lines:
-        _legend_below(ax)
+        legend_below(ax)
 
 
 def draw_breakdown(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
@@ -133,7 +133,7 @@ def draw_breakdown(ax: Axes, comparison: Comparison, problem: int = 0) -> None:
     ax.set(ylim=(len(runs) - 0.4, -0.6), xlabel="seconds")
     _title(ax, comparison.problems[problem].name)
     if runs:
-        _legend_below(ax)
+        legend_below(ax)
 
 
 def draw_performance_profile(ax: Axes, comparison: Comparison, gap: float = 1e-3) -> None:
@@ -161,10 +161,10 @@ def draw_performance_profile(ax: Axes, comparison: Comparison, gap: float = 1e-3
         title="performance profile",
     )
     if profiles:
-        _legend_below(ax)
+        legend_below(ax)
 
 
-def _legend_below(ax: Axes) -> None:
+def legend_below(ax: Axes) -> None:
     """Put the legend where no curve is: under the axis and its label."""
     from matplotlib.transforms import offset_copy
 

@@ -15,7 +15,12 @@ from bundle.vio.sequence_folder import (
 )
 from bundle.vio.sliding_window import SlidingWindow
 from bundle.vio.track_csv import read_track_csv
-from bundle.vio.trajectory_comparison import TrajectoryError, compare_trajectories, states_at
+from bundle.vio.trajectory_comparison import (
+    TrajectoryError,
+    aligned_in_yaw,
+    compare_trajectories,
+    states_at,
+)
 from bundle.vio.trajectory_files import (
     Trajectory,
     load_ground_truth,
@@ -40,6 +45,7 @@ __all__ = [
     "TrajectoryError",
     "VioStart",
     "WindowOptions",
+    "aligned_in_yaw",
     "check_sequence_target",
     "compare_trajectories",
     "initialize_vio",

@@ -38,6 +38,7 @@ class KeyframeRecord:
         excitation, excitation_verdict: standard deviation of |a| - g over the window, m/s^2.
         gyro_bias, accel_bias: of the newest state, with their sigmas where asked for.
         yaw_sigma: of the newest state, rad; None without covariance or with a free yaw.
+        accumulated_rotation: rad, of all turns from keyframe to keyframe since the start.
         marginalized: stamp of the keyframe that left, or None, and how.
         num_absorbed: landmarks that went into the prior.
         num_carried: landmarks of the keyframe that left that go on from their next image.
@@ -75,6 +76,7 @@ class KeyframeRecord:
     gyro_bias_sigma: tuple[float, float, float] | None
     accel_bias_sigma: tuple[float, float, float] | None
     yaw_sigma: float | None
+    accumulated_rotation: float
     marginalized: dict[str, Any] | None
     num_absorbed: int
     num_carried: int

@@ -28,7 +28,7 @@ from bundle.rotations import (
 )
 from bundle.vio.trajectory_files import Trajectory
 
-__all__ = ["TrajectoryError", "compare_trajectories", "states_at"]
+__all__ = ["TrajectoryError", "aligned_in_yaw", "compare_trajectories", "states_at"]
 
 Array = NDArray[np.float64]
 
@@ -78,14 +78,9 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
         from evo.core.trajectory import PosePath3D
     except ImportError:
         raise InputError("comparing trajectories needs evo: pip install evo") from None
-    stamps = estimate.timestamps_ns
-    inside = (stamps >= truth.timestamps_ns[0]) & (stamps <= truth.timestamps_ns[-1])
-    if inside.sum() < LEAST_POSES:
-        raise InputError(
-            f"ground truth: expected at least {LEAST_POSES} poses of the estimate between "
-            f"{truth.timestamps_ns[0]} and {truth.timestamps_ns[-1]} ns, found {int(inside.sum())}"
-        )
-    found, wanted = estimate.states[inside, :7], states_at(truth, stamps[inside])[:, :7]
+    inside = _inside(estimate, truth)
+    found = estimate.states[inside, :7]
+    wanted = states_at(truth, estimate.timestamps_ns[inside])[:, :7]
 
     def path(poses: Array) -> PosePath3D:
         return PosePath3D(positions_xyz=poses[:, 4:], orientations_quat_wxyz=poses[:, [3, 0, 1, 2]])
@@ -114,6 +109,22 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
     )
 
 
+def aligned_in_yaw(
+    estimate: Trajectory, truth: Trajectory
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return stamps (n,), poses of the estimate (n, 7) and of the truth (n, 7) wherever both are.
+
+    The estimate is turned about the vertical and shifted to fit the truth best.
+
+    Raises:
+        InputError: fewer than three poses of the estimate lie between stamps of the truth.
+    """
+    inside = _inside(estimate, truth)
+    stamps = estimate.timestamps_ns[inside]
+    wanted = states_at(truth, stamps)[:, :7]
+    return stamps, _yaw_aligned(estimate.states[inside, :7], wanted), wanted
+
+
 def states_at(trajectory: Trajectory, stamps: NDArray[np.int64]) -> Array:
     """Return states (n, 16) at stamps within the trajectory, interpolated."""
     times, states = trajectory.timestamps_ns, trajectory.states
@@ -126,6 +137,19 @@ def states_at(trajectory: Trajectory, stamps: NDArray[np.int64]) -> Array:
     part = quaternion_from_vector(share[:, None] * vector_from_quaternion(turn))
     result[:, :4] = quaternion_multiply(states[before, :4], part)
     return result
+
+
+def _inside(estimate: Trajectory, truth: Trajectory) -> NDArray[np.bool_]:
+    """Return which poses of the estimate lie between stamps of the truth."""
+    stamps = estimate.timestamps_ns
+    inside: NDArray[np.bool_] = stamps >= truth.timestamps_ns[0]
+    inside = inside & (stamps <= truth.timestamps_ns[-1])
+    if inside.sum() < LEAST_POSES:
+        raise InputError(
+            f"ground truth: expected at least {LEAST_POSES} poses of the estimate between "
+            f"{truth.timestamps_ns[0]} and {truth.timestamps_ns[-1]} ns, found {int(inside.sum())}"
+        )
+    return inside
 
 
 def _yaw_aligned(found: Array, wanted: Array) -> Array:

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 
 from bundle.inertial import excitation
-from bundle.rotations import rotation_matrices
+from bundle.rotations import (
+    quaternion_inverse,
+    quaternion_multiply,
+    rotation_matrices,
+    vector_from_quaternion,
+)
 from bundle.vio.keyframe_record import KeyframeRecord
 from bundle.vio.landmark_table import LandmarkTable
 from bundle.vio.window_contents import WindowContents
@@ -36,6 +41,8 @@ class WindowTelemetry:
         self.num_rejected_tracks = 0
         self.num_repropagated = 0
         self._last: dict[str, Any] = {}
+        self._attitudes: Array | None = None  # (1, 4) of the keyframe of the last record
+        self._turned = 0.0
         self._exit: dict[str, Any] | None = None
         self.num_absorbed = self.num_carried = 0
         self.begin()
@@ -120,6 +127,7 @@ class WindowTelemetry:
             gyro_bias_sigma=None if sigmas is None else _triple(sigmas[9:12]),
             accel_bias_sigma=None if sigmas is None else _triple(sigmas[12:15]),
             yaw_sigma=yaw,
+            accumulated_rotation=self._rotation_so_far(),
             marginalized=self._exit,
             num_absorbed=self.num_absorbed,
             num_carried=self.num_carried,
@@ -131,6 +139,18 @@ class WindowTelemetry:
         self.num_absorbed = self.num_carried = 0
         self.num_rejected_tracks = self.num_repropagated = 0
         return record
+
+    def _rotation_so_far(self) -> float:
+        """Return the sum of the angles (rad) between keyframes, the newest among them."""
+        attitudes = self.window.states[:, :4]
+        if self._attitudes is not None:
+            attitudes = np.vstack([self._attitudes, attitudes[-1:]])
+        turns = vector_from_quaternion(
+            quaternion_multiply(quaternion_inverse(attitudes[:-1]), attitudes[1:])
+        )
+        self._turned += float(np.linalg.norm(turns, axis=1).sum())
+        self._attitudes = attitudes[-1:]
+        return self._turned
 
     def _prior(self) -> dict[str, Any]:
         prior = self.window.prior
