@@ -9,7 +9,7 @@ import pytest
 from bundle.cli.main import COMMANDS, _parser
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([*(ROOT / "docs").glob("*.md"), ROOT / "README.md"])
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])
 
 
 def commands(page):
@@ -24,7 +24,7 @@ def commands(page):
     return found
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_the_flags_parse(page):
     for words in commands(page):
         _parser([words[0]]).parse_args(words)

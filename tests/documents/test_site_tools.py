@@ -1,11 +1,16 @@
 """What the site makes of sources: comments, links, names."""
 
+import re
 from pathlib import Path
 
 import pytest
 
+import bundle
+
 pytest.importorskip("sphinx")
 from tools.site import derivations, repository_files
+
+ROOT = Path(__file__).parents[2]
 
 HEADER = """\
 #pragma once
@@ -98,22 +103,26 @@ def test_code_in_text_is_set_as_code():
     ],
 )
 def test_links_of_a_file_that_a_page_shows(written, on_the_page):
-    root = repository_files.ROOT
     shown = repository_files.pages_that_show()
-    page = root / "docs" / "project" / "contributing.md"
-    assert shown[root / "CONTRIBUTING.md"] == page
-    assert repository_files.relinked(written, root / "CONTRIBUTING.md", page, shown) == on_the_page
+    page = ROOT / "docs" / "project" / "contributing.md"
+    assert shown[ROOT / "CONTRIBUTING.md"] == page
+    assert repository_files.relinked(written, ROOT / "CONTRIBUTING.md", page, shown) == on_the_page
 
 
 def test_links_in_code_stay():
     text = "```python\nx = [a](b)\n```\n[a](README.md)\n"
-    root = repository_files.ROOT
-    page = root / "docs" / "align.md"
-    found = repository_files.relinked(text, root / "a.md", page, repository_files.pages_that_show())
+    page = ROOT / "docs" / "align.md"
+    found = repository_files.relinked(text, ROOT / "a.md", page, repository_files.pages_that_show())
     assert found == "```python\nx = [a](b)\n```\n[a](overview.md)\n"
 
 
+def test_every_public_name_is_on_one_page():
+    pages = [path.read_text(encoding="utf-8") for path in (ROOT / "docs" / "api").glob("*.md")]
+    fences = re.findall(r"^```\{public\} (.*)$", "\n".join(pages), re.MULTILINE)
+    named = [name for fence in fences for name in fence.split()]
+    assert sorted(named) == sorted(set(bundle.__all__) - {"__version__"})
+
+
 def test_every_picture_is_in_the_gallery():
-    docs = Path(repository_files.DOCS)
-    gallery = (docs / "gallery.md").read_text(encoding="utf-8")
-    assert all(f"({path.name})" in gallery for path in docs.glob("*.png"))
+    gallery = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    assert all(f"({path.name})" in gallery for path in (ROOT / "docs").glob("*.png"))

@@ -1,0 +1,186 @@
+"""Every code block of the documents runs: Python as it stands, commands of bundle one by one.
+
+A page begins in a folder with the files that it names (workspace.py) and goes on from block to
+block. What a block shows under a command with a prompt is what the command prints. `bundle compare`
+starts a process per method: its flags are held by tests/cli, and Python blocks that call it get two
+solvers of our own backend.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle.cli.main import COMMANDS, main
+from tests.documents import workspace
+
+ROOT = workspace.REPOSITORY
+WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
+    "docs/pose-graphs.md": workspace.graphs,
+    "docs/vio.md": workspace.sequence,
+    "docs/drone_block.md": workspace.flights,
+    "docs/align.md": workspace.one_flight,
+}
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Language and text of each block."""
+    text = page.read_text(encoding="utf-8")
+    return re.findall(r"^```([^\n]*)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def commands(block: str) -> list[list[str]]:
+    """The commands of bundle in a block, with or without a prompt, but for `bundle compare`."""
+    found = []
+    for line in block.replace("\\\n", " ").splitlines():
+        line = line.removeprefix("$ ").removeprefix(".venv/bin/")
+        words = shlex.split(line, comments=True) if line.startswith("bundle ") else []
+        if words[1:] and words[1] in COMMANDS and words[1] != "compare":
+            found.append(words[1:])
+    return found
+
+
+def shown_lines(block: str) -> list[str]:
+    """What a block says that its command prints: the lines under a prompt."""
+    if not block.startswith("$ "):
+        return []
+    return [line for line in block.splitlines()[1:] if line.strip() not in ("", "...")]
+
+
+def agree(shown: str, printed: str) -> bool:
+    """Whether two lines have the same words, and numbers that round to the same."""
+    words, others = shown.split(), printed.split()
+    return len(words) == len(others) and all(map(same_word, words, others))
+
+
+def same_word(shown: str, printed: str) -> bool:
+    """Whether two words are one, or numbers within 2 % or the second decimal of each other."""
+    try:
+        return float(printed) == pytest.approx(float(shown), rel=0.02, abs=0.02)
+    except ValueError:
+        return shown == printed
+
+
+PAGES = [
+    path
+    for path in sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])
+    if any(
+        kind == "python" or (kind in ("", "sh") and commands(text)) for kind, text in blocks(path)
+    )
+]
+
+
+def names_of(page: str, folder: Path) -> dict[str, Any]:
+    """What the Python blocks of a page take from the text around them."""
+    if page == "README.md":
+        problem = bundle.load(folder / "sparse" / "0")
+        return {"gps": dict(zip([1, 2, 3], problem.projection_centers, strict=False))}
+    if page in ("docs/constraints.md", "docs/positions.md", "docs/pictures.md"):
+        problem = bundle.load(folder / "sparse" / "0")
+        centers = dict(zip(problem.image_names, problem.projection_centers, strict=True))
+        axis = bundle.pictures.figure(1, 1)[1][0, 0] if page == "docs/pictures.md" else None
+        return {
+            "bundle": bundle,
+            "problem": problem,
+            "surveyed": centers,
+            "ax": axis,
+            "one": problem,
+            "another": problem,
+        }
+    if page == "docs/marginalization.md":
+        return {"bundle": bundle, "graph": chain()}
+    return inertia() if page == "docs/inertia.md" else {"bundle": bundle}
+
+
+def chain() -> bundle.FactorGraph:
+    """Five positions in a row."""
+    graph = bundle.FactorGraph()
+    for k in range(5):
+        graph.add_variable(f"x{k}", [float(k), 0.0])
+    graph.add_factor(bundle.PriorFactor("x0", [0.0, 0.0], 1.0))
+    for k in range(4):
+        graph.add_factor(bundle.BetweenFactor(f"x{k}", f"x{k + 1}", [1.0, 0.0], 100.0))
+    return graph
+
+
+def no_solution(_frames: list[Any], _deadline: float) -> None:
+    """A window that never has one."""
+
+
+def inertia() -> dict[str, Any]:
+    """Half a second at rest, and a graph with the state at its end."""
+    graph = bundle.FactorGraph()
+    pose, rest = [0.0, 0, 0, 1, 0, 0, 0], np.tile([0.0, 0.0, 9.81], (100, 1))
+    graph.add_variable("x1", pose, "se3")
+    graph.add_variable("v1", [0, 0, 0])
+    graph.add_variable("b1", [0] * 6)
+    return {
+        "bundle": bundle,
+        **{"gyro_bias": [0, 0, 0], "accel_bias": [0, 0, 0], "graph": graph, "pose": pose},
+        **{"gyro": np.zeros((100, 3)), "accel": rest, "dt": np.full(100, 0.005)},
+        **{"new_gyro_bias": [0.01, 0, 0], "new_accel_bias": [0, 0.1, 0], "timestamp_ns": 10**9},
+        **{"state": [*pose, *[0.0] * 9], "solve": no_solution, "frame": "frame"},
+        **{
+            "information": np.eye(6),
+            "first_ns": 10**9 - 1,
+            "second_ns": 10**9,
+            "measurement": pose,
+        },
+    }
+
+
+@pytest.fixture
+def few_methods(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {"solvers": ["dense_schur", "sparse_schur"], "backends": ["fused"]}
+    compare = bundle.compare
+    quick = functools.wraps(compare)(lambda *args, **given: compare(*args, **{**given, **few}))
+    monkeypatch.setattr(bundle, "compare", quick)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
+@pytest.mark.usefixtures("few_methods")
+@pytest.mark.filterwarnings("ignore:Attempt to set non-positive")  # one axis for all pictures
+def test_the_blocks_of_a_page_run(
+    page: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    name = page.relative_to(ROOT).as_posix()
+    monkeypatch.chdir(tmp_path)
+    if name == "docs/merge.md":
+        workspace.two_pieces(tmp_path)
+    else:
+        workspace.base(tmp_path)
+    if name in WITH_DATA:
+        WITH_DATA[name](tmp_path, request.getfixturevalue("bundle_data"))
+    names = names_of(name, tmp_path)
+    try:
+        for number, (language, text) in enumerate(blocks(page)):
+            if language == "python":
+                exec(compile(text, f"{name}, block {number}", "exec"), names)
+            elif language in ("", "sh"):
+                for words in commands(text):
+                    assert main([*words, "--quiet"]) == 0, f"{name}, block {number}: {words}"
+                printed = capsys.readouterr().out.splitlines()
+                for line in shown_lines(text):
+                    assert any(agree(line, other) for other in printed), f"{name}: {line}"
+    finally:
+        for value in names.values():
+            if isinstance(value, bundle.WindowLoop | bundle.ClosureLoop):
+                value.close()
+
+
+def test_there_are_blocks() -> None:
+    found = [block for page in PAGES for block in blocks(page)]
+    assert sum(language == "python" for language, _ in found) > 15
+    assert sum(len(commands(text)) for language, text in found if language in ("", "sh")) > 35

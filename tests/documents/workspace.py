@@ -1,0 +1,120 @@
+"""The files that the code blocks of the documents name, made small."""
+
+from __future__ import annotations
+
+import bz2
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+import bundle
+from bundle.georeference import LocalFrame
+from tests.georeference.test_exif_gps import photo
+from tests.loops.drift import closures_of, drifted_street
+from tests.merging.halves import halves, whole
+
+REPOSITORY = Path(__file__).parents[2]
+FRAME = LocalFrame(45.15, 9.0, 100.0)
+METRES = 20.0  # per unit of the model
+
+
+def base(folder: Path) -> None:
+    """sparse/0 with what is known of it: geo.txt, gcp_list.txt, images, photos, rules.txt; data.
+
+    30 images of a camera each: ids from 1 and from 120, some in left/ and some in new/.
+    """
+    scene = bundle.synthesize(
+        scene="orbit", num_images=30, num_points=300, mean_track_length=6, seed=1,
+        camera_model="SIMPLE_RADIAL", cameras="individual",
+    )  # fmt: skip
+    ids = [*range(1, 10), *range(120, 141)]
+    names = [f"{'left' if i < 7 else 'new' if i > 135 else 'right'}/{i:03}.jpg" for i in ids]
+    changes = {"image_ids": np.array(ids), "image_names": names}
+    problem, truth = scene.problem.replace(**changes), scene.ground_truth.replace(**changes)
+    (folder / "sparse").mkdir()
+    bundle.save(problem, folder / "sparse" / "0", "colmap")
+    bundle.save(truth, folder / "sparse" / "last_year", "colmap")
+    (folder / "data").symlink_to(REPOSITORY / "data")
+    (folder / "rules.txt").write_text("cameras *: f prior 2 %  # of the lens\n")
+
+    places = FRAME.to_geodetic(METRES * truth.projection_centers).tolist()
+    lines = [f"{name} {lon!r} {lat!r} {h!r}" for name, (lat, lon, h) in zip(names, places)]  # noqa: B905
+    (folder / "geo.txt").write_text("\n".join(["EPSG:4326", *lines, ""]))
+    for name, (lat, lon, h) in zip(names, places, strict=True):
+        tags = {1: "N", 2: degrees(lat), 3: "E", 4: degrees(lon), 5: b"\0", 6: h}
+        photo(folder / "images" / name, tags)
+    shutil.copytree(folder / "images", folder / "photos")
+    (folder / "gcp_list.txt").write_text("\n".join(["EPSG:4326", *targets(truth), ""]))
+
+
+def degrees(value: float) -> tuple[float, float, float]:
+    """Degrees, minutes and seconds."""
+    minutes, seconds = divmod(value * 3600, 60)
+    return (*map(float, divmod(minutes, 60)), seconds)
+
+
+def targets(truth: bundle.Problem) -> list[str]:
+    """Lines of a gcp_list.txt: six points far from each other, as the images saw them."""
+    seen = np.bincount(truth.observation_point)
+    order = np.argsort(truth.points @ [1.0, 0.3, 0.1])
+    chosen = order[seen[order] > 3][np.linspace(0, (seen > 3).sum() - 1, 6).astype(int)]
+    lines = []
+    for number, point in enumerate(chosen.tolist(), start=4):
+        lat, lon, h = FRAME.to_geodetic(METRES * truth.points[point])[0].tolist()
+        for row in np.flatnonzero(truth.observation_point == point):
+            x, y = (truth.observation_xy[row] - 0.5).tolist()
+            name = truth.image_names[truth.observation_image[row]]
+            lines.append(f"{lon!r} {lat!r} {h!r} {x!r} {y!r} {name} gcp{number:02}")
+    return lines
+
+
+def two_pieces(folder: Path) -> None:
+    """sparse/0 and sparse/1, two models with images in common."""
+    (folder / "sparse").mkdir()
+    for number, model in enumerate(halves(whole())):
+        bundle.save(model, folder / "sparse" / str(number), "colmap")
+
+
+def graphs(folder: Path, data: Path) -> None:
+    """Pose graphs of the benchmarks, and a drive that has drifted with closures."""
+    for name in ("sphere2500", "MIT"):
+        packed = (data / "g2o" / f"{name}.g2o.bz2").read_bytes()
+        (folder / f"{name}.g2o").write_bytes(bz2.decompress(packed))
+    shutil.copy(data / "g2o" / "parking-garage.g2o.bz2", folder)
+    truth, drifted, scales = drifted_street(num_images=40, num_points=600)
+    bundle.save(drifted, folder / "drifted", "colmap")
+    bundle.save(closures_of(truth, scales), folder / "closures.g2o")
+
+
+def sequence(folder: Path, data: Path) -> None:
+    """The first twelve seconds of EuRoC's V1_01 and its truth."""
+    name = "euroc_V1_01_tracks_imu_30s.csv"
+    lines = (data / "vio" / name).read_text().splitlines(keepends=True)
+    times = [line.split(",", 3)[2] for line in lines]
+    early = [line for line, time in zip(lines[1:], times[1:], strict=True) if float(time or 0) < 12]
+    (folder / name).write_text("".join([lines[0], *early]))
+    shutil.copy(data / "vio" / "euroc_V1_01_ground_truth.csv", folder / "truth.csv")
+
+
+def one_flight(folder: Path, data: Path) -> None:
+    """The flight over control points."""
+    (folder / "copr_gcp").symlink_to(data / "georeferenced" / "copr_gcp")
+
+
+def flights(folder: Path, data: Path) -> None:
+    """The two flights of the drone block."""
+    georeferenced = data / "georeferenced"
+    (folder / "brighton").symlink_to(georeferenced / "brighton_gps" / "model")
+    (folder / "copr").symlink_to(georeferenced / "copr_gcp" / "model")
+    gcps = folder / "gcp_list.txt"
+    gcps.unlink(missing_ok=True)
+    gcps.symlink_to(georeferenced / "copr_gcp" / "gcp_list.txt")
+    places = json.loads((georeferenced / "brighton_gps" / "lla.json").read_text())
+    wrong = dict(places)
+    east = LocalFrame(*places["DJI_0025.JPG"]).to_geodetic([30.0, 0.0, 0.0])[0]
+    wrong["DJI_0025.JPG"] = east.tolist()
+    for name, table in (("geo.txt", places), ("wrong.txt", wrong)):
+        lines = [f"{image} {lon!r} {lat!r} {h!r}" for image, (lat, lon, h) in table.items()]
+        (folder / name).write_text("\n".join(["EPSG:4326", *lines, ""]))
