@@ -40,7 +40,7 @@ CORE_MAY_INCLUDE = {
         *{"linear", "minimize", "interface", "factors", "inertial", "geometry", "dense"},
     },
     "minimize": {"interface", "parallel", "dense"},
-    "checking": {"model", "interface", "problem", "factors", "cameras"},
+    "checking": {"model", "interface", "problem", "factors", "cameras", "parallel"},
     "prepare": {
         *{"checking", "linear", "model", "interface", "problem", "factors"},
         *{"symbolic", "parallel"},
@@ -99,7 +99,9 @@ PYTHON_MAY_IMPORT = {
     "components": set(),
     "display": set(),
     "tables": {"words"},
-    "summary": {"display", "tables", "words"},
+    "process_record": set(),
+    "ranks": {"_core", "arrays", "errors", "problem", "process_record"},
+    "summary": {"display", "process_record", "tables", "words"},
     "termination": {"summary", "words"},
     "memory_sizes": {"errors"},
     "reprojection": {"_core", "errors", "io", "option_fields", "options", "problem"},
@@ -245,6 +247,7 @@ PYTHON_MAY_IMPORT = {
         "pose_graph",
         "pose_graph_options",
         "problem",
+        "ranks",
         "reprojection",
         "restrictions",
         "result",
@@ -540,6 +543,7 @@ PYTHON_MAY_IMPORT = {
         "pose_graph",
         "pose_graph_options",
         "problem",
+        "process_record",
         "result",
         "round_record",
         "sensor_changes",
@@ -556,7 +560,7 @@ PYTHON_MAY_IMPORT = {
 PYTHON_MAY_IMPORT[""] = set(PYTHON_MAY_IMPORT) - {"reports"} | {"_core"}
 # The command line stands above everything, and nothing imports it but __main__.
 PYTHON_MAY_IMPORT["cli"] = set(PYTHON_MAY_IMPORT)
-PYTHON_MAY_IMPORT["__main__"] = {"address_space", "cli"}
+PYTHON_MAY_IMPORT["__main__"] = {"address_space", "cli", "ranks"}
 
 # Imports inside a function or for type checkers that point upwards on purpose: methods that are a
 # convenience for what stands above them.
@@ -571,6 +575,7 @@ OUTSIDERS = {
     "pyproj": {"georeference"},
     "yaml": {"vio"},
     "evo": {"vio"},
+    "mpi4py": {"cli", "ranks"},
     "PIL": {"georeference", "html"},
 }
 

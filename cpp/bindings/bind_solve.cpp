@@ -13,9 +13,11 @@
 #include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "bindings/python_progress.h"
+#include "bindings/python_reducer.h"
 #include "bindings/summary_to_python.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/checking/check_solution.h"
+#include "core/error.h"
 #include "core/parallel/thread_pool.h"
 #include "core/solver/solver.h"
 
@@ -61,6 +63,31 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
     view.factors = factors.Check();
     return bundle::Solve(view, solve_options, std::ref(report));
   });
+  report.Rethrow();
+  return ToPython(view, std::move(output));
+}
+
+/// One rank's part of a solve. `problem` has its points and their observations; `image_is_observed`
+/// is of all ranks. Signals are Python's: what their handlers raise comes out where ranks meet.
+py::dict SolvePart(const py::object& problem, const py::dict& options, const py::object& progress,
+                   const py::object& restrictions, const py::object& given_factors,
+                   const py::object& ranks, const py::array_t<uint8_t>& image_is_observed) {
+  bundle::ProblemView view = ViewProblem(problem);
+  PutRestrictions(restrictions, &view);
+  GivenFactors factors(given_factors);
+  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  if (image_is_observed.size() != view.num_images) {
+    throw bundle::InputError("image_is_observed: expected one entry per image");
+  }
+  PythonReducer reducer(ranks);
+  view.ranks = &reducer;
+  view.image_is_observed = image_is_observed.data();
+  PythonProgress report(progress);
+  bundle::SolveOutput output = [&] {
+    const py::gil_scoped_release release;
+    view.factors = factors.Check();
+    return bundle::Solve(view, solve_options, std::ref(report));
+  }();
   report.Rethrow();
   return ToPython(view, std::move(output));
 }
@@ -124,6 +151,9 @@ void BindSolve(py::module_& m) {
   m.def("watch_convergence", &WatchConvergence, py::arg("iterations"));
   m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"),
         py::arg("restrictions") = py::none(), py::arg("factors") = py::none());
+  m.def("solve_part", &SolvePart, py::arg("problem"), py::arg("options"), py::arg("progress"),
+        py::arg("restrictions"), py::arg("factors"), py::arg("ranks"),
+        py::arg("image_is_observed"));
   py::class_<PythonSolver>(m, "Solver")
       .def(py::init<py::object, const py::dict&, py::object, const py::object&>(),
            py::arg("problem"), py::arg("options"), py::arg("restrictions") = py::none(),

@@ -16,8 +16,13 @@ def run() -> int:
         sys.stderr.write(f"error: not enough memory: {error}\n")
         return 2
     from bundle.cli.main import main
+    from bundle.ranks.launch import size_by_launcher
 
-    return main()
+    if size_by_launcher() == 1:
+        return main()
+    from bundle.cli.many_processes import run_command
+
+    return run_command(main)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.problem import Problem
+from bundle.ranks.divided_solve import Ranks, Restriction
+from bundle.ranks.partition import ProblemPart
 from bundle.restrictions import Restrictions
 
 __version__: str
@@ -119,6 +121,15 @@ def solve(
     progress: Callable[[dict[str, Any]], None] | None,
     restrictions: Restrictions | None = None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
+) -> dict[str, Any]: ...
+def solve_part(
+    problem: ProblemPart,
+    options: dict[str, Any],
+    progress: Callable[[dict[str, Any]], None] | None,
+    restrictions: Restriction | None,
+    factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
+    ranks: Ranks,
+    image_is_observed: NDArray[np.uint8],
 ) -> dict[str, Any]: ...
 
 class Solver:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle import _core
+from bundle import _core, ranks
 from bundle.arguments import check_function
 from bundle.display import Display, Displayed
 from bundle.errors import InputError, brief, first_line
@@ -194,8 +194,19 @@ def solve(
     check_function("progress", progress)
     ready = prepare(problem, options, factors, priors, align, bounds, constraints)
     placed, options, limits = ready.placed, ready.options, ready.limits
-    output = _core.solve(ready.start, options.asdict(), progress, limits, ready.core_factors())
+    output = _run(ready, progress)
     return with_priors(_result(placed.problem, options, output, limits), placed, problem)
+
+
+def _run(ready: Prepared, progress: Progress | None) -> dict[str, Any]:
+    """Return what the core makes of a start, by all processes where there are several."""
+    options, factors = ready.options.asdict(), ready.core_factors()
+    crew = ranks.current()
+    if crew is None:
+        return _core.solve(ready.start, options, progress, ready.limits, factors)
+    from bundle.ranks.divided_solve import solve_divided
+
+    return solve_divided(crew, ready.start, options, progress, ready.limits, factors)
 
 
 class Solver(Displayed):
@@ -527,5 +538,5 @@ def resolve_defaults(problem: Problem, options: SolveOptions) -> SolveOptions:
     return options.replace(
         gauge=gauge,
         cheirality=resolve_cheirality(problem, options.cheirality),
-        num_threads=min(options.num_threads or cores, cores),
+        num_threads=min(options.num_threads or ranks.threads_of_one_process(cores), cores),
     )

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from bundle.display import Display, Displayed
+from bundle.process_record import ProcessRecord
 from bundle.words import change, plural, seconds
 
 if TYPE_CHECKING:
@@ -28,8 +29,10 @@ class Summary(Displayed):
     that could not be held, ...) and ``warning_kinds`` (for each of them its name in
     ``bundle.warning_kinds.WARNING_KINDS``, for programs), ``interrupted``, ``origin`` (x, y, z: the
     centre that a scene far from its origin was solved about; None where it was solved as given).
-    ``num_factors`` beside the observations. Costs are 1/2 sum rho(||r||^2), r in pixels, and in
-    sigmas for factors.
+    ``num_factors`` beside the observations. ``num_processes`` that mpirun started, and where there
+    are several ``processes``, what each of them had and did
+    (:class:`bundle.process_record.ProcessRecord`); times are the first one's. Costs are
+    1/2 sum rho(||r||^2), r in pixels, and in sigmas for factors.
 
     What each step factorises (None, or "", where it factorises nothing or the number is unknown;
     blocks count as full, matrices by both triangles and the diagonal, the factor L by its lower
@@ -116,6 +119,8 @@ class Summary(Displayed):
     symbolic_time_in_seconds: float | None = None
     origin: tuple[float, float, float] | None = None
     num_factors: int = 0
+    num_processes: int = 1
+    processes: ProcessRecord | None = None
 
     def full_report(self) -> str:
         """Return everything in lines of text, in the order of Ceres' FullReport."""

@@ -12,6 +12,7 @@
 
 #include "core/cameras/registry.h"
 #include "core/error.h"
+#include "core/parallel/reducer.h"
 #include "core/problem/problem_view.h"
 #include "core/problem/reprojection_errors.h"
 
@@ -73,10 +74,12 @@ std::string CountPointsSeenOnce(const ProblemView& problem, const ParameterLayou
     if (track_lengths[p] != 1 || !layout.point_is_free(p)) continue;
     if (count++ == 0) first = p;
   }
+  count = SumOverRanks(problem.ranks, count);
+  const std::string first_id = FirstOverRanks(
+      problem.ranks, first < 0 ? std::string() : std::to_string(problem.point_ids[first]));
   if (count == 0) return "";
   return "Points seen only once have no depth of their own, the damping alone holds them: " +
-         std::to_string(count) + ", the first is point " +
-         std::to_string(problem.point_ids[first]) + ".";
+         std::to_string(count) + ", the first is point " + first_id + ".";
 }
 
 bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
@@ -86,24 +89,26 @@ bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
   refined.sensor_from_rig = output->sensor_from_rig.data();
   refined.camera_params = output->camera_params.data();
   refined.points = output->points.data();
+  std::string found;
   try {
     ValidateState(refined);  // the solver changes nothing else
-    return false;
   } catch (const InputError& error) {
-    const auto restore = [](const double* from, std::vector<double>* to) {
-      to->assign(from, from + to->size());
-    };
-    restore(problem.cam_from_world, &output->cam_from_world);
-    restore(problem.rig_from_world, &output->rig_from_world);
-    restore(problem.sensor_from_rig, &output->sensor_from_rig);
-    restore(problem.camera_params, &output->camera_params);
-    restore(problem.points, &output->points);
-    output->summary.is_solution_usable = false;
-    Warn(WarningKind::kInvalidSolution,
-         std::string("The solution is invalid (") + error.what() + ") and was discarded.",
-         &output->summary.warnings);
-    return true;
+    found = error.what();
   }
+  found = FirstOverRanks(problem.ranks, found);
+  if (found.empty()) return false;
+  const auto restore = [](const double* from, std::vector<double>* to) {
+    to->assign(from, from + to->size());
+  };
+  restore(problem.cam_from_world, &output->cam_from_world);
+  restore(problem.rig_from_world, &output->rig_from_world);
+  restore(problem.sensor_from_rig, &output->sensor_from_rig);
+  restore(problem.camera_params, &output->camera_params);
+  restore(problem.points, &output->points);
+  output->summary.is_solution_usable = false;
+  Warn(WarningKind::kInvalidSolution, "The solution is invalid (" + found + ") and was discarded.",
+       &output->summary.warnings);
+  return true;
 }
 
 std::string FindOverflow(const ProblemView& problem, Cheirality cheirality) {
@@ -231,7 +236,8 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
   };
   if (summary.termination_type == "FAILURE" || !std::isfinite(summary.initial_cost)) {
     summary.is_solution_usable = false;
-    warn(WarningKind::kResidualNotFinite, FindOverflow(problem, options.cheirality));
+    warn(WarningKind::kResidualNotFinite,
+         FirstOverRanks(problem.ranks, FindOverflow(problem, options.cheirality)));
   }
   if (options.check_solution) {
     // A projected step misses what its model promised as one by a wrong Jacobian does.
@@ -239,7 +245,8 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
       warn(WarningKind::kSuspiciousSteps, WatchConvergence(output->iterations));
     }
     warn(WarningKind::kSuspiciousJacobian,
-         CheckSolution(problem, layout, states, output->points, options.cheirality));
+         FirstOverRanks(problem.ranks, CheckSolution(problem, layout, states, output->points,
+                                                     options.cheirality)));
   }
   const bool is_rejected = RejectImpossibleSolution(problem, output);
   if (num_held > 0 && !is_rejected)

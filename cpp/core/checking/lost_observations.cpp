@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/checking/check_solution.h"
+#include "core/parallel/reducer.h"
 #include "core/problem/reprojection_errors.h"
 
 namespace bundle {
@@ -37,6 +38,8 @@ std::vector<int64_t> ImagesWithNoneInFront(const ProblemView& problem,
     seen[problem.observation_image[i]] = 1;
     if (!behind[i]) in_front[problem.observation_image[i]] = 1;
   }
+  JoinOverRanks(problem.ranks, &seen);
+  JoinOverRanks(problem.ranks, &in_front);
   std::vector<int64_t> ids;
   for (int i = 0; i < problem.num_images; ++i) {
     if (seen[i] && !in_front[i]) ids.push_back(problem.image_ids[i]);
@@ -67,14 +70,19 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
   refined.points = output->points.data();
   const std::vector<uint8_t> before = FindBehind(problem, options);
   const std::vector<uint8_t> after = FindBehind(refined, options);
-  const int64_t num_before = Count(before), num_after = Count(after);
-  int64_t num_lost = 0, num_left_out = num_held;
+  Reducer* const ranks = problem.ranks;
+  const int64_t num_before = SumOverRanks(ranks, Count(before));
+  const int64_t num_after = SumOverRanks(ranks, Count(after));
+  const int64_t num_observations = SumOverRanks(ranks, problem.num_observations);
+  int64_t num_lost = 0, num_refined_behind = 0;
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     if (!after[i]) continue;
     if (!before[i]) ++num_lost;
-    if (layout.IsRefined(problem, i)) --num_left_out;
+    if (layout.IsRefined(problem, i)) ++num_refined_behind;
   }
-  const int64_t num_counted = problem.num_observations - num_before;
+  num_lost = SumOverRanks(ranks, num_lost);
+  const int64_t num_left_out = num_held - SumOverRanks(ranks, num_refined_behind);
+  const int64_t num_counted = num_observations - num_before;
   const bool unusable =
       static_cast<double>(num_lost) > kMaxLostShare * static_cast<double>(num_counted);
   const auto warn = [output](WarningKind kind, const std::ostringstream& sentence) {
@@ -83,7 +91,7 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
   const std::vector<int64_t> images = ImagesWithNoneInFront(problem, after);
   if (num_after > num_before || !images.empty() || unusable) {
     std::ostringstream sentence;
-    sentence << num_after << " of " << problem.num_observations
+    sentence << num_after << " of " << num_observations
              << (options.cheirality == Cheirality::kZero ? " observations are behind their cameras"
                                                          : " observations have no projection")
              << " at the end, " << num_before << " at the start";

@@ -37,6 +37,26 @@ LinearSolution CheckFinite(const double* x, int64_t size) {
           "The solution of the reduced camera system is not finite."};
 }
 
+class RemoteSolver final : public LinearSolver {
+ public:
+  explicit RemoteSolver(bool needs_camera_diagonal)
+      : needs_camera_diagonal_(needs_camera_diagonal) {}
+
+  bool NeedsCameraDiagonal() const override { return needs_camera_diagonal_; }
+
+ private:
+  LinearSolution DoFactorize(BlockSystem* /*system*/,
+                             const std::vector<double>& /*scale*/) override {
+    throw std::logic_error("RemoteSolver: expected the system to be solved on rank 0");
+  }
+  LinearSolution DoSolve(const double* /*rhs*/, int /*num_rhs*/, double /*eta*/,
+                         double* /*x*/) override {
+    return {};
+  }
+
+  const bool needs_camera_diagonal_;
+};
+
 class DenseSolver final : public LinearSolver {
  public:
   DenseSolver(const BlockStructure& structure, int num_threads)
@@ -86,6 +106,10 @@ class DenseSolver final : public LinearSolver {
 };
 
 }  // namespace
+
+std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal) {
+  return std::make_unique<RemoteSolver>(needs_camera_diagonal);
+}
 
 std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads) {
   return std::make_unique<DenseSolver>(structure, num_threads);

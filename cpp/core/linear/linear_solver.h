@@ -122,6 +122,10 @@ std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, i
 std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int num_threads,
                                                BlockStructure* structure);
 
+/// Stands for the solver of rank 0 on other ranks, which get its steps (schur/schur_problem.cpp):
+/// it solves nothing. `needs_camera_diagonal`: of the solver of rank 0.
+std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal);
+
 /// Preconditioned conjugate gradients, as Ceres' ITERATIVE_SCHUR runs them; takes a sparse
 /// structure. `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi,
 /// kSchurPowerSeriesExpansion and kTwoLevel.

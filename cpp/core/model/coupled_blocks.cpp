@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <cstdint>
 #include <new>
 #include <numeric>
@@ -18,6 +19,7 @@
 #include <vector>
 
 #include "core/model/problem_factors.h"
+#include "core/parallel/reducer.h"
 #include "core/parallel/thread_pool.h"
 #include "core/problem/problem_view.h"
 #include "core/symbolic/symbolic.h"
@@ -155,6 +157,30 @@ void AddBlocks(const std::unordered_map<int, Neighbours>& neighbours, int point,
 
 }  // namespace
 
+namespace {
+
+/// The pairs that any rank has. Each column has its diagonal everywhere, which need not be sent.
+void JoinColumns(Reducer* ranks, std::vector<std::vector<int>>* columns) {
+  if (ranks == nullptr) return;
+  const auto n = static_cast<double>(columns->size());
+  std::vector<double> pairs;
+  for (size_t j = 0; j < columns->size(); ++j) {
+    for (size_t k = 1; k < (*columns)[j].size(); ++k) {
+      pairs.push_back(static_cast<double>(j) * n + (*columns)[j][k]);
+    }
+  }
+  for (const double pair : ConcatenateOverRanks(ranks, pairs)) {
+    const double j = std::floor(pair / n);
+    (*columns)[static_cast<size_t>(j)].push_back(static_cast<int>(pair - j * n));
+  }
+  for (std::vector<int>& rows : *columns) {
+    std::sort(rows.begin(), rows.end());
+    rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+  }
+}
+
+}  // namespace
+
 std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
                                                 const ParameterLayout& layout, int num_threads) {
   std::vector<std::vector<int>> columns = FindDirectlyCoupledBlocks(problem, layout);
@@ -186,6 +212,7 @@ std::vector<std::vector<int>> FindCoupledBlocks(const ProblemView& problem,
     });
     for (int j = first; j < last; ++j) bits.Read(j - first, &columns[j]);
   }
+  JoinColumns(problem.ranks, &columns);
   return columns;
 }
 
@@ -257,8 +284,7 @@ BlockPattern FullPattern(const ProblemView& problem, const ParameterLayout& layo
 int64_t NumInformationNonzeros(const ProblemView& problem, const ParameterLayout& layout) {
   const std::vector<int> sizes = BlockSizes(layout);
   const BlockPattern cameras = MakeBlockPattern(sizes, FindDirectlyCoupledBlocks(problem, layout));
-  const int64_t num_points = layout.num_free_points();
-  int64_t count = static_cast<int64_t>(NumNonzeros(cameras)) + kPointSize * kPointSize * num_points;
+  int64_t count = int64_t{kPointSize} * kPointSize * layout.num_free_points();  // with points
 
   const Tracks tracks = GroupByPoint(problem);
   const auto neighbours = FindPointNeighbours(problem, layout);
@@ -279,7 +305,7 @@ int64_t NumInformationNonzeros(const ProblemView& problem, const ParameterLayout
     const std::set<int> others(found->second.points.begin(), found->second.points.end());
     count += 2 * kPointSize * kPointSize * static_cast<int64_t>(others.size());
   }
-  return count;
+  return SumOverRanks(problem.ranks, count) + static_cast<int64_t>(NumNonzeros(cameras));
 }
 
 OrderedPattern OrderFullPattern(const ProblemView& problem, const ParameterLayout& layout,

@@ -13,6 +13,9 @@
 namespace bundle {
 
 std::vector<uint8_t> FindObservedImages(const ProblemView& problem) {
+  if (problem.image_is_observed != nullptr) {
+    return {problem.image_is_observed, problem.image_is_observed + problem.num_images};
+  }
   std::vector<uint8_t> observed(problem.num_images);
   for (int64_t i = 0; i < problem.num_observations; ++i) observed[problem.observation_image[i]] = 1;
   return observed;
@@ -186,13 +189,15 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
   free.point.resize(problem.num_points);
   free.frame.resize(problem.num_frames);
   free.sensor.resize(problem.num_sensors);
-  for (int64_t i = 0; i < problem.num_observations; ++i) {
-    FreePoseOf(problem, options, problem.observation_image[i], &free);
-    if (options.refine_points) free.point[problem.observation_point[i]] = 1;
-    const int camera = problem.image_camera[problem.observation_image[i]];
-    if (free.camera[camera] == 0) {
-      free.camera[camera] = FreeCameraParameters(*problem.camera_models[camera], options);
-    }
+  const std::vector<uint8_t> observed = FindObservedImages(problem);
+  for (int i = 0; i < problem.num_images; ++i) {
+    if (!observed[i]) continue;
+    FreePoseOf(problem, options, i, &free);
+    const int camera = problem.image_camera[i];
+    free.camera[camera] = FreeCameraParameters(*problem.camera_models[camera], options);
+  }
+  for (int64_t i = 0; options.refine_points && i < problem.num_observations; ++i) {
+    free.point[problem.observation_point[i]] = 1;
   }
   if (problem.factors != nullptr) FreeTouched(problem, options, &free);
   HoldBetweenEqualBounds(problem, &free);

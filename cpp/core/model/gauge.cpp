@@ -43,21 +43,27 @@
 #include <iterator>
 #include <vector>
 
+#include "core/error.h"
 #include "core/geometry/rotation.h"
+#include "core/parallel/reducer.h"
 
 namespace bundle {
 
 namespace {
 
-/// Indices below `count` that occur in `references`, ascending.
-std::vector<int> Observed(const int32_t* references, int64_t num_references, int count) {
-  std::vector<uint8_t> observed(count);
-  for (int64_t i = 0; i < num_references; ++i) observed[references[i]] = 1;
+/// The indices that are marked, ascending.
+std::vector<int> Marked(const std::vector<uint8_t>& marks) {
   std::vector<int> indices;
-  for (int i = 0; i < count; ++i) {
-    if (observed[i]) indices.push_back(i);
+  for (size_t i = 0; i < marks.size(); ++i) {
+    if (marks[i]) indices.push_back(static_cast<int>(i));
   }
   return indices;
+}
+
+std::vector<int> ObservedPoints(const ProblemView& problem) {
+  std::vector<uint8_t> observed(problem.num_points);
+  for (int64_t i = 0; i < problem.num_observations; ++i) observed[problem.observation_point[i]] = 1;
+  return Marked(observed);
 }
 
 /// Those of `indices` where nothing is free.
@@ -214,8 +220,7 @@ std::string FixGaugeOfRigs(const ProblemView& problem, const std::vector<int>& i
 
 std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
   if (gauge == Gauge::kNone) return "";
-  const std::vector<int> images =
-      Observed(problem.observation_image, problem.num_observations, problem.num_images);
+  const std::vector<int> images = Marked(FindObservedImages(problem));
   if (problem.num_frames > 0) {
     if (images.empty()) return "";
     const std::string sentence = FixGaugeOfRigs(problem, images, free);
@@ -223,15 +228,21 @@ std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* fr
     return "Gauge three_points is held as two_cameras, by a frame: three points would hold the "
            "shape of their triangle as well, which rigs do not leave free.";
   }
-  const std::vector<int> points =
-      Observed(problem.observation_point, problem.num_observations, problem.num_points);
+  const std::vector<int> points = ObservedPoints(problem);
   const std::vector<int> fixed_images = Fixed(images, free->pose);
-  const std::vector<int> fixed_points = Fixed(points, free->point);
+  const auto num_points = SumOverRanks(problem.ranks, static_cast<int64_t>(points.size()));
+  const auto num_fixed_points =
+      SumOverRanks(problem.ranks, static_cast<int64_t>(Fixed(points, free->point).size()));
   const bool held = fixed_images.size() >= 2 || fixed_images.size() == images.size() ||
-                    fixed_points.size() >= 3 || fixed_points.size() == points.size();
+                    num_fixed_points >= 3 || num_fixed_points == num_points;
   if (held) return "";
-  return gauge == Gauge::kTwoCameras ? FixTwoCameras(problem, images, fixed_images, free)
-                                     : FixThreePoints(problem, points, free);
+  if (gauge == Gauge::kTwoCameras) return FixTwoCameras(problem, images, fixed_images, free);
+  if (problem.ranks != nullptr) {
+    throw InputError(
+        "gauge: expected two_cameras or none with several processes, found "
+        "three_points");
+  }
+  return FixThreePoints(problem, points, free);
 }
 
 void GaugeRowsOfPose(const PoseState& pose, const double centre[3],

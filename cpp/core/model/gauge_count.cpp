@@ -33,6 +33,7 @@
 #include "core/factors/rig_pose.h"
 #include "core/geometry/rotation.h"
 #include "core/model/gauge.h"
+#include "core/parallel/reducer.h"
 
 namespace bundle {
 namespace {
@@ -69,10 +70,13 @@ class GaugeCount {
     for (const int i : images_) by_pose[MovingPose(problem_, i)].push_back(i);
     for (const auto& [pose, images] : by_pose) AddImages(pose, images);
     const std::vector<int64_t> lengths = TrackLengths(problem_);
+    std::vector<double> held;
     for (int point = 0; point < problem_.num_points; ++point) {
-      const bool is_held = lengths[point] > 0 && free_.point[point] == 0;
-      if (is_held) AddPoint(problem_.points + 3 * int64_t{point});
+      const double* const at = problem_.points + 3 * int64_t{point};
+      if (lengths[point] > 0 && free_.point[point] == 0) held.insert(held.end(), at, at + 3);
     }
+    held = ConcatenateOverRanks(problem_.ranks, held);
+    for (size_t k = 0; k < held.size(); k += 3) AddPoint(held.data() + k);
     Factorize();
     return Nullity(0) - (num_sensor_columns_ == 0 ? 0 : Nullity(kNumGaugeDirections));
   }
@@ -89,11 +93,17 @@ class GaugeCount {
     }
     double squared = 0;
     for (const Vector3d& centre : centres) squared += (centre - centre_).squaredNorm();
+    if (squared == 0) squared = MaxOverRanks(problem_.ranks, SquaredDistanceOfSomePoint());
+    size_ = squared > 0 ? std::sqrt(squared / static_cast<double>(images_.size())) : 1;
+  }
+
+  double SquaredDistanceOfSomePoint() const {
+    double squared = 0;
     for (int64_t i = 0; i < problem_.num_observations && squared == 0; ++i) {
       const double* const point = problem_.points + 3 * int64_t{problem_.observation_point[i]};
       squared = (Eigen::Map<const Vector3d>(point) - centre_).squaredNorm();
     }
-    size_ = squared > 0 ? std::sqrt(squared / static_cast<double>(images_.size())) : 1;
+    return squared;
   }
 
   /// A pose at the start, about the origin of the world.

@@ -8,6 +8,7 @@
 
 #include "core/factors/loss.h"
 #include "core/geometry/rotation.h"
+#include "core/parallel/reducer.h"
 #include "core/problem/reprojection_errors.h"
 
 namespace bundle {
@@ -60,7 +61,8 @@ std::vector<double> SquaredErrors(const ProblemView& problem, const SolveOptions
 }  // namespace
 
 SceneFrame::SceneFrame(const ProblemView& problem) {
-  if (problem.num_images == 0 || problem.num_points == 0) return;
+  const int64_t num_points = SumOverRanks(problem.ranks, int64_t{problem.num_points});
+  if (problem.num_images == 0 || num_points == 0) return;
   std::vector<double> centers[3], distances;
   for (int64_t i = 0; i < problem.num_images; ++i) {
     const double* const pose = problem.cam_from_world + 7 * i;
@@ -71,12 +73,14 @@ SceneFrame::SceneFrame(const ProblemView& problem) {
   }
   for (int j = 0; j < 3; ++j) center[j] = Median(&centers[j]);
   constexpr int64_t kSample = 4096;
-  const int64_t stride = std::max<int64_t>(1, problem.num_points / kSample);
+  const int64_t stride = std::max<int64_t>(1, num_points / kSample);
   for (int64_t p = 0; p < problem.num_points; ++p) {
     const double distance = DistanceTo(problem.points + 3 * p);
     reach = std::max(reach, distance);
     if (p % stride == 0) distances.push_back(distance);
   }
+  reach = MaxOverRanks(problem.ranks, reach);
+  distances = ConcatenateOverRanks(problem.ranks, distances);
   size = Median(&distances);
   std::copy_n(center, 3, origin);
   if (!IsFarFromOrigin()) return;
@@ -151,6 +155,8 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
   const std::vector<double> cameras = layout.InitialState(problem);
   double near_squared = SquaredNorm(cameras.data(), static_cast<int>(cameras.size()));
   double far_squared = 0;
+  Reducer* const ranks = problem.ranks;
+  if (!IsFirst(ranks)) near_squared = 0;
   std::vector<uint8_t> is_far(problem.num_points), is_used(problem.num_points);
   for (int p = 0; p < problem.num_points; ++p) {
     const double* const point = problem.points + 3 * static_cast<int64_t>(p);
@@ -163,7 +169,10 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
     is_used[point] = 1;
     (is_far[point] ? result.observations : result.others).push_back(i);
   }
-  if (result.observations.empty()) return result;
+  result.num_observations = SumOverRanks(ranks, static_cast<int64_t>(result.observations.size()));
+  if (result.num_observations == 0) return result;
+  far_squared = SumOverRanks(ranks, far_squared);
+  near_squared = SumOverRanks(ranks, near_squared);
   if (far_squared > 0) result.norm_without = 1 / std::sqrt(1 + far_squared / near_squared);
   int64_t count = 0, num_free = 0;
   double farthest = 0;
@@ -175,11 +184,17 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
     const double distance = frame.DistanceTo(problem.points + 3 * static_cast<int64_t>(p));
     if (distance > farthest) farthest = distance, worst = p;
   }
+  count = SumOverRanks(ranks, count);
+  num_free = SumOverRanks(ranks, num_free);
+  const double farthest_of_all = MaxOverRanks(ranks, farthest);
+  const bool is_here = worst >= 0 && farthest == farthest_of_all;
+  const std::string worst_id =
+      FirstOverRanks(ranks, is_here ? std::to_string(problem.point_ids[worst]) : std::string());
   std::ostringstream sentence;
   sentence << "Points more than " << kFarPoint << " times the size of the scene (" << frame.size
            << ") away from its centre: " << count;
   if (num_free < count) sentence << " (" << count - num_free << " held)";
-  sentence << ", the farthest is point " << problem.point_ids[worst] << " (" << farthest << "). ";
+  sentence << ", the farthest is point " << worst_id << " (" << farthest_of_all << "). ";
   if (num_free > 0) sentence << "The parameter tolerance leaves them out; a few ";
   if (num_free == 0) sentence << "A few ";
   sentence << "wrong points can stop the others from converging, remove them if they are.";
@@ -190,7 +205,7 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
 void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const SolveOptions& options,
                     SolveOutput* output) {
   SolveSummary& summary = output->summary;
-  if (far.observations.empty() || !summary.is_solution_usable || options.max_num_iterations == 0) {
+  if (far.num_observations == 0 || !summary.is_solution_usable || options.max_num_iterations == 0) {
     return;
   }
   ProblemView refined = problem;
@@ -213,12 +228,13 @@ void JudgeFarPoints(const ProblemView& problem, const FarPoints& far, const Solv
       ValueOfLoss(options.loss, options.loss_scale, at[i], rho);
       sum += 0.5 * rho[0];
     }
-    return sum;
+    return SumOverRanks(problem.ranks, sum);
   };
+  weighted = SumOverRanks(problem.ranks, weighted);
   const double far_cost = cost(far.observations, after);
   const double near_cost = cost(far.others, after), near_cost_before = cost(far.others, before);
   const double bound = options.loss == LossType::kTrivial ? 1 : std::max(1.0, options.loss_scale);
-  const auto count = static_cast<double>(far.observations.size());
+  const auto count = static_cast<double>(far.num_observations);
   const bool pulls = std::sqrt(weighted / count) > kFarPull * bound;
   if (!pulls || !(far_cost > near_cost || near_cost > kMaxNearRise * near_cost_before)) return;
   summary.is_solution_usable = false;

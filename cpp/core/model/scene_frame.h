@@ -81,6 +81,7 @@ class CenteredProblem {
 struct FarPoints {
   double norm_without = 1;  ///< ||x without them|| / ||x|| at the start, x all that is free
   std::vector<int64_t> observations;  ///< theirs, of those that have something to refine
+  int64_t num_observations = 0;       ///< theirs, on all ranks
   std::vector<int64_t> others;        ///< and all other points', where there are far ones
   std::string warning;                ///< a sentence; empty: there are none
 };

@@ -9,6 +9,7 @@
 namespace bundle {
 
 struct CameraModel;
+class Reducer;          // parallel/reducer.h
 struct ProblemFactors;  // model/problem_factors.h
 
 /// Parts of a pose that ProblemView::held_pose_parts holds.
@@ -78,6 +79,13 @@ struct ProblemView {
   const ProblemFactors* factors = nullptr;  ///< beside the observations; nullptr: none
   /// The origin of these arrays' world in that of the factors.
   double origin[3] = {};
+
+  /// Not nullptr: the problem is divided among ranks. The points and their observations here are
+  /// those of this rank; images, frames, sensors and cameras are those of the whole problem, and so
+  /// are factors, but for those of points, which are where their points are.
+  Reducer* ranks = nullptr;
+  /// num_images, with ranks only: 1 where any rank has an observation of the image.
+  const uint8_t* image_is_observed = nullptr;
 
   const double* ParamsOf(int camera) const {
     return camera_params + static_cast<int64_t>(camera) * camera_params_stride;

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "core/parallel/blas.h"
+#include "core/parallel/reducer.h"
 
 namespace bundle {
 namespace {
@@ -26,12 +27,24 @@ void SquareOf(const double* jacobian, int rows, int columns, std::vector<double>
 
 }  // namespace
 
+namespace {
+
+bool TouchesPoint(const Factor& factor, const ProblemView& problem) {
+  const std::vector<int>& blocks = factor.blocks();
+  return std::any_of(blocks.begin(), blocks.end(), [&](int block) {
+    return problem.factors->variables[block].kind == ProblemVariable::Kind::kPoint;
+  });
+}
+
+}  // namespace
+
 CameraFactors::CameraFactors(const ProblemView& problem, const ParameterLayout& layout,
                              const BlockStructure& structure, const EliminationPlan& plan)
     : structure_(structure), diagonal_begin_(DiagonalBlockOffsets(structure)) {
   if (problem.factors == nullptr) return;
   std::vector<int> place;  // in the plan, of each point of the problem
   for (const auto& factor : problem.factors->factors) {
+    if (!IsFirst(problem.ranks) && !TouchesPoint(*factor, problem)) continue;
     ChartedFactor charted(*factor, problem, layout);
     if (charted.is_fixed()) {
       fixed_.push_back(std::move(charted));

@@ -15,7 +15,9 @@
 /// point (kernels/point_block.h), from where the passes over the points do the rest; only its cost
 /// is summed up here.
 ///
-/// Serial, in the order of the factors: no bit depends on the number of threads.
+/// Serial, in the order of the factors: no bit depends on the number of threads. Of a problem that
+/// is divided among ranks, factors without a point are rank 0's, others those of the rank that has
+/// the point.
 
 #include <cstdint>
 #include <vector>

@@ -9,12 +9,14 @@
 #include "core/linear/newton_result.h"
 #include "core/minimize/damping.h"
 #include "core/model/gauge.h"
+#include "core/parallel/reducer.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/assembler.h"
 #include "core/schur/camera_factors.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
+#include "core/schur/sum_systems.h"
 
 namespace bundle {
 namespace {
@@ -99,6 +101,10 @@ Linearization SchurProblem::Linearize(double damping) {
     if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
   }
   factors_.AddTo(&sums_.sums());
+  SumOverRanks(ranks_, {&result.cost, &gradient_squared});
+  gradient_max = MaxOverRanks(ranks_, gradient_max);
+  SumCameraVectors(ranks_, &sums_.sums());
+  SumSystems(ranks_, structure_, &sums_.sums().system);
   HoldActive();
   DampCameras(damping, first);
   for (size_t j = 0; j < gradient().size(); ++j) {
@@ -118,7 +124,11 @@ NewtonResult SchurProblem::SolveNewton(double eta) {
   if (solver_->NeedsGaugeDirections()) {
     sums_.sums().system.gauge_directions = GaugeDirections(problem_, layout_, x_->cameras());
   }
-  const LinearSolution solution = solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
+  LinearSolution solution;
+  if (IsFirst(ranks_)) {
+    solution = solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
+  }
+  ShareSolution(&solution);
   NewtonResult result = AsNewtonResult(solution);
   const bool finite = std::all_of(newton_.begin(), newton_.end(),
                                   [](double value) { return std::isfinite(value); });
@@ -126,6 +136,16 @@ NewtonResult SchurProblem::SolveNewton(double eta) {
     result.status = NewtonResult::Status::kFailure;
   }
   return result;
+}
+
+void SchurProblem::ShareSolution(LinearSolution* solution) {
+  if (ranks_ == nullptr) return;
+  const auto status = BroadcastFirst(ranks_, static_cast<double>(solution->status));
+  solution->status = static_cast<LinearSolution::Status>(std::lround(status));
+  const auto iterations = BroadcastFirst(ranks_, static_cast<double>(solution->num_iterations));
+  solution->num_iterations = static_cast<int>(std::lround(iterations));
+  solution->message = FirstOverRanks(ranks_, IsFirst(ranks_) ? solution->message : "");
+  BroadcastFirst(ranks_, "step", &newton_);
 }
 
 Candidate SchurProblem::EvaluateNewtonStep() {
@@ -164,13 +184,15 @@ DoglegProducts SchurProblem::Products() {
     total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
     total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
   }
+  factors_.AddProducts(gradient_direction_, newton_, &total);
+  SumOverRanks(ranks_,
+               {&total.d_pp, &total.d_pq, &total.d_qq, &total.j_pp, &total.j_pq, &total.j_qq});
   for (size_t j = 0; j < newton_.size(); ++j) {
     const double p = gradient_direction_[j], q = newton_[j];
     total.d_pp += p * d_squared_[j] * p;
     total.d_pq += p * d_squared_[j] * q;
     total.d_qq += q * d_squared_[j] * q;
   }
-  factors_.AddProducts(gradient_direction_, newton_, &total);
   products_ = total;
   return total;
 }
@@ -179,12 +201,14 @@ Candidate SchurProblem::EvaluateDoglegStep(double a, double b) {
   std::vector<double> step(newton_.size());
   for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
   MoveCameras(step);
-  CandidateSum total = MovePoints([&](int64_t i) { return a * points_p_[i] + b * points_q_[i]; });
+  const CandidateSum total =
+      MovePoints([&](int64_t i) { return a * points_p_[i] + b * points_q_[i]; });
   const DoglegProducts& d = products_;
-  total.model_cost_change =
-      -(a * d.d_pp + b * d.d_pq) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
   line_ = step;
-  return Finish(step, total);
+  Candidate result = Finish(step, total);
+  result.model_cost_change =
+      -(a * d.d_pp + b * d.d_pq) - 0.5 * (a * a * d.j_pp + 2 * a * b * d.j_pq + b * b * d.j_qq);
+  return result;
 }
 
 StepLine SchurProblem::LineAlongStep() {
@@ -197,6 +221,7 @@ StepLine SchurProblem::LineAlongStep() {
   for (const std::vector<double>* d : {&line_, &points_line_}) {
     for (const double value : *d) line.max_norm = std::max(line.max_norm, std::abs(value));
   }
+  line.max_norm = MaxOverRanks(ranks_, line.max_norm);
   return line;
 }
 
@@ -223,8 +248,9 @@ EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
 }
 
 void SchurProblem::MeasureStart(const SolveOptions& options) {
-  state_norm_ = std::sqrt(Dot(x_->camera_state, x_->camera_state) + x_->FreePointsSquared(plan_));
-  fixed_cost_ = setup_.FixedCost(options) + factors_.FixedCost(x_->cameras());
+  const double points_squared = SumOverRanks(ranks_, x_->FreePointsSquared(plan_));
+  state_norm_ = std::sqrt(Dot(x_->camera_state, x_->camera_state) + points_squared);
+  fixed_cost_ = SumOverRanks(ranks_, setup_.FixedCost(options) + factors_.FixedCost(x_->cameras()));
 }
 
 template <typename Visit, typename Done>
@@ -315,17 +341,21 @@ double SchurProblem::SlopeAt(const State& state) {
     parts[c] = kernels_.slope(input_, state.records(), plan_.chunks[c], step_.records(),
                               points_line_.data(), Memory(thread));
   });
-  return std::accumulate(
-      parts.begin(), parts.end(),
-      factors_.Slope(state.cameras(), state.points.data(), line_, points_line_.data()));
+  return SumOverRanks(ranks_, std::accumulate(parts.begin(), parts.end(),
+                                              factors_.Slope(state.cameras(), state.points.data(),
+                                                             line_, points_line_.data())));
 }
 
-Candidate SchurProblem::Finish(const std::vector<double>& step, const CandidateSum& sum) {
+Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateSum sum) {
+  candidate_->held.Merge();
+  double changes = candidate_->held.HasSameObservations(x_->held) ? 0 : 1;
+  sum.cost += factors_.Cost(candidate_->cameras(), candidate_->points.data());
+  SumOverRanks(
+      ranks_, {&changes, &sum.model_cost_change, &sum.cost, &sum.step_squared, &sum.state_squared});
   candidate_norm_ =
       std::sqrt(Dot(candidate_->camera_state, candidate_->camera_state) + sum.state_squared);
-  candidate_->held.Merge();
   Candidate result;
-  result.changes_what_counts = !candidate_->held.HasSameObservations(x_->held);
+  result.changes_what_counts = changes > 0;
   result.model_cost_change = sum.model_cost_change;
   double step_squared = 0;
   for (size_t j = 0; j < step.size(); ++j) {
@@ -333,7 +363,7 @@ Candidate SchurProblem::Finish(const std::vector<double>& step, const CandidateS
     step_squared += moved * moved;
   }
   result.step_norm = std::sqrt(step_squared + sum.step_squared);
-  result.cost = sum.cost + factors_.Cost(candidate_->cameras(), candidate_->points.data());
+  result.cost = sum.cost;
   return result;
 }
 

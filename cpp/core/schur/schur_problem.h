@@ -84,7 +84,7 @@ class SchurProblem final : public LeastSquares {
   Candidate EvaluateAlongStep(double a) override;
   double SlopeAtCandidate() override;
 
-  /// Observations that reach the solver: those with something to refine.
+  /// Observations that reach the solver, on this rank: those with something to refine.
   int64_t num_active_observations() const { return plan_.num_observations(); }
   /// Cost of the others, and of factors with nothing to refine; not part of Linearization::cost.
   double fixed_cost() const { return fixed_cost_; }
@@ -94,7 +94,8 @@ class SchurProblem final : public LeastSquares {
   /// "avx512".
   const char* instruction_set() const { return kernels_.name; }
 
-  /// Observations that do not count at the state but hold a residual (factors/reprojection.h).
+  /// Observations of this rank that do not count at the state but hold a residual
+  /// (factors/reprojection.h).
   int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
 
   /// S and its right-hand side, as the last linearisation left them.
@@ -142,10 +143,14 @@ class SchurProblem final : public LeastSquares {
   void MovePoints(const Chunk& chunk, const PointStep& point_step, CandidateSum* sum);
   /// d^T J^T r along the last step, at a state.
   double SlopeAt(const State& state);
-  Candidate Finish(const std::vector<double>& step, const CandidateSum& sum);
+  /// `sum`: of this rank.
+  Candidate Finish(const std::vector<double>& step, CandidateSum sum);
+  /// Gives all ranks the step that rank 0 found.
+  void ShareSolution(LinearSolution* solution);
 
   SchurSetup setup_;
   const ProblemView& problem_ = setup_.problem;
+  Reducer* const ranks_ = problem_.ranks;
   const ParameterLayout& layout_ = setup_.layout;
   const BlockStructure& structure_ = setup_.structure;
   const Kernels& kernels_ = setup_.kernels;

@@ -1,6 +1,7 @@
 #include "core/solver/fused_solver.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -13,6 +14,7 @@
 #include "core/minimize/trust_region.h"
 #include "core/model/coupled_blocks.h"
 #include "core/model/parameter_layout.h"
+#include "core/parallel/reducer.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
@@ -62,7 +64,7 @@ SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning>
   for (IterationRecord& record : output.iterations) record.cost += schur_->fixed_cost();
   warnings.insert(warnings.end(), warnings_.begin(), warnings_.end());
   FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings),
-              schur_->num_held(), &output);
+              SumOverRanks(problem_.ranks, schur_->num_held()), &output);
   return output;
 }
 
@@ -106,6 +108,8 @@ void FusedSolver::ChooseBySize(const ProblemShape& shape) {
     const auto columns = static_cast<double>(shape.num_camera_columns);
     const double available = AvailableMemoryFor(sizeof(double) * columns * columns);
     choice = ChooseLinearSolver(structure_, ordering_, num_threads, available);
+    const double type = BroadcastFirst(problem_.ranks, static_cast<double>(choice.type));
+    choice.type = static_cast<LinearSolverType>(std::lround(type));
   }
   options_.linear_solver_type = choice.type;
   linear_solver_choice_ = std::move(choice.reason);
@@ -122,8 +126,26 @@ void FusedSolver::FindSparseStructure() {
   const Stopwatch symbolic;
   structure_ =
       SparseStructure(BlockSizes(), FindCoupledBlocks(problem_, layout_, options_.num_threads));
-  ordering_ = FindFillOrdering(structure_);
+  ordering_ = FindOrdering();
   symbolic_time_ += symbolic.seconds();
+}
+
+/// Rank 0 looks for it.
+FillOrdering FusedSolver::FindOrdering() const {
+  Reducer* const ranks = problem_.ranks;
+  FillOrdering ordering;
+  if (IsFirst(ranks)) ordering = FindFillOrdering(structure_);
+  if (ranks == nullptr) return ordering;
+  std::vector<double> numbers(ordering.order.begin(), ordering.order.end());
+  numbers.resize(structure_.num_blocks());
+  numbers.insert(numbers.end(), {ordering.entries, ordering.flops, ordering.elimination_flops});
+  BroadcastFirst(ranks, "setup", &numbers);
+  ordering.elimination_flops = numbers.back();
+  ordering.flops = numbers[numbers.size() - 2];
+  ordering.entries = numbers[numbers.size() - 3];
+  ordering.order.assign(numbers.begin(), numbers.end() - 3);
+  ordering.name = FirstOverRanks(ranks, ordering.name);
+  return ordering;
 }
 
 void FusedSolver::BuildProblem() {
@@ -140,7 +162,12 @@ void FusedSolver::BuildProblem() {
   }
   ThrowIfInterrupted();
   const Stopwatch symbolic;
-  solver_ = MakeSolver();
+  solver_ = IsFirst(problem_.ranks) ? MakeSolver() : nullptr;
+  if (problem_.ranks != nullptr) {
+    const double needs = IsFirst(problem_.ranks) && solver_->NeedsCameraDiagonal() ? 1 : 0;
+    const bool wants_diagonal = BroadcastFirst(problem_.ranks, needs) > 0;
+    if (solver_ == nullptr) solver_ = MakeRemoteSolver(wants_diagonal);
+  }
   symbolic_time_ += symbolic.seconds();
   SummarizeFactor();
   RefuseTooMuchMemory(options_.linear_solver_type,
@@ -171,10 +198,11 @@ std::unique_ptr<LinearSolver> FusedSolver::MakeSolver() {
 
 ProgressCallback FusedSolver::AddFixedCost(const ProgressCallback& progress) const {
   if (!progress) return progress;
-  return [&progress, fixed_cost = schur_->fixed_cost()](const IterationRecord& iteration) {
+  return [this, &progress, fixed_cost = schur_->fixed_cost()](const IterationRecord& iteration) {
     IterationRecord record = iteration;
     record.cost += fixed_cost;
-    return progress(record);
+    // One user decides for all ranks.
+    return BroadcastFirst(problem_.ranks, progress(record) ? 1.0 : 0.0) > 0;
   };
 }
 

@@ -53,6 +53,7 @@ class FusedSolver {
   void ChooseBySize(const ProblemShape& shape);
   std::vector<int> BlockSizes() const;
   void FindSparseStructure();
+  FillOrdering FindOrdering() const;
   void BuildProblem();
   void SummarizeFactor();
   std::unique_ptr<LinearSolver> MakeSolver();

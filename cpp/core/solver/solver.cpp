@@ -69,14 +69,13 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
                        NameOf(options.preconditioner_type, kPreconditionerTypes)};
   }
   const ParameterLayout& layout = prepared.layout;
-  if (layout.num_free_points() == 0) {
+  if (prepared.num_free_points == 0) {
     return Unsupported{"refine", "points, to eliminate them,", "none that is refined"};
   }
   if (layout.blocks().empty()) {
     return Unsupported{"refine", "poses or intrinsics beside the points", "none that are refined"};
   }
-  const std::vector<int64_t>& lengths = prepared.track_lengths;
-  const int64_t longest_track = *std::max_element(lengths.begin(), lengths.end());
+  const int64_t longest_track = prepared.longest_track;
   if (longest_track > kMaxTrackLength) {
     return Unsupported{"backend",
                        "at most " + std::to_string(kMaxTrackLength) + " observations a point",
@@ -238,6 +237,10 @@ class Solver::Impl {
     fused_.reset();
     prepared_.emplace(PrepareSolve(problem_, options_));
     choice_ = ChooseBackend(options_, *prepared_);
+    if (problem_.ranks != nullptr && choice_.backend != Backend::kFused) {
+      throw InputError("backend: expected a solve by the fused backend with several processes. " +
+                       (choice_.reason.empty() ? "Found ceres." : choice_.reason));
+    }
     warnings_ = prepared_->warnings;
     if (choice_.backend != Backend::kFused) return;
     fused_ = std::make_unique<FusedSolver>(problem_, options_, std::move(*prepared_), is_reused_);

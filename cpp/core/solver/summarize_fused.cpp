@@ -5,6 +5,7 @@
 #include <string>
 
 #include "core/interface/options.h"
+#include "core/parallel/reducer.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/camera_factors.h"
 #include "core/solver/fused_solver.h"
@@ -14,12 +15,12 @@ namespace {
 
 /// Sizes of a residual that meets a point, a point and the camera blocks, "2,3,9"; "d" where
 /// they differ.
-std::string SchurStructure(const ParameterLayout& layout, const CameraFactors& factors) {
+std::string SchurStructure(const ParameterLayout& layout, bool has_other_rows) {
   const std::vector<CameraBlock>& blocks = layout.blocks();
   const bool equal = std::all_of(blocks.begin(), blocks.end(), [&](const CameraBlock& block) {
     return block.size == blocks.front().size;
   });
-  return std::string(factors.has_other_rows() ? "d" : "2") + ",3," +
+  return std::string(has_other_rows ? "d" : "2") + ",3," +
          (equal ? std::to_string(blocks.front().size) : "d");
 }
 
@@ -88,19 +89,22 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
                        const SolveTimes& times) {
   SolveSummary result;
   const CameraFactors& factors = schur.factors();
-  const int64_t num_observations = schur.num_active_observations();
-  const int num_points = layout.num_free_points();
+  Reducer* const ranks = schur.setup().problem.ranks;
+  const int64_t num_observations = SumOverRanks(ranks, schur.num_active_observations());
+  const auto num_points = static_cast<int>(SumOverRanks(ranks, int64_t{layout.num_free_points()}));
+  const int64_t num_factors = SumOverRanks(ranks, int64_t{factors.num_factors()});
+  const int64_t num_factor_residuals = SumOverRanks(ranks, int64_t{factors.num_residuals()});
+  const bool has_other_rows = SumOverRanks(ranks, int64_t{factors.has_other_rows()}) > 0;
   const auto num_blocks = static_cast<int>(layout.blocks().size());
   SummarizeChoices(options, &result);
   SummarizeMinimum(minimum, schur.fixed_cost(), Counted::kAll, &result);
   // Nothing constant is ever part of the problem.
   SetSizes(num_points + num_blocks, 3 * num_points + layout.state_size(),
-           num_observations + factors.num_factors(), 2 * num_observations + factors.num_residuals(),
-           &result);
+           num_observations + num_factors, 2 * num_observations + num_factor_residuals, &result);
   SetLinearSolver(options, &result);
   result.linear_solver_ordering_given = {num_points, num_blocks};
   result.linear_solver_ordering_used = result.linear_solver_ordering_given;
-  result.schur_structure_given = SchurStructure(layout, factors);
+  result.schur_structure_given = SchurStructure(layout, has_other_rows);
   result.schur_structure_used = result.schur_structure_given;
   result.preprocessor_time_in_seconds = times.preprocessor;
   result.minimizer_time_in_seconds = times.minimizer;

@@ -23,6 +23,7 @@ from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, wit
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
 from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
+from bundle.ranks.launch import refuse_processes
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
 
 if TYPE_CHECKING:
@@ -116,6 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Refine INPUT into OUTPUT."""
     if is_pose_graph_file(arguments.input):
+        refuse_processes("a pose graph")
         from bundle.cli.pose_graph_commands import refine_graph
 
         return refine_graph(arguments)
@@ -136,6 +138,10 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.timing import WallTime
     from bundle.rounds import solve_rounds
 
+    if arguments.loops is not None:
+        refuse_processes("--loops")
+    if arguments.rest == "marginal":
+        refuse_processes("--rest marginal")
     options = options_given(arguments, SolveOptions, names_follow=True)
     if arguments.rest is not None and arguments.only_images is None:
         raise InputError(f"--rest: expected with --only-images only, found {arguments.rest}")

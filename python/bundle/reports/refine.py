@@ -15,6 +15,7 @@ from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.reports.camera_edit_rows import edit_rows
 from bundle.reports.loop_tables import loops_table
+from bundle.reports.process_tables import process_tables
 from bundle.reports.rig_tables import rig_fact, sensor_table
 from bundle.reports.timing import WallTime, wall_table
 from bundle.result import Result
@@ -96,6 +97,7 @@ def refinement(
         "",
         wall_table(summary, wall),
         "",
+        *process_tables(summary.processes),
         facts([("output", written)]),
         *notes(f"lost: {what}" for what in lost),
     ]

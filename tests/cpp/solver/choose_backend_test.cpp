@@ -30,9 +30,9 @@ Backend Choose(SolveOptions options, const PreparedSolve& prepared) {
 TEST(ChooseBackend, TheLongestTrackIsTakenAndNoLonger) {
   const SolveOptions options;
   PreparedSolve prepared = Prepare(options);
-  prepared.track_lengths[5] = kMaxTrackLength;
+  prepared.longest_track = kMaxTrackLength;
   EXPECT_EQ(Choose(options, prepared), Backend::kFused);
-  ++prepared.track_lengths[5];
+  ++prepared.longest_track;
   EXPECT_EQ(Choose(options, prepared), Backend::kCeres);
 }
 

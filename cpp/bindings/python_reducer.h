@@ -1,0 +1,44 @@
+#pragma once
+
+/// Ranks of a solve that Python connects (bundle/parallel): the core sums and broadcasts by
+/// calling two methods of a Python object with its buffers.
+
+#include <pybind11/pybind11.h>
+
+#include <cstdint>
+#include <utility>
+
+#include "core/parallel/reducer.h"
+
+/// Methods of the object: sum_to_first(what, values) and broadcast(what, values, root), `values` a
+/// writable memoryview of doubles, in place; attributes rank and num_ranks. What they raise comes
+/// out of the solve.
+class PythonReducer final : public bundle::Reducer {
+ public:
+  explicit PythonReducer(pybind11::object ranks)
+      : ranks_(std::move(ranks)),
+        rank_(pybind11::cast<int>(ranks_.attr("rank"))),
+        num_ranks_(pybind11::cast<int>(ranks_.attr("num_ranks"))) {}
+
+  int rank() const override { return rank_; }
+  int num_ranks() const override { return num_ranks_; }
+
+  void SumToFirst(const char* what, double* values, int64_t count) override {
+    const pybind11::gil_scoped_acquire acquire;
+    ranks_.attr("sum_to_first")(what, View(values, count));
+  }
+
+  void Broadcast(const char* what, double* values, int64_t count, int root) override {
+    const pybind11::gil_scoped_acquire acquire;
+    ranks_.attr("broadcast")(what, View(values, count), root);
+  }
+
+ private:
+  static pybind11::memoryview View(double* values, int64_t count) {
+    return pybind11::memoryview::from_buffer(values, {count}, {sizeof(double)});
+  }
+
+  const pybind11::object ranks_;
+  const int rank_;
+  const int num_ranks_;
+};

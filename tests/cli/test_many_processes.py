@@ -1,0 +1,168 @@
+"""`mpirun -n N bundle refine`, from the outside; tests/ranks has the steps, without MPI."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bundle
+from tests.scenes import scene
+
+MPIRUN = Path(sys.executable).parent / "mpirun"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _installed():
+    if MPIRUN.exists() and shutil.which(MPIRUN):
+        return
+    if os.environ.get("CI") == "true":
+        pytest.fail("the extra mpi is not installed")
+    pytest.skip("needs the extra mpi")
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    path = tmp_path_factory.mktemp("mpi") / "model.txt"
+    bundle.save(scene(), path)
+    return path
+
+
+def command(num_processes, *words):
+    root = ["--allow-run-as-root"] if os.geteuid() == 0 else []
+    head = [MPIRUN, *root, "--oversubscribe", "-n", num_processes, sys.executable, "-m", "bundle"]
+    return [str(word) for word in (*head, *words)]
+
+
+def mpirun(num_processes, *words, script=None, cwd=None, **environment):
+    line = command(num_processes, *words)
+    if script is not None:
+        at = line.index("-m")
+        line[at : at + 2] = [str(script)]
+    done = subprocess.run(
+        line,
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"} | environment,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+def error_lines(text):
+    return [line for line in text.splitlines() if line.startswith("error: ")]
+
+
+def test_refines_as_one_process_does(model, tmp_path):
+    output, report = tmp_path / "refined.txt", tmp_path / "report.json"
+    words = ("refine", model, "-o", output, "--json", report, "--threads", 1)
+    code, out, err = mpirun(3, *words)
+    assert (code, error_lines(err)) == (0, [])
+    assert out.count("outcome") == 1
+    assert "messages and waiting" in out
+    alone = bundle.solve(model, num_threads=1)
+    given = json.loads(report.read_text())
+    costs = [step["cost"] for step in given["iterations"]]
+    np.testing.assert_allclose(costs, alone.iterations["cost"], rtol=1e-9)
+    assert given["summary"]["num_processes"] == 3
+    assert len(given["summary"]["processes"]["parts"]) == 3
+    np.testing.assert_allclose(bundle.load(output).points, alone.problem.points, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("info", "MODEL"), "info"),
+        (("refine", "nowhere.txt", "-o", "OUTPUT"), "nowhere.txt"),  # before any solve
+        (("refine", "MODEL", "-o", "OUTPUT", "--solver", "dense-qr"), "dense_qr"),  # within one
+        (("refine", "MODEL", "-o", "OUTPUT", "--loops", "x.g2o"), "--loops"),
+    ],
+)
+def test_one_line_of_one_process(model, tmp_path, words, found):
+    output = tmp_path / "refined.txt"
+    names = {"MODEL": model, "OUTPUT": output}
+    code, out, err = mpirun(2, *(names.get(word, word) for word in words))
+    assert (code, out) == (2, "")
+    (line,) = error_lines(err)
+    assert found in line
+    assert "Traceback" not in err
+    assert not output.exists()
+
+
+def test_a_process_that_fails_alone_ends_all(model, tmp_path):
+    """As one does that has too little memory."""
+    script = tmp_path / "fails.py"
+    script.write_text(
+        "import os, sys, bundle.ranks.divided_solve as d, bundle.ranks.mpi_crew as c\n"
+        "work = c.work_on\n"
+        "def fail(*given):\n"
+        "    raise MemoryError('no room')\n"
+        "if os.environ['OMPI_COMM_WORLD_RANK'] == '1': c.work_on = fail\n"
+        "from bundle.__main__ import run\n"
+        "sys.exit(run())\n"
+    )
+    code, _, err = mpirun(2, "refine", model, "-o", tmp_path / "refined.txt", script=script)
+    assert code != 0
+    (line,) = error_lines(err)
+    assert "process 1 of 2" in line
+    assert "no room" in line
+    assert not (tmp_path / "refined.txt").exists()
+
+
+def test_without_mpi4py(model, tmp_path):
+    (tmp_path / "mpi4py").mkdir()
+    (tmp_path / "mpi4py" / "__init__.py").write_text("raise ImportError('gone')\n")
+    code, _, err = mpirun(2, "refine", model, "-o", tmp_path / "r.txt", PYTHONPATH=str(tmp_path))
+    assert code == 2
+    (line,) = error_lines(err)
+    assert "found no mpi4py" in line
+
+
+def test_killed_process_and_resume(model, tmp_path):
+    """Without one of them all end soon; the checkpoint is whole and leads to the same end."""
+    script = tmp_path / "dies.py"
+    script.write_text(DIES_IN_THE_THIRD_SOLVE)
+    options = ("--deterministic", "--checkpoint-interval", "1", "--threads", "1")
+    checkpoint = tmp_path / "run.npz"
+    words = ("refine", model, "-o", tmp_path / "killed.txt", *options, "--checkpoint", checkpoint)
+    begun = time.monotonic()
+    code, _, err = mpirun(2, *words, script=script)
+    assert code != 0
+    assert time.monotonic() - begun < 50  # the process dies after a second or two
+    assert error_lines(err) == []  # mpirun says which one was killed
+    assert not (tmp_path / "killed.txt").exists()
+    ends = []
+    for name, more in (("resumed", ("--resume", checkpoint)), ("whole", ("--checkpoint", "c.npz"))):
+        output = tmp_path / f"{name}.txt"
+        code, _, err = mpirun(2, "refine", model, "-o", output, *options, *more, cwd=tmp_path)
+        assert (code, error_lines(err)) == (0, [])
+        ends.append(output.read_bytes())
+    assert ends[0] == ends[1]
+
+
+DIES_IN_THE_THIRD_SOLVE = """
+import os, signal, sys
+import bundle.ranks.mpi_crew as crew
+work_on, solves = crew.work_on, []
+
+class Dying(crew.MpiRanks):
+    def sum_to_first(self, what, values):
+        if len(solves) == 3 and what == "normal equations":
+            os.kill(os.getpid(), signal.SIGKILL)
+        super().sum_to_first(what, values)
+
+def work(job, ranks):
+    solves.append(job)
+    return work_on(job, ranks)
+
+if os.environ["OMPI_COMM_WORLD_RANK"] == "1":
+    crew.work_on, crew.MpiRanks = work, Dying
+from bundle.__main__ import run
+sys.exit(run())
+"""

@@ -1,0 +1,87 @@
+"""Processes of a divided solve as threads of one: the same core, without MPI."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from bundle import InputError
+from bundle.ranks.divided_solve import Job, PartOfOutput, work_on
+from bundle.ranks.launch import use
+
+
+class ThreadRanks:
+    """Meets the others at a barrier; rank 0 sums, in the order of the ranks."""
+
+    def __init__(self, crew: ThreadCrew, rank: int) -> None:
+        self._crew = crew
+        self.rank = rank
+        self.num_ranks = crew.num_ranks
+        self.traffic: dict[str, list[float]] = {}
+
+    def sum_to_first(self, what: str, values: memoryview) -> None:
+        given = self._meet(what, values)
+        if self.rank == 0:
+            np.frombuffer(values)[:] = sum(given[1:], given[0].copy())
+        self._crew.barrier.wait()
+
+    def broadcast(self, what: str, values: memoryview, root: int) -> None:
+        given = self._meet(what, values)
+        if self.rank != root:
+            np.frombuffer(values)[:] = given[root]
+        self._crew.barrier.wait()
+
+    def _meet(self, what: str, values: memoryview) -> list[Any]:
+        array = np.frombuffer(values)
+        self._crew.given[self.rank] = (what, array)
+        self._crew.barrier.wait()
+        names = {name for name, _ in self._crew.given}
+        assert names == {what}, f"ranks meet for different things: {names}"
+        tally = self.traffic.setdefault(what, [0, 0, 0.0])
+        tally[0] += 1
+        tally[1] += array.nbytes
+        return [of for _, of in self._crew.given]
+
+
+class ThreadCrew:
+    def __init__(self, num_ranks: int) -> None:
+        self.num_ranks = num_ranks
+        self.is_solving = False
+        self.barrier = threading.Barrier(num_ranks, timeout=30)
+        self.given: list[Any] = [None] * num_ranks
+        self.made: dict[int, PartOfOutput | BaseException] = {}
+        self.threads: dict[int, threading.Thread] = {}
+
+    def ranks(self) -> ThreadRanks:
+        return ThreadRanks(self, 0)
+
+    def send(self, job: Job, rank: int) -> None:
+        self.threads[rank] = threading.Thread(target=self._work, args=(job, rank), daemon=True)
+        self.threads[rank].start()
+
+    def receive(self, rank: int) -> PartOfOutput:
+        self.threads[rank].join()
+        made = self.made[rank]
+        if isinstance(made, BaseException):
+            raise made
+        return made
+
+    def _work(self, job: Job, rank: int) -> None:
+        try:
+            self.made[rank] = work_on(job, ThreadRanks(self, rank))[1]
+        except BaseException as error:
+            self.made[rank] = error
+            if not isinstance(error, InputError):  # which all of them find alike
+                self.barrier.abort()
+
+
+@contextmanager
+def processes(num_ranks: int) -> Iterator[ThreadCrew]:
+    """Divide the solves within the context among threads."""
+    crew = ThreadCrew(num_ranks)
+    with use(crew):
+        yield crew
