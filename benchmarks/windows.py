@@ -50,6 +50,7 @@ OPTIONS = {
     "function_tolerance": 1e-8,
     "spectrum": False,
     "covariance": False,
+    "expected_imu_cost": False,
     "fix_gauge": False,
 }
 

@@ -218,6 +218,7 @@ py::dict SolveWindowFromPython(const py::dict& window, const py::dict& options,
   solve_options.function_tolerance = py::cast<double>(options["function_tolerance"]);
   solve_options.spectrum = py::cast<bool>(options["spectrum"]);
   solve_options.covariance = py::cast<bool>(options["covariance"]);
+  solve_options.expected_imu_cost = py::cast<bool>(options["expected_imu_cost"]);
   solve_options.fix_gauge = py::cast<bool>(options["fix_gauge"]);
   PythonProgress report(progress);
   WindowOutput output = RunWatched(
@@ -243,6 +244,7 @@ py::dict SolveWindowFromPython(const py::dict& window, const py::dict& options,
   result["candidate_time"] = output.candidate_time;
   result["total_time"] = output.total_time;
   result["spectrum"] = output.spectrum;
+  result["expected_imu_cost"] = output.expected_imu_cost;
   const auto k = static_cast<py::ssize_t>(output.residual_norms.size());
   result["residual_norms"] = ToImmutableNumpy(std::move(output.residual_norms), {k});
   if (output.covariance.empty()) {

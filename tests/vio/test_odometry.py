@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bundle import _core
 from bundle.cli.main import main
@@ -220,3 +221,54 @@ def test_a_motion_that_is_lost_is_no_result(
     assert "lost" in found["summary"]["message"]
     assert found["output"] is None
     assert "lost" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("wrong", ["nothing", "rotation", "translation", "time offset"])
+def test_a_wrong_calibration_shows_in_the_cost_of_the_imu(wrong: str) -> None:
+    sequence = synthesize_flight(duration=12.0, rest=1.5, num_tracks=40, seed=2).sequence
+    pose = np.array(sequence.calibration.camera_from_imu)
+    changes: dict[str, Any] = {}
+    if wrong == "rotation":
+        turned = Rotation.from_rotvec([0, np.radians(5), 0]) * Rotation.from_quat(pose[:4])
+        changes = {"camera_from_imu": np.r_[turned.as_quat(), pose[4:]]}
+    elif wrong == "translation":
+        changes = {"camera_from_imu": pose + 0.5 * (np.arange(7) == 4)}
+    elif wrong == "time offset":
+        changes = {"time_offset": 0.02}
+    calibration = replace(sequence.calibration, **changes)
+    found = run_odometry(replace(sequence, calibration=calibration), time_budget=10.0)
+    said = [
+        any("contradict" in alarm for alarm in record.alarms)
+        for record in found.keyframes
+        if record.imu_excess is not None
+    ]
+    assert len(said) > 10
+    if wrong == "nothing":
+        assert not any(said)
+    else:
+        assert np.mean(said[len(said) // 2 :]) > 0.7
+
+
+def test_the_noise_of_a_flight_explains_its_imu() -> None:
+    """Of the noise that it was made with, over seeds."""
+    excess = []
+    for seed in range(3):
+        flight = synthesize_flight(
+            duration=8.0, rest=1.5, num_tracks=100, imu_noise_scale=10.0, pixel_noise=0.3, seed=seed
+        )
+        found = run_odometry(
+            flight.sequence, imu_noise_scale=1.0, pixel_sigma=0.3, loss="trivial", time_budget=10.0
+        )
+        excess += [r.imu_excess for r in found.keyframes if r.imu_excess is not None]
+    assert 0.6 < np.mean(excess) < 1.3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"time_budget": 1e-9}, "time budget"), ({"precision": "single"}, "prior")],
+)
+def test_a_window_that_never_estimated_is_no_result(options: Any, message: str) -> None:
+    flight = synthesize_flight(duration=12.0, rest=1.5, num_tracks=40, seed=2)
+    found = run_odometry(flight.sequence, **options)
+    assert not found.is_usable
+    assert message in found.message

@@ -28,6 +28,7 @@ SOLVE = {
     "function_tolerance": 1e-15,
     "spectrum": True,
     "covariance": True,
+    "expected_imu_cost": False,
     "fix_gauge": True,
 }
 
@@ -312,6 +313,38 @@ def test_the_covariance_is_that_of_the_gauge() -> None:
     np.testing.assert_allclose(
         solved["covariance"][9:, 9:], inner[last, last], rtol=1e-3, atol=1e-12
     )
+
+
+def test_what_imu_factors_should_cost() -> None:
+    flight = Flight(4, 8, landmarks=12)
+    window, motions = make_window(flight, sigma=0.1 / FOCAL, noise=0.1 / FOCAL)
+    solved = _core.solve_window(window, {**SOLVE, "expected_imu_cost": True}, None)
+    window = {**window, "states": solved["states"], "points": solved["points"]}
+    j = jacobian(lambda x: residuals(window, motions, x), size_of(window))
+    follows = np.diag(j @ np.linalg.pinv(j, rcond=1e-9))  # share that states can follow
+    of_imu = len(j) - 15 * len(motions) + np.arange(15 * len(motions)).reshape(-1, 15)[:, :9]
+    degrees = np.sum(1 - follows[of_imu])
+    assert 1 < degrees < of_imu.size
+    assert solved["expected_imu_cost"] == pytest.approx(0.5 * degrees, rel=1e-4)
+
+
+def test_states_without_images_follow_their_imu() -> None:
+    """Of a long chain, whose system is sparse: as many rows as unknowns cost nothing."""
+    flight = Flight(40, 8, landmarks=1)
+    window, motions = make_window(flight)
+    nothing = {
+        "points": np.zeros((0, 3)), "anchor_xy": np.zeros((0, 2)), "xy": np.zeros((0, 2)),
+        "anchor_velocity": np.zeros((0, 2)), "xy_velocity": np.zeros((0, 2)),
+        "anchor_states": np.zeros(0, np.int32), "landmarks": np.zeros(0, np.int32),
+        "observers": np.zeros(0, np.int32),
+    }  # fmt: skip
+    prior = {
+        "blocks": [0, 1], "points": np.repeat(flight.states[:1], 2, axis=0), "square_root": True,
+        "matrix": 10 * np.eye(15), "vector": np.zeros(15), "constant": 0.0,
+    }  # fmt: skip
+    options = {**SOLVE, "expected_imu_cost": True, "fix_gauge": False}
+    solved = _core.solve_window({**window, **nothing, "priors": [prior]}, options, None)
+    assert abs(solved["expected_imu_cost"]) < 1e-5 * 9 * len(motions)
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,9 @@ WindowOutput SolveWindow(const WindowView& view, const WindowSolveOptions& optio
   output.candidate_time = minimum.candidate_time_in_seconds;
   output.residual_norms = VisualResidualNorms(view, output.state);
   if (options.covariance) output.covariance = problem.CovarianceOfLastState(options.fix_gauge);
+  if (options.expected_imu_cost) {
+    output.expected_imu_cost = problem.ExpectedImuCost(options.fix_gauge);
+  }
   if (options.spectrum) output.spectrum = problem.ReducedSpectrum();
   output.total_time = time.seconds();
   return output;

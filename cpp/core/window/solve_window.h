@@ -19,6 +19,7 @@ struct WindowSolveOptions {
   double parameter_tolerance = 1e-8;
   bool spectrum = false;    ///< of the reduced normal equations
   bool covariance = false;  ///< of the last state
+  bool expected_imu_cost = false;
   /// Covariance with the first position and yaw held, where nothing else holds them.
   bool fix_gauge = false;
 };
@@ -35,6 +36,7 @@ struct WindowOutput {
   std::vector<double> spectrum;        ///< ascending, of a unit diagonal; empty unless asked for
   std::vector<double> residual_norms;  ///< of the observations, in sigmas, without the loss
   std::vector<double> covariance;      ///< 15 x 15; empty where there is none
+  double expected_imu_cost = 0;        ///< not a number where there is none
 };
 
 /// Throws InputError where a residual has no value at the start.

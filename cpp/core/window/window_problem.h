@@ -50,6 +50,10 @@ class WindowProblem final : public LeastSquares {
   /// that what the gauge does not move, biases and tilt, is as in any other gauge).
   std::vector<double> CovarianceOfLastState(bool fix_gauge);
 
+  /// What preintegrated samples cost on average at a minimum where all sigmas are right
+  /// (window_certainty.cpp); not a number where S is singular. `fix_gauge` as above.
+  double ExpectedImuCost(bool fix_gauge);
+
  private:
   struct Landmark {
     double hessian[6] = {};  ///< xx, xy, xl, yy, yl, ll; then L in its place
@@ -78,6 +82,7 @@ class WindowProblem final : public LeastSquares {
   void Damp(double damping);
   int Column(int block) const { return structure_.offset[place_[block]]; }
   void FixGauge();
+  bool FactorizeUndamped(bool fix_gauge);
   double Weighted() const;
   double NormOf(const WindowState& state) const;
 

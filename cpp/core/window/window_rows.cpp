@@ -187,7 +187,8 @@ void LinearizeWindow(const WindowView& view, const WindowState& at,
     InertialRows& row = rows->inertial.emplace_back();
     LinearizeImu(view, states, static_cast<int>(i), &row);
     for (int k = 0; k < InertialRows::kRows; ++k) {
-      (k < 9 ? rows->costs.imu : rows->costs.bias_walk) += 0.5 * row.r[k] * row.r[k];
+      (k < InertialRows::kImuRows ? rows->costs.imu : rows->costs.bias_walk) +=
+          0.5 * row.r[k] * row.r[k];
     }
   }
   for (const WindowPrior& prior : view.priors) {

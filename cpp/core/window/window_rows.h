@@ -25,8 +25,8 @@ struct AnchorRows {
 
 /// Preintegrated samples (9 rows: rotation, position, velocity) and the biases' walk (6).
 struct InertialRows {
-  static constexpr int kRows = 15;
-  int first = 0;  ///< from this state to the next
+  static constexpr int kRows = 15, kImuRows = 9;  ///< of these
+  int first = 0;                                  ///< from this state to the next
   double r[kRows];
   double by_first[kRows * kStateTangent], by_second[kRows * kStateTangent];  ///< row-major
 };

@@ -69,13 +69,26 @@ def odometry_tables(
             for phase in phases
         ],
     )
-    alarms = Counter(alarm.split(":")[0] for record in records for alarm in record.alarms)
-    said = [f"{alarm}: in {plural(count, 'keyframe')}." for alarm, count in alarms.items()]
+    said = _warnings(result)
     if result.interrupted:
         said.insert(0, "Interrupted: the trajectory goes as far as it came.")
     if not result.is_usable:
         said.insert(0, f"No trajectory was written: {result.message}.")
     return [facts(rows), "", table, *([""] if said else []), *notes(said)]
+
+
+def _warnings(result: OdometryResult) -> list[str]:
+    """Return a sentence per kind of alarm, with the numbers of the last one."""
+    kinds: dict[str, tuple[str, int]] = {}
+    for record in result.keyframes:
+        for alarm in record.alarms:
+            kind = alarm.split(":")[0]
+            kinds[kind] = (alarm, kinds.get(kind, ("", 0))[1] + 1)
+    total = len(result.keyframes)
+    return [
+        f"{alarm[0].upper()}{alarm[1:]} (in {count} of {plural(total, 'keyframe')})."
+        for alarm, count in kinds.values()
+    ]
 
 
 def _p95(values: Any) -> float:
@@ -105,6 +118,7 @@ def as_json(
                 "message": result.message,
                 "num_images": result.num_images,
                 "num_keyframes": len(result.keyframes),
+                "warnings": _warnings(result),
             },
             "keyframes": [record.asdict() for record in result.keyframes],
             "error": None if error is None else asdict(error),

@@ -26,6 +26,9 @@ class KeyframeRecord:
         out_of_time: the budget ended the solve.
         costs: by family after the solve: visual, imu, bias_walk, prior.
         mean_visual_chi2: visual cost per residual, 0.5 where sigma is right.
+        imu_excess: cost of the IMU beside what its noise explains, of a solve every ten images or
+            so; below 1 where the noise is taken large enough, several times that where camera and
+            IMU contradict each other. None before the first.
         nullity, expected_nullity: directions that nothing sees; 4 without priors on the start.
         prior_min_eigenvalue: smallest of the prior's information; rounding about 0 where it says
             nothing along some direction, as along position and yaw.
@@ -62,6 +65,7 @@ class KeyframeRecord:
     out_of_time: bool
     costs: dict[str, float]
     mean_visual_chi2: float | None
+    imu_excess: float | None
     nullity: int | None
     expected_nullity: int
     prior_min_eigenvalue: float | None

@@ -18,6 +18,7 @@ from bundle.vio.sequence_images import SequenceImages
 from bundle.vio.sliding_window import SlidingWindow
 from bundle.vio.trajectory_files import Trajectory
 from bundle.vio.window_options import WindowOptions
+from bundle.vio.window_telemetry import INDEFINITE
 
 __all__ = ["OdometryResult", "run_odometry"]
 
@@ -120,6 +121,8 @@ def run_odometry(
                 break
     except KeyboardInterrupt:  # what is solved stays
         message, interrupted = "interrupted", True
+    if usable and (lost := _lost(window.records)):
+        message, usable = lost, False
     if options.marginalize == "keep":
         stamps = [frame.stamp for frame in window.frames]
         states = [frame.state for frame in window.frames]
@@ -158,6 +161,19 @@ def _begin(window: SlidingWindow, images: SequenceImages) -> tuple[str, int]:
         at_rest=found.kind == "static",
     )
     return found.kind, chosen[-1]
+
+
+def _lost(records: list[KeyframeRecord]) -> str:
+    """Return what was wrong at most keyframes of a window that is no estimate; "" otherwise."""
+    without_step = sum(record.out_of_time and record.num_iterations == 0 for record in records)
+    indefinite = sum((record.prior_definiteness or 0.0) < INDEFINITE for record in records)
+    if 2 * without_step > len(records):
+        return (
+            f"the time budget ended {without_step} of {len(records)} solves before their first step"
+        )
+    if 2 * indefinite > len(records):
+        return f"the prior was not positive at {indefinite} of {len(records)} keyframes"
+    return ""
 
 
 def _is_sane(state: Array) -> bool:

@@ -252,6 +252,7 @@ class SlidingWindow:
                 "function_tolerance": options.function_tolerance,
                 "spectrum": options.nullity,
                 "covariance": options.covariance,
+                "expected_imu_cost": self._telemetry.wants_expected_cost(),
                 "fix_gauge": self._telemetry.expected_nullity == 4,
             },
             None,
@@ -267,10 +268,11 @@ class SlidingWindow:
         self._telemetry.lap("solve")
 
     def _reject(self, table: LandmarkTable, norms: Array) -> None:
-        """Forget tracks that stay far from where they should be in most of their images."""
+        """Forget tracks far from where they should be in most of their images, or behind one."""
         count = np.maximum(np.bincount(table.landmarks, minlength=len(table.ids)), 1)
         far = np.bincount(table.landmarks, norms > OUTLIER, len(table.ids))
-        wrong = table.ids[far > 0.5 * count]
+        behind = np.bincount(table.landmarks, ~np.isfinite(norms), len(table.ids)) > 0
+        wrong = table.ids[(far > 0.5 * count) | behind]
         self._telemetry.num_rejected_tracks += len(wrong)
         if len(wrong):
             self._forget(wrong)

@@ -27,6 +27,8 @@ FREE_DEGREES = 4  # position and yaw: no camera and no IMU sees them
 LARGEST_ASYMMETRY = 1e-9
 SMALLEST_RATIO = 1e-8
 INDEFINITE = -1e-9  # of a unit diagonal: beyond the rounding of double precision
+IMAGES_PER_CHECK = 10
+LARGEST_IMU_EXCESS = 3.0  # up to 1.6 in flights of the noise that the window takes
 LARGEST_GYRO_BIAS, LARGEST_ACCEL_BIAS = 1.0, 2.5  # rad/s, m/s^2: VINS-Mono's signs of failure
 
 
@@ -44,6 +46,8 @@ class WindowTelemetry:
         self._attitudes: Array | None = None  # (1, 4) of the keyframe of the last record
         self._turned = 0.0
         self._exit: dict[str, Any] | None = None
+        self._num_solves = 0
+        self._imu_excess: float | None = None
         self.num_absorbed = self.num_carried = 0
         self.begin()
 
@@ -58,9 +62,16 @@ class WindowTelemetry:
         self._times[phase] = self._times.get(phase, 0.0) + now - self._lap
         self._lap = now
 
+    def wants_expected_cost(self) -> bool:
+        """Tell whether the next solve shall say what its IMU factors should cost."""
+        self._num_solves += 1
+        return self._num_solves % IMAGES_PER_CHECK == 0
+
     def solved(self, table: LandmarkTable, window: dict[str, Any], solved: dict[str, Any]) -> None:
         """Keep what the last solve said."""
         self._last = solved
+        if solved["expected_imu_cost"] > 0:
+            self._imu_excess = solved["costs_after"]["imu"] / solved["expected_imu_cost"]
         priors = sum(len(prior["vector"]) for prior in window["priors"])
         states = len(window["states"])
         self._sizes = {
@@ -104,6 +115,14 @@ class WindowTelemetry:
         costs = solved["costs_after"]
         sigmas, yaw = self._sigmas(solved["covariance"], newest.state)
         alarms = self._alarms(nullity, prior, newest.state, verdict)
+        if self._imu_excess is not None and self._imu_excess > LARGEST_IMU_EXCESS:
+            alarms += (
+                "camera and IMU contradict each other: the IMU costs "
+                f"{self._imu_excess:.1f} times what its noise explains; camera_from_imu, the time "
+                "offset, the focal length or the noise is wrong",
+            )
+        if solved["out_of_time"] and not solved["num_iterations"]:
+            alarms += ("no step within the time budget: states are predictions of the IMU",)
         record = KeyframeRecord(
             timestamp_ns=newest.stamp,
             reason=reason,
@@ -117,6 +136,7 @@ class WindowTelemetry:
             costs=dict(costs),
             mean_visual_chi2=costs["visual"]
             / (2 * max(sizes["num_observations"] + sizes["num_landmarks"], 1)),
+            imu_excess=self._imu_excess,
             nullity=nullity,
             expected_nullity=self.expected_nullity,
             **prior,
@@ -190,7 +210,7 @@ class WindowTelemetry:
             )
         asymmetry, ratio = prior["prior_asymmetry"], prior["prior_ratio"]
         if asymmetry is not None and asymmetry > LARGEST_ASYMMETRY:
-            alarms.append(f"prior asymmetric by {asymmetry:.1e}: too few digits")
+            alarms.append(f"prior asymmetric: by {asymmetry:.1e}, too few digits")
         definiteness = prior["prior_definiteness"]
         if definiteness is not None and definiteness < INDEFINITE:
             alarms.append(f"prior not positive: eigenvalue ratio {definiteness:.1e}")
