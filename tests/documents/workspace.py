@@ -11,6 +11,8 @@ import numpy as np
 
 import bundle
 from bundle.georeference import LocalFrame
+from bundle.rigid_motions import inverse_poses, multiply_poses
+from bundle.vio import load_trajectory, states_at
 from tests.georeference.test_exif_gps import photo
 from tests.loops.drift import closures_of, drifted_street
 from tests.merging.halves import halves, whole
@@ -89,13 +91,19 @@ def graphs(folder: Path, data: Path) -> None:
 
 
 def sequence(folder: Path, data: Path) -> None:
-    """The first twelve seconds of EuRoC's V1_01 and its truth."""
+    """The first twelve seconds of EuRoC's V1_01, its truth, and a closure, as the truth has it."""
     name = "euroc_V1_01_tracks_imu_30s.csv"
     lines = (data / "vio" / name).read_text().splitlines(keepends=True)
     times = [line.split(",", 3)[2] for line in lines]
     early = [line for line, time in zip(lines[1:], times[1:], strict=True) if float(time or 0) < 12]
     (folder / name).write_text("".join([lines[0], *early]))
     shutil.copy(data / "vio" / "euroc_V1_01_ground_truth.csv", folder / "truth.csv")
+    truth = load_trajectory(folder / "truth.csv")
+    stamps = truth.timestamps_ns[0] + np.array([5_500_000_000, 10_500_000_000])
+    ends = states_at(truth, stamps)[:, :7]
+    pose = multiply_poses(inverse_poses(ends[:1]), ends[1:])[0]
+    numbers = [*stamps.tolist(), *pose[4:].tolist(), *pose[:4].tolist(), 0.01, 0.1]
+    (folder / "closures.csv").write_text(",".join(map(str, numbers)) + "\n")
 
 
 def one_flight(folder: Path, data: Path) -> None:

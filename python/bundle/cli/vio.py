@@ -58,6 +58,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=a_path,
         help="a page with the curves of the telemetry and the path, a single file",
     )
+    loops = parser.add_argument_group("two loops")
+    loops.add_argument(
+        "--publish",
+        metavar="FILE.tum",
+        type=a_path,
+        help="a pose per IMU sample: the window's last solution, propagated, and moved by what "
+        "closures correct",
+    )
+    loops.add_argument(
+        "--loops",
+        metavar="FILE",
+        type=a_path,
+        help="closures: csv of first_timestamp_ns, second_timestamp_ns, tx ty tz, qx qy qz qw of "
+        "the IMU at the second time in its frame at the first, sigmas in metres and degrees; or a "
+        "g2o file whose ids are the stamps",
+    )
+    loops.add_argument(
+        "--real-time",
+        action="store_true",
+        help="replay at the rate of the sensors and report how late the poses are",
+    )
     add_options(parser, WindowOptions, "the window")
 
 
@@ -67,10 +88,12 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
-    from bundle.errors import shown
+    from bundle.errors import InputError, shown
     from bundle.io import as_path, atomic
     from bundle.io.recognition import sequence_format
+    from bundle.reports.two_loops_tables import loop_tables, loops_as_json
     from bundle.reports.vio import as_json, odometry_tables, telemetry_lines
+    from bundle.two_loops import load_closures, run_two_loops
     from bundle.vio import (
         compare_trajectories,
         load_sequence,
@@ -80,18 +103,23 @@ def run(arguments: argparse.Namespace) -> int:
     )
 
     source, target = arguments.sequence, arguments.output
+    if arguments.publish is None and (arguments.loops is not None or arguments.real_time):
+        flag = "--real-time" if arguments.loops is None else "--loops"
+        raise InputError(f"{flag}: expected --publish FILE.tum with it, found none")
     options = options_given(arguments, WindowOptions)
     check_json(target, source, what="file")
     check_json(arguments.json, source, target)
     check_json(arguments.telemetry, source, target)
-    others = filter(None, (arguments.json, arguments.telemetry))
+    others = [path for path in (arguments.json, arguments.telemetry) if path is not None]
     check_json(arguments.html, source, target, *others, what="page")
+    check_json(arguments.publish, source, target, *others, what="trajectory")
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         sequence = load_sequence(source)
         truth = None
         if arguments.ground_truth is not None:
             truth = load_trajectory(arguments.ground_truth)
+        closures = () if arguments.loops is None else load_closures(arguments.loops)
         progress.stage("following the motion")
 
         def shown_keyframe(done: int, count: int, record: KeyframeRecord | None) -> bool:
@@ -100,11 +128,22 @@ def run(arguments: argparse.Namespace) -> int:
             return True
 
         with naming_flags(WindowOptions):
-            result = run_odometry(sequence, options, progress=shown_keyframe)
+            if arguments.publish is None:
+                loops, result = None, run_odometry(sequence, options, progress=shown_keyframe)
+            else:
+                real_time = arguments.real_time
+                loops = run_two_loops(sequence, options, closures=closures, real_time=real_time)
+                result = loops.odometry
         error = None if truth is None else compare_trajectories(result.trajectory, truth)
+        corrected = None
+        if truth is not None and loops is not None:
+            corrected = compare_trajectories(loops.published, truth)
         if result.is_usable:
             progress.stage(f"writing {shown(target)}")
             save_tum(target, result.trajectory.timestamps_ns, result.trajectory.states)
+            if loops is not None:
+                published = loops.published
+                save_tum(arguments.publish, published.timestamps_ns, published.states)
         if arguments.telemetry is not None:
             atomic.write_text(as_path(arguments.telemetry), telemetry_lines(result))
         if arguments.html is not None:
@@ -115,11 +154,12 @@ def run(arguments: argparse.Namespace) -> int:
     wall = perf_counter() - started
     written = target if result.is_usable else None
     if arguments.json != "-":
-        show(*odometry_tables(source, result, error, written))
-    write_json(
-        arguments.json,
-        as_json(source, sequence_format(source), sequence, result, error, written, wall),
-    )
+        show(*odometry_tables(source, result, error, written), *loop_tables(loops, corrected))
+    report = as_json(source, sequence_format(source), sequence, result, error, written, wall)
+    if loops is not None:
+        path = arguments.publish if result.is_usable else None
+        report["two_loops"] = loops_as_json(loops, corrected, path)
+    write_json(arguments.json, report)
     if result.is_usable and not result.interrupted:
         return EXIT_DONE
     if arguments.json == "-":

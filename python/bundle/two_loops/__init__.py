@@ -2,11 +2,16 @@
 
 A :class:`PosePublisher` answers each IMU sample with a pose and never waits. A
 :class:`WindowLoop` and a :class:`ClosureLoop` solve on threads of their own and leave dated results
-in rings, of which the publisher takes the newest.
+in rings, of which the publisher takes the newest. :func:`run_two_loops` replays a sequence through
+all three.
 """
 
+from bundle.two_loops.closure_files import load_closures
 from bundle.two_loops.closure_loop import Closure, ClosureLoop, Keyframe
+from bundle.two_loops.deadline_priority import deadline_priority
 from bundle.two_loops.pose_publisher import PosePublisher, PublishedPose, Solution
+from bundle.two_loops.process_solver import ProcessSolver
+from bundle.two_loops.replay import LoopStatistics, TwoLoopsResult, run_two_loops
 from bundle.two_loops.ring import Ring
 from bundle.two_loops.window_loop import WindowLoop
 from bundle.two_loops.yaw_motion import Correction, YawMotion
@@ -16,10 +21,16 @@ __all__ = [
     "ClosureLoop",
     "Correction",
     "Keyframe",
+    "LoopStatistics",
     "PosePublisher",
+    "ProcessSolver",
     "PublishedPose",
     "Ring",
     "Solution",
+    "TwoLoopsResult",
     "WindowLoop",
     "YawMotion",
+    "deadline_priority",
+    "load_closures",
+    "run_two_loops",
 ]

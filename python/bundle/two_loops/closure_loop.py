@@ -25,7 +25,7 @@ from bundle.two_loops.loop_thread import SolveLoop
 from bundle.two_loops.ring import Ring
 from bundle.two_loops.yaw_motion import Correction, YawMotion
 
-__all__ = ["Closure", "ClosureLoop", "Keyframe"]
+__all__ = ["Closure", "ClosureLoop", "Keyframe", "solved_on_one_thread"]
 
 Array = NDArray[np.float64]
 
@@ -111,7 +111,7 @@ class ClosureLoop(SolveLoop):
         check_type("ClosureLoop: corrections", corrections, Ring)
         check_function("ClosureLoop: solver", solver)
         self._corrections = corrections
-        self._solver = solver or _solved
+        self._solver = solver or solved_on_one_thread
         self._keyframes: Ring[Keyframe] = Ring(capacity)
         self._closures: Ring[Closure] = Ring(capacity)
         self._places: dict[int, int] = {}  # by timestamp
@@ -129,6 +129,11 @@ class ClosureLoop(SolveLoop):
     def num_lost(self) -> int:
         """Keyframes and closures that the rings have forgotten during a solve."""
         return self._keyframes.num_lost + self._closures.num_lost
+
+    @property
+    def num_closures(self) -> int:
+        """Closures that the graph has."""
+        return self._num_closures
 
     @property
     def num_unknown(self) -> int:
@@ -234,7 +239,8 @@ class _Rows:
         self._count += 1
 
 
-def _solved(graph: PoseGraph) -> Array:
+def solved_on_one_thread(graph: PoseGraph) -> Array:
+    """Return the refined poses (n, 7)."""
     return solve(graph, num_threads=1).problem.poses
 
 

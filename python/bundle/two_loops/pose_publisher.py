@@ -135,7 +135,7 @@ class PosePublisher(Displayed):
         self._samples: deque[_Sample] = deque()
         self._anchor = self._target = self._last_correction = YawMotion()
         self._shares_left = 0
-        self._num_published = self._num_refused = 0
+        self._num_published = self._num_refused = self._num_corrections = 0
 
     @property
     def anchor(self) -> YawMotion:
@@ -151,6 +151,11 @@ class PosePublisher(Displayed):
     def num_refused(self) -> int:
         """Solutions that were older than the samples that are kept, or than one before."""
         return self._num_refused
+
+    @property
+    def num_corrections(self) -> int:
+        """Corrections that were composed into the anchor."""
+        return self._num_corrections
 
     def move(self, motion: YawMotion) -> None:
         """Move the published world, as of a map that was recognised; from any one thread."""
@@ -261,6 +266,7 @@ class PosePublisher(Displayed):
         if correction is not None:
             change = correction.world_from_window @ self._last_correction.inverse()
             self._last_correction = correction.world_from_window
+            self._num_corrections += 1
             self._target = change @ self._target
             self._shares_left = self._num_shares
         if not self._shares_left:

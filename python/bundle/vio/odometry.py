@@ -20,7 +20,7 @@ from bundle.vio.trajectory_files import Trajectory
 from bundle.vio.window_options import WindowOptions
 from bundle.vio.window_telemetry import INDEFINITE
 
-__all__ = ["OdometryResult", "run_odometry"]
+__all__ = ["OdometryResult", "begin_window", "is_sane", "lost_reason", "run_odometry"]
 
 Array = np.ndarray[Any, Any]
 
@@ -96,7 +96,7 @@ def run_odometry(
         sequence.calibration.focal,
         options=options,
     )
-    start, next_image = _begin(window, images)
+    start, next_image = begin_window(window, images)
     stamps = [frame.stamp for frame in window.frames]
     states = [frame.state for frame in window.frames]
     message, usable, interrupted = "done", True, False
@@ -110,7 +110,7 @@ def run_odometry(
             newest = window.frames[-1]
             stamps.append(newest.stamp)
             states.append(newest.state)
-            if not _is_sane(newest.state):
+            if not is_sane(newest.state):
                 seconds = 1e-9 * (newest.stamp - stamps[0])
                 message, usable = f"the motion was lost {seconds:.2f} s after the start", False
                 break
@@ -121,7 +121,7 @@ def run_odometry(
                 break
     except KeyboardInterrupt:  # what is solved stays
         message, interrupted = "interrupted", True
-    if usable and (lost := _lost(window.records)):
+    if usable and (lost := lost_reason(window.records)):
         message, usable = lost, False
     if options.marginalize == "keep":
         stamps = [frame.stamp for frame in window.frames]
@@ -139,8 +139,12 @@ def run_odometry(
     )
 
 
-def _begin(window: SlidingWindow, images: SequenceImages) -> tuple[str, int]:
-    """Start the window; return how, and the image that it ends with."""
+def begin_window(window: SlidingWindow, images: SequenceImages) -> tuple[str, int]:
+    """Start the window; return how, and the image that it ends with.
+
+    Raises:
+        InputError: there is no start; the message has the reason.
+    """
     options = window.options
     found = find_start(images, float(np.linalg.norm(window.gravity)), options.integration)
     if not found:
@@ -163,7 +167,7 @@ def _begin(window: SlidingWindow, images: SequenceImages) -> tuple[str, int]:
     return found.kind, chosen[-1]
 
 
-def _lost(records: list[KeyframeRecord]) -> str:
+def lost_reason(records: list[KeyframeRecord]) -> str:
     """Return what was wrong at most keyframes of a window that is no estimate; "" otherwise."""
     without_step = sum(record.out_of_time and record.num_iterations == 0 for record in records)
     indefinite = sum((record.prior_definiteness or 0.0) < INDEFINITE for record in records)
@@ -176,8 +180,8 @@ def _lost(records: list[KeyframeRecord]) -> str:
     return ""
 
 
-def _is_sane(state: Array) -> bool:
-    """Faster than sound, or biases that no sensor has: the window has lost the motion."""
+def is_sane(state: Array) -> bool:
+    """Return whether a state (16,) is one: slower than sound, biases that a sensor can have."""
     if not np.all(np.isfinite(state)):
         return False
     gyro, accel = np.linalg.norm(state[10:13]), np.linalg.norm(state[13:16])
