@@ -39,7 +39,9 @@ $(READY_TO_BENCH): $(READY)
 	@touch $@
 
 $(READY_TO_DOCUMENT): $(READY)
-	bash tools/setup.sh $(PYTHON) $(VENV) test,lint,docs
+	$(VENV)/bin/python -c 'import tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+	  print(*project["optional-dependencies"]["docs"], sep="\n")' | \
+	  $(VENV)/bin/python -m pip install --quiet --no-compile --requirement /dev/stdin
 	@touch $@
 
 demo: $(READY)  ## refine the model in data/ and show where the time went

@@ -70,6 +70,12 @@ def test_images_and_links_of_a_page_are_there(browser, site, page):  # noqa: F81
                 assert f'id="{anchor}"' in path.read_text(encoding="utf-8"), target
 
 
+def test_members_of_a_class_are_there_also_inherited_ones(browser, site):  # noqa: F811
+    browser.open(site / "api" / "graphs.html")
+    for name in ("FactorGraph.add_factor", "FactorGraph.solve", "LinearPrior.reanchor"):
+        assert browser.evaluate(f"document.getElementById('bundle.{name}') !== null"), name
+
+
 def test_search_finds_a_word_without_a_server(browser, site):  # noqa: F811
     browser.open(site / "search.html")
     browser.evaluate("Search.performSearch('preintegration')")

@@ -27,6 +27,11 @@ HEADER = """\
 /// - `V` is a block
 ///   of a point;
 /// - U is not.
+///
+/// | name | size |
+/// |------|------|
+/// | V    | 3    |
+/// Last.
 
 #include <cmath>
 
@@ -56,7 +61,7 @@ def test_comments_of_a_header(tmp_path):
     path.write_text(HEADER)
     head, above = derivations.comments_of(path)
     assert (head.line, head.stands_above, head.lines[0]) == (3, "", "A title.")
-    assert (above.line, above.stands_above) == (21, "struct Long")
+    assert (above.line, above.stands_above) == (26, "struct Long")
     assert above.lines == ["One", "two", "three", "four", "five", "six"]
 
 
@@ -70,6 +75,8 @@ def test_formulas_and_text_of_a_comment(tmp_path):
         ("text", "where"),
         ("text", "- `V` is a block of a point;"),
         ("text", "- U is not."),
+        ("formula", "| name | size |\n|------|------|\n| V    | 3    |"),
+        ("text", "Last."),
     ]
 
 

@@ -69,15 +69,16 @@ def _cpp_comments(lines: list[str]) -> Iterator[Comment]:
 def paragraphs(lines: list[str]) -> Iterator[tuple[str, str]]:
     """Yield ("text" or "formula", content) of a comment, in order.
 
-    A formula is a run of lines indented by two or more, blank lines between them included. A list
-    item ("- ", "1. ") begins a paragraph of its own, and its indented further lines are text.
+    A formula is a run of lines indented by two or more, blank lines between them included, or a
+    table, whose lines begin with a bar. A list item ("- ", "1. ") begins a paragraph of its own,
+    and its indented further lines are text.
     """
     blocks: list[tuple[str, list[str]]] = []
     in_item = False
     for line in lines:
         blank = not line.strip()
         item = re.match(r"\s{0,3}(?:[-*]|\d+\.|\(\w\)) ", line)
-        indented = bool(re.match(r"  ", line))
+        indented = line.startswith(("  ", "|"))
         if blank:
             in_item = False
             if blocks:
@@ -127,6 +128,7 @@ class Derivation(SphinxDirective):
         if not comments:
             raise self.error(f"derivation: {name} has no comment that derives something")
         self.env.note_dependency(str(path))
+        self.env.note_dependency(__file__)
         anchor = nodes.make_id(name)
         listed: dict[str, tuple[str, str]] = self.env.__dict__.setdefault("derivations", {})
         if listed.get(name, (self.env.docname,))[0] != self.env.docname:

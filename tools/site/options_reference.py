@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import inspect
+import sys
 from collections.abc import Iterable
 from typing import Any
 
@@ -75,6 +76,7 @@ class OptionClass(SphinxDirective):
         if not isinstance(kind, type) or not dataclasses.is_dataclass(kind):
             raise self.error(f"options: expected an option class, found {self.arguments[0]}")
         self.env.note_dependency(inspect.getfile(kind))
+        self.env.note_dependency(__file__)
         found = nodes.definition_list(classes=["options"])
         found += [field_entry(kind, field) for field in dataclasses.fields(kind)]
         return [found]
@@ -100,6 +102,8 @@ class Command(SphinxDirective):
         if name not in COMMANDS:
             raise self.error(f"command: expected one of {', '.join(COMMANDS)}, found {name}")
         parser = _parser([name]).commands()[name]
+        for module in [__name__, *(name for name in sys.modules if name.startswith("bundle.cli."))]:
+            self.env.note_dependency(inspect.getfile(sys.modules[module]))
         found: list[nodes.Node] = [nodes.paragraph("", sentence(parser.description or ""))]
         for group in parser._action_groups:
             actions = [

@@ -34,7 +34,13 @@ def reference(name: str, value: Any, module: str = "bundle") -> list[str]:
                 lines += reference(inner, getattr(value, inner), full)
         return lines
     if inspect.isclass(value):
-        return [f".. autoclass:: {full}", "   :members:", ""]
+        return [
+            f".. autoclass:: {full}",
+            "   :members:",
+            "   :inherited-members: object, tuple, dict, BaseException",
+            "   :exclude-members: core_arguments, with_traceback, add_note",
+            "",
+        ]
     kind = "function" if callable(value) else "data"
     return [f".. auto{kind}:: {full}", ""]
 
@@ -48,6 +54,7 @@ class Public(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return what autodoc makes of the names."""
         listed: dict[str, str] = self.env.__dict__.setdefault("public_names", {})
+        self.env.note_dependency(__file__)
         lines: list[str] = []
         for name in self.arguments:
             if name not in bundle.__all__:

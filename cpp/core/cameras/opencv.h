@@ -45,8 +45,8 @@ struct Decentering {
 /// With d' = k1 + 2 k2 s
 ///
 ///   du_d/du = d + 2 d' u^2 + dt_u/du,   du_d/dv = dv_d/du = 2 d' u v + dt_u/dv,
-///   dv_d/dv = d + 2 d' v^2 + dt_v/dv,   du_d/d(k1, k2) = (s u, s^2 u),   dv_d/d(k1, k2) = (s v,
-///   s^2 v).
+///   dv_d/dv = d + 2 d' v^2 + dt_v/dv,   du_d/d(k1, k2) = (s u, s^2 u),
+///   dv_d/d(k1, k2) = (s v, s^2 v).
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h; OpenCV, calib3d, projectPoints.
 struct BrownDistortion {

@@ -16,8 +16,8 @@
 /// so that J~^T r~ is that gradient for every alpha, since (I - alpha r r^T / s) r = (1 - alpha) r,
 /// and J~^T J~ = rho' J^T (I + (alpha^2 - 2 alpha) r r^T / s) J is that block if
 ///
-///   1/2 alpha^2 - alpha - s rho'' / rho' = 0,      alpha = 1 - sqrt(D),   D = 1 + 2 s rho'' /
-///   rho'.
+///   1/2 alpha^2 - alpha - s rho'' / rho' = 0,
+///   alpha = 1 - sqrt(D),   D = 1 + 2 s rho'' / rho'.
 ///
 /// Across r the block's curvature is rho' >= 0, along r it is rho' D. Where the loss bends over,
 /// seen as a function of ||r||, D is negative: the block is indefinite and no real alpha exists. D

@@ -13,10 +13,10 @@
 ///   g2o   r = (t, theta) of M in the plane, r = (q_v, t) of M in space, q_v the vector part of the
 ///         quaternion (q_v, q_w) of M with q_w >= 0: half the rotation vector at small angles, so
 ///         that the same information weighs rotations a quarter as much.
-///   ceres r = (t_B - t_Z, theta_B - theta_Z) in the plane, r = (2 d_v, t_B - t_Z) in space, d_v
-///   the
-///         vector part of q_Z q_B^-1 with d_w >= 0; that of Ceres' examples pose_graph_2d and
-///         pose_graph_3d. Its translation is not turned into the frame of the measurement.
+///   ceres r = (t_B - t_Z, theta_B - theta_Z) in the plane, r = (2 d_v, t_B - t_Z) in space,
+///         d_v the vector part of q_Z q_B^-1 with d_w >= 0; that of Ceres' examples
+///         pose_graph_2d and pose_graph_3d. Its translation is not turned into the frame of the
+///         measurement.
 ///
 /// All are in the order of the tangent coordinates (geometry/retraction.h): in space the rotation
 /// comes first. Poses move by the right perturbation X Exp(d). Of X_j,
