@@ -19,7 +19,7 @@ from tests.html.reader import Page, check_self_contained
 matplotlib.use("agg")
 NAMES = [
     "path", "error", "times", "steps", "costs", "sizes", "fill", "spectrum", "prior", "nullity",
-    "excitation", "gyro_bias", "accel_bias", "yaw_sigma", "ages", "landmarks_left",
+    "excitation", "imu_excess", "gyro_bias", "accel_bias", "yaw_sigma", "ages", "landmarks_left",
 ]  # fmt: skip
 
 
@@ -80,6 +80,7 @@ FIELDS = {
     ("nullity", "nullity"): lambda r: r.nullity,
     ("nullity", "expected"): lambda r: r.expected_nullity,
     ("excitation", "standard deviation of |a|"): lambda r: r.excitation,
+    ("imu_excess", "ratio"): lambda r: r.imu_excess,
     ("gyro_bias", "z"): lambda r: r.gyro_bias[2],
     ("accel_bias", "x"): lambda r: r.accel_bias[0],
     ("yaw_sigma", "sigma of yaw"): lambda r: np.degrees(r.yaw_sigma),

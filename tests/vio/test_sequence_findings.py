@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bundle.vio import Sequence, SequenceFinding, sequence_findings
-from bundle.vio.sequence_statistics import at_rest, sequence_statistics
+from bundle.vio.sequence_statistics import sequence_statistics
 from tests.vio.sequences import NOISE, START, calibration, sequence
 
 
@@ -41,21 +41,6 @@ def test_degrees_gaps_images_without_samples_and_single_views_are_found() -> Non
     assert findings(given)["no samples"].count == 11  # from 2.5 s to 3.5 s, behind the samples
     ids = np.arange(105)
     assert findings(sequence(track_ids=ids))["one view"].count == 105
-
-
-def test_rest_ends_where_tracks_move_or_the_rate_changes() -> None:
-    assert at_rest(sequence()) == 401
-    xy = np.array(sequence().xy)
-    xy[55:] += 0.02  # 8 pixels, from image 11 at 1.1 s on
-    given = sequence(xy=xy)
-    assert at_rest(given) == 201  # up to image 10, at 1.0 s
-    assert sequence_statistics(given).static_start == pytest.approx(1.0)
-    gyro = np.array(sequence().gyro)
-    gyro[300:] += 0.1
-    assert at_rest(sequence(gyro=gyro)) == 300
-    xy[5:] += 0.02
-    assert at_rest(sequence(xy=xy)) == 0
-    assert sequence_statistics(sequence(xy=xy)).static_start == 0
 
 
 def test_figures_are_those_that_the_sequence_was_made_with() -> None:

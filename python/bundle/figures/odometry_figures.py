@@ -20,7 +20,7 @@ from bundle.vio import (
     Trajectory,
     aligned_in_yaw,
 )
-from bundle.vio.window_telemetry import LARGEST_ASYMMETRY, SMALLEST_RATIO
+from bundle.vio.window_telemetry import LARGEST_ASYMMETRY, LARGEST_IMU_EXCESS, SMALLEST_RATIO
 
 __all__ = ["odometry_figures"]
 
@@ -78,6 +78,7 @@ def _of_keyframes(result: OdometryResult) -> list[LineFigure]:
         *_prior(frames),
         _nullity(frames),
         _excitation(frames),
+        _contradiction(frames),
         _bias(frames, "gyro", "gyroscope", "rad/s"),
         _bias(frames, "accel", "accelerometer", "m/s²"),
         _yaw_sigma(frames),
@@ -111,6 +112,18 @@ def _work(frames: _Keyframes, budget: float) -> list[LineFigure]:
             note="A wrong calibration shows in one family.",
         ),
     ]  # fmt: skip
+
+
+def _contradiction(frames: _Keyframes) -> LineFigure:
+    return LineFigure(
+        name="imu_excess", title="Cost of the IMU beside what its noise explains", x_label=TIME,
+        y_label="ratio",
+        lines=(
+            frames.line("ratio", lambda r: r.imu_excess),
+            frames.limit("alarm above", LARGEST_IMU_EXCESS),
+        ),
+        note="Large where camera and IMU contradict each other.",
+    )  # fmt: skip
 
 
 def _sizes(frames: _Keyframes) -> list[LineFigure]:

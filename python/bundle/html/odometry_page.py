@@ -29,7 +29,14 @@ GREY = 6  # a colour of the page
 SECTIONS = {
     "Trajectory": ("path", "error"),
     "Work": ("times", "steps", "costs", "sizes", "fill"),
-    "What the window knows": ("nullity", "excitation", "yaw_sigma", "spectrum", "prior"),
+    "What the window knows": (
+        "nullity",
+        "excitation",
+        "imu_excess",
+        "yaw_sigma",
+        "spectrum",
+        "prior",
+    ),
     "Biases": ("gyro_bias", "accel_bias"),
     "What left the window": ("ages", "landmarks_left"),
 }

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from bundle.arguments import as_array
 from bundle.errors import InputError
 
-__all__ = ["check_imu_samples"]
+__all__ = ["check_imu_samples", "suspected_units"]
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
 # A device that is not in free fall measures about |g|, whatever it does, in the mean of a second.
@@ -52,19 +52,25 @@ def check_imu_samples(
                 f"{name}[{row}, {axis}]: expected less than the range of {limit:g} {unit}, found "
                 f"{samples[name][row, axis]:g}: {len(clipped)} saturated values"
             )
-    if not len(samples["gyro"]):
-        return
-    mean = float(np.linalg.norm(samples["accel"], axis=1).mean())
+    suspected = suspected_units(samples["gyro"], samples["accel"])
+    if suspected:
+        raise InputError(suspected)
+
+
+def suspected_units(gyro: NDArray[np.float64], accel: NDArray[np.float64]) -> str:
+    """Return in one sentence which of the samples (n, 3) are in g or degrees; "" for neither."""
+    if not len(gyro):
+        return ""
+    mean = float(np.linalg.norm(accel, axis=1).mean())
     if LEAST_MEAN < mean < MOST_MEAN:
-        raise InputError(
+        return (
             f"accel: expected m/s^2, found a mean of {mean:.3g}: probably g "
             f"(1 g = {STANDARD_GRAVITY} m/s^2)"
         )
-    median = float(np.median(np.linalg.norm(samples["gyro"], axis=1)))
+    median = float(np.median(np.linalg.norm(gyro, axis=1)))
     if median > DEGREES_SUSPECTED:
-        raise InputError(
-            f"gyro: expected rad/s, found a median rate of {median:.3g}: probably degrees"
-        )
+        return f"gyro: expected rad/s, found a median rate of {median:.3g}: probably degrees"
+    return ""
 
 
 def _rows(name: str, given: ArrayLike) -> NDArray[np.float64]:

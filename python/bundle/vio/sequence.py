@@ -13,13 +13,14 @@ from bundle.arguments import check_type
 from bundle.arrays import immutable
 from bundle.display import Display, Displayed
 from bundle.errors import InputError
+from bundle.inertial.imu_samples import suspected_units
 from bundle.vio.calibration import Calibration
 
 __all__ = ["Sequence", "check_imu", "check_overlap", "check_tracks"]
 
 Place = Callable[[int], str]
 
-UNITS_OF_G = 3.0  # m/s^2; no vehicle falls freely for half of a sequence
+FREE_FALL = 3.0  # m/s^2; no vehicle falls freely for half of a sequence
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -127,7 +128,7 @@ def check_imu(stamps: Any, gyro: Any, accel: Any, place: Place) -> None:
 
     Raises:
         InputError: fewer than two samples, numbers that are not finite, stamps that go back or
-            repeat, accelerations in g.
+            repeat, accelerations in g, rates in degrees.
     """
     if len(stamps) < 2:
         raise InputError(f"{place(0)}: expected at least two IMU samples, found {len(stamps)}")
@@ -139,12 +140,14 @@ def check_imu(stamps: Any, gyro: Any, accel: Any, place: Place) -> None:
                 f"{place(row)}: {name}: expected finite numbers, found {_list(values[row])}"
             )
     _check_ascending(stamps, place)
+    suspected = suspected_units(gyro, accel)
+    if suspected:
+        raise InputError(f"{place(0)}: {suspected}")
     norm = float(np.median(np.linalg.norm(accel, axis=1)))
-    if norm < UNITS_OF_G:
-        likely = ", as in units of g" if 0.5 < norm < 2 else ""
+    if norm < FREE_FALL:
         raise InputError(
             f"{place(0)}: accel: expected m/s^2 with gravity, about 9.81 long, found a median "
-            f"length of {norm:.3g}{likely}"
+            f"length of {norm:.3g}"
         )
 
 

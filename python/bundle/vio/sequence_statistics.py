@@ -1,9 +1,5 @@
 """Figures of a sequence: rates, overlap, noise while it stands still, excitation.
 
-A vehicle is at rest as long as its tracks stay where they were first seen, to within their noise,
-and the mean rate stays what it was. Samples alone do not tell: rotors that spin on the ground shake
-an accelerometer by more than slow flight moves it.
-
 White noise of density s, sampled at f Hz, has a standard deviation of s sqrt(f) per sample;
 differences of neighbouring samples, divided by sqrt(2), give it without what changes slowly.
 """
@@ -16,16 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.inertial import excitation
+from bundle.vio.rest_at_start import rest_at_start
 from bundle.vio.sequence import Sequence
 from bundle.vio.sequence_findings import GAP
+from bundle.vio.sequence_images import SequenceImages
 
-__all__ = ["SequenceStatistics", "at_rest", "sequence_statistics"]
+__all__ = ["SequenceStatistics", "sequence_statistics"]
 
 Array = NDArray[np.float64]
-
-REST_SIGMAS = 3.0  # median displacement of the tracks; noise alone gives 1.7
-REST_RATE = 0.03  # rad/s: change of the mean rate
-REST_WINDOW = 0.5  # s, of that mean
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,7 @@ def sequence_statistics(sequence: Sequence) -> SequenceStatistics:
     frames, begin = sequence.frames()
     steps, image_steps = np.diff(stamps), np.diff(frames)
     period = float(np.median(steps)) * 1e-9
-    rest = at_rest(sequence)
+    _, rest = rest_at_start(SequenceImages(sequence))
     still = slice(0, rest)
     duration = 1e-9 * float(stamps[rest - 1] - stamps[0]) if rest else 0.0
     excited = excitation(sequence.accel)
@@ -81,31 +75,6 @@ def sequence_statistics(sequence: Sequence) -> SequenceStatistics:
         tracks_per_image=_spread(np.diff(begin)),
         track_length=_spread(np.unique(sequence.track_ids, return_counts=True)[1]),
     )
-
-
-def at_rest(sequence: Sequence) -> int:
-    """Return how many IMU samples at the start are at rest."""
-    images, stamps = sequence.image_timestamps_ns, sequence.imu_timestamps_ns
-    calibration = sequence.calibration
-    xy = calibration.focal * sequence.normalized()
-    _, first, track = np.unique(sequence.track_ids, return_index=True, return_inverse=True)
-    moved = np.linalg.norm(xy - xy[first[track]], axis=1)
-    is_seen_again = first[track] != np.arange(len(xy))
-    end = int(images[0])
-    begin = sequence.frames()[1]
-    for low, high in zip(begin[:-1].tolist(), begin[1:].tolist(), strict=True):
-        again = is_seen_again[low:high]
-        shift = np.median(moved[low:high][again]) if again.any() else 0.0
-        if shift > REST_SIGMAS * calibration.pixel_sigma:
-            break
-        end = int(images[low])
-    samples = int(np.searchsorted(stamps, end, side="right")) if end > images[0] else 0
-    size = int(np.searchsorted(stamps, stamps[0] + round(1e9 * REST_WINDOW)))
-    if samples < size or size < 2:
-        return 0
-    means = sequence.gyro[: samples // size * size].reshape(-1, size, 3).mean(axis=1)
-    turned = np.flatnonzero(np.abs(means - means[0]).max(axis=1) > REST_RATE)
-    return int(turned[0]) * size if len(turned) else samples
 
 
 def _gaps(steps: NDArray[np.int64]) -> int:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bundle.vio.rest_at_start import rest_at_start
 from bundle.vio.sequence_images import SequenceImages
 
 __all__ = ["StaticStart", "find_static_start", "level_quaternion"]
@@ -19,7 +20,6 @@ Array = np.ndarray[Any, Any]
 
 LONGEST = 10.0  # s, of the time at rest that is looked at
 SHORTEST = 0.5
-PIXELS = 2.0  # of a track since the start, at most, its median over all tracks
 GYRO_SCATTER = 0.06  # rad/s: motors shake, but nothing turns
 ACCEL_SCATTER = 0.8  # m/s^2
 
@@ -35,28 +35,15 @@ class StaticStart(NamedTuple):
 def find_static_start(images: SequenceImages, gravity: float = 9.81) -> StaticStart | None:
     """Return the rest at the begin of a sequence, or None if it begins in motion.
 
-    At rest means for half a second at least: tracks stay within 2 pixels, the gyroscope within 0.06
+    At rest as :func:`rest_at_start` finds it, for half a second at least, the gyroscope within 0.06
     rad/s and the accelerometer within 0.8 m/s^2 (standard deviations), and its mean within 1 m/s^2
     of gravity.
     """
     sequence, stamps = images.sequence, images.stamps
     first = int(np.argmax(images.covered))
-    ids, xy = images.ids, images.xy
-    focal = sequence.calibration.focal
-    rows = images.rows(first)
-    start_ids, start_xy = ids[rows], xy[rows]
-    last = first
-    for image in range(first + 1, len(images)):
-        if stamps[image] - stamps[first] > 1e9 * LONGEST or not images.covered[image]:
-            break
-        rows = images.rows(image)
-        _, a, b = np.intersect1d(start_ids, ids[rows], assume_unique=True, return_indices=True)
-        if len(a) < 4:
-            break
-        moved = focal * np.median(np.linalg.norm(xy[rows][b] - start_xy[a], axis=1))
-        if moved > PIXELS:
-            break
-        last = image
+    last, _ = rest_at_start(images)
+    limit = stamps[first] + round(1e9 * LONGEST)
+    last = min(last, int(np.searchsorted(stamps, limit, "right")) - 1)
     # Tracks begin to move a little after the platform does.
     until = stamps[first] + int(0.8 * (stamps[last] - stamps[first]))
     last = int(np.searchsorted(stamps, until, "right")) - 1
