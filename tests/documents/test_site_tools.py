@@ -28,6 +28,14 @@ HEADER = """\
 ///   of a point;
 /// - U is not.
 ///
+/// 1. A step
+///    of two paragraphs,
+///
+///      x = 1,
+///
+///    ||x|| being small.
+/// ||y|| is not.
+///
 /// | name | size |
 /// |------|------|
 /// | V    | 3    |
@@ -61,7 +69,7 @@ def test_comments_of_a_header(tmp_path):
     path.write_text(HEADER)
     head, above = derivations.comments_of(path)
     assert (head.line, head.stands_above, head.lines[0]) == (3, "", "A title.")
-    assert (above.line, above.stands_above) == (26, "struct Long")
+    assert (above.line, above.stands_above) == (34, "struct Long")
     assert above.lines == ["One", "two", "three", "four", "five", "six"]
 
 
@@ -75,6 +83,9 @@ def test_formulas_and_text_of_a_comment(tmp_path):
         ("text", "where"),
         ("text", "- `V` is a block of a point;"),
         ("text", "- U is not."),
+        ("text", "1. A step of two paragraphs,"),
+        ("formula", "x = 1,"),
+        ("text", "||x|| being small. ||y|| is not."),
         ("formula", "| name | size |\n|------|------|\n| V    | 3    |"),
         ("text", "Last."),
     ]

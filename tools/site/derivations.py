@@ -70,22 +70,28 @@ def paragraphs(lines: list[str]) -> Iterator[tuple[str, str]]:
     """Yield ("text" or "formula", content) of a comment, in order.
 
     A formula is a run of lines indented by two or more, blank lines between them included, or a
-    table, whose lines begin with a bar. A list item ("- ", "1. ") begins a paragraph of its own,
-    and its indented further lines are text.
+    table, whose lines begin with a bar. A list item ("- ", "1. ") begins a paragraph of its own;
+    its further lines are text, as are further paragraphs that have the indent of its text.
     """
     blocks: list[tuple[str, list[str]]] = []
     in_item = False
+    indent_of_items = 0
     for line in lines:
         blank = not line.strip()
         item = re.match(r"\s{0,3}(?:[-*]|\d+\.|\(\w\)) ", line)
-        indented = line.startswith(("  ", "|"))
+        indent = len(line) - len(line.lstrip())
+        indented = indent > 1 or line.startswith(("| ", "|-"))
         if blank:
             in_item = False
             if blocks:
                 blocks[-1][1].append("")
             continue
-        kind = "text" if item or in_item or not indented else "formula"
-        in_item = bool(item) or in_item
+        if item:
+            in_item, indent_of_items = True, len(item[0])
+        elif not indent:
+            in_item, indent_of_items = False, 0
+        is_text = in_item or not indented or indent == indent_of_items > 0
+        kind = "text" if is_text else "formula"
         joins = blocks and blocks[-1][0] == kind and not item
         if joins and (kind == "formula" or blocks[-1][1][-1] != ""):
             blocks[-1][1].append(line)

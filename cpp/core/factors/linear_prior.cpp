@@ -6,8 +6,8 @@
 /// leaves free stays free. As a residual it needs a square root. With D = diag(Lambda)^(1/2), so
 /// that units do not matter, and the eigenvalues and eigenvectors of D^-1 Lambda D^-1 = V S V^T,
 ///
-///   A = S^(1/2) V^T D,        b = S^(-1/2) V^T D^-1 eta        give        A^T A = Lambda,  A^T b
-///   = eta,
+///   A = S^(1/2) V^T D,        b = S^(-1/2) V^T D^-1 eta        give
+///   A^T A = Lambda,           A^T b = eta,
 ///
 /// where only eigenvalues above rounding are kept, one residual each:
 ///
