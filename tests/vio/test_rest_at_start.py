@@ -53,3 +53,5 @@ def test_too_few_tracks_and_images_without_samples_end_it():
     late = np.arange(START + 10**9, START + 3 * 10**9 + 1, 5_000_000)
     last, samples = rest(imu_timestamps_ns=late)  # images 10 to 20 alone are covered
     assert (last, samples) == (20, 201)
+    short = {"imu_timestamps_ns": late[:201] - 10**9, "gyro": sequence().gyro[:201]}
+    assert rest(**short, accel=sequence().accel[:201]) == (10, 201)
