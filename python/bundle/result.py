@@ -13,11 +13,17 @@ from bundle.camera_bounds import ActiveBound
 from bundle.constraint_record import RuleEnd
 from bundle.display import Display
 from bundle.problem import Problem
-from bundle.reprojection import ReprojectionError, reprojection_error
+from bundle.reprojection import (
+    ReprojectionError,
+    reprojection_error,
+    reprojection_errors,
+    resolve_cheirality,
+    summarize_errors,
+)
 from bundle.round_record import PartRecord, Round
 from bundle.solve_record import SolveRecord
 from bundle.words import change, contents, pixels, plural, seconds
-from bundle.worst_images import ImageError, worst_images
+from bundle.worst_images import ImageError, worst_images, worst_of_errors
 
 if TYPE_CHECKING:
     from bundle.georeference import ControlPointError, Similarity
@@ -82,7 +88,16 @@ class Result(SolveRecord):
 
     def measure(self) -> None:
         """Measure all of these now, so that asking for them takes no time."""
-        _ = self.reprojection_error_before, self.reprojection_error_after, self.worst_images
+        _ = self.reprojection_error_before
+        if {"reprojection_error_after", "worst_images"} <= vars(self).keys():
+            return
+        # Both are of the same errors, which are computed once and not kept.
+        problem, options = self.problem, self.options
+        errors, behind = reprojection_errors(problem, num_threads=options.num_threads)
+        cheirality = resolve_cheirality(problem, options.cheirality)
+        values = vars(self)  # where cached_property keeps them; the dataclass itself is frozen
+        values["worst_images"] = worst_of_errors(problem, errors, behind, cheirality)
+        values["reprojection_error_after"] = summarize_errors(errors, behind, cheirality)
 
     def _factor_facts(self) -> tuple[tuple[str, str], ...]:
         count = self.summary.num_factors

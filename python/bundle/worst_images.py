@@ -15,6 +15,9 @@ __all__ = ["ImageError", "worst_images", "worst_of_errors"]
 WORST = 5
 """Images that are named."""
 
+# Observations that are copied at a time: of hundreds of millions, copies are gigabytes.
+_BLOCK = 1 << 20
+
 
 @dataclass(frozen=True, kw_only=True)
 class ImageError:
@@ -62,15 +65,21 @@ def worst_of_errors(
     most: int = WORST,
 ) -> tuple[ImageError, ...]:
     """Return the same from what `reprojection_errors` returns."""
-    counted = ~np.isnan(errors)
-    if resolve_cheirality(problem, cheirality) == "zero":
-        counted &= ~behind
-    image, errors = problem.observation_image[counted], errors[counted]
-    count = np.bincount(image, minlength=problem.num_images)
+    leaves_out_behind = resolve_cheirality(problem, cheirality) == "zero"
+    count = np.zeros(problem.num_images, dtype=np.int64)
+    total, largest = np.zeros(problem.num_images), np.zeros(problem.num_images)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        rmse = np.sqrt(np.bincount(image, errors**2, problem.num_images) / count)
-    largest = np.zeros(problem.num_images)
-    np.maximum.at(largest, image, errors)
+        for first in range(0, len(errors), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            counted = ~np.isnan(errors[block])
+            if leaves_out_behind:
+                counted &= ~behind[block]
+            image = problem.observation_image[block][counted].astype(np.intp)
+            its_errors = errors[block][counted]
+            count += np.bincount(image, minlength=problem.num_images)
+            np.add.at(total, image, its_errors**2)
+            np.maximum.at(largest, image, its_errors)
+        rmse = np.sqrt(total / count)
     seen = np.flatnonzero(count)
     worst = seen[np.argsort(-rmse[seen], kind="stable")][:most]
     return tuple(

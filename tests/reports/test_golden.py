@@ -57,7 +57,7 @@ def refined(_):
     solved = fakes.result(
         problem().replace(camera_params=moved), initial_problem=problem(), summary=summary
     )
-    wall = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, total=2.0)
+    wall = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, statistics=0.125, total=2.0)
     output = {"path": "out.txt", "format": "bal"}
     return refine.refinement("garden/sparse/0", problem(), solved, wall, output, ("Names.",))
 

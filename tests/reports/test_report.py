@@ -20,7 +20,7 @@ from bundle.termination import sentence
 from tests.figures import figures
 from tests.reports import fakes
 
-WALL = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, total=2.0)
+WALL = WallTime(load=0.25, build=0.125, solve=1.0, save=0.25, statistics=0.125, total=2.0)
 
 NO_FACTOR = {
     "num_factor_columns": None,
@@ -183,7 +183,8 @@ def test_report_of_a_refinement(problem):
     assert table["RMSE [px]"] == ["10.0000", "1.0000"]
     assert table["behind camera"] == ["31", "0"]
     assert table["load"] == ["0.250", "12.5 %"]
-    assert table["everything else"] == ["0.375", "18.8 %"]
+    assert table["statistics"] == ["0.125", "6.2 %"]
+    assert table["everything else"] == ["0.250", "12.5 %"]
     assert table["linear solver"] == ["0.250", "25.0 %", "12.5 %"]
     assert figures(table["outcome"][0])[:2] == ["2", "1"]  # steps, rejected
     assert "out.txt (BAL)" in report
@@ -235,6 +236,7 @@ def test_json_has_what_the_contract_lists(problem):
         "build": 0.125,
         "solve": 1.0,
         "save": 0.25,
+        "statistics": 0.125,
         "total": 2.0,
     }
     assert report["iterations"][1] == {

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from bundle import SceneOptions
+from bundle.synthetic import visibility
 from bundle.synthetic.cells import Cells
 from bundle.synthetic.intrinsics import draw_intrinsics
 from bundle.synthetic.orbit import Orbit
@@ -126,3 +127,23 @@ def test_cells_find_all_that_a_ball_holds():
         assert len(set(members)) == len(members)
         reach = radius + 2 * np.sqrt(3) * 1.7
         assert (np.linalg.norm(keys[members] - center, axis=1) <= reach).all()
+
+
+def test_threads_and_blocks_of_images_do_not_show(monkeypatch):
+    """Random numbers are drawn image by image, in order."""
+    scene, cameras, points = build("street")
+    lengths = np.full(len(points), 1.0)  # so that pairs are thinned
+
+    def pairs():
+        return visible_pairs(np.random.default_rng(5), scene, cameras, points, lengths)
+
+    expected = pairs()
+    assert len(expected) < len(
+        visible_pairs(np.random.default_rng(5), scene, cameras, points, NO_THINNING * lengths)
+    )
+    monkeypatch.setattr(visibility, "_IMAGES_AT_A_TIME", 3)
+    for threads in (1, 4):
+        monkeypatch.setattr(visibility, "hardware_threads", lambda threads=threads: threads)
+        found = pairs()
+        assert_array_equal(found.point, expected.point)
+        assert_array_equal(found.image, expected.image)

@@ -214,7 +214,10 @@ def run(arguments: argparse.Namespace) -> int:
             if georeference is not None:
                 write_georeference(georeference, **output)
         save_time = perf_counter() - begun
-        solved.measure()  # what the report needs is part of the total
+        progress.stage("measuring reprojection errors")
+        begun = perf_counter()
+        solved.measure()
+        statistics_time = perf_counter() - begun
         if arguments.html is not None:
             from bundle.html import write_report
 
@@ -233,6 +236,7 @@ def run(arguments: argparse.Namespace) -> int:
         build=solved.build_time_in_seconds,
         solve=solved.solve_time_in_seconds,
         save=save_time,
+        statistics=statistics_time,
         total=perf_counter() - started,
     )
     written = output if saved else None

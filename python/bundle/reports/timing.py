@@ -12,12 +12,16 @@ __all__ = ["WallTime", "wall_table"]
 
 @dataclass(frozen=True, kw_only=True)
 class WallTime:
-    """Wall-clock seconds of a command by stage; ``total`` also holds what no stage names."""
+    """Wall-clock seconds of a command by stage; ``total`` also holds what no stage names.
+
+    ``statistics`` are reprojection errors before and after, where a command measures them.
+    """
 
     load: float
     build: float
     solve: float
     save: float
+    statistics: float = 0.0
     total: float
 
 
@@ -31,7 +35,9 @@ def wall_table(summary: Summary, wall: WallTime) -> Columns:
         for name, time in solver_phases(summary)
     ]
     rows.append(_stage("save", wall.save, total))
-    rest = total - wall.load - wall.build - wall.solve - wall.save
+    if wall.statistics > 0:
+        rows.append(_stage("statistics", wall.statistics, total))
+    rest = total - wall.load - wall.build - wall.solve - wall.save - wall.statistics
     rows.append(_stage("everything else", max(rest, 0.0), total))
     rows.append(_stage("total", total, total))
     return columns(("time", "seconds", "of the solve", "of all"), rows)

@@ -92,7 +92,7 @@ class Street(Scene):
             is_facade, FACADE_REACH, np.where(is_ground, GROUND_REACH, FURNITURE_REACH)
         )
         reach = reach * rng.uniform(0.6, 1.0, count)
-        kept = np.where(is_facade, is_on, ~self._is_in_block(positions[:, :2], 0.0))
+        kept = np.where(is_facade, is_on, ~self._is_in_block(positions[:, 0], positions[:, 1], 0.0))
         points = Points(positions, normals, reach, positions)
         return points.take(kept)
 
@@ -110,20 +110,22 @@ class Street(Scene):
 
     def is_clear(self, center: Array, positions: Array) -> NDArray[np.bool_]:
         """Tell whether the line of sight misses all blocks, by 12 samples along it."""
-        hidden = np.zeros(len(positions), dtype=np.bool_)
+        clear = np.ones(len(positions), dtype=np.bool_)
         for t in (np.arange(12) + 0.5) / 12.0:
-            sample = center[:2] + t * (positions[:, :2] - center[:2])
-            hidden = hidden | self._is_in_block(sample, 0.6)
-        return ~hidden
+            x, y = (center[i] + t * (positions[:, i] - center[i]) for i in range(2))
+            clear &= ~self._is_in_block(x, y, 0.6)
+        return clear
 
     def _from_axes(self, xy: Array) -> tuple[Array, Array]:
-        """Return the offsets (n, 2) from the nearest road axes, and those axes' coordinates."""
+        """Return offsets from the nearest road axes, and those axes' positions."""
         axes = self.pitch * np.round(xy / self.pitch)
         return xy - axes, axes
 
-    def _is_in_block(self, xy: Array, margin: float) -> NDArray[np.bool_]:
-        offset, _ = self._from_axes(xy)
-        inside: NDArray[np.bool_] = np.abs(offset).min(axis=1) > 0.5 * ROAD_WIDTH + margin
+    def _is_in_block(self, x: Array, y: Array, margin: float) -> NDArray[np.bool_]:
+        # One coordinate at a time: reductions over rows of two numbers take ten times as long.
+        limit = 0.5 * ROAD_WIDTH + margin
+        outside_x, outside_y = (np.abs(self._from_axes(u)[0]) > limit for u in (x, y))
+        inside: NDArray[np.bool_] = outside_x & outside_y
         return inside
 
     def _onto_facades(

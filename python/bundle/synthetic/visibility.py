@@ -8,9 +8,12 @@ over what the image's ball holds, so that the work grows with the observations a
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle._core import hardware_threads
 from bundle.cameras import project
 from bundle.rotations import dot, rotate
 from bundle.synthetic.cells import Cells
@@ -26,6 +29,8 @@ Array = NDArray[np.float64]
 _PAIRS_PER_OBSERVATION = 6.0
 # Beyond this, relative to the corner of the image, distortion polynomials may fold back into it.
 _FIELD_MARGIN = 1.15
+# Their candidates are in memory together.
+_IMAGES_AT_A_TIME = 64
 
 
 def visible_pairs(
@@ -54,12 +59,21 @@ def visible_pairs(
     views_of_cell = np.bincount(np.concatenate(touched), minlength=len(cells))
     views = np.repeat(views_of_cell, np.diff(cells.starts))
     share = _PAIRS_PER_OBSERVATION * lengths[cells.order] / np.maximum(views, 1)
-    seen: list[NDArray[np.int32]] = []
-    for image, its_cells in enumerate(touched):
-        members = cells.members(its_cells)
-        members = _thin(rng, members, share, float(images.richness[image]))
+
+    def seen_by(image: int, members: NDArray[np.int64]) -> NDArray[np.int32]:
         members = members[_visible(scene, intrinsics, by_cell, members, image)]
-        seen.append(cells.order[members].astype(np.int32))
+        return cells.order[members].astype(np.int32)
+
+    seen: list[NDArray[np.int32]] = []
+    with ThreadPoolExecutor(hardware_threads()) as pool:
+        for first in range(0, len(touched), _IMAGES_AT_A_TIME):
+            block = range(first, min(first + _IMAGES_AT_A_TIME, len(touched)))
+            # Random numbers are drawn in the order of images, whatever the number of threads.
+            thinned = [
+                _thin(rng, cells.members(touched[image]), share, float(images.richness[image]))
+                for image in block
+            ]
+            seen += pool.map(seen_by, block, thinned)
     image_index = np.repeat(
         np.arange(len(seen), dtype=np.int32), [len(its_points) for its_points in seen]
     )
@@ -124,7 +138,8 @@ def _visible(
     kept, in_camera = kept[in_field], in_camera[in_field]
 
     xy, valid = project(intrinsics.model, intrinsics.of_image(image), in_camera)
-    inside = valid & np.all((xy >= 0) & (xy <= images.sizes[image]), axis=1)
+    x, y = xy[:, 0], xy[:, 1]
+    inside = valid & (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
     kept = kept[inside]
     visible: NDArray[np.int64] = kept[scene.is_clear(center, points.positions[candidates[kept]])]
     return visible
