@@ -221,6 +221,7 @@ PYTHON_MAY_IMPORT = {
         "worst_images",
     },
     "synthetic": {
+        "_core",
         "cameras",
         "components",
         "display",
