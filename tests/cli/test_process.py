@@ -165,6 +165,6 @@ def test_terminal_shows_one_updating_line(model, tmp_path):
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     assert b"\x1b" not in out
-    assert b"writing" in shown
+    assert b"measuring" in shown  # the last stage; others may be too short to be drawn
     assert b"\x1b[2K" in shown  # the line is erased, not left to scroll
     assert b"iteration  " not in shown  # no header of plain lines
