@@ -80,7 +80,9 @@ def batch() -> tuple[SlidingWindow, dict[str, Any]]:
     table, points = window._table()
     arrays = window_arrays(window, table, points)
     assert window.prior is not None
-    arrays["priors"] = [window.prior.at(window._places())]
+    arrays["priors"] = [
+        window.prior.at({frame.stamp: place for place, frame in enumerate(window.frames)})
+    ]
     return window, arrays
 
 

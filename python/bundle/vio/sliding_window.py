@@ -26,6 +26,7 @@ from bundle.vio.keyframe_rule import keyframe_reason
 from bundle.vio.landmark_depths import LandmarkDepths
 from bundle.vio.landmark_table import FrameTracks, LandmarkTable, landmark_table
 from bundle.vio.marginal_prior import MarginalPrior, start_prior
+from bundle.vio.steady_speed import steady_speed
 from bundle.vio.window_arrays import window_arrays
 from bundle.vio.window_frame import ImuInterval, WindowFrame
 from bundle.vio.window_options import WindowOptions
@@ -225,8 +226,13 @@ class SlidingWindow:
             if frame.stamp in touched and frame.anchor is None:
                 frame.anchor = frame.state.copy()
 
-    def _places(self) -> dict[int, int]:
-        return {frame.stamp: place for place, frame in enumerate(self.frames)}
+    def _priors(self, steady: list[WindowFrame]) -> list[dict[str, Any]]:
+        """Return the prior and, if asked for, that the speed of some frames is steady."""
+        priors, sigma = [self.prior], self.options.steady_speed_sigma
+        if sigma > 0 and self._telemetry.excitation()[1] == "unobservable":
+            priors.append(steady_speed(steady, sigma, self.options.prior_form == "square_root"))
+        places = {frame.stamp: place for place, frame in enumerate(self.frames)}
+        return [prior.at(places) for prior in priors if prior is not None]
 
     def _table(self) -> tuple[LandmarkTable, Array]:
         """Return the landmarks of the window, and x, y, 1 / z of each in its anchor."""
@@ -240,9 +246,7 @@ class SlidingWindow:
         window = window_arrays(self, table, points)
         if options.jacobians == "relinearize_prior" and self.prior is not None:
             self.prior = self.prior.relinearized({f.stamp: f.state for f in self.frames})
-        places = self._places()
-        priors = [self.prior.at(places)] if self.prior is not None else []
-        window["priors"] = priors
+        window["priors"] = self._priors(self.frames)
         self._telemetry.lap("assembly")
         solved = _core.solve_window(
             window,
@@ -311,8 +315,7 @@ class SlidingWindow:
         carried = goes & ~moved
         kept = table.only(~carried)
         window = window_arrays(self, kept, points[~carried])
-        places = self._places()
-        window["priors"] = [self.prior.at(places)] if self.prior is not None else []
+        window["priors"] = self._priors(self.frames[:2])
         flags = np.zeros(len(self.frames), np.uint8)
         flags[0] = 1
         found = _core.marginalize_window(

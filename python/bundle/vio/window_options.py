@@ -158,6 +158,14 @@ class WindowOptions(Options):
         above=0.0,
         metavar="X",
     )
+    steady_speed_sigma: float = option(
+        0.0,
+        "--steady-speed-sigma",
+        "while nothing excites the accelerometer, take the speed for steady to this acceleration, "
+        "m/s^2, so that the scale is held; 0: do not. Wrong for what brakes gently and evenly",
+        minimum=0.0,
+        metavar="X",
+    )
     nullity: bool = option(
         False,
         "--nullity",
