@@ -13,7 +13,7 @@ EYE = [0.0, 0, 0, 1]
 
 def test_without_gtsam_there_is_one_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "gtsam", None)
-    with pytest.raises(bundle.InputError, match=r"GTSAM.*bundle\[incremental\]"):
+    with pytest.raises(bundle.InputError, match="pip install gtsam"):
         bundle.IncrementalSmoother()
 
 
