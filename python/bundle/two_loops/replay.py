@@ -28,9 +28,8 @@ from bundle.two_loops.process_solver import ProcessSolver
 from bundle.two_loops.window_driver import WindowDriver
 from bundle.two_loops.window_loop import WindowLoop
 from bundle.two_loops.yaw_motion import YawMotion
-from bundle.vio import OdometryResult, Sequence, SlidingWindow, Trajectory, WindowOptions
-from bundle.vio.odometry import lost_reason
-from bundle.vio.sequence_images import SequenceImages
+from bundle.vio import OdometryResult, Sequence, Trajectory, WindowOptions
+from bundle.vio.window_run import WindowRun
 
 __all__ = ["LATE", "LoopStatistics", "TwoLoopsResult", "run_two_loops"]
 
@@ -151,12 +150,7 @@ def run_two_loops(
     for closure in given:
         check_type("run_two_loops: closures", closure, Closure)
     given = tuple(sorted(given, key=lambda closure: max(closure.first_ns, closure.second_ns)))
-    images = SequenceImages(sequence, options.integration)
-    calibration = sequence.calibration
-    window = SlidingWindow(
-        calibration.camera_from_imu, calibration.noise, calibration.focal, options=options
-    )
-    driver = WindowDriver(window, images, given)
+    driver = WindowDriver(WindowRun(sequence, options), given)
     replay = _Replay(sequence, driver, shares)
     began = time.perf_counter()
     with ExitStack() as stack:
@@ -170,9 +164,9 @@ def run_two_loops(
 class _Replay:
     def __init__(self, sequence: Sequence, driver: WindowDriver, num_shares: int) -> None:
         self.sequence, self.driver = sequence, driver
-        newest = driver.window.frames[-1]
+        newest = driver.run.window.frames[-1]
         self.publisher = PosePublisher(
-            newest.stamp, newest.state, gravity=driver.window.gravity, num_shares=num_shares
+            newest.stamp, newest.state, gravity=driver.run.window.gravity, num_shares=num_shares
         )
         stamps = sequence.imu_timestamps_ns
         self.first = int(np.searchsorted(stamps, newest.stamp, "right"))
@@ -195,7 +189,7 @@ class _Replay:
         self.real_time = real_time
         self.graph = ClosureLoop(publisher.corrections, solver=solver)
         driver.join(self.graph)
-        rate = driver.window.options.frame_rate
+        rate = driver.run.window.options.frame_rate
         self.loop = WindowLoop(driver.solve, publisher.solutions, budget=1 / rate)
         self.first_in_line: bool | None = None
         try:
@@ -213,8 +207,8 @@ class _Replay:
                 self.graph.close(1.0 if self.interrupted else None)
 
     def _publish_all(self, rate: float, progress: Callable[[int, int], bool] | None) -> None:
-        sequence, images = self.sequence, self.driver.images
-        waiting = images.after(self.driver.next_image, rate)
+        sequence, images = self.sequence, self.driver.run.images
+        waiting = images.after(self.driver.run.next_image, rate)
         arrivals = images.stamps[waiting].tolist()
         stamps, count = sequence.imu_timestamps_ns, len(sequence.imu_timestamps_ns)
         every = max(1, round(0.1 * (count - 1) / max(sequence.duration, 1e-9)))
@@ -247,19 +241,18 @@ class _Replay:
 
     def result(self, seconds: float) -> TwoLoopsResult:
         """Return what was published, once the loops have ended."""
-        driver, window = self.driver, self.driver.window
-        trajectory = driver.trajectory
-        lost = driver.message or lost_reason(window.records)
+        run = self.driver.run
+        trajectory, failure = run.trajectory(), run.failure()
         odometry = OdometryResult(
             trajectory,
-            tuple(window.records),
-            driver.start,
-            not lost,
+            tuple(run.window.records),
+            run.start,
+            not failure,
             self.interrupted,
-            lost or self.message,
+            failure or self.message,
             len(trajectory),
             seconds,
-            window.options,
+            run.window.options,
         )
         return TwoLoopsResult(
             Trajectory(np.array(self.stamps, np.int64), np.array(self.states).reshape(-1, 16)),
