@@ -20,6 +20,7 @@ from bundle.html.svg_charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, Curv
 from bundle.html.table import table
 from bundle.io import as_path
 from bundle.vio import OdometryResult, Trajectory, TrajectoryError
+from bundle.vio.keyframe_record import alarms_by_kind
 from bundle.words import number, plural
 
 __all__ = ["write_odometry"]
@@ -101,18 +102,14 @@ def _facts(result: OdometryResult, error: TrajectoryError | None) -> str:
 def _alarms(result: OdometryResult) -> str:
     """Return each alarm once, with the keyframes that raised it."""
     begin = int(result.trajectory.timestamps_ns[0])
-    found: dict[str, list[tuple[float, str]]] = {}
-    for record in result.keyframes:
-        for alarm in record.alarms:
-            seconds = 1e-9 * (record.timestamp_ns - begin)
-            found.setdefault(alarm.split(":")[0].split(" by ")[0], []).append((seconds, alarm))
+    found = alarms_by_kind(result.keyframes)
     heading = tag("h2", "Alarms")
     if not found:
         return heading + tag("p", "None.")
-    rows = [
-        [raised[0][1], f"{len(raised)}", f"{raised[0][0]:.2f}", f"{raised[-1][0]:.2f}"]
-        for raised in found.values()
-    ]
+    rows = []
+    for raised in found.values():
+        first, last = (f"{1e-9 * (raised[k][0] - begin):.2f}" for k in (0, -1))
+        rows.append([raised[0][1], f"{len(raised)}", first, last])
     head = ["alarm", "keyframes", "first [s]", "last [s]"]
     return heading + table(head, rows, rows_shown=ROWS)
 

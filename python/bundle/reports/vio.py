@@ -15,6 +15,7 @@ from bundle.reports import json
 from bundle.reports.sequence_tables import heading_of_sequence
 from bundle.tables import columns, facts, notes, plural
 from bundle.vio import Sequence, TrajectoryError
+from bundle.vio.keyframe_record import alarms_by_kind
 from bundle.vio.odometry import OdometryResult
 from bundle.words import number
 
@@ -79,15 +80,11 @@ def odometry_tables(
 
 def _warnings(result: OdometryResult) -> list[str]:
     """Return a sentence per kind of alarm, with the numbers of the last one."""
-    kinds: dict[str, tuple[str, int]] = {}
-    for record in result.keyframes:
-        for alarm in record.alarms:
-            kind = alarm.split(":")[0]
-            kinds[kind] = (alarm, kinds.get(kind, ("", 0))[1] + 1)
-    total = len(result.keyframes)
+    total = plural(len(result.keyframes), "keyframe")
     return [
-        f"{alarm[0].upper()}{alarm[1:]} (in {count} of {plural(total, 'keyframe')})."
-        for alarm, count in kinds.values()
+        f"{last[0].upper()}{last[1:]} (in {len(raised)} of {total})."
+        for raised in alarms_by_kind(result.keyframes).values()
+        for _, last in raised[-1:]
     ]
 
 

@@ -8,14 +8,13 @@ standard deviations in metres and degrees. In a g2o file the ids of the vertices
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 
 from bundle.errors import InputError, shown
 from bundle.io import as_path
+from bundle.io.recognition import is_pose_graph_file
 from bundle.pose_graph.g2o_files import load_g2o
-from bundle.text_lines import numbered_lines
 from bundle.two_loops.closure_loop import Closure
 from bundle.vio.csv_tables import read_csv
 
@@ -34,21 +33,10 @@ def load_closures(path: str | os.PathLike[str]) -> tuple[Closure, ...]:
         OSError: the file cannot be read.
     """
     path = as_path(path)
-    found = _of_g2o(path) if _is_g2o(path) else _of_csv(path)
+    found = _of_g2o(path) if is_pose_graph_file(path) else _of_csv(path)
     if not found:
         raise InputError(f"{shown(path)}: expected closures, found none")
     return tuple(sorted(found, key=lambda closure: max(closure.first_ns, closure.second_ns)))
-
-
-def _is_g2o(path: os.PathLike[str]) -> bool:
-    with Path(path).open("rb") as file:
-        begin = file.read(3)
-    if begin[:2] == b"\x1f\x8b" or begin == b"BZh":
-        return True
-    for _, line in numbered_lines(path):
-        if line.strip() and not line.startswith("#"):
-            return line.split(None, 1)[0].isupper() or ":" in line.split(None, 1)[0]
-    return False
 
 
 def _of_csv(path: os.PathLike[str]) -> list[Closure]:

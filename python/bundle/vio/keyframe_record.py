@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-__all__ = ["KeyframeRecord"]
+__all__ = ["KeyframeRecord", "alarms_by_kind"]
 
 
 @dataclass(frozen=True)
@@ -91,3 +92,12 @@ class KeyframeRecord:
     def asdict(self) -> dict[str, Any]:
         """Return it for JSON."""
         return asdict(self)
+
+
+def alarms_by_kind(records: Iterable[KeyframeRecord]) -> dict[str, list[tuple[int, str]]]:
+    """Return the alarms with the stamps of their keyframes, by what they say before the colon."""
+    found: dict[str, list[tuple[int, str]]] = {}
+    for record in records:
+        for alarm in record.alarms:
+            found.setdefault(alarm.partition(":")[0], []).append((record.timestamp_ns, alarm))
+    return found
