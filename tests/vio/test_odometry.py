@@ -156,6 +156,32 @@ def test_bad_flags_are_one_line(
     assert not (tmp_path / "x.tum").exists()
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("-o", "s/tracks.csv"),
+        ("-o", "x.tum", "--json", "s/imu.csv"),
+        ("-o", "x.tum", "--telemetry", "x.tum"),
+        ("-o", "x.tum", "--html", "page", "--publish", "page"),
+        ("-o", "x.tum", "--html", "truth.tum", "--ground-truth", "truth.tum"),
+        ("-o", "x.tum", "--publish", "loops.csv", "--loops", "loops.csv"),
+    ],
+)
+def test_no_output_replaces_what_is_read_or_written(
+    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_sequence(sequence(), tmp_path / "s")
+    for name in ("truth.tum", "loops.csv"):
+        (tmp_path / name).write_text("untouched")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    given = [word if word.startswith("-") else str(tmp_path / word) for word in words]
+    assert main(["vio", str(tmp_path / "s"), *given, "--quiet"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and error.count("\n") == 1
+    assert "would replace" in error
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
 def test_a_gap_of_the_imu_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole = sequence()
     kept = np.r_[0:150, 300:401]  # three quarters of a second without a sample

@@ -13,6 +13,8 @@ from bundle.cli.parser import a_path
 from bundle.vio.window_options import WindowOptions
 
 if TYPE_CHECKING:
+    from bundle.two_loops import TwoLoopsResult
+    from bundle.vio import Sequence
     from bundle.vio.keyframe_record import KeyframeRecord
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
@@ -90,10 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import as_path, atomic
-    from bundle.io.recognition import sequence_format
-    from bundle.reports.two_loops_tables import loop_tables, loops_as_json
+    from bundle.io.recognition import SEQUENCE_FILES, sequence_format
     from bundle.reports.vio import as_json, odometry_tables, telemetry_lines
-    from bundle.two_loops import load_closures, run_two_loops
     from bundle.vio import (
         compare_trajectories,
         load_sequence,
@@ -107,19 +107,23 @@ def run(arguments: argparse.Namespace) -> int:
         flag = "--real-time" if arguments.loops is None else "--loops"
         raise InputError(f"{flag}: expected --publish FILE.tum with it, found none")
     options = options_given(arguments, WindowOptions)
-    check_json(target, source, what="file")
-    check_json(arguments.json, source, target)
-    check_json(arguments.telemetry, source, target)
-    others = [path for path in (arguments.json, arguments.telemetry) if path is not None]
-    check_json(arguments.html, source, target, *others, what="page")
-    check_json(arguments.publish, source, target, *others, what="trajectory")
+    read = [source, *(str(Path(source) / name) for name in SEQUENCE_FILES)]
+    others = [*read, *filter(None, [arguments.ground_truth, arguments.loops])]
+    for path, what in (
+        (target, "file"),
+        (arguments.json, "report"),
+        (arguments.telemetry, "telemetry"),
+        (arguments.html, "page"),
+        (arguments.publish, "trajectory"),
+    ):
+        check_json(path, *others, what=what)
+        others += [path] if path is not None else []
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         sequence = load_sequence(source)
         truth = None
         if arguments.ground_truth is not None:
             truth = load_trajectory(arguments.ground_truth)
-        closures = () if arguments.loops is None else load_closures(arguments.loops)
         progress.stage("following the motion")
 
         def shown_keyframe(done: int, count: int, record: KeyframeRecord | None) -> bool:
@@ -131,8 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
             if arguments.publish is None:
                 loops, result = None, run_odometry(sequence, options, progress=shown_keyframe)
             else:
-                real_time = arguments.real_time
-                loops = run_two_loops(sequence, options, closures=closures, real_time=real_time)
+                loops = _replayed(arguments, sequence, options)
                 result = loops.odometry
         error = None if truth is None else compare_trajectories(result.trajectory, truth)
         corrected = None
@@ -153,15 +156,28 @@ def run(arguments: argparse.Namespace) -> int:
             write_odometry(result, arguments.html, truth=truth, error=error, name=Path(source).name)
     wall = perf_counter() - started
     written = target if result.is_usable else None
-    if arguments.json != "-":
-        show(*odometry_tables(source, result, error, written), *loop_tables(loops, corrected))
+    tables = odometry_tables(source, result, error, written)
     report = as_json(source, sequence_format(source), sequence, result, error, written, wall)
     if loops is not None:
+        from bundle.reports.two_loops_tables import loop_tables, loops_as_json
+
         path = arguments.publish if result.is_usable else None
+        tables += loop_tables(loops, corrected)
         report["two_loops"] = loops_as_json(loops, corrected, path)
+    if arguments.json != "-":
+        show(*tables)
     write_json(arguments.json, report)
     if result.is_usable and not result.interrupted:
         return EXIT_DONE
     if arguments.json == "-":
         complain(result.message)
     return EXIT_NO_SOLUTION
+
+
+def _replayed(
+    arguments: argparse.Namespace, sequence: Sequence, options: WindowOptions
+) -> TwoLoopsResult:
+    from bundle.two_loops import load_closures, run_two_loops
+
+    closures = () if arguments.loops is None else load_closures(arguments.loops)
+    return run_two_loops(sequence, options, closures=closures, real_time=arguments.real_time)

@@ -17,12 +17,8 @@ from bundle.words import number, plural
 __all__ = ["loop_tables", "loops_as_json"]
 
 
-def loop_tables(
-    result: TwoLoopsResult | None, error: TrajectoryError | None
-) -> list[RenderableType]:
+def loop_tables(result: TwoLoopsResult, error: TrajectoryError | None) -> list[RenderableType]:
     """Return how late poses were, what closures corrected, what the loops left out."""
-    if result is None:
-        return []
     found, motion = result.statistics, result.correction
     rows = [("published", f"{plural(found.num_poses, 'pose')}, one per IMU sample")]
     if found.lateness is not None:
