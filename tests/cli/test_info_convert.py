@@ -2,10 +2,14 @@
 
 import json
 
+import pytest
+
 import bundle
 from bundle.statistics import describe
+from bundle.vio import save_sequence
 from tests.figures import figures, table
 from tests.scenes import make_problem, scene
+from tests.vio.sequences import sequence
 
 
 def test_info_says_what_is_there_and_what_is_wrong(run, tmp_path):
@@ -109,3 +113,13 @@ def test_convert_says_what_is_lost(run, tmp_path, monkeypatch):
     assert len(lost) >= 2
     said = " ".join(out.split())
     assert all(f"- {sentence}" in said for sentence in lost)
+
+
+@pytest.mark.parametrize("name", ["imu.csv", "tracks.csv", "calibration.yaml"])
+def test_a_report_replaces_no_file_of_a_sequence(run, tmp_path, name):
+    save_sequence(sequence(), tmp_path / "s")
+    before = (tmp_path / "s" / name).read_bytes()
+    done = run("info", tmp_path / "s", "--json", tmp_path / "s" / name)
+    assert (done.code, done.out) == (2, "")
+    assert done.err.startswith("error: ") and "would replace" in done.err
+    assert (tmp_path / "s" / name).read_bytes() == before

@@ -13,12 +13,14 @@ from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
 from bundle.io import atomic
 from bundle.io.model_files import MODEL_FILES
-from bundle.io.recognition import reconstruction_at
+from bundle.io.recognition import SEQUENCE_FILES, reconstruction_at
 from bundle.io.streams import is_stream
 from bundle.reports import json
 from bundle.tables import console, render
 
 __all__ = ["check_json", "check_new", "show", "write_json"]
+
+_READ_FROM_FOLDERS = (*MODEL_FILES, *SEQUENCE_FILES)
 
 
 def check_json(path: str | None, *others: str, what: str = "report") -> None:
@@ -30,8 +32,8 @@ def check_json(path: str | None, *others: str, what: str = "report") -> None:
         what: a report, or what else is written there.
 
     Raises:
-        InputError: the path is a folder, has no folder to be in, is one of the others or a model
-            file in one of them, or a reconstruction stands there.
+        InputError: the path is a folder, has no folder to be in, is one of the others or a file of
+            a model or sequence in one of them, or a reconstruction stands there.
         OSError: there is no permission to write.
 
     """
@@ -39,7 +41,7 @@ def check_json(path: str | None, *others: str, what: str = "report") -> None:
         return
     target = Path(os.path.realpath(path))
     for other in (Path(os.path.realpath(other)) for other in others):
-        if target == other or (target.parent == other and target.name in MODEL_FILES):
+        if target == other or (target.parent == other and target.name in _READ_FROM_FOLDERS):
             raise InputError(f"{shown(path)}: the {what} would replace what the command works on")
     atomic.check_file(Path(path))
     found = reconstruction_at(target)

@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import as_path, atomic
-    from bundle.io.recognition import SEQUENCE_FILES, sequence_format
+    from bundle.io.recognition import sequence_format
     from bundle.reports.vio import as_json, odometry_tables, telemetry_lines
     from bundle.vio import (
         compare_trajectories,
@@ -107,8 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         flag = "--real-time" if arguments.loops is None else "--loops"
         raise InputError(f"{flag}: expected --publish FILE.tum with it, found none")
     options = options_given(arguments, WindowOptions)
-    read = [source, *(str(Path(source) / name) for name in SEQUENCE_FILES)]
-    others = [*read, *filter(None, [arguments.ground_truth, arguments.loops])]
+    others = [source, *filter(None, [arguments.ground_truth, arguments.loops])]
     for path, what in (
         (target, "file"),
         (arguments.json, "report"),
