@@ -10,18 +10,15 @@ Run: python -m benchmarks.inertial [--repeat N] [--json FILE]
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
-import json
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import bundle
-from benchmarks import backend
+from benchmarks import backend, measure
 from benchmarks.backend import OURS
 
 RATE, SAMPLES = 200, 12_000
@@ -88,17 +85,5 @@ def measured(repeat: int) -> dict[str, dict[str, list[float]]]:
     return took
 
 
-def main() -> None:
-    """Measure, print the table, and write the runs with --json."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--repeat", type=int, default=5, help="runs of each (default 5)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all runs there")
-    given = parser.parse_args()
-    found = measured(given.repeat)
-    if given.json is not None:
-        given.json.write_text(json.dumps(found))
-    print(backend.inertial_table(found))
-
-
 if __name__ == "__main__":
-    main()
+    measure.run_alone(__doc__, measured, backend.inertial_table)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import os
@@ -12,7 +13,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,23 @@ def run_module(
             print(f"{module}: not measured: {child.failure}", file=sys.stderr)
             return None
         return json.loads(answer.read_text())
+
+
+def answer(found: Any, table: str, path: Path | None) -> None:
+    """Print a table, and write what it was made of where :func:`run_module` reads it."""
+    if path is not None:
+        path.write_text(json.dumps(found))
+    print(table)
+
+
+def run_alone(doc: str, measured: Callable[[int], Any], table: Callable[[Any], str]) -> None:
+    """Be the ``main`` of a module that :func:`run_module` runs: --repeat and --json."""
+    parser = argparse.ArgumentParser(description=doc.partition("\n")[0])
+    parser.add_argument("--repeat", type=int, default=5, help="runs of each (default 5)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all runs there")
+    given = parser.parse_args()
+    found = measured(given.repeat)
+    answer(found, table(found), given.json)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import bz2
-import json
 import os
 import sys
 import tempfile
@@ -28,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import bundle
-from benchmarks import backend
+from benchmarks import backend, measure
 from benchmarks.backend import CERES, GTSAM, MANY, OURS
 
 DATA = Path(os.environ.get("BUNDLE_DATA", Path(__file__).parents[2] / "shared" / "data")) / "g2o"
@@ -164,9 +163,7 @@ def main() -> None:
     given = parser.parse_args()
     names = [n for n in given.only.split(",") if n != MANY or not given.no_synthetic]
     found = measured(names, given.repeat, given.threads, given.poses)
-    if given.json is not None:
-        given.json.write_text(json.dumps(found))
-    print(backend.graphs_table(found))
+    measure.answer(found, backend.graphs_table(found), given.json)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,7 @@ Run: OPENBLAS_NUM_THREADS=1 python -m benchmarks.windows [--repeat N] [--json FI
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
-import json
 import os
 import time
 from pathlib import Path
@@ -21,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import backend
+from benchmarks import backend, measure
 from benchmarks.backend import GTSAM, OURS
 from bundle import _core
 from bundle.rotations import rotation_matrices
@@ -208,17 +206,5 @@ def measured(repeat: int) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    """Measure, print the table, and write the runs with --json."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--repeat", type=int, default=5, help="runs of each (default 5)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all runs there")
-    given = parser.parse_args()
-    found = measured(given.repeat)
-    if given.json is not None:
-        given.json.write_text(json.dumps(found))
-    print(backend.windows_table(found))
-
-
 if __name__ == "__main__":
-    main()
+    measure.run_alone(__doc__, measured, backend.windows_table)
