@@ -100,7 +100,7 @@ PYTHON_MAY_IMPORT = {
     "display": set(),
     "tables": {"words"},
     "process_record": set(),
-    "ranks": {"_core", "arrays", "errors", "problem", "process_record"},
+    "ranks": {"_core", "arrays", "errors", "problem", "process_record", "restrictions"},
     "summary": {"display", "process_record", "tables", "words"},
     "termination": {"summary", "words"},
     "memory_sizes": {"errors"},

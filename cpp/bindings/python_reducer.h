@@ -1,6 +1,6 @@
 #pragma once
 
-/// Ranks of a solve that Python connects (bundle/parallel): the core sums and broadcasts by
+/// Ranks of a solve that Python connects (bundle/ranks): the core sums and broadcasts by
 /// calling two methods of a Python object with its buffers.
 
 #include <pybind11/pybind11.h>

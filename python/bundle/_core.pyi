@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.problem import Problem
-from bundle.ranks.divided_solve import Ranks, Restriction
+from bundle.ranks.divided_solve import Ranks
 from bundle.ranks.partition import ProblemPart
 from bundle.restrictions import Restrictions
 
@@ -126,7 +126,7 @@ def solve_part(
     problem: ProblemPart,
     options: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
-    restrictions: Restriction | None,
+    restrictions: Restrictions | None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
     ranks: Ranks,
     image_is_observed: NDArray[np.uint8],

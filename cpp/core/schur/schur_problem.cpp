@@ -128,7 +128,7 @@ NewtonResult SchurProblem::SolveNewton(double eta) {
   if (IsFirst(ranks_)) {
     solution = solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
   }
-  ShareSolution(&solution);
+  ShareSolution(ranks_, &solution, &newton_);
   NewtonResult result = AsNewtonResult(solution);
   const bool finite = std::all_of(newton_.begin(), newton_.end(),
                                   [](double value) { return std::isfinite(value); });
@@ -136,16 +136,6 @@ NewtonResult SchurProblem::SolveNewton(double eta) {
     result.status = NewtonResult::Status::kFailure;
   }
   return result;
-}
-
-void SchurProblem::ShareSolution(LinearSolution* solution) {
-  if (ranks_ == nullptr) return;
-  const auto status = BroadcastFirst(ranks_, static_cast<double>(solution->status));
-  solution->status = static_cast<LinearSolution::Status>(std::lround(status));
-  const auto iterations = BroadcastFirst(ranks_, static_cast<double>(solution->num_iterations));
-  solution->num_iterations = static_cast<int>(std::lround(iterations));
-  solution->message = FirstOverRanks(ranks_, IsFirst(ranks_) ? solution->message : "");
-  BroadcastFirst(ranks_, "step", &newton_);
 }
 
 Candidate SchurProblem::EvaluateNewtonStep() {

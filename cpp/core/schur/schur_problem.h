@@ -145,8 +145,6 @@ class SchurProblem final : public LeastSquares {
   double SlopeAt(const State& state);
   /// `sum`: of this rank.
   Candidate Finish(const std::vector<double>& step, CandidateSum sum);
-  /// Gives all ranks the step that rank 0 found.
-  void ShareSolution(LinearSolution* solution);
 
   SchurSetup setup_;
   const ProblemView& problem_ = setup_.problem;

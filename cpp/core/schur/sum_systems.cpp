@@ -5,6 +5,7 @@
 /// block columns at a time: a copy of a whole S would double the memory that it takes.
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -51,6 +52,16 @@ void SumSystems(Reducer* ranks, const BlockStructure& structure, BlockSystem* sy
     if (more->empty()) continue;
     ranks->SumToFirst("normal equations", more->data(), static_cast<int64_t>(more->size()));
   }
+}
+
+void ShareSolution(Reducer* ranks, LinearSolution* solution, std::vector<double>* step) {
+  if (ranks == nullptr) return;
+  const auto status = BroadcastFirst(ranks, static_cast<double>(solution->status));
+  solution->status = static_cast<LinearSolution::Status>(std::lround(status));
+  const auto iterations = BroadcastFirst(ranks, static_cast<double>(solution->num_iterations));
+  solution->num_iterations = static_cast<int>(std::lround(iterations));
+  solution->message = FirstOverRanks(ranks, IsFirst(ranks) ? solution->message : "");
+  BroadcastFirst(ranks, "step", step);
 }
 
 void SumCameraVectors(Reducer* ranks, CameraSums* sums) {

@@ -1,8 +1,11 @@
 #pragma once
 
-/// The reduced camera systems of all ranks, added up on rank 0.
+/// The reduced camera systems of all ranks, added up on rank 0, and its solution for all.
+
+#include <vector>
 
 #include "core/linear/block_structure.h"
+#include "core/linear/linear_solver.h"
 #include "core/parallel/reducer.h"
 #include "core/schur/assembler.h"
 
@@ -12,6 +15,9 @@ namespace bundle {
 /// and mean nothing elsewhere. The structures have the same blocks on all ranks; where these stand
 /// may differ, as only rank 0 factorises: between its blocks is room for fill, elsewhere is none.
 void SumSystems(Reducer* ranks, const BlockStructure& structure, BlockSystem* system);
+
+/// All ranks get the solution that rank 0 found, and its step.
+void ShareSolution(Reducer* ranks, LinearSolution* solution, std::vector<double>* step);
 
 /// Gradient and squared norms become their sums, on all ranks.
 void SumCameraVectors(Reducer* ranks, CameraSums* sums);

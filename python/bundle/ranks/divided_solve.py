@@ -5,7 +5,7 @@ from __future__ import annotations
 import resource
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,6 +16,7 @@ from bundle.arrays import freeze
 from bundle.problem import Problem
 from bundle.process_record import ProcessPart, ProcessRecord, Traffic
 from bundle.ranks.partition import ProblemPart, divide, factors_of, part_of
+from bundle.restrictions import Restrictions
 
 __all__ = ["Crew", "Job", "PartOfOutput", "Ranks", "solve_divided", "work_on"]
 
@@ -56,29 +57,16 @@ class Job:
     Attributes:
         part: its points.
         options: all options, with nothing left to choose.
-        restrictions: bounds and what is held and tied, arrays by name; None without any.
+        restrictions: bounds and what is held and tied, without the rules; None without any.
         factors: as ``partition.factors_of`` returns them.
         image_is_observed: (num_images,) of the whole problem.
     """
 
     part: ProblemPart
     options: dict[str, Any]
-    restrictions: Restriction | None
+    restrictions: Restrictions | None
     factors: Any
     image_is_observed: NDArray[np.uint8]
-
-
-class Restriction:
-    """The arrays of ``bundle.restrictions.Restrictions`` that the core reads."""
-
-    names = (
-        *("lower", "upper", "held_camera_params", "held_pose_parts"),
-        *("camera_tie", "camera_tie_scale", "num_ties"),
-    )
-
-    def __init__(self, limits: Any) -> None:
-        for name in self.names:
-            setattr(self, name, getattr(limits, name))
 
 
 @dataclass
@@ -96,7 +84,7 @@ def solve_divided(
     problem: Problem,
     options: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
-    limits: Any,
+    limits: Restrictions | None,
     core_factors: Any,
 ) -> dict[str, Any]:
     """Return what ``_core.solve`` returns, by all processes.
@@ -108,7 +96,7 @@ def solve_divided(
     factors = [factors_of(core_factors, points) for points in points_of]
     observed = np.zeros(problem.num_images, np.uint8)
     observed[problem.observation_image] = 1
-    restrictions = None if limits is None else Restriction(limits)
+    restrictions = None if limits is None else replace(limits, applied=None)
     fixed = np.asarray(options["fixed_point_ids"], np.int64)
     unknown = np.setdiff1d(fixed, problem.point_ids)
     if unknown.size:
