@@ -1,5 +1,7 @@
 """Which process has which points and factors."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -26,6 +28,15 @@ def test_parts_are_balanced_and_complete(num_parts):
     lengths = np.bincount(problem.observation_point)
     observations = np.array([lengths[part].sum() for part in parts])
     assert np.abs(observations - observations.mean()).max() <= lengths.max()
+
+
+def test_points_follow_the_images_that_see_them_first():
+    problem = bundle.synthesize(scene="street", num_images=60, num_points=2000, seed=1).problem
+    first = np.full(problem.num_points, problem.num_images)
+    np.minimum.at(first, problem.observation_point, problem.observation_image)
+    parts = divide(problem, 5)
+    for before, after in itertools.pairwise(parts):
+        assert first[before].max() <= first[after].min()
 
 
 def test_parts_are_local():

@@ -14,7 +14,14 @@ from bundle import InputError
 from bundle.cli.main import main
 from bundle.rigid_motions import inverse_poses, multiply_poses
 from bundle.synthetic.flight import synthesize_flight
-from bundle.two_loops import Closure, ProcessSolver, YawMotion, load_closures, run_two_loops
+from bundle.two_loops import (
+    Closure,
+    ClosureLoop,
+    ProcessSolver,
+    YawMotion,
+    load_closures,
+    run_two_loops,
+)
 from bundle.vio import load_tum, run_odometry, save_sequence, states_at
 
 TWIST = YawMotion(0.08, (0.5, -0.3, 0.2))
@@ -124,6 +131,24 @@ def test_closures_between_images_are_those_of_the_nearest_keyframes(flight):
     found = graphs[0].measurements[-1]
     np.testing.assert_allclose(found[4:], expected[4:], rtol=0, atol=4e-3)
     assert abs(found[:4] @ expected[:4]) > np.cos(np.radians(0.3) / 2)
+
+
+def test_longer_ways_are_less_certain(flight, monkeypatch):
+    handed = []
+    put = ClosureLoop.put_keyframe
+
+    def noted(loop, keyframe):
+        handed.append(keyframe)
+        return put(loop, keyframe)
+
+    monkeypatch.setattr(ClosureLoop, "put_keyframe", noted)
+    run_two_loops(flight.sequence, time_budget=10.0)
+    places = np.array([keyframe.pose[4:7] for keyframe in handed])
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    sigmas = np.array([np.diag(keyframe.information) ** -0.5 for keyframe in handed[1:]])
+    assert lengths.max() > 0.05
+    np.testing.assert_allclose(sigmas[:, 3:], np.repeat([2e-3 + 0.01 * lengths], 3, axis=0).T)
+    np.testing.assert_allclose(sigmas[:, :3], np.radians(0.1))
 
 
 def test_closures_out_of_reach_are_counted(flight, plain):

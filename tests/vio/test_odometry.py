@@ -298,3 +298,5 @@ def test_a_window_that_never_estimated_is_no_result(options: Any, message: str) 
     found = run_odometry(flight.sequence, **options)
     assert not found.is_usable
     assert message in found.message
+    alarms = [alarm for record in found.keyframes[1:] for alarm in record.alarms]
+    assert any(alarm.startswith("no step") for alarm in alarms) == ("time_budget" in options)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bundle import SlidingWindow
+from bundle import SlidingWindow, _core
 from bundle.errors import InputError
 from bundle.vio import FrameTracks
 from tests.vio.window_scenes import CAMERA, FOCAL, GRAVITY, NOISE, Flight
@@ -238,3 +238,26 @@ def test_yaw_is_about_the_vertical(flight: Flight) -> None:
     expected = np.sqrt(up @ window.covariance[:3, :3] @ up)
     assert window.records[-1].yaw_sigma == pytest.approx(expected, rel=1e-9)
     assert np.abs(up[:2]).max() > 0.05  # it is tilted
+
+
+def test_a_track_that_is_behind_one_camera_is_left_out(
+    flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even if it fits all others: no later solve could begin with it."""
+    solve = _core.solve_window
+    asked: list[dict[str, Any]] = []
+
+    def with_one_behind(window: dict[str, Any], *others: Any) -> dict[str, Any]:
+        asked.append(window)
+        solved = solve(window, *others)
+        if len(asked) > 1:
+            return solved
+        norms = np.array(solved["residual_norms"])
+        norms[0] = np.inf
+        return {**solved, "residual_norms": norms}
+
+    monkeypatch.setattr(_core, "solve_window", with_one_behind)
+    window = run(flight, flight.tracks(), 6)
+    first = asked[0]
+    assert np.sum(first["landmarks"] == first["landmarks"][0]) > 2
+    assert sum(record.num_rejected_tracks for record in window.records) == 1
