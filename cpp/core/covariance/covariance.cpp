@@ -63,6 +63,11 @@ CovarianceComputation::Matrix3 CovarianceComputation::ScatterOfPoint(int point,
                                                                      const PointBlocks& blocks,
                                                                      const PointAssembler& rows,
                                                                      PaddedRows* y) const {
+  if (long_scatter_ != nullptr) {
+    Matrix3 out;
+    long_scatter_->OfPoint(point, blocks, rows, out.data());
+    return out;
+  }
   const std::vector<double>& prior = system_.tracks().prior;
   const Eigen::Map<const Matrix3> inverse(blocks.inverse);
   y->Set(blocks.y);

@@ -14,6 +14,8 @@
 
 #include "core/covariance/covariance.h"
 #include "core/covariance/free_gauge.h"
+#include "core/covariance/long_scatter.h"
+#include "core/covariance/long_sums.h"
 #include "core/covariance/point_pairs.h"
 #include "core/covariance/reduced_system.h"
 #include "core/covariance/sandwich.h"
@@ -40,28 +42,15 @@ class CovarianceComputation {
         system_(centered_.view(), options, /*sums_gauge=*/wanted.inner) {}
 
   CovarianceOutput Run() {
-    if (wanted_.sandwich) {
-      system_.UseSecondOrder();
-      system_.SetSystem(SumBread(system_));
-    }
+    if (wanted_.sandwich) system_.UseSecondOrder();
+    const bool by_rows = system_.is_small() && system_.EliminateByRows();
+    if (wanted_.sandwich) system_.SetSystem(SumBread(system_));
     HoldGauge();
     CountResiduals();
-    std::vector<double> held;  // of a dense system
-    std::vector<double> whole_inverse;
-    if (wanted_.sandwich && system_.structure().dense) held = system_.values();
-    Factorize();
+    Factorize(by_rows);
     FindDirections();
     FindRelative();
-    if (wanted_.sandwich) {
-      if (constraints_ != nullptr) scatter_gauge_ = std::make_unique<ScatterGauge>(*gauge_);
-      const std::vector<double> meat = SumMeat(system_, scatter_gauge_.get());
-      if (scatter_gauge_ != nullptr && !held.empty()) {
-        Check(scatter_gauge_->FinishDense(&system_, held, meat, &scatter_, &whole_inverse));
-      } else {
-        Check(SolveForScatter(&system_, meat, scatter_gauge_.get(), &scatter_));
-        if (scatter_gauge_ != nullptr) Check(scatter_gauge_->Finish(&system_, meat));
-      }
-    }
+    if (wanted_.sandwich) FindScatter();
     Check(system_.Invert());
     int unknown = -1;
     if (const double inflation = system_.LargestInflation(&unknown); inflation > 1 / kSingular) {
@@ -70,8 +59,6 @@ class CovarianceComputation {
     }
     if (constraints_ != nullptr && !wanted_.sandwich) {
       constraints_->TransformBlocks(system_.structure(), &system_.values());
-    } else if (!whole_inverse.empty()) {
-      system_.values() = std::move(whole_inverse);
     } else if (scatter_gauge_ != nullptr) {
       scatter_gauge_->TransformInverse(system_.structure(), &system_.values());
     }
@@ -127,21 +114,6 @@ class CovarianceComputation {
     throw InputError(
         "problem: expected normal equations of full rank but for the gauge, found " + found + at +
         ": something is not determined by what is observed; bundle diagnose says what");
-  }
-
-  void Factorize() {
-    Check(system_.Factorize());
-    int unknown = 0;
-    const double pivot = system_.SmallestPivot(&unknown);
-    if (pivot > kSingular) {
-      std::vector<double> step(system_.rhs().size());
-      Check(system_.Solve(system_.rhs().data(), 1, step.data()));
-      for (size_t j = 0; j < step.size(); ++j) {
-        output_.predicted_decrease += 0.5 * step[j] * system_.rhs()[j];
-      }
-      return;
-    }
-    NotDetermined(unknown, "a pivot of " + ShortNumber(pivot) + " of its diagonal entry");
   }
 
   /// What the gauges of a solve leave free is seen when S is factorised.
@@ -288,6 +260,10 @@ class CovarianceComputation {
   static constexpr double kSingular = 1e-13;
   static constexpr int kLocal = kPoseSize + kMaxCameraParams;
 
+  // factorize.cpp
+  LongMatrix SumHeld(bool by_rows) const;
+  void Factorize(bool by_rows);
+  void FindScatter();
   // covariance.cpp
   void FindPoints();
   void TakeGaugeOut(int point, const double* inverse, Matrix3* covariance) const;
@@ -307,7 +283,9 @@ class CovarianceComputation {
   ReducedSystem system_;
   std::unique_ptr<FreeGauge> gauge_;
   std::unique_ptr<InnerConstraints> constraints_;  ///< where the gauge has degrees
-  std::unique_ptr<ScatterGauge> scatter_gauge_;    ///< likewise, where the sandwich is wanted
+  std::unique_ptr<ScatterGauge> scatter_gauge_;    ///< likewise, of the sandwich of a large system
+  LongMatrix lower_;                               ///< L of S, of a small system
+  std::unique_ptr<LongScatter> long_scatter_;      ///< of a small one
   std::vector<double> scatter_;                    ///< D, and in the end D'; of the sandwich
   CovarianceOutput output_;
 };

@@ -147,16 +147,22 @@ void FreeGauge::Project(FullVectors* x) const {
   for_points([&](auto of_point, int p) { of_point -= OfPoint(p) * along; });
 }
 
+Eigen::MatrixXd FreeGauge::HeldDirections() const {
+  const std::vector<double>& diagonal = system_.diagonal();
+  const auto size = static_cast<Eigen::Index>(diagonal.size());
+  const Eigen::VectorXd root =
+      Eigen::Map<const Eigen::VectorXd>(diagonal.data(), size).cwiseMax(0).cwiseSqrt();
+  const Eigen::MatrixXd scaled = root.asDiagonal() * cameras_;
+  return root.asDiagonal() * OrthonormalColumns(scaled);
+}
+
 void FreeGauge::Hold(ReducedSystem* system) const {
   const BlockStructure& s = system->structure();
   const std::vector<double>& diagonal = system->diagonal();
   if (s.dense) {
-    const auto size = static_cast<Eigen::Index>(diagonal.size());
-    const Eigen::VectorXd root =
-        Eigen::Map<const Eigen::VectorXd>(diagonal.data(), size).cwiseMax(0).cwiseSqrt();
-    const Eigen::MatrixXd scaled = root.asDiagonal() * cameras_;
-    const Eigen::MatrixXd b = root.asDiagonal() * OrthonormalColumns(scaled);
-    Eigen::Map<Eigen::MatrixXd>(system->values().data(), size, size) += Multiply(b, b.transpose());
+    const Eigen::MatrixXd b = HeldDirections();
+    Eigen::Map<Eigen::MatrixXd>(system->values().data(), b.rows(), b.rows()) +=
+        Multiply(b, b.transpose());
     return;
   }
   for (const int unknown : ChooseHeld(cameras_, diagonal)) {

@@ -48,6 +48,8 @@ class FreeGauge {
   /// Adds B B^T to S: of a sparse S at as many entries of the diagonal; of a dense one, where that
   /// costs nothing, with B along N in units of the unknowns' sigmas, which rounds least.
   void Hold(ReducedSystem* system) const;
+  /// B of a dense S, unknowns x d.
+  Eigen::MatrixXd HeldDirections() const;
   /// N_c, the rows of the unknowns of N, which is orthonormal as a whole: unknowns x d.
   const Eigen::MatrixXd& cameras() const { return cameras_; }
   /// K, unknowns x d.

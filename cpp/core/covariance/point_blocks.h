@@ -67,6 +67,7 @@ class PointAssembler {
 
   /// The observations of the point that was assembled last, those that count.
   int num_rows() const { return num_rows_; }
+  bool is_second_order() const { return second_order_; }
   const ObservationRows& row(int i) const { return rows_[i]; }
 
  private:

@@ -6,6 +6,7 @@
 #include <limits>
 #include <utility>
 
+#include "core/covariance/eliminated_rows.h"
 #include "core/covariance/gauge_sums.h"
 #include "core/covariance/point_passes.h"
 #include "core/error.h"
@@ -127,6 +128,7 @@ void ReducedSystem::FinishLinearization() {
   if (std::none_of(held_.begin(), held_.end(), [](uint8_t bit) { return bit != 0; })) held_.clear();
   if (!held_.empty()) evaluator_->Hold(held_);
   ReadDiagonal();
+  if (structure_.dense) FindPriorRows();
 }
 
 /// And makes rows of what is held those of the identity.
@@ -160,6 +162,10 @@ const std::vector<double>& ReducedSystem::rhs() const {
 LinearSolution ReducedSystem::Factorize() {
   if (schur_ == nullptr) return {};
   return solver_->Factorize(&schur_->system(), diagonal_);
+}
+
+void ReducedSystem::TakeFactor(const double* lower) {
+  std::copy_n(lower, values().size(), values().begin());
 }
 
 LinearSolution ReducedSystem::Solve(const double* rhs, int num_rhs, double* x) {
@@ -273,6 +279,9 @@ void ReducedSystem::ForPoints(int num_threads, const std::vector<int>& points,
         if (k % 256 == 0) ThrowIfInterrupted();
         if (abandoned.load(std::memory_order_relaxed)) return;
         assembler.Assemble(points[k], &blocks);
+        if (by_rows_) {
+          EliminatedRows(blocks, assembler, point_prior_rows(points[k])).Store(&blocks);
+        }
         visit(points[k], blocks, assembler, static_cast<int>(thread));
       }
     } catch (...) {
@@ -285,41 +294,6 @@ void ReducedSystem::ForPoints(int num_threads, const std::vector<int>& points,
 void ReducedSystem::FindPointCovariances(const FreeGauge* gauge, double* to) const {
   if (schur_ == nullptr) return;
   PointPasses(*schur_, num_threads_).FindCovariances(structure_, values(), gauge, to);
-}
-
-void ReducedSystem::ForObservationsOfFixedPoints(
-    const std::function<void(const ObservationRows&)>& visit) const {
-  ObservationRows rows;
-  for (int64_t i = 0; i < problem_.num_observations; ++i) {
-    if (layout_.point_is_free(problem_.observation_point[i])) continue;
-    if (evaluator_->Evaluate(i, &rows)) visit(rows);
-  }
-}
-
-void ReducedSystem::ForFactors(const std::function<void(const FactorRows&)>& visit) const {
-  if (problem_.factors == nullptr) return;
-  for (const std::unique_ptr<Factor>& factor : problem_.factors->factors) {
-    const ChartedFactor charted(*factor, problem_, layout_);
-    FactorRows rows;
-    rows.num_rows = charted.num_residuals();
-    rows.points = charted.unknowns().points;
-    for (const int block : charted.unknowns().blocks) {
-      const CameraBlock& of = layout_.blocks()[block];
-      for (int k = 0; k < of.size; ++k) rows.unknowns.push_back(of.offset + k);
-    }
-    std::vector<const double*> points;
-    for (const int point : rows.points) points.push_back(problem_.points + 3 * int64_t{point});
-    const int columns = charted.num_columns();
-    rows.residual.resize(rows.num_rows);
-    rows.jacobian.resize(static_cast<size_t>(rows.num_rows) * columns);
-    if (!charted.Evaluate(states(), points.data(), rows.residual.data(),
-                          columns == 0 ? nullptr : rows.jacobian.data())) {
-      continue;
-    }
-    double none;
-    ApplyLoss(*factor, columns, rows.residual.data(), columns == 0 ? &none : rows.jacobian.data());
-    visit(rows);
-  }
 }
 
 bool ReducedSystem::HasBlock(int row, int column) const {

@@ -16,6 +16,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -103,9 +104,12 @@ class ReducedSystem {
 
   /// From now on, V and W have the second derivatives of the loss (sandwich.h); S is given.
   void UseSecondOrder() { second_order_ = true; }
+  bool is_second_order() const { return second_order_; }
   void SetSystem(std::vector<double> values);
 
   LinearSolution Factorize();
+  /// Takes L, n x n and column-major, for the factor of a dense S.
+  void TakeFactor(const double* lower);
   /// X = S^-1 B, unknowns x num_rhs, column-major.
   LinearSolution Solve(const double* rhs, int num_rhs, double* x);
   /// Solves the whole normal equations.
@@ -118,6 +122,14 @@ class ReducedSystem {
   /// The most of (S^-1)_jj S_jj after Invert, and its unknown j: how much larger a variance is than
   /// with all else known. Infinite where that is clearly below 1, as of rounding alone.
   double LargestInflation(int* unknown) const;
+
+  /// S is dense, and the tracks are so short and few that long sums of their rows are soon made.
+  bool is_small() const;
+  /// From now on the points of ForPoints are eliminated from their rows (eliminated_rows.h). False
+  /// where an observation has none, as it counts negatively along its residual.
+  bool EliminateByRows();
+  /// Rows of the point's own factors, whitened, three columns each.
+  const std::vector<double>& point_prior_rows(int point) const;
 
   /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads, points
   /// of the same images one after the other: what they read of S is in the cache.
@@ -168,6 +180,7 @@ class ReducedSystem {
   void LinearizeSchur(const SolveOptions& options);
   void FinishLinearization();
   void ReadDiagonal();
+  void FindPriorRows();
 
   const ProblemView& problem_;
   const int num_threads_;
@@ -187,6 +200,8 @@ class ReducedSystem {
   std::unique_ptr<SchurProblem> schur_;
   bool is_finite_ = true;  ///< the linearisation
   bool second_order_ = false;
+  bool by_rows_ = false;
+  std::map<int, std::vector<double>> prior_rows_;  ///< of points, where S is dense
   std::vector<uint8_t> held_;
   std::vector<double> diagonal_;
   std::vector<double> no_values_;  ///< of a system without unknowns

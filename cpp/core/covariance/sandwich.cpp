@@ -70,11 +70,13 @@ void AddEliminated(const PointBlocks& blocks, const PointScores& scores, Symmetr
   }
 }
 
-/// j^T j of one row of a factor.
-void AddFactorRow(const BlockStructure& s, const std::vector<int>& unknowns, const double* j,
-                  std::vector<double>* values) {
+/// j^T j of one row of a factor; nothing depends on what is held.
+void AddFactorRow(const BlockStructure& s, const std::vector<uint8_t>& held,
+                  const std::vector<int>& unknowns, const double* j, std::vector<double>* values) {
+  const auto is_held = [&](int unknown) { return !held.empty() && held[unknown] != 0; };
   for (size_t a = 0; a < unknowns.size(); ++a) {
     for (size_t b = 0; b < unknowns.size(); ++b) {
+      if (is_held(unknowns[a]) || is_held(unknowns[b])) continue;
       const int row = s.BlockOf(unknowns[a]), column = s.BlockOf(unknowns[b]);
       if (row < column) continue;
       (*values)[s.ValueIndex(column, s.Entry(column, row), unknowns[a] - s.offset[row],
@@ -88,8 +90,8 @@ void AddFactors(const ReducedSystem& system, std::vector<double>* values) {
   system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
     if (!rows.points.empty()) return;  // of a point: in its V, or P
     for (int row = 0; row < rows.num_rows; ++row) {
-      AddFactorRow(system.structure(), rows.unknowns, &rows.jacobian[row * rows.unknowns.size()],
-                   values);
+      AddFactorRow(system.structure(), system.held(), rows.unknowns,
+                   &rows.jacobian[row * rows.unknowns.size()], values);
     }
   });
 }

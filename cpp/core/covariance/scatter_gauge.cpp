@@ -11,72 +11,6 @@ namespace bundle {
 namespace {
 
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-using LongMatrix = Eigen::Matrix<long double, Eigen::Dynamic, Eigen::Dynamic>;
-
-/// A dense symmetric matrix of which the lower triangle is stored.
-LongMatrix Whole(const std::vector<double>& values, Eigen::Index n) {
-  LongMatrix whole = Eigen::Map<const Eigen::MatrixXd>(values.data(), n, n).cast<long double>();
-  for (Eigen::Index j = 0; j < n; ++j) {
-    for (Eigen::Index i = 0; i < j; ++i) whole(i, j) = whole(j, i);
-  }
-  return whole;
-}
-
-/// An orthonormal basis of the columns, to the digits of long doubles: what Cholesky's factor of
-/// their squares leaves, Newton's iteration takes off.
-LongMatrix LongOrthonormal(const Eigen::MatrixXd& columns) {
-  const Eigen::MatrixXd squares = MultiplyTransposed(columns, columns);
-  const LongMatrix root = InverseOfCholesky(squares).cast<long double>();
-  LongMatrix basis = columns.cast<long double>().lazyProduct(root);
-  for (int k = 0; k < 4; ++k) {
-    const LongMatrix gram = basis.transpose().lazyProduct(basis);
-    const LongMatrix step = 1.5L * LongMatrix::Identity(gram.rows(), gram.cols()) - 0.5L * gram;
-    basis = basis.lazyProduct(step).eval();
-  }
-  return basis;
-}
-
-/// S^+ of columns, and D, with residuals in long doubles.
-class LongSolver {
- public:
-  LongSolver(ReducedSystem* system, LongMatrix held, LongMatrix basis)
-      : system_(system), held_(std::move(held)), basis_(std::move(basis)) {}
-
-  /// S^+ b
-  LongMatrix Solve(LongMatrix b) {
-    constexpr int kRefinements = 3;
-    RemoveGauge(&b);
-    LongMatrix x = LongMatrix::Zero(b.rows(), b.cols());
-    for (int k = 0; k <= kRefinements && IsFine(); ++k) {
-      ThrowIfInterrupted();
-      const Eigen::MatrixXd rest = (b - held_.lazyProduct(x)).cast<double>();
-      Eigen::MatrixXd step = Eigen::MatrixXd::Zero(b.rows(), b.cols());
-      solution = system_->Solve(rest.data(), static_cast<int>(b.cols()), step.data());
-      x += step.cast<long double>();
-    }
-    RemoveGauge(&x);
-    return x;
-  }
-
-  bool IsFine() const { return solution.status == LinearSolution::Status::kSuccess; }
-
-  LinearSolution solution;
-
- private:
-  void RemoveGauge(LongMatrix* x) const {
-    const LongMatrix along = basis_.transpose().lazyProduct(*x);
-    *x -= basis_.lazyProduct(along);
-  }
-
-  ReducedSystem* const system_;
-  const LongMatrix held_, basis_;
-};
-
-void Store(const LongMatrix& matrix, std::vector<double>* values) {
-  values->resize(static_cast<size_t>(matrix.size()));
-  Eigen::Map<Eigen::MatrixXd>(values->data(), matrix.rows(), matrix.cols()) = matrix.cast<double>();
-}
-
 }  // namespace
 
 ScatterGauge::ScatterGauge(const FreeGauge& gauge)
@@ -131,26 +65,6 @@ LinearSolution ScatterGauge::Finish(ReducedSystem* system, const std::vector<dou
   solve(std::move(right), true, &of_unknowns_);
   of_rest_ = q_ + MultiplyTransposed(gauge_.reduced(), of_unknowns_) + MultiplyTransposed(e_, x_);
   return solution;
-}
-
-LinearSolution ScatterGauge::FinishDense(ReducedSystem* system, const std::vector<double>& held,
-                                         const std::vector<double>& meat,
-                                         std::vector<double>* scatter,
-                                         std::vector<double>* inverse) {
-  const Eigen::Index n = basis_.rows();
-  LongSolver solver(system, Whole(held, n), LongOrthonormal(gauge_.cameras()));
-  const LongMatrix b = Whole(meat, n), k = gauge_.reduced().cast<long double>(),
-                   e = e_.cast<long double>();
-  const LongMatrix whole_inverse = solver.Solve(LongMatrix::Identity(n, n));
-  const LongMatrix x = solver.Solve(k);
-  const LongMatrix r = solver.Solve(e + b.lazyProduct(x));
-  Store(whole_inverse, inverse);
-  Store(solver.Solve(b.lazyProduct(whole_inverse)), scatter);
-  x_ = x.cast<double>();
-  of_unknowns_ = r.cast<double>();
-  const LongMatrix rest = k.transpose().lazyProduct(r) + e.transpose().lazyProduct(x);
-  of_rest_ = q_ + rest.cast<double>();
-  return solver.solution;
 }
 
 void ScatterGauge::TransformInverse(const BlockStructure& structure,

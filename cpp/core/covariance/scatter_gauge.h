@@ -31,13 +31,8 @@
 ///
 ///   cov delta_p = V^-1 P V^-1 + Y^T D Y - F - F^T,        F = Y^T S^+ E_p V^-1,
 ///   R_p = V^-1 (P V^-1 N_p + E_p^T X) - Y^T R.
-
 ///
-/// Parameters that nearly compensate each other have sigmas far above what points see of them: D
-/// and S^+ are large where Y^T D Y is not. Columns then have to be known to more digits than those
-/// of a double, which S and B, D and S^+ themselves need not be (a condition of 3e8 left points
-/// 5e-6 of their sigmas off). Of a dense S, which is small, columns are solved for by refinement in
-/// long doubles.
+/// Of a small system in long doubles: long_scatter.h.
 
 #include <Eigen/Core>
 #include <vector>
@@ -66,11 +61,6 @@ class ScatterGauge {
 
   /// Finds X, R and T, by the factorised system and B.
   LinearSolution Finish(ReducedSystem* system, const std::vector<double>& meat);
-
-  /// The same of a dense S in long doubles, and D and S^+ as a whole. `held`: what was factorised.
-  LinearSolution FinishDense(ReducedSystem* system, const std::vector<double>& held,
-                             const std::vector<double>& meat, std::vector<double>* scatter,
-                             std::vector<double>* inverse);
 
   /// Turns blocks of C into those of S^+; after Finish.
   void TransformInverse(const BlockStructure& structure, std::vector<double>* values) const;

@@ -1,0 +1,153 @@
+#include "core/covariance/long_scatter.h"
+
+#include <cstddef>
+#include <utility>
+
+#include "core/dense/decompositions.h"
+#include "core/parallel/thread_pool.h"
+
+namespace bundle {
+namespace {
+
+/// An orthonormal basis of the columns, to the digits of long doubles: what Cholesky's factor of
+/// their squares leaves, Newton's iteration takes off.
+LongMatrix LongOrthonormal(const Eigen::MatrixXd& columns) {
+  const Eigen::MatrixXd squares = MultiplyTransposed(columns, columns);
+  const LongMatrix root = InverseOfCholesky(squares).cast<long double>();
+  LongMatrix basis = columns.cast<long double>().lazyProduct(root);
+  for (int k = 0; k < 4; ++k) {
+    const LongMatrix gram = basis.transpose().lazyProduct(basis);
+    const LongMatrix step = 1.5L * LongMatrix::Identity(gram.rows(), gram.cols()) - 0.5L * gram;
+    basis = basis.lazyProduct(step).eval();
+  }
+  return basis;
+}
+
+/// Rows of a matrix by the unknowns of a point's blocks.
+LongMatrix Rows(const LongMatrix& of, const std::vector<int>& unknowns) {
+  LongMatrix rows(static_cast<Eigen::Index>(unknowns.size()), of.cols());
+  for (Eigen::Index i = 0; i < rows.rows(); ++i) rows.row(i) = of.row(unknowns[i]);
+  return rows;
+}
+
+LongMatrix Symmetric(const LongMatrix& whole) { return 0.5L * (whole + whole.transpose()); }
+
+using Columns3 = Eigen::Matrix<long double, Eigen::Dynamic, 3>;
+
+/// These rows and columns of a symmetric matrix times `right`.
+Columns3 BlockTimes(const LongMatrix& whole, const std::vector<int>& unknowns,
+                    const LongMatrix& right) {
+  Columns3 product(right.rows(), 3);
+  for (Eigen::Index a = 0; a < right.rows(); ++a) {
+    const auto column = whole.col(unknowns[a]);
+    long double sum[3] = {};
+    for (Eigen::Index b = 0; b < right.rows(); ++b) {
+      const long double value = column[unknowns[b]];
+      for (int k = 0; k < 3; ++k) sum[k] += value * right(b, k);
+    }
+    for (int k = 0; k < 3; ++k) product(a, k) = sum[k];
+  }
+  return product;
+}
+
+}  // namespace
+
+/// What the formulas of a point are made of.
+struct LongScatter::Shares {
+  std::vector<int> unknowns;  ///< of its blocks
+  LongMatrix y;               ///< Y, unknowns x 3
+  LongMatrix inverse;         ///< V^-1
+  LongMatrix e, p;            ///< E, unknowns x 3, and P
+  LongMatrix n;               ///< N_p, 3 x d
+};
+
+LongScatter::LongScatter(const ReducedSystem& system, LongMatrix lower, const LongMatrix& meat,
+                         const FreeGauge* gauge)
+    : system_(system), gauge_(gauge), lower_(std::move(lower)) {
+  const Eigen::Index n = lower_.rows(), d = gauge == nullptr ? 0 : gauge->degrees();
+  basis_ = cameras_ = reduced_ = LongMatrix::Zero(n, d);
+  if (d > 0) {
+    basis_ = LongOrthonormal(gauge->cameras());
+    cameras_ = gauge->cameras().cast<long double>();
+    reduced_ = gauge->reduced().cast<long double>();
+  }
+  SumPoints();
+  inverse_ = Symmetric(Solve(LongMatrix::Identity(n, n)));
+  scatter_ = Symmetric(Solve(meat.lazyProduct(inverse_)));
+  x_ = Solve(reduced_);
+  of_unknowns_ = Solve(e_ + meat.lazyProduct(x_));
+  of_rest_ = q_ + reduced_.transpose().lazyProduct(of_unknowns_) + e_.transpose().lazyProduct(x_);
+}
+
+/// S^+ b
+LongMatrix LongScatter::Solve(LongMatrix b) const {
+  ThrowIfInterrupted();
+  RemoveGauge(&b);
+  SolveLong(lower_, &b);
+  RemoveGauge(&b);
+  return b;
+}
+
+void LongScatter::RemoveGauge(LongMatrix* x) const {
+  const LongMatrix along = basis_.transpose().lazyProduct(*x);
+  *x -= basis_.lazyProduct(along);
+}
+
+LongScatter::Shares LongScatter::FindShares(int point, const PointBlocks& blocks,
+                                            const PointAssembler& rows) const {
+  const ReducedShares reduced = FindReducedShares(system_, point, blocks, rows);
+  Shares shares;
+  shares.unknowns = UnknownsOf(system_.layout(), blocks);
+  const LongMatrix t = reduced.of_unknowns.cast<long double>();
+  const LongMatrix g = reduced.of_point.cast<long double>();
+  shares.y = Eigen::Map<const Eigen::MatrixXd>(blocks.y.data(), 3, t.cols())
+                 .transpose()
+                 .cast<long double>();
+  shares.inverse = Eigen::Map<const Eigen::Matrix3d>(blocks.inverse).cast<long double>();
+  shares.e = t.transpose().lazyProduct(g);
+  shares.p = g.transpose().lazyProduct(g);
+  shares.n = LongMatrix::Zero(3, basis_.cols());
+  if (basis_.cols() > 0) shares.n = gauge_->OfPoint(point).cast<long double>();
+  return shares;
+}
+
+void LongScatter::SumPoints() {
+  e_ = LongMatrix::Zero(basis_.rows(), basis_.cols());
+  q_ = LongMatrix::Zero(basis_.cols(), basis_.cols());
+  if (basis_.cols() == 0) return;
+  system_.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& rows, int) {
+    const Shares of = FindShares(point, blocks, rows);
+    const LongMatrix solved = of.inverse.lazyProduct(of.n);
+    const LongMatrix added = of.e.lazyProduct(solved);
+    for (Eigen::Index i = 0; i < added.rows(); ++i) e_.row(of.unknowns[i]) += added.row(i);
+    q_ += solved.transpose().lazyProduct(of.p.lazyProduct(solved).eval());
+  });
+}
+
+std::vector<double> LongScatter::OfUnknowns() const {
+  const LongMatrix half = cameras_.lazyProduct(of_rest_.transpose()) - of_unknowns_;
+  const Eigen::MatrixXd whole = (scatter_ + half.lazyProduct(cameras_.transpose()) -
+                                 cameras_.lazyProduct(of_unknowns_.transpose()))
+                                    .cast<double>();
+  return {whole.data(), whole.data() + whole.size()};
+}
+
+void LongScatter::OfPoint(int point, const PointBlocks& blocks, const PointAssembler& rows,
+                          double covariance[9]) const {
+  const Shares of = FindShares(point, blocks, rows);
+  const LongMatrix yt = of.y.transpose();
+  const LongMatrix f =
+      yt.lazyProduct(BlockTimes(inverse_, of.unknowns, of.e)).eval().lazyProduct(of.inverse);
+  LongMatrix sum = of.inverse.lazyProduct(of.p.lazyProduct(of.inverse).eval()) - f - f.transpose();
+  sum += yt.lazyProduct(BlockTimes(scatter_, of.unknowns, of.y));
+  const LongMatrix own = of.p.lazyProduct(of.inverse.lazyProduct(of.n).eval());
+  const LongMatrix r =
+      of.inverse.lazyProduct((own + of.e.transpose().lazyProduct(Rows(x_, of.unknowns))).eval()) -
+      yt.lazyProduct(Rows(of_unknowns_, of.unknowns));
+  const LongMatrix back = r.lazyProduct(of.n.transpose());
+  sum += of.n.lazyProduct(of_rest_.lazyProduct(of.n.transpose()).eval()) - back - back.transpose();
+  Eigen::Map<Eigen::Matrix3d> to(covariance);
+  to = sum.cast<double>();
+}
+
+}  // namespace bundle

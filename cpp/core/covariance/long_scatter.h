@@ -1,0 +1,56 @@
+#pragma once
+
+/// The sandwich of a small system, in long doubles (sandwich.h, scatter_gauge.h).
+///
+/// Parameters that nearly compensate each other have sigmas far above what points see of them: D
+/// and S^+ are large where Y^T D Y is not, and the formulas of a point subtract what is nearly
+/// equal. They are exact for any numbers t_i, g_i, Y_p and V_p^-1 that stand for an observation's
+/// reduced share, its share of the point and the elimination, as long as each is the same wherever
+/// it stands: of a point, with E = sum t_i^T g_i and P = sum g_i^T g_i over its observations,
+///
+///   cov delta_p' = V^-1 P V^-1 + Y^T D Y - F - F^T - r N^T - N r^T + N T N^T,
+///   F = Y^T S^+ E V^-1,      r = V^-1 (P V^-1 N + E^T X) - Y^T R.
+///
+/// So these come from doubles once (long_sums.h), and what is made of them is long.
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "core/covariance/free_gauge.h"
+#include "core/covariance/long_sums.h"
+#include "core/covariance/point_blocks.h"
+#include "core/covariance/reduced_system.h"
+
+namespace bundle {
+
+class LongScatter {
+ public:
+  /// `lower` is L of S, whatever holds the gauge included; `meat` is B, whole. Keeps references to
+  /// the system and to the gauge, which is nullptr where nothing is free.
+  LongScatter(const ReducedSystem& system, LongMatrix lower, const LongMatrix& meat,
+              const FreeGauge* gauge);
+
+  /// cov delta_c', n x n.
+  std::vector<double> OfUnknowns() const;
+  /// cov delta_p' of a point that was just assembled, 3 x 3.
+  void OfPoint(int point, const PointBlocks& blocks, const PointAssembler& rows,
+               double covariance[9]) const;
+
+ private:
+  struct Shares;
+  Shares FindShares(int point, const PointBlocks& blocks, const PointAssembler& rows) const;
+  void SumPoints();
+  LongMatrix Solve(LongMatrix b) const;
+  void RemoveGauge(LongMatrix* x) const;
+
+  const ReducedSystem& system_;
+  const FreeGauge* const gauge_;
+  const LongMatrix lower_;
+  LongMatrix basis_;                      ///< O, unknowns x d
+  LongMatrix cameras_, reduced_;          ///< N_c and K
+  LongMatrix e_, q_;                      ///< E_q, unknowns x d, and Q_q
+  LongMatrix inverse_, scatter_;          ///< S^+ and D
+  LongMatrix x_, of_unknowns_, of_rest_;  ///< X, R and T
+};
+
+}  // namespace bundle

@@ -1,0 +1,151 @@
+#include "core/covariance/long_sums.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cstddef>
+
+#include "core/covariance/eliminated_rows.h"
+#include "core/dense/decompositions.h"
+
+namespace bundle {
+namespace {
+
+using Eigen::MatrixXd;
+
+/// Adds rows^T rows of these unknowns to the lower triangle.
+void AddSquares(const std::vector<int>& unknowns, const MatrixXd& rows, LongMatrix* sum) {
+  const LongMatrix exact = rows.cast<long double>();
+  for (Eigen::Index a = 0; a < exact.cols(); ++a) {
+    for (Eigen::Index b = 0; b <= a; ++b) {
+      const int i = unknowns[a], j = unknowns[b];
+      (*sum)(std::max(i, j), std::min(i, j)) += exact.col(a).dot(exact.col(b));
+    }
+  }
+}
+
+void AppendUnknowns(const ParameterLayout& layout, int block, std::vector<int>* unknowns) {
+  for (int k = 0; k < layout.blocks()[block].size; ++k) {
+    unknowns->push_back(layout.blocks()[block].offset + k);
+  }
+}
+
+/// Rows of an observation of a point that is not free, `left` times these.
+void AddObservation(const ParameterLayout& layout, const ObservationRows& of, const MatrixXd& left,
+                    LongMatrix* sum) {
+  std::vector<int> unknowns;
+  for (int b = 0; b < of.num_blocks; ++b) AppendUnknowns(layout, of.block[b], &unknowns);
+  MatrixXd rows(left.rows(), static_cast<Eigen::Index>(unknowns.size()));
+  for (int b = 0, first = 0; b < of.num_blocks; first += of.size[b++]) {
+    rows.middleCols(first, of.size[b]) = left * RowsByBlock(of, b);
+  }
+  AddSquares(unknowns, rows, sum);
+}
+
+/// Factors of points are among the rows of these.
+void AddFactors(const ReducedSystem& system, LongMatrix* sum) {
+  using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+  system.ForFactors([&](const ReducedSystem::FactorRows& rows) {
+    if (!rows.points.empty()) return;
+    const auto size = static_cast<Eigen::Index>(rows.unknowns.size());
+    AddSquares(rows.unknowns, Eigen::Map<const RowMajor>(rows.jacobian.data(), rows.num_rows, size),
+               sum);
+  });
+}
+
+/// Mirrors the lower triangle; nothing depends on what is held, which has `own` on the diagonal.
+void Finish(const ReducedSystem& system, long double own, LongMatrix* sum) {
+  const Eigen::Index n = sum->rows();
+  for (Eigen::Index j = 0; j < n; ++j) {
+    for (Eigen::Index i = j + 1; i < n; ++i) (*sum)(j, i) = (*sum)(i, j);
+  }
+  for (size_t u = 0; u < system.held().size(); ++u) {
+    if (system.held()[u] == 0) continue;
+    const auto j = static_cast<Eigen::Index>(u);
+    sum->row(j).setZero();
+    sum->col(j).setZero();
+    (*sum)(j, j) = own;
+  }
+}
+
+}  // namespace
+
+LongMatrix Whole(const std::vector<double>& values, Eigen::Index n) {
+  LongMatrix whole = Eigen::Map<const MatrixXd>(values.data(), n, n).cast<long double>();
+  for (Eigen::Index j = 0; j < n; ++j) {
+    for (Eigen::Index i = 0; i < j; ++i) whole(i, j) = whole(j, i);
+  }
+  return whole;
+}
+
+std::vector<int> UnknownsOf(const ParameterLayout& layout, const PointBlocks& blocks) {
+  std::vector<int> unknowns;
+  for (const int block : blocks.blocks) AppendUnknowns(layout, block, &unknowns);
+  return unknowns;
+}
+
+ReducedShares FindReducedShares(const ReducedSystem& system, int point, const PointBlocks& blocks,
+                                const PointAssembler& rows) {
+  using Rows3 = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
+  const std::vector<double>& priors = system.point_prior_rows(point);
+  const auto num_priors = static_cast<Eigen::Index>(priors.size() / 3);
+  ReducedShares shares;
+  shares.of_unknowns = MatrixXd::Zero(rows.num_rows() + num_priors, blocks.begin.back());
+  shares.of_point.resize(shares.of_unknowns.rows(), 3);
+  for (int i = 0; i < rows.num_rows(); ++i) {
+    const ObservationRows& from = rows.row(i);
+    const Eigen::Map<const Eigen::RowVector2d> r(from.residual);
+    shares.of_point.row(i) = r * Eigen::Map<const TwoRows>(from.point, 2, 3);
+    for (int b = 0; b < from.num_blocks; ++b) {
+      shares.of_unknowns.row(i).segment(FirstColumn(blocks, from.block[b]), from.size[b]) +=
+          r * RowsByBlock(from, b);
+    }
+  }
+  shares.of_point.bottomRows(num_priors) = Eigen::Map<const Rows3>(priors.data(), num_priors, 3);
+  const Eigen::Map<const MatrixXd> y(blocks.y.data(), 3, blocks.begin.back());
+  shares.of_unknowns -= Multiply(shares.of_point, y);
+  return shares;
+}
+
+LongMatrix SumSystemOfRows(const ReducedSystem& system) {
+  LongMatrix sum = LongMatrix::Zero(system.num_unknowns(), system.num_unknowns());
+  system.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& of, int) {
+    const EliminatedRows rows(blocks, of, system.point_prior_rows(point));
+    AddSquares(UnknownsOf(system.layout(), blocks), rows.rest(), &sum);
+  });
+  system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
+    Eigen::Matrix2d root = Eigen::Matrix2d::Identity();
+    if (system.is_second_order()) RootOfCurvature(rows, &root);
+    AddObservation(system.layout(), rows, root, &sum);
+  });
+  AddFactors(system, &sum);
+  Finish(system, 1, &sum);
+  return sum;
+}
+
+LongMatrix SumMeatOfRows(const ReducedSystem& system) {
+  LongMatrix sum = LongMatrix::Zero(system.num_unknowns(), system.num_unknowns());
+  system.ForPoints(1, [&](int point, const PointBlocks& blocks, const PointAssembler& of, int) {
+    AddSquares(UnknownsOf(system.layout(), blocks),
+               FindReducedShares(system, point, blocks, of).of_unknowns, &sum);
+  });
+  system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
+    AddObservation(system.layout(), rows, Eigen::Map<const Eigen::RowVector2d>(rows.residual),
+                   &sum);
+  });
+  AddFactors(system, &sum);
+  Finish(system, 0, &sum);
+  return sum;
+}
+
+std::optional<LongMatrix> LongCholesky(const LongMatrix& s) {
+  const Eigen::LLT<LongMatrix> factor(s);
+  if (factor.info() != Eigen::Success) return std::nullopt;
+  return LongMatrix(factor.matrixL());
+}
+
+void SolveLong(const LongMatrix& lower, LongMatrix* b) {
+  lower.triangularView<Eigen::Lower>().solveInPlace(*b);
+  lower.triangularView<Eigen::Lower>().transpose().solveInPlace(*b);
+}
+
+}  // namespace bundle

@@ -1,0 +1,89 @@
+/// Rows of a reduced system's Jacobian that are not a point's observations, and whether points are
+/// eliminated from their rows.
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "core/covariance/eliminated_rows.h"
+#include "core/covariance/reduced_system.h"
+
+namespace bundle {
+namespace {
+
+/// Of the cubes of all track lengths: of each, their long sums take 100 multiplications, about.
+constexpr double kMaxTrackCubes = 3e5;
+
+}  // namespace
+
+bool ReducedSystem::is_small() const {
+  if (!structure_.dense || num_unknowns() == 0) return false;
+  double cubes = 0;
+  for (const int p : point_order_) {
+    const auto track = static_cast<double>(tracks_.begin[p + 1] - tracks_.begin[p]);
+    cubes += track * track * track;
+  }
+  return cubes <= kMaxTrackCubes;
+}
+
+bool ReducedSystem::EliminateByRows() {
+  ObservationRows rows;
+  Eigen::Matrix2d root;
+  for (int64_t i = 0; i < problem_.num_observations && second_order_; ++i) {
+    if (evaluator_->Evaluate(i, &rows) && !RootOfCurvature(rows, &root)) return false;
+  }
+  by_rows_ = true;
+  return true;
+}
+
+void ReducedSystem::FindPriorRows() {
+  ForFactors([&](const FactorRows& factor) {
+    if (factor.points.empty()) return;
+    std::vector<double>& to = prior_rows_[factor.points.front()];
+    to.insert(to.end(), factor.jacobian.begin(), factor.jacobian.end());
+  });
+}
+
+const std::vector<double>& ReducedSystem::point_prior_rows(int point) const {
+  static const std::vector<double> none;
+  const auto at = prior_rows_.find(point);
+  return at == prior_rows_.end() ? none : at->second;
+}
+
+void ReducedSystem::ForObservationsOfFixedPoints(
+    const std::function<void(const ObservationRows&)>& visit) const {
+  ObservationRows rows;
+  for (int64_t i = 0; i < problem_.num_observations; ++i) {
+    if (layout_.point_is_free(problem_.observation_point[i])) continue;
+    if (evaluator_->Evaluate(i, &rows)) visit(rows);
+  }
+}
+
+void ReducedSystem::ForFactors(const std::function<void(const FactorRows&)>& visit) const {
+  if (problem_.factors == nullptr) return;
+  for (const std::unique_ptr<Factor>& factor : problem_.factors->factors) {
+    const ChartedFactor charted(*factor, problem_, layout_);
+    FactorRows rows;
+    rows.num_rows = charted.num_residuals();
+    rows.points = charted.unknowns().points;
+    for (const int block : charted.unknowns().blocks) {
+      const CameraBlock& of = layout_.blocks()[block];
+      for (int k = 0; k < of.size; ++k) rows.unknowns.push_back(of.offset + k);
+    }
+    std::vector<const double*> points;
+    for (const int point : rows.points) points.push_back(problem_.points + 3 * int64_t{point});
+    const int columns = charted.num_columns();
+    rows.residual.resize(rows.num_rows);
+    rows.jacobian.resize(static_cast<size_t>(rows.num_rows) * columns);
+    if (!charted.Evaluate(states(), points.data(), rows.residual.data(),
+                          columns == 0 ? nullptr : rows.jacobian.data())) {
+      continue;
+    }
+    double none;
+    ApplyLoss(*factor, columns, rows.residual.data(), columns == 0 ? &none : rows.jacobian.data());
+    visit(rows);
+  }
+}
+
+}  // namespace bundle
