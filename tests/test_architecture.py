@@ -273,6 +273,7 @@ PYTHON_MAY_IMPORT = {
         "placement",
         "problem",
         "problem_keys",
+        "process_record",
         "reprojection",
         "result",
         "rig_arrays",

@@ -23,6 +23,7 @@ void BindPoseGraph(py::module_& m);
 void BindGraphCertainty(py::module_& m);
 void BindWindow(py::module_& m);
 void BindProcess(py::module_& m);
+void BindLauncher(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of bundle. Private: use the Python package.";
@@ -46,4 +47,5 @@ PYBIND11_MODULE(_core, m) {
   BindGraphCertainty(m);
   BindWindow(m);
   BindProcess(m);
+  BindLauncher(m);
 }

@@ -15,6 +15,9 @@ def run() -> int:
     except MemoryError as error:
         sys.stderr.write(f"error: not enough memory: {error}\n")
         return 2
+    from bundle.ranks import end_by_mpirun
+
+    end_by_mpirun.begin()
     from bundle.cli.main import main
     from bundle.ranks.launch import size_by_launcher
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 __all__ = ["ProcessPart", "ProcessRecord", "Traffic"]
 
@@ -55,6 +57,14 @@ class ProcessRecord:
 
     parts: tuple[ProcessPart, ...]
     traffic: tuple[Traffic, ...]
+
+    @staticmethod
+    def of_dict(given: Mapping[str, Any]) -> ProcessRecord:
+        """Return what ``dataclasses.asdict``, and JSON, made of a record."""
+        return ProcessRecord(
+            parts=tuple(ProcessPart(**part) for part in given["parts"]),
+            traffic=tuple(Traffic(**kind) for kind in given["traffic"]),
+        )
 
     @property
     def balance(self) -> float:

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -135,7 +136,7 @@ def test_killed_process_and_resume(model, tmp_path):
     code, _, err = mpirun(2, *words, script=script)
     assert code != 0
     assert time.monotonic() - begun < 50  # the process dies after a second or two
-    assert error_lines(err) == []  # mpirun says which one was killed
+    assert error_lines(err) == ["error: process 1 of 2 was lost"]
     assert not (tmp_path / "killed.txt").exists()
     ends = []
     for name, more in (("resumed", ("--resume", checkpoint)), ("whole", ("--checkpoint", "c.npz"))):
@@ -144,6 +145,37 @@ def test_killed_process_and_resume(model, tmp_path):
         assert (code, error_lines(err)) == (0, [])
         ends.append(output.read_bytes())
     assert ends[0] == ends[1]
+
+
+def test_ctrl_c_ends_all_with_one_line(model, tmp_path):
+    checkpoint, output = tmp_path / "run.npz", tmp_path / "refined.txt"
+    options = ("--function-tolerance", 0, "--gradient-tolerance", 0, "--parameter-tolerance", 0)
+    often = ("--checkpoint", checkpoint, "--checkpoint-interval", 1)
+    run = subprocess.Popen(
+        command(2, "refine", model, "-o", output, "--threads", 1, *options, *often),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )
+    while not checkpoint.exists() and run.poll() is None:
+        time.sleep(0.01)
+    run.send_signal(signal.SIGINT)
+    _, err = run.communicate(timeout=30)
+    assert run.returncode != 0
+    (line,) = error_lines(err)
+    assert "Ctrl-C" in line
+    assert not output.exists()
+
+
+def test_sigusr1_ends_a_solve_as_ctrl_c_does_in_one_process(model, tmp_path):
+    script = tmp_path / "told.py"
+    script.write_text(ALL_ARE_TOLD_IN_THE_SECOND_STEP)
+    output = tmp_path / "refined.txt"
+    code, out, err = mpirun(2, "refine", model, "-o", output, "--threads", 1, script=script)
+    assert (code, error_lines(err)) == (1, [])
+    assert "nterrupted" in out
+    assert bundle.load(output).num_points == bundle.load(model).num_points
 
 
 DIES_IN_THE_THIRD_SOLVE = """
@@ -163,6 +195,24 @@ def work(job, ranks):
 
 if os.environ["OMPI_COMM_WORLD_RANK"] == "1":
     crew.work_on, crew.MpiRanks = work, Dying
+from bundle.__main__ import run
+sys.exit(run())
+"""
+
+# mpirun passes the signal on to all processes.
+ALL_ARE_TOLD_IN_THE_SECOND_STEP = """
+import os, signal, sys
+import bundle.ranks.mpi_crew as crew
+sums = []
+
+class Told(crew.MpiRanks):
+    def sum_to_first(self, what, values):
+        sums.append(what)
+        if sums.count("normal equations") == 4:
+            os.kill(os.getpid(), signal.SIGUSR1)
+        super().sum_to_first(what, values)
+
+crew.MpiRanks = Told
 from bundle.__main__ import run
 sys.exit(run())
 """

@@ -247,3 +247,14 @@ def test_alone_without_a_crew():
     output = solve_divided(crew, problem, ready.options.asdict(), None, None, None)
     alone = bundle.solve(problem, **QUICK)
     assert np.array_equal(output["points"], alone.problem.points)  # bit for bit
+
+
+def test_checkpoint_of_processes_resumes_at_its_end(tmp_path):
+    """With the record of the processes, which a resume reports again."""
+    path = tmp_path / "run.npz"
+    with processes(2):
+        first = bundle.solve_rounds(scene(), num_rounds=0, checkpoint=path)
+    again = bundle.solve_rounds(scene(), num_rounds=0, resume=path)
+    assert again.summary.processes == first.summary.processes
+    assert len(again.summary.processes.parts) == 2
+    np.testing.assert_array_equal(again.problem.points, first.problem.points)

@@ -51,6 +51,7 @@ class ThreadCrew:
     def __init__(self, num_ranks: int) -> None:
         self.num_ranks = num_ranks
         self.is_solving = False
+        self.is_told_to_end = False
         self.barrier = threading.Barrier(num_ranks, timeout=30)
         self.given: list[Any] = [None] * num_ranks
         self.made: dict[int, PartOfOutput | BaseException] = {}

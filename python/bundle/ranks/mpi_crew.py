@@ -34,6 +34,16 @@ class MpiCrew:
         self._comm = comm
         self.num_ranks: int = comm.size
         self.is_solving = False
+        self.is_told_to_end = False
+
+    def interrupt(self, *_signal: object) -> None:
+        """End the solve after its iteration with the best state, or raise KeyboardInterrupt.
+
+        An exception within a sum would leave the others waiting.
+        """
+        if not self.is_solving:
+            raise KeyboardInterrupt
+        self.is_told_to_end = True
 
     def ranks(self) -> Ranks:
         """Return how this process meets the others in one solve."""

@@ -27,6 +27,7 @@ from bundle.errors import InputError, first_line, shown
 from bundle.io import atomic
 from bundle.options import SolveOptions
 from bundle.problem import Problem
+from bundle.process_record import ProcessRecord
 from bundle.result import Result
 from bundle.round_record import Round
 from bundle.rounds.filtering import subset
@@ -194,6 +195,8 @@ def _result(
         name: tuple(value) if isinstance(value, list) else value
         for name, value in record["summary"].items()
     }
+    if summary.get("processes") is not None:
+        summary["processes"] = ProcessRecord.of_dict(summary["processes"])
     return Result(
         problem=problem,
         initial_problem=problem,

@@ -1,0 +1,179 @@
+"""Kills of single processes of `mpirun -n N bundle refine --checkpoint`: all end, a resume goes on.
+
+python -m tests.campaigns.rank_kills COUNT [SEED] [N]
+
+A random process is killed at a random instant between the start of mpirun and its end. All must be
+gone within ten seconds with one line of ours, no output may stand, and what stands at the
+checkpoint's path must be whole. The run is resumed, killed again and so on, until one gets to its
+end; its model must then be that of a run that was not killed, byte for byte.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import bundle
+from bundle.rounds import checkpoint
+from tests.campaigns.resumes import make_scene
+
+MPIRUN = Path(sys.executable).parent / "mpirun"
+FLAGS = [
+    *("--rounds", "4", "--max-error", "1.2", "--loss", "cauchy", "--function-tolerance", "1e-10"),
+    *("--threads", "1", "--deterministic", "--quiet", "--checkpoint-interval", "2"),
+]
+SECONDS_TO_END = 10.0
+
+
+@dataclass
+class Outcome:
+    """What was counted, and what was wrong."""
+
+    kills: int = 0
+    runs: int = 0
+    with_checkpoint: int = 0
+    without_line: int = 0
+    slowest_end: float = 0.0
+    wrong: list[str] = field(default_factory=list)
+
+
+def campaign(count: int, seed: int = 0, num_processes: int = 3, num_points: int = 150) -> Outcome:
+    """Kill `count` times."""
+    draw = random.Random(seed)
+    outcome = Outcome()
+    with tempfile.TemporaryDirectory(prefix="rank-kills-") as name:
+        folder = Path(name)
+        bundle.save(make_scene(num_points), folder / "input")
+        begun = time.perf_counter()
+        _, error = finish(start(folder, "reference", "--checkpoint", num_processes))
+        assert error == "", error
+        seconds = time.perf_counter() - begun
+        expected = _files(folder / "reference")
+        while outcome.kills < count:
+            (folder / "run.ckpt").unlink(missing_ok=True)
+            flag = "--checkpoint"
+            while _is_killed(draw, seconds, folder, flag, num_processes, outcome):
+                flag = "--resume"
+            outcome.runs += 1
+            if _files(folder / "out") != expected:
+                outcome.wrong.append(f"run {outcome.runs} ended elsewhere")
+            for path in (folder / "out").iterdir():
+                path.unlink()
+            (folder / "out").rmdir()
+    return outcome
+
+
+def start(folder: Path, output: str, flag: str, num_processes: int) -> subprocess.Popen[str]:
+    """Start a run; the checkpoint of the reference is of its own."""
+    file = folder / ("reference.ckpt" if output == "reference" else "run.ckpt")
+    root = ["--allow-run-as-root"] if os.geteuid() == 0 else []
+    head = [MPIRUN, *root, "--oversubscribe", "-n", num_processes, sys.executable, "-m", "bundle"]
+    words = [*head, "refine", folder / "input", "-o", f"{folder / output}/", *FLAGS, flag, file]
+    return subprocess.Popen(
+        [str(word) for word in words],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+    )
+
+
+def finish(run: subprocess.Popen[str]) -> tuple[int, str]:
+    """Return the exit code of a run and what it said on standard error."""
+    _, error = run.communicate(timeout=120)
+    return run.returncode, error
+
+
+def processes_of(run: subprocess.Popen[str]) -> list[int]:
+    """Return the processes that mpirun has started, which has become prterun."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:  # it has ended
+            continue
+        if int(fields[1]) == run.pid and fields[0] not in "ZX":
+            found.append(int(path.parent.name))
+    return sorted(found)
+
+
+def is_alive(pid: int) -> bool:
+    """Tell whether a process is there, and more than its entry in the table."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def _is_killed(
+    draw: random.Random, seconds: float, folder: Path, flag: str, num: int, outcome: Outcome
+) -> bool:
+    """Run, kill one at an instant, and judge; return False if the run had ended before."""
+    run = start(folder, "out", flag, num)
+    instant, which = draw.uniform(0, seconds), draw.randrange(num)
+    time.sleep(instant)
+    processes = processes_of(run)
+    if len(processes) < num:  # mpirun has not begun, or has come to its end
+        code, error = finish(run)
+        _require(outcome, code == 0 and error == "", f"not killed, but exit {code}: {error}")
+        return False
+    try:
+        os.kill(processes[which], signal.SIGKILL)
+    except ProcessLookupError:
+        finish(run)
+        return False
+    begun = time.monotonic()
+    code, error = finish(run)
+    if code == 0:  # the process had done its part
+        return False
+    left = processes
+    while left and time.monotonic() - begun < SECONDS_TO_END:
+        left = [pid for pid in left if is_alive(pid)]
+        time.sleep(0.001)
+    outcome.slowest_end = max(outcome.slowest_end, time.monotonic() - begun)
+    outcome.kills += 1
+    what = f"kill {outcome.kills} ({which} at {instant:.2f} s of {seconds:.2f} s)"
+    _require(outcome, left == [], f"{what}: processes {left} are left")
+    lines = [line for line in error.splitlines() if line.startswith("error: ")]
+    _require(outcome, len(lines) <= 1, f"{what}: {lines}")
+    outcome.without_line += lines == []
+    _require(outcome, "Traceback" not in error, f"{what}: {error}")
+    outcome.with_checkpoint += _is_whole(folder / "run.ckpt", outcome)
+    return not _is_complete(folder / "out", folder / "reference")
+
+
+def _is_complete(found: Path, expected: Path) -> bool:
+    """Tell whether the output stands already, as where a process dies after its work."""
+    return found.exists() and _files(found).keys() == _files(expected).keys()
+
+
+def _is_whole(path: Path, outcome: Outcome) -> bool:
+    if not path.exists():
+        return False
+    try:
+        checkpoint.check_target(path)
+    except bundle.InputError as error:
+        outcome.wrong.append(str(error))
+    return True
+
+
+def _require(outcome: Outcome, condition: bool, otherwise: str) -> None:
+    if not condition:
+        outcome.wrong.append(otherwise)
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+if __name__ == "__main__":
+    result = campaign(int(sys.argv[1]), *map(int, sys.argv[2:]))
+    print(result)
+    sys.exit(bool(result.wrong))
