@@ -235,6 +235,10 @@ PYTHON_MAY_IMPORT = {
         "words",
     },
     "placement": {"arguments", "errors", "georeference", "graph", "problem"},
+    "slices": {
+        *{"_core", "arrays", "errors", "io", "options", "problem", "process_record", "ranks"},
+        *{"reprojection", "result", "solve_record", "solver", "worst_images"},
+    },
     "solver": {
         "_core",
         "arguments",

@@ -12,6 +12,7 @@
 #include "bindings/immutable_array.h"
 #include "core/error.h"
 #include "core/io/bal.h"
+#include "core/io/bal_parts.h"
 
 namespace py = pybind11;
 
@@ -21,15 +22,19 @@ namespace {
 template <typename T>
 using Array = py::array_t<T, py::array::c_style>;
 
-py::tuple ReadBalFile(const py::object& given_path) {
+/// Calls `read(path, on_block)` without the GIL.
+template <typename Read>
+auto ReadFile(const py::object& given_path, Read read) {
   const std::filesystem::path path = PathFromPython(given_path);
-  BalProblem problem;
   try {
     const py::gil_scoped_release release;
-    problem = ReadBal(path, CheckSignals);
+    return read(path, CheckSignals);
   } catch (const std::system_error& error) {
     ThrowOsError(error, path);
   }
+}
+
+py::tuple ToTuple(BalProblem problem) {
   const auto num_images = static_cast<py::ssize_t>(problem.cam_from_world.size() / 7);
   const auto num_points = static_cast<py::ssize_t>(problem.points.size() / 3);
   const auto num_observations = static_cast<py::ssize_t>(problem.observation_image.size());
@@ -40,6 +45,24 @@ py::tuple ReadBalFile(const py::object& given_path) {
                         ToImmutableNumpy(std::move(problem.observation_image), {num_observations}),
                         ToImmutableNumpy(std::move(problem.observation_point), {num_observations}),
                         ToImmutableNumpy(std::move(problem.observation_xy), {num_observations, 2}));
+}
+
+py::tuple ReadBalFile(const py::object& path) { return ToTuple(ReadFile(path, ReadBal)); }
+
+py::tuple ReadPartOfBalFile(const py::object& path, const Array<int32_t>& place) {
+  const std::vector<int32_t> places(place.data(), place.data() + place.size());
+  return ToTuple(ReadFile(path, [&](const auto& file, const auto& on_block) {
+    return ReadBalPart(file, places, on_block);
+  }));
+}
+
+py::tuple SurveyBalFile(const py::object& path) {
+  BalSurvey survey = ReadFile(path, SurveyBal);
+  const auto num_points = static_cast<py::ssize_t>(survey.num_seen.size());
+  return py::make_tuple(survey.num_images, survey.num_observations,
+                        ToImmutableNumpy(std::move(survey.first_image), {num_points}),
+                        ToImmutableNumpy(std::move(survey.last_image), {num_points}),
+                        ToImmutableNumpy(std::move(survey.num_seen), {num_points}));
 }
 
 template <typename T>
@@ -54,6 +77,36 @@ const T* Checked(const Array<T>& array, const char* name, int64_t rows, int64_t 
   return array.data();
 }
 
+/// Everything but observations.
+BalView ViewOf(const Array<double>& cam_from_world, const Array<double>& camera_params,
+               const Array<double>& points, const Array<double>& rotations,
+               const Array<bool>& keeps_rotation) {
+  BalView problem;
+  problem.num_images = cam_from_world.shape(0);
+  problem.num_points = points.shape(0);
+  problem.cam_from_world = Checked(cam_from_world, "cam_from_world", problem.num_images, 7);
+  problem.camera_params = Checked(camera_params, "camera_params", problem.num_images, 5);
+  problem.points = Checked(points, "points", problem.num_points, 3);
+  problem.rotations = Checked(rotations, "rotations", problem.num_images, 3);
+  problem.keeps_rotation = reinterpret_cast<const uint8_t*>(
+      Checked(keeps_rotation, "keeps_rotation", problem.num_images, 1));
+  return problem;
+}
+
+void WriteBalFileLike(const py::object& source, int64_t num_observations,
+                      const py::object& given_path, const Array<double>& cam_from_world,
+                      const Array<double>& camera_params, const Array<double>& points,
+                      const Array<double>& rotations, const Array<bool>& keeps_rotation,
+                      const std::string& compression) {
+  const std::filesystem::path path = PathFromPython(given_path);
+  BalView problem = ViewOf(cam_from_world, camera_params, points, rotations, keeps_rotation);
+  problem.num_observations = num_observations;
+  ReadFile(source, [&](const auto& file, const auto& on_block) {
+    WriteBalLike(file, problem, path, CompressionFromName(compression), on_block);
+    return true;
+  });
+}
+
 /// Values, indices among them, are those of a bundle.Problem, which has checked them.
 void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_world,
                   const Array<double>& camera_params, const Array<double>& points,
@@ -61,21 +114,13 @@ void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_wo
                   const Array<double>& observation_xy, const Array<double>& rotations,
                   const Array<bool>& keeps_rotation, const std::string& compression) {
   const std::filesystem::path path = PathFromPython(given_path);
-  BalView problem;
-  problem.num_images = cam_from_world.shape(0);
-  problem.num_points = points.shape(0);
+  BalView problem = ViewOf(cam_from_world, camera_params, points, rotations, keeps_rotation);
   problem.num_observations = observation_xy.shape(0);
-  problem.cam_from_world = Checked(cam_from_world, "cam_from_world", problem.num_images, 7);
-  problem.camera_params = Checked(camera_params, "camera_params", problem.num_images, 5);
-  problem.points = Checked(points, "points", problem.num_points, 3);
   problem.observation_image =
       Checked(observation_image, "observation_image", problem.num_observations, 1);
   problem.observation_point =
       Checked(observation_point, "observation_point", problem.num_observations, 1);
   problem.observation_xy = Checked(observation_xy, "observation_xy", problem.num_observations, 2);
-  problem.rotations = Checked(rotations, "rotations", problem.num_images, 3);
-  problem.keeps_rotation = reinterpret_cast<const uint8_t*>(
-      Checked(keeps_rotation, "keeps_rotation", problem.num_images, 1));
   try {
     const py::gil_scoped_release release;
     WriteBal(problem, path, CompressionFromName(compression), CheckSignals);
@@ -89,6 +134,11 @@ void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_wo
 
 void BindBal(py::module_& m) {
   m.def("read_bal", &bundle::ReadBalFile, py::arg("path"));
+  m.def("survey_bal", &bundle::SurveyBalFile, py::arg("path"));
+  m.def("read_bal_part", &bundle::ReadPartOfBalFile, py::arg("path"), py::arg("place"));
+  m.def("write_bal_like", &bundle::WriteBalFileLike, py::arg("source"), py::arg("num_observations"),
+        py::arg("path"), py::arg("cam_from_world"), py::arg("camera_params"), py::arg("points"),
+        py::arg("rotations"), py::arg("keeps_rotation"), py::arg("compression"));
   m.def("write_bal", &bundle::WriteBalFile, py::arg("path"), py::arg("cam_from_world"),
         py::arg("camera_params"), py::arg("points"), py::arg("observation_image"),
         py::arg("observation_point"), py::arg("observation_xy"), py::arg("rotations"),

@@ -58,6 +58,38 @@ def read_bal(
     NDArray[np.int32],  # observation_point (num_observations,)
     NDArray[np.float64],  # observation_xy (num_observations, 2)
 ]: ...
+def survey_bal(
+    path: str | os.PathLike[str],
+) -> tuple[
+    int,  # num_images
+    int,  # num_observations
+    NDArray[np.int32],  # first image of each point (num_points,); num_images if there is none
+    NDArray[np.int32],  # last image of each point (num_points,); -1 if there is none
+    NDArray[np.int32],  # observations of each point (num_points,)
+]: ...
+def read_bal_part(
+    path: str | os.PathLike[str],
+    place: NDArray[np.int32],  # (num_points,) index in the part, -1: not in it
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.int32],
+    NDArray[np.int32],
+    NDArray[np.float64],
+]: ...  # as read_bal
+def write_bal_like(
+    source: str | os.PathLike[str],
+    num_observations: int,
+    path: str | os.PathLike[str],
+    cam_from_world: NDArray[np.float64],
+    camera_params: NDArray[np.float64],
+    points: NDArray[np.float64],
+    rotations: NDArray[np.float64],
+    keeps_rotation: NDArray[np.bool_],
+    compression: str,
+) -> None: ...
 def write_bal(
     path: str | os.PathLike[str],
     cam_from_world: NDArray[np.float64],

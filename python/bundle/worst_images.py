@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from bundle.problem import Problem
 from bundle.reprojection import reprojection_errors, resolve_cheirality
 
-__all__ = ["ImageError", "worst_images", "worst_of_errors"]
+__all__ = [
+    "ImageError",
+    "sums_of_images",
+    "worst_images",
+    "worst_of_errors",
+    "worst_of_sums",
+]
 
 WORST = 5
 """Images that are named."""
@@ -65,20 +71,47 @@ def worst_of_errors(
     most: int = WORST,
 ) -> tuple[ImageError, ...]:
     """Return the same from what `reprojection_errors` returns."""
-    leaves_out_behind = resolve_cheirality(problem, cheirality) == "zero"
-    count = np.zeros(problem.num_images, dtype=np.int64)
-    total, largest = np.zeros(problem.num_images), np.zeros(problem.num_images)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    zero = resolve_cheirality(problem, cheirality) == "zero"
+    return worst_of_sums(
+        problem,
+        *sums_of_images(problem.observation_image, problem.num_images, errors, behind, zero),
+        most,
+    )
+
+
+def sums_of_images(
+    observation_image: NDArray[np.int32],
+    num_images: int,
+    errors: NDArray[np.float64],
+    behind: NDArray[np.bool_],
+    leaves_out_behind: bool,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return count, sum of squares and maximum of the errors that count, of each image."""
+    count = np.zeros(num_images, dtype=np.int64)
+    total, largest = np.zeros(num_images), np.zeros(num_images)
+    with np.errstate(over="ignore", invalid="ignore"):
         for first in range(0, len(errors), _BLOCK):
             block = slice(first, first + _BLOCK)
             counted = ~np.isnan(errors[block])
             if leaves_out_behind:
                 counted &= ~behind[block]
-            image = problem.observation_image[block][counted].astype(np.intp)
+            image = observation_image[block][counted].astype(np.intp)
             its_errors = errors[block][counted]
-            count += np.bincount(image, minlength=problem.num_images)
+            count += np.bincount(image, minlength=num_images)
             np.add.at(total, image, its_errors**2)
             np.maximum.at(largest, image, its_errors)
+    return count, total, largest
+
+
+def worst_of_sums(
+    problem: Problem,
+    count: NDArray[np.int64],
+    total: NDArray[np.float64],
+    largest: NDArray[np.float64],
+    most: int = WORST,
+) -> tuple[ImageError, ...]:
+    """Return the images of largest RMSE from what `sums_of_images` returns."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         rmse = np.sqrt(total / count)
     seen = np.flatnonzero(count)
     worst = seen[np.argsort(-rmse[seen], kind="stable")][:most]

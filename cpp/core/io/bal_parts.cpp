@@ -1,0 +1,76 @@
+#include "core/io/bal_parts.h"
+
+#include <algorithm>
+#include <memory>
+#include <utility>
+
+#include "core/error.h"
+#include "core/io/bal_reader.h"
+#include "core/io/files.h"
+
+namespace bundle {
+
+namespace {
+
+struct Survey {
+  BalSurvey found;
+
+  void Begin(int32_t num_images, int32_t num_points, int32_t num_observations, uint64_t) {
+    found.num_images = num_images;
+    found.num_observations = num_observations;
+    found.first_image.assign(num_points, num_images);
+    found.last_image.assign(num_points, -1);
+    found.num_seen.assign(num_points, 0);
+  }
+  void Observation(int32_t image, int32_t point, double, double) {
+    found.first_image[point] = std::min(found.first_image[point], image);
+    found.last_image[point] = std::max(found.last_image[point], image);
+    ++found.num_seen[point];
+  }
+  void Point(const double*) {}
+};
+
+struct KeepPart {
+  const std::vector<int32_t>& place;
+  BalProblem kept;
+  size_t next_point = 0;
+
+  void Begin(int32_t, int32_t num_points, int32_t, uint64_t) const {
+    if (static_cast<size_t>(num_points) != place.size()) {
+      throw InputError("the input file has changed while it was in use");
+    }
+  }
+  void Observation(int32_t image, int32_t point, double x, double y) {
+    if (place[point] < 0) return;
+    kept.observation_image.push_back(image);
+    kept.observation_point.push_back(place[point]);
+    kept.observation_xy.push_back(x);
+    kept.observation_xy.push_back(y);
+  }
+  void Point(const double* xyz) {
+    if (place[next_point++] >= 0) kept.points.insert(kept.points.end(), xyz, xyz + 3);
+  }
+};
+
+}  // namespace
+
+BalSurvey SurveyBal(const std::filesystem::path& path, const std::function<void()>& on_block) {
+  const std::unique_ptr<InputFile> file = InputFile::Open(path);
+  Survey sink;
+  BalReader(*file, sink, on_block).Read();
+  return std::move(sink.found);
+}
+
+BalProblem ReadBalPart(const std::filesystem::path& path, const std::vector<int32_t>& place,
+                       const std::function<void()>& on_block) {
+  const std::unique_ptr<InputFile> file = InputFile::Open(path);
+  KeepPart sink{place, {}};
+  BalProblem part = BalReader(*file, sink, on_block).Read();
+  part.points = std::move(sink.kept.points);
+  part.observation_image = std::move(sink.kept.observation_image);
+  part.observation_point = std::move(sink.kept.observation_point);
+  part.observation_xy = std::move(sink.kept.observation_xy);
+  return part;
+}
+
+}  // namespace bundle

@@ -1,0 +1,32 @@
+#pragma once
+
+/// Parts of BAL files, read as a stream: nothing is kept but what a part has.
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <vector>
+
+#include "core/io/bal.h"
+
+namespace bundle {
+
+/// What tells which points belong together.
+struct BalSurvey {
+  int32_t num_images = 0;
+  int32_t num_observations = 0;
+  std::vector<int32_t> first_image;  ///< num_points; num_images for a point that no image sees
+  std::vector<int32_t> last_image;   ///< num_points; -1 for a point that no image sees
+  std::vector<int32_t> num_seen;     ///< num_points: observations of a point
+};
+
+/// Reads all of a file and throws as ReadBal.
+BalSurvey SurveyBal(const std::filesystem::path& path, const std::function<void()>& on_block);
+
+/// Reads a file and keeps its cameras, the points that have a place (-1: none) and their
+/// observations, in the order of the file. Places ascend from 0 on. Throws as ReadBal, and
+/// InputError where the number of points is another one.
+BalProblem ReadBalPart(const std::filesystem::path& path, const std::vector<int32_t>& place,
+                       const std::function<void()>& on_block);
+
+}  // namespace bundle
