@@ -480,6 +480,7 @@ PYTHON_MAY_IMPORT = {
         "pose_graph",
         "problem",
         "solver",
+        "ranks",
     },
     "pictures": {
         "_core",

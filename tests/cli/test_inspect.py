@@ -195,3 +195,31 @@ def test_a_line_that_is_no_edge(run, tmp_path):
     code, _, err = run("inspect", "--graph", path)
     assert code == 2
     assert f"{path}:2: " in err
+
+
+def test_several_processes(run, model, tmp_path):
+    report = tmp_path / "report.json"
+    code, out, _ = run("inspect", model, "--ranks", "1,3", "--network", "25,2", "--json", report)
+    assert code == 0
+    assert "25 Gbit/s" in out
+    given = json.loads(report.read_text())
+    assert [row["num_processes"] for row in given["ranks"]] == [1, 3]
+    assert given["network"] == {"gbit_per_second": 25, "latency_in_microseconds": 2}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--ranks", "1,x"),
+        ("--ranks", "0"),
+        ("--ranks", "31"),  # points
+        ("--ranks", "1", "--network", "10"),
+        ("--ranks", "1", "--network", "10,-1"),
+        ("--network", "10,5"),
+    ],
+)
+def test_processes_that_cannot_be(run, model, words):
+    code, out, err = run("inspect", model, *words, "--quiet")
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert line.startswith(("error: --ranks", "error: --network", "error: mpirun"))

@@ -54,6 +54,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="measure this machine's rates again, which takes seconds (default: once, then kept)",
     )
     add_options(parser, SolveOptions, "what is refined", OPTIONS)
+    group = parser.add_argument_group("several processes (docs/mpi.md)")
+    group.add_argument(
+        "--ranks",
+        metavar="LIST",
+        help="predict `mpirun -n N bundle refine` for these N, such as 1,4,16,64,256 "
+        "(default: none)",
+    )
+    group.add_argument(
+        "--network",
+        metavar="GBIT,US",
+        help="between the processes: gigabits per second and microseconds of latency "
+        "(default: 10,50)",
+    )
     group = parser.add_argument_group("a graph in place of a problem")
     orderings = [name.replace("_", "-") for name in GRAPH_ORDERINGS]
     group.add_argument(
@@ -94,6 +107,10 @@ def run(arguments: argparse.Namespace) -> int:
     source = arguments.input or arguments.graph
     check_json(arguments.json, source)
     check_json(arguments.html, source, *([arguments.json] if arguments.json else []))
+    if arguments.network is not None and arguments.ranks is None:
+        raise InputError("--network: expected with --ranks only")
+    if arguments.ranks is not None and arguments.graph is not None:
+        raise InputError("--ranks: expected with INPUT only")
     if arguments.graph is not None:
         for field in dataclasses.fields(SolveOptions):
             if getattr(arguments, field.name, None) is not None:
@@ -102,6 +119,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError("--recalibrate: expected with INPUT only")
         return _inspect_graph(arguments)
     if is_pose_graph_file(arguments.input):
+        if arguments.ranks is not None:
+            raise InputError("--ranks: expected a bundle adjustment problem, found a pose graph")
         from bundle.cli.pose_graph_costs import inspect_graph_file
 
         return inspect_graph_file(arguments)
@@ -116,11 +135,13 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.inspection import inspect
+    from bundle.inspection import inspect, predict_ranks
     from bundle.io import load
     from bundle.reports.inspect import as_json, inspected
+    from bundle.reports.process_tables import predicted_ranks
 
     options = options_given(arguments, SolveOptions, names_follow=True)
+    counts, network = _processes_given(arguments)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = load(arguments.input)
@@ -128,6 +149,8 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
         progress.stage("inspecting")
         with naming_flags(SolveOptions):
             inspection = inspect(problem, options, recalibrate=arguments.recalibrate)
+        with naming_flags(ranks="--ranks", network="--network"):
+            ranks = predict_ranks(problem, inspection, options, counts=counts, network=network)
         if arguments.html is not None:
             from bundle.html import write_inspection
 
@@ -135,11 +158,40 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
             page, name = arguments.html, str(arguments.input)
             write_inspection(inspection, page, problem, options, name=name)
     if arguments.json != "-":
-        show(*inspected(arguments.input, problem, inspection, options))
+        show(
+            *inspected(arguments.input, problem, inspection, options),
+            *predicted_ranks(ranks, network),
+        )
     wall = perf_counter() - started
     report = as_json(arguments.input, problem, inspection, options, OPTIONS, wall)
+    if ranks:
+        report["network"] = {"gbit_per_second": network[0], "latency_in_microseconds": network[1]}
+        report["ranks"] = [dataclasses.asdict(row) for row in ranks]
     write_json(arguments.json, report)
     return EXIT_DONE
+
+
+def _processes_given(arguments: argparse.Namespace) -> tuple[list[int], tuple[float, float]]:
+    """Return numbers of processes, and the network between them."""
+    from bundle.errors import InputError
+    from bundle.inspection.rank_prediction import NETWORK
+
+    try:
+        counts = [] if arguments.ranks is None else [int(n) for n in arguments.ranks.split(",")]
+    except ValueError:
+        raise InputError(
+            f"--ranks: expected numbers of processes such as 1,4,16, found {arguments.ranks}"
+        ) from None
+    if arguments.network is None:
+        return counts, NETWORK
+    try:
+        rate, latency = (float(number) for number in arguments.network.split(","))
+    except ValueError:
+        raise InputError(
+            "--network: expected gigabits per second and microseconds such as 10,50, "
+            f"found {arguments.network}"
+        ) from None
+    return counts, (rate, latency)
 
 
 def _inspect_graph(arguments: argparse.Namespace) -> int:

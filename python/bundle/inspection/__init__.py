@@ -8,6 +8,7 @@ from bundle.inspection.graph_inspection import GRAPH_ORDERINGS, GraphInspection,
 from bundle.inspection.inspection_result import Inspection, MethodInspection
 from bundle.inspection.pose_graph_inspection import EliminationCost, PoseGraphInspection
 from bundle.inspection.problem_inspection import inspect
+from bundle.inspection.rank_prediction import RankPrediction, predict_ranks
 from bundle.inspection.schur_counts import SchurCounts, count_schur_by_hand
 
 __all__ = [
@@ -19,9 +20,11 @@ __all__ = [
     "Inspection",
     "MethodInspection",
     "PoseGraphInspection",
+    "RankPrediction",
     "SchurCounts",
     "count_schur_by_hand",
     "inspect",
     "inspect_graph",
     "load_graph",
+    "predict_ranks",
 ]

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.console import RenderableType
 
+from bundle.inspection import RankPrediction
 from bundle.memory_sizes import format_size
 from bundle.process_record import ProcessPart, ProcessRecord
-from bundle.tables import columns, facts, seconds
+from bundle.tables import columns, facts, notes, seconds
+from bundle.words import duration
 
-__all__ = ["process_tables"]
+__all__ = ["predicted_ranks", "process_tables"]
 
 _PHASES = (
     ("preprocessor", "preprocessor_time_in_seconds"),
@@ -48,6 +52,39 @@ def process_tables(record: ProcessRecord | None) -> list[RenderableType]:
         "",
         columns(("messages", "number", "size", "seconds"), messages),
         "",
+    ]
+
+
+def predicted_ranks(
+    ranks: Sequence[RankPrediction], network: tuple[float, float]
+) -> list[RenderableType]:
+    """Return what several processes would cost; nothing where none were asked for."""
+    if not ranks:
+        return []
+    rows = [
+        (
+            str(row.num_processes),
+            duration(row.time_per_step_in_seconds),
+            duration(row.network_time_per_step_in_seconds) if row.bytes_per_step else "-",
+            f"{100 * row.efficiency:.0f} %",
+            format_size(row.bytes_per_step) if row.bytes_per_step else "-",
+            format_size(row.memory_of_first_in_bytes),
+            format_size(row.memory_of_others_in_bytes) if row.bytes_per_step else "-",
+        )
+        for row in ranks
+    ]
+    head = ("processes", "per step", "messages", "efficiency", "sent", "first: memory", "others")
+    rate, latency = network
+    return [
+        "",
+        columns(head, rows),
+        *notes(
+            [
+                f"Processes of mpirun, {ranks[0].method}, {rate:g} Gbit/s and {latency:g} "
+                "microseconds between them; the first one solves the reduced system alone. Memory "
+                "is that of whole processes; the first one keeps the input, but for a BAL file."
+            ]
+        ),
     ]
 
 
