@@ -81,7 +81,6 @@ def start(folder: Path, output: str, flag: str, num_processes: int) -> subproces
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
     )
 
 

@@ -155,7 +155,7 @@ def test_ctrl_c_ends_all_with_one_line(model, tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "2"},  # libraries have threads of their own
     )
     while not checkpoint.exists() and run.poll() is None:
         time.sleep(0.01)

@@ -25,8 +25,15 @@ OBJECTS_BETWEEN_COLLECTIONS = 100_000
 
 
 def begin() -> None:
-    """Let SIGINT end the process with one line, unless it is ignored; collect garbage rarely."""
+    """Let SIGINT end the process with one line, unless it is ignored; collect garbage rarely.
+
+    Under mpirun its signals wait for the thread that looks at them.
+    """
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
+    if os.environ.get("OMPI_COMM_WORLD_SIZE", "1") != "1":
+        # One thread will wait for them (bundle.ranks.end_by_mpirun). Those that libraries start as
+        # they are imported would take them, and die.
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCONT, signal.SIGTERM])
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
 

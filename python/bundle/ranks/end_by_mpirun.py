@@ -21,10 +21,10 @@ PARENTS = ("mpirun", "prterun")
 def begin() -> None:
     """Prepare for signals of Open MPI's mpirun, where that has started this process."""
     size = os.environ.get("OMPI_COMM_WORLD_SIZE", "1")
-    if not size.isdigit() or int(size) == 1:
+    if size == "1":
         return
     signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # mpirun passes it on; see many_processes
-    _core.wait_for_the_end(_mark(), int(size))
+    _core.wait_for_the_end(_mark(), int(size) if size.isdigit() else 0)
 
 
 def know_processes(pids: dict[int, int]) -> None:
