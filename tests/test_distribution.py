@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.licenses import canonicalize_license_expression
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tools"))
@@ -29,17 +32,57 @@ def test_own_licence_files_are_there_and_match_the_expression() -> None:
     assert "MIT License" in texts[1]
 
 
-def test_expression_names_each_term_once_and_no_plain_gpl() -> None:
-    terms = wheel_licences.expression(list(wheel_licences.LIBRARIES)).split(" AND ")
+LIBRARIES = [*wheel_licences.BUILT, *wheel_licences.SYSTEM]
+
+
+def test_expression_is_spdx_names_each_term_once_and_no_plain_gpl() -> None:
+    expression = wheel_licences.expression(LIBRARIES)
+    assert canonicalize_license_expression(expression) == expression
+    terms = expression.split(" AND ")
     assert len(terms) == len(set(terms))
-    assert {"LGPL-2.1-or-later", "MPL-2.0", "Apache-2.0"} <= set(terms)
+    assert {"LGPL-2.1-or-later", "MPL-2.0", "Apache-2.0", "bzip2-1.0.6"} <= set(terms)
     gpl = [term for term in terms if term.startswith("GPL")]
     assert gpl == ["GPL-3.0-or-later WITH GCC-exception-3.1"]
+    without = wheel_licences.expression(["libcholmod"]).split(" AND ")
+    assert set(terms) - set(without) == {*gpl, "bzip2-1.0.6"}
 
 
 def test_a_library_of_unknown_licence_ends_it() -> None:
     with pytest.raises(SystemExit, match="libspqr"):
         wheel_licences.expression(["libcholmod", "libspqr"])
+
+
+def filled(folder: Path, *names: str) -> Path:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(name)
+    return folder
+
+
+BUILT = ["ceres.txt", "eigen-MPL-2.0.txt", "glog.txt", "suitesparse-CHOLMOD.txt"]
+
+
+def test_texts_come_from_what_was_built_and_from_either_system(tmp_path: Path) -> None:
+    built = filled(tmp_path / "built", *BUILT)
+    debian = filled(
+        tmp_path / "debian", "doc/libgfortran5/copyright", "common-licenses/GPL-3", "doc/other"
+    )
+    files = wheel_licences.licence_files(["libcholmod", "libgfortran"], built, debian)
+    assert sorted(files) == sorted([*BUILT, "libgfortran.txt", "GPL-3.0.txt"])
+    assert files["libgfortran.txt"] == debian / "doc/libgfortran5/copyright"
+    alma = filled(tmp_path / "alma", "licenses/bzip2-libs/LICENSE")
+    files = wheel_licences.licence_files(["libcholmod", "libbz2"], built, alma)
+    assert sorted(files) == sorted([*BUILT, "libbz2.txt"])
+    assert files["libbz2.txt"] == alma / "licenses/bzip2-libs/LICENSE"
+
+
+def test_a_text_that_is_not_there_ends_it(tmp_path: Path) -> None:
+    built = filled(tmp_path / "built", *BUILT)
+    with pytest.raises(SystemExit, match="bzip2-libs"):
+        wheel_licences.licence_files(["libbz2"], built, tmp_path)
+    (built / "glog.txt").unlink()
+    with pytest.raises(SystemExit, match="glog"):
+        wheel_licences.licence_files(["libcholmod"], built, tmp_path)
 
 
 def test_metadata_gets_the_expression_and_the_files() -> None:
@@ -49,3 +92,25 @@ def test_metadata_gets_the_expression_and_the_files() -> None:
         "Name: x\nLicense-Expression: MIT AND MPL-2.0\nLicense-File: a.txt\n"
         "License-File: b/c.txt\nLicense-File: LICENSE\n"
     )
+
+
+def test_scripts_that_cibuildwheel_runs_are_there_and_runnable() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["cibuildwheel"]
+    commands = [settings["test-command"], *settings["linux"]["before-all"]]
+    commands += settings["linux"]["repair-wheel-command"]
+    scripts = set(re.findall(r"tools/\w+\.\w+", " ".join(commands)))
+    assert len(scripts) == 3
+    for script in scripts:
+        assert (ROOT / script).is_file()
+        if script.endswith(".sh"):
+            subprocess.run(["bash", "-n", ROOT / script], check=True)
+    # Both ways of building a wheel are made of the same parts.
+    alone = (ROOT / "tools/build_wheel.sh").read_text()
+    assert all(script in alone for script in scripts)
+
+
+def test_the_trial_of_a_wheel_passes_on_this_installation() -> None:
+    script, folder = ROOT / "tools/try_wheel.sh", Path(sys.executable).parent
+    done = subprocess.run(["bash", script, folder, ROOT / "data"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "tried: all well"

@@ -1,9 +1,10 @@
 """Puts the licences of the libraries that a wheel carries into it.
 
-    python tools/wheel_licences.py WHEEL SUITESPARSE_SOURCE OUTPUT_FOLDER
+    python tools/wheel_licences.py WHEEL LICENCES OUTPUT_FOLDER
 
-Run by tools/build_wheel.sh. A library that is not in the table below ends it: nothing is shipped
-whose licence nobody has looked at.
+LICENCES is the folder of texts that tools/wheel_libraries.sh fills. A library that is not in the
+table below ends it, as does a text that is not found: nothing is shipped whose licence nobody has
+looked at.
 """
 
 from __future__ import annotations
@@ -14,55 +15,62 @@ import sys
 import tempfile
 from pathlib import Path
 
-DOCUMENTS = Path("/usr/share/doc")
-COMMON = Path("/usr/share/common-licenses")
-
-# By the library's name: Debian's package whose copyright file is its licence (None: SuiteSparse's
-# own texts, as it is built from source), and the SPDX expression.
-LIBRARIES: dict[str, tuple[str | None, str]] = {
-    "libbz2": ("libbz2-1.0", "bzip2-1.0.6"),
-    "libcholmod": (None, "LGPL-2.1-or-later AND BSD-3-Clause AND Apache-2.0"),
-    "libcxsparse": ("libcxsparse3", "LGPL-2.1-or-later"),
-    "libgflags": ("libgflags2.2", "BSD-3-Clause"),
-    "libgfortran": ("libgfortran5", "GPL-3.0-or-later WITH GCC-exception-3.1"),
-    "libglog": ("libgoogle-glog0v6", "BSD-3-Clause"),
-    "liblzma": ("liblzma5", "LicenseRef-Public-Domain"),
-    "libopenblasp": ("libopenblas0-pthread", "BSD-3-Clause"),
-    "libquadmath": ("libquadmath0", "LGPL-2.1-or-later"),
-    "libunwind": ("libunwind8", "MIT"),
+GCC = "licenses/libgcc/COPYING.RUNTIME"
+# Of the libraries that the system gave: the SPDX expression, and where Debian and AlmaLinux
+# (the system of manylinux images) keep the text.
+SYSTEM: dict[str, tuple[str, list[str]]] = {
+    "libbz2": (
+        "bzip2-1.0.6",
+        ["doc/libbz2-1.0/copyright", "licenses/bzip2-libs/LICENSE"],
+    ),
+    "libgfortran": (
+        "GPL-3.0-or-later WITH GCC-exception-3.1",
+        ["doc/libgfortran5/copyright", "licenses/libgfortran/COPYING.RUNTIME", GCC],
+    ),
+    "libopenblasp": (
+        "BSD-3-Clause",
+        ["doc/libopenblas0-pthread/copyright", "licenses/openblas/LICENSE"],
+    ),
+    "libquadmath": (
+        "LGPL-2.1-or-later",
+        ["doc/libquadmath0/copyright", "licenses/libquadmath/COPYING.LIB", GCC],
+    ),
 }
-# Compiled into the module itself.
-STATIC = {
-    "libceres-dev": "BSD-3-Clause",
-    "libeigen3-dev": "MPL-2.0 AND BSD-3-Clause",
-}
+# Of those that tools/wheel_libraries.sh built: CHOLMOD with METIS, and what is in the module.
+BUILT = {"libcholmod": "LGPL-2.1-or-later AND BSD-3-Clause AND Apache-2.0"}
+STATIC = {"ceres": "BSD-3-Clause", "eigen": "MPL-2.0 AND BSD-3-Clause", "glog": "BSD-3-Clause"}
 OWN = "BSD-3-Clause AND MIT"  # ours, and three.js of the pages
-SUITESPARSE = [
-    "CHOLMOD/Doc/License.txt",
-    "AMD/Doc/License.txt",
-    "CAMD/Doc/License.txt",
-    "COLAMD/Doc/License.txt",
-    "CCOLAMD/Doc/License.txt",
-    "metis-5.1.0/LICENSE.txt",
-]
-TEXTS = ["LGPL-2.1", "GPL-3", "MPL-2.0", "Apache-2.0"]
+GPL_3 = ["common-licenses/GPL-3", "licenses/libgcc/COPYING3"]
 
 
 def expression(libraries: list[str]) -> str:
     """Return the SPDX expression of a wheel with these libraries, each term once."""
-    unknown = sorted(set(libraries) - set(LIBRARIES))
+    known = BUILT | {name: terms for name, (terms, _) in SYSTEM.items()}
+    unknown = sorted(set(libraries) - set(known))
     if unknown:
         sys.exit(f"error: libraries without a known licence: {', '.join(unknown)}")
-    parts = [OWN, *STATIC.values(), *(LIBRARIES[name][1] for name in sorted(libraries))]
+    parts = [OWN, *STATIC.values(), *(known[name] for name in sorted(libraries))]
     return " AND ".join(dict.fromkeys(term for part in parts for term in part.split(" AND ")))
 
 
-def licence_files(libraries: list[str], suitesparse: Path) -> dict[str, Path]:
+def first_of(names: list[str], share: Path) -> Path:
+    """Return the first of these files that is there."""
+    found = [share / name for name in names if (share / name).is_file()]
+    if not found:
+        sys.exit(f"error: no licence text: expected one of {', '.join(names)} in {share}")
+    return found[0]
+
+
+def licence_files(libraries: list[str], built: Path, share: Path) -> dict[str, Path]:
     """Return the texts to add, by their name in the folder of licences."""
-    packages = [*STATIC, *(LIBRARIES[name][0] for name in sorted(libraries))]
-    files = {f"{name}.txt": DOCUMENTS / name / "copyright" for name in packages if name}
-    files |= {f"suitesparse/{name.replace('/', '-')}": suitesparse / name for name in SUITESPARSE}
-    return files | {f"texts/{name}.txt": COMMON / name for name in TEXTS}
+    files = {path.name: path for path in sorted(built.glob("*.txt"))}
+    missing = [name for name in STATIC if not any(file.startswith(name) for file in files)]
+    if missing:
+        sys.exit(f"error: no licence text of {', '.join(missing)} in {built}")
+    wanted = {name: SYSTEM[name][1] for name in sorted(libraries) if name in SYSTEM}
+    if any(name in wanted for name in ("libgfortran", "libquadmath")):
+        wanted["GPL-3.0"] = GPL_3
+    return files | {f"{name}.txt": first_of(places, share) for name, places in wanted.items()}
 
 
 def rewrite_metadata(metadata: str, licence: str, names: list[str]) -> str:
@@ -72,7 +80,7 @@ def rewrite_metadata(metadata: str, licence: str, names: list[str]) -> str:
     return re.sub(r"^License-Expression: .*\n", terms, metadata, flags=re.MULTILINE)
 
 
-def main(wheel: Path, suitesparse: Path, output: Path) -> None:
+def main(wheel: Path, built: Path, output: Path) -> None:
     """Write the wheel with its licences into the output folder."""
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
@@ -81,7 +89,7 @@ def main(wheel: Path, suitesparse: Path, output: Path) -> None:
         (root,) = Path(scratch).iterdir()
         (info,) = root.glob("*.dist-info")
         found = [path.name.split("-")[0] for path in root.glob("*.libs/*.so*")]
-        files = licence_files(found, suitesparse)
+        files = licence_files(found, built, Path("/usr/share"))
         for name, source in files.items():
             target = info / "licenses" / name
             target.parent.mkdir(parents=True, exist_ok=True)
