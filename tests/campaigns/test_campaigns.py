@@ -56,7 +56,7 @@ def test_healthy_blocks_are_not_accused():
 def test_covariances_are_the_dense_ones():
     found = covariance.campaign(8, seed=100)
     assert [entry for entry in found if entry.is_wrong] == []
-    assert {entry.kind for entry in found} > {"refused"}  # seed 105 leaves an intrinsic free
+    assert {entry.kind for entry in found} > {"singular"}  # seed 105 leaves an intrinsic free
 
 
 def test_two_loops(monkeypatch):
