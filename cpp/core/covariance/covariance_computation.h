@@ -39,11 +39,12 @@ class CovarianceComputation {
         centered_(problem, frame_),
         options_(options),
         wanted_(wanted),
-        system_(centered_.view(), options, /*sums_gauge=*/wanted.inner) {}
+        system_(centered_.view(), options, /*sums_gauge=*/wanted.inner),
+        is_small_(system_.is_small()) {}
 
   CovarianceOutput Run() {
     if (wanted_.sandwich) system_.UseSecondOrder();
-    const bool by_rows = system_.is_small() && system_.EliminateByRows();
+    const bool by_rows = is_small_ && system_.EliminateByRows();
     if (wanted_.sandwich) system_.SetSystem(SumBread(system_));
     HoldGauge();
     CountResiduals();
@@ -281,6 +282,7 @@ class CovarianceComputation {
   const SolveOptions& options_;
   const CovarianceOptions& wanted_;
   ReducedSystem system_;
+  const bool is_small_;
   std::unique_ptr<FreeGauge> gauge_;
   std::unique_ptr<InnerConstraints> constraints_;  ///< where the gauge has degrees
   std::unique_ptr<ScatterGauge> scatter_gauge_;    ///< likewise, of the sandwich of a large system

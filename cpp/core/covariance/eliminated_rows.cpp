@@ -15,29 +15,6 @@ using Eigen::MatrixXd;
 /// A curvature along the residual that is zero but for rounding.
 constexpr double kRounding = 1e-12;
 
-/// All rows of a point, three columns of it first.
-MatrixXd AllRows(const PointBlocks& blocks, const PointAssembler& of,
-                 const std::vector<double>& priors) {
-  const auto num_priors = static_cast<Eigen::Index>(priors.size() / 3);
-  const Eigen::Index num_observed = 2 * Eigen::Index{of.num_rows()};
-  MatrixXd rows = MatrixXd::Zero(num_observed + num_priors, 3 + blocks.begin.back());
-  for (int i = 0; i < of.num_rows(); ++i) {
-    const ObservationRows& from = of.row(i);
-    Eigen::Matrix2d root = Eigen::Matrix2d::Identity();
-    if (of.is_second_order()) RootOfCurvature(from, &root);
-    auto to = rows.middleRows(2 * Eigen::Index{i}, 2);
-    to.leftCols(3) = root * Eigen::Map<const TwoRows>(from.point, 2, 3);
-    for (int b = 0; b < from.num_blocks; ++b) {
-      to.middleCols(3 + FirstColumn(blocks, from.block[b]), from.size[b]) +=
-          root * RowsByBlock(from, b);
-    }
-  }
-  rows.bottomLeftCorner(num_priors, 3) =
-      Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>>(priors.data(),
-                                                                                  num_priors, 3);
-  return rows;
-}
-
 }  // namespace
 
 bool RootOfCurvature(const ObservationRows& rows, Eigen::Matrix2d* root) {
@@ -50,18 +27,21 @@ bool RootOfCurvature(const ObservationRows& rows, Eigen::Matrix2d* root) {
   return true;
 }
 
+Eigen::Matrix2d RootOrIdentity(const ObservationRows& rows, bool second_order) {
+  Eigen::Matrix2d root = Eigen::Matrix2d::Identity();
+  if (second_order) RootOfCurvature(rows, &root);
+  return root;
+}
+
 Eigen::Map<const TwoRows> RowsByBlock(const ObservationRows& rows, int b) {
   return Eigen::Map<const TwoRows>(rows.jacobian[b], 2, rows.size[b]);
 }
 
-Eigen::Index FirstColumn(const PointBlocks& blocks, int block) {
-  const auto at = std::lower_bound(blocks.blocks.begin(), blocks.blocks.end(), block);
-  return blocks.begin[at - blocks.blocks.begin()];
-}
-
 EliminatedRows::EliminatedRows(const PointBlocks& blocks, const PointAssembler& assembler,
                                const std::vector<double>& priors) {
-  const MatrixXd rows = AllRows(blocks, assembler, priors);
+  const MatrixXd rows = AllRows(blocks, assembler, priors, [&](const ObservationRows& of) {
+    return RootOrIdentity(of, assembler.is_second_order());
+  });
   MatrixXd turned = rows.rightCols(blocks.begin.back());
   const Eigen::Index rank = std::min<Eigen::Index>(3 - blocks.num_null, rows.rows());
   root_.resize(3, rank);

@@ -17,6 +17,8 @@
 /// is I + beta r r^T.
 
 #include <Eigen/Core>
+#include <algorithm>
+#include <utility>
 #include <vector>
 
 #include "core/covariance/point_blocks.h"
@@ -25,13 +27,39 @@ namespace bundle {
 
 /// I + gamma r r^T; false where an observation counts negatively along its residual.
 bool RootOfCurvature(const ObservationRows& rows, Eigen::Matrix2d* root);
+/// What an observation's rows are multiplied by: that, or the identity to first order.
+Eigen::Matrix2d RootOrIdentity(const ObservationRows& rows, bool second_order);
 
 /// Of block b of an observation, 2 x its size.
 using TwoRows = Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor>;
 Eigen::Map<const TwoRows> RowsByBlock(const ObservationRows& rows, int b);
 
-/// The first column of a block of the layout in PointBlocks::w.
-Eigen::Index FirstColumn(const PointBlocks& blocks, int block);
+/// Rows of a point that was just assembled: left(observation) (k x 2) times the two of each, then
+/// `priors`, of its own factors, three columns each. Three columns of the point, then those of
+/// PointBlocks::blocks.
+template <typename Left>
+Eigen::MatrixXd AllRows(const PointBlocks& blocks, const PointAssembler& assembler,
+                        const std::vector<double>& priors, const Left& left) {
+  using Rows3 = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
+  constexpr Eigen::Index kEach =
+      decltype(left(std::declval<const ObservationRows&>()))::RowsAtCompileTime;
+  const auto num_priors = static_cast<Eigen::Index>(priors.size() / 3);
+  const Eigen::Index num_observed = kEach * assembler.num_rows();
+  Eigen::MatrixXd rows = Eigen::MatrixXd::Zero(num_observed + num_priors, 3 + blocks.begin.back());
+  for (int i = 0; i < assembler.num_rows(); ++i) {
+    const ObservationRows& from = assembler.row(i);
+    const auto factor = left(from);
+    auto to = rows.middleRows(kEach * i, kEach);
+    to.leftCols(3) = factor * Eigen::Map<const TwoRows>(from.point, 2, 3);
+    for (int b = 0; b < from.num_blocks; ++b) {
+      const auto at = std::lower_bound(blocks.blocks.begin(), blocks.blocks.end(), from.block[b]);
+      to.middleCols(3 + blocks.begin[at - blocks.blocks.begin()], from.size[b]) +=
+          factor * RowsByBlock(from, b);
+    }
+  }
+  rows.bottomLeftCorner(num_priors, 3) = Eigen::Map<const Rows3>(priors.data(), num_priors, 3);
+  return rows;
+}
 
 class EliminatedRows {
  public:

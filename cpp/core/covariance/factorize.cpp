@@ -22,12 +22,12 @@ LongMatrix CovarianceComputation::SumHeld(bool by_rows) const {
     const LongMatrix b = gauge_->HeldDirections().cast<long double>();
     return held + b.lazyProduct(b.transpose());
   }
-  if (!wanted_.sandwich || !system_.is_small()) return {};
+  if (!wanted_.sandwich || !is_small_) return {};
   return Whole(system_.values(), system_.num_unknowns());
 }
 
 void CovarianceComputation::FindScatter() {
-  if (system_.is_small()) {
+  if (is_small_) {
     long_scatter_ =
         std::make_unique<LongScatter>(system_, std::move(lower_), SumMeatOfRows(system_),
                                       constraints_ == nullptr ? nullptr : gauge_.get());

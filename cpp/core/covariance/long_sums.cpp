@@ -85,23 +85,11 @@ std::vector<int> UnknownsOf(const ParameterLayout& layout, const PointBlocks& bl
 
 ReducedShares FindReducedShares(const ReducedSystem& system, int point, const PointBlocks& blocks,
                                 const PointAssembler& rows) {
-  using Rows3 = Eigen::Matrix<double, Eigen::Dynamic, 3, Eigen::RowMajor>;
-  const std::vector<double>& priors = system.point_prior_rows(point);
-  const auto num_priors = static_cast<Eigen::Index>(priors.size() / 3);
-  ReducedShares shares;
-  shares.of_unknowns = MatrixXd::Zero(rows.num_rows() + num_priors, blocks.begin.back());
-  shares.of_point.resize(shares.of_unknowns.rows(), 3);
-  for (int i = 0; i < rows.num_rows(); ++i) {
-    const ObservationRows& from = rows.row(i);
-    const Eigen::Map<const Eigen::RowVector2d> r(from.residual);
-    shares.of_point.row(i) = r * Eigen::Map<const TwoRows>(from.point, 2, 3);
-    for (int b = 0; b < from.num_blocks; ++b) {
-      shares.of_unknowns.row(i).segment(FirstColumn(blocks, from.block[b]), from.size[b]) +=
-          r * RowsByBlock(from, b);
-    }
-  }
-  shares.of_point.bottomRows(num_priors) = Eigen::Map<const Rows3>(priors.data(), num_priors, 3);
+  const MatrixXd all = AllRows(
+      blocks, rows, system.point_prior_rows(point),
+      [](const ObservationRows& of) { return Eigen::RowVector2d(of.residual[0], of.residual[1]); });
   const Eigen::Map<const MatrixXd> y(blocks.y.data(), 3, blocks.begin.back());
+  ReducedShares shares{all.rightCols(y.cols()), all.leftCols(3)};
   shares.of_unknowns -= Multiply(shares.of_point, y);
   return shares;
 }
@@ -113,9 +101,7 @@ LongMatrix SumSystemOfRows(const ReducedSystem& system) {
     AddSquares(UnknownsOf(system.layout(), blocks), rows.rest(), &sum);
   });
   system.ForObservationsOfFixedPoints([&](const ObservationRows& rows) {
-    Eigen::Matrix2d root = Eigen::Matrix2d::Identity();
-    if (system.is_second_order()) RootOfCurvature(rows, &root);
-    AddObservation(system.layout(), rows, root, &sum);
+    AddObservation(system.layout(), rows, RootOrIdentity(rows, system.is_second_order()), &sum);
   });
   AddFactors(system, &sum);
   Finish(system, 1, &sum);

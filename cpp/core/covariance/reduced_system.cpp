@@ -128,7 +128,6 @@ void ReducedSystem::FinishLinearization() {
   if (std::none_of(held_.begin(), held_.end(), [](uint8_t bit) { return bit != 0; })) held_.clear();
   if (!held_.empty()) evaluator_->Hold(held_);
   ReadDiagonal();
-  if (structure_.dense) FindPriorRows();
 }
 
 /// And makes rows of what is held those of the identity.

@@ -128,7 +128,8 @@ class ReducedSystem {
   /// From now on the points of ForPoints are eliminated from their rows (eliminated_rows.h). False
   /// where an observation has none, as it counts negatively along its residual.
   bool EliminateByRows();
-  /// Rows of the point's own factors, whitened, three columns each.
+  /// Rows of the point's own factors, whitened, three columns each; after EliminateByRows, whatever
+  /// that returned.
   const std::vector<double>& point_prior_rows(int point) const;
 
   /// Calls visit(point, its blocks, its rows, thread) for every free point, on all threads, points
@@ -180,7 +181,6 @@ class ReducedSystem {
   void LinearizeSchur(const SolveOptions& options);
   void FinishLinearization();
   void ReadDiagonal();
-  void FindPriorRows();
 
   const ProblemView& problem_;
   const int num_threads_;
@@ -201,7 +201,7 @@ class ReducedSystem {
   bool is_finite_ = true;  ///< the linearisation
   bool second_order_ = false;
   bool by_rows_ = false;
-  std::map<int, std::vector<double>> prior_rows_;  ///< of points, where S is dense
+  std::map<int, std::vector<double>> prior_rows_;  ///< of points; of EliminateByRows
   std::vector<uint8_t> held_;
   std::vector<double> diagonal_;
   std::vector<double> no_values_;  ///< of a system without unknowns

@@ -28,6 +28,11 @@ bool ReducedSystem::is_small() const {
 }
 
 bool ReducedSystem::EliminateByRows() {
+  ForFactors([&](const FactorRows& factor) {
+    if (factor.points.empty()) return;
+    std::vector<double>& to = prior_rows_[factor.points.front()];
+    to.insert(to.end(), factor.jacobian.begin(), factor.jacobian.end());
+  });
   ObservationRows rows;
   Eigen::Matrix2d root;
   for (int64_t i = 0; i < problem_.num_observations && second_order_; ++i) {
@@ -35,14 +40,6 @@ bool ReducedSystem::EliminateByRows() {
   }
   by_rows_ = true;
   return true;
-}
-
-void ReducedSystem::FindPriorRows() {
-  ForFactors([&](const FactorRows& factor) {
-    if (factor.points.empty()) return;
-    std::vector<double>& to = prior_rows_[factor.points.front()];
-    to.insert(to.end(), factor.jacobian.begin(), factor.jacobian.end());
-  });
 }
 
 const std::vector<double>& ReducedSystem::point_prior_rows(int point) const {
