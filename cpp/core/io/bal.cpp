@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <memory>
-#include <utility>
 
 #include "core/error.h"
 #include "core/io/bal_reader.h"
@@ -43,14 +42,7 @@ struct KeepAll {
 }  // namespace
 
 BalProblem ReadBal(const std::filesystem::path& path, const std::function<void()>& on_block) {
-  const std::unique_ptr<InputFile> file = InputFile::Open(path);
-  KeepAll sink;
-  BalProblem problem = BalReader(*file, sink, on_block).Read();
-  problem.points = std::move(sink.kept.points);
-  problem.observation_image = std::move(sink.kept.observation_image);
-  problem.observation_point = std::move(sink.kept.observation_point);
-  problem.observation_xy = std::move(sink.kept.observation_xy);
-  return problem;
+  return ReadKept(path, KeepAll{}, on_block);
 }
 
 namespace {

@@ -63,14 +63,7 @@ BalSurvey SurveyBal(const std::filesystem::path& path, const std::function<void(
 
 BalProblem ReadBalPart(const std::filesystem::path& path, const std::vector<int32_t>& place,
                        const std::function<void()>& on_block) {
-  const std::unique_ptr<InputFile> file = InputFile::Open(path);
-  KeepPart sink{place, {}};
-  BalProblem part = BalReader(*file, sink, on_block).Read();
-  part.points = std::move(sink.kept.points);
-  part.observation_image = std::move(sink.kept.observation_image);
-  part.observation_point = std::move(sink.kept.observation_point);
-  part.observation_xy = std::move(sink.kept.observation_xy);
-  return part;
+  return ReadKept(path, KeepPart{place, {}}, on_block);
 }
 
 }  // namespace bundle

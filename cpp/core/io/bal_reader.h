@@ -5,8 +5,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <filesystem>
 #include <functional>
 #include <limits>
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
@@ -155,5 +157,19 @@ class BalReader {
   int32_t num_observations_ = 0;
   BalProblem problem_;
 };
+
+/// Reads a file of which `sink.kept` has the points and observations in the end; returns these with
+/// the cameras.
+template <typename Sink>
+BalProblem ReadKept(const std::filesystem::path& path, Sink sink,
+                    const std::function<void()>& on_block) {
+  const std::unique_ptr<InputFile> file = InputFile::Open(path);
+  BalProblem problem = BalReader(*file, sink, on_block).Read();
+  problem.points = std::move(sink.kept.points);
+  problem.observation_image = std::move(sink.kept.observation_image);
+  problem.observation_point = std::move(sink.kept.observation_point);
+  problem.observation_xy = std::move(sink.kept.observation_xy);
+  return problem;
+}
 
 }  // namespace bundle
