@@ -113,6 +113,16 @@ def reprojection_error(
     return summarize_errors(errors, behind, resolve_cheirality(problem, cheirality))
 
 
+def counted_errors(
+    errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
+) -> NDArray[np.bool_]:
+    """Return which of the errors count; `cheirality` is "algebraic" or "zero"."""
+    counted = ~np.isnan(errors)
+    if cheirality == "zero":
+        counted &= ~behind
+    return counted
+
+
 def summarize_errors(
     errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
 ) -> ReprojectionError:
@@ -120,9 +130,7 @@ def summarize_errors(
 
     `cheirality` is "algebraic" or "zero".
     """
-    counted = ~np.isnan(errors)
-    if cheirality == "zero":
-        counted &= ~behind
+    counted = counted_errors(errors, behind, cheirality)
     if not counted.all():
         errors = errors[counted]
     if len(errors) == 0:
@@ -152,12 +160,12 @@ def _quantiles(values: NDArray[np.float64], shares: list[float]) -> list[float]:
     bounds = [(int(position), min(int(position) + 1, last)) for position in positions]
     values.partition([index for pair in bounds for index in pair])
     return [
-        _between(float(values[below]), float(values[above]), position - below)
+        between(float(values[below]), float(values[above]), position - below)
         for position, (below, above) in zip(positions, bounds, strict=True)
     ]
 
 
-def _between(low: float, high: float, share: float) -> float:
+def between(low: float, high: float, share: float) -> float:
     """Return low + share (high - low), also where these are infinite."""
     return low if low == high or share == 0 else low + share * (high - low)
 

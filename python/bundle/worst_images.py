@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.problem import Problem
-from bundle.reprojection import reprojection_errors, resolve_cheirality
+from bundle.reprojection import counted_errors, reprojection_errors, resolve_cheirality
 
 __all__ = [
     "ImageError",
@@ -71,10 +71,10 @@ def worst_of_errors(
     most: int = WORST,
 ) -> tuple[ImageError, ...]:
     """Return the same from what `reprojection_errors` returns."""
-    zero = resolve_cheirality(problem, cheirality) == "zero"
+    cheirality = resolve_cheirality(problem, cheirality)
     return worst_of_sums(
         problem,
-        *sums_of_images(problem.observation_image, problem.num_images, errors, behind, zero),
+        *sums_of_images(problem.observation_image, problem.num_images, errors, behind, cheirality),
         most,
     )
 
@@ -84,17 +84,18 @@ def sums_of_images(
     num_images: int,
     errors: NDArray[np.float64],
     behind: NDArray[np.bool_],
-    leaves_out_behind: bool,
+    cheirality: str,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return count, sum of squares and maximum of the errors that count, of each image."""
+    """Return count, sum of squares and maximum of the errors that count, of each image.
+
+    `cheirality` is "algebraic" or "zero".
+    """
     count = np.zeros(num_images, dtype=np.int64)
     total, largest = np.zeros(num_images), np.zeros(num_images)
     with np.errstate(over="ignore", invalid="ignore"):
         for first in range(0, len(errors), _BLOCK):
             block = slice(first, first + _BLOCK)
-            counted = ~np.isnan(errors[block])
-            if leaves_out_behind:
-                counted &= ~behind[block]
+            counted = counted_errors(errors[block], behind[block], cheirality)
             image = observation_image[block][counted].astype(np.intp)
             its_errors = errors[block][counted]
             count += np.bincount(image, minlength=num_images)

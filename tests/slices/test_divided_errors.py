@@ -57,3 +57,11 @@ def test_no_observation_counts():
 def test_infinite_errors():
     found = divided([(np.array([1.0, np.inf]), np.zeros(2, bool))] * 2, "zero")
     assert (found.max, found.p95) == (np.inf, np.inf)
+
+
+def test_a_quantile_at_an_error_beside_an_infinite_one_is_that_error():
+    errors = np.array([3.0, 1.0, np.inf, 2.0, np.inf])
+    parts = [(errors[:2], np.zeros(2, bool)), (errors[2:], np.zeros(3, bool))]
+    found = divided(parts, "zero")
+    assert found.median == 3.0
+    assert found.median == summarize_errors(errors, np.zeros(5, bool), "zero").median

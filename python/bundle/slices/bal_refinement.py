@@ -179,7 +179,7 @@ def _measure(
     moved = dataclasses.replace(own.part, points=freeze(output["points"]), shared=shared)
     errors, behind = _core.reprojection_errors(moved, options["num_threads"])  # type: ignore[arg-type]
     sums = sums_of_images(
-        own.part.observation_image, own.cameras.num_images, errors, behind, cheirality == "zero"
+        own.part.observation_image, own.cameras.num_images, errors, behind, cheirality
     )
     after = divided_statistics(meeting, errors, behind, cheirality)
     return before, after, meeting.gather(sums)

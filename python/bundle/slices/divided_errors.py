@@ -9,10 +9,12 @@ more than its own errors.
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.reprojection import ReprojectionError
+from bundle.reprojection import ReprojectionError, between, counted_errors, summarize_errors
 from bundle.slices.slice_reading import Meeting
 
 __all__ = ["divided_statistics", "order_statistics"]
@@ -29,10 +31,7 @@ def divided_statistics(
         behind: of this process.
         cheirality: "algebraic" or "zero".
     """
-    counted = ~np.isnan(errors)
-    if cheirality == "zero":
-        counted &= ~behind
-    own = np.sort(errors[counted])
+    own = np.sort(errors[counted_errors(errors, behind, cheirality)])
     with np.errstate(over="ignore"):
         sums = (len(own), behind.sum(), own.sum(), (own**2).sum(), own.max(initial=0.0))
     given = meeting.gather(sums)
@@ -43,29 +42,22 @@ def divided_statistics(
         totals = (int(count), int(num_behind), float(total), float(squares), float(largest))
     count, num_behind, total, squares, largest = meeting.broadcast(totals)
     if count == 0:
-        nan = float("nan")
-        return ReprojectionError(
-            rmse=nan,
-            mean=nan,
-            median=nan,
-            p95=nan,
-            max=nan,
-            num_observations=0,
-            num_behind_camera=num_behind,
-        )
+        none = summarize_errors(own, np.zeros(0, bool), cheirality)
+        return dataclasses.replace(none, num_behind_camera=num_behind)
     positions = np.array([0.5, 0.95]) * (count - 1)
     below = positions.astype(np.int64)
     values = order_statistics(meeting, own, np.r_[below, np.minimum(below + 1, count - 1)])
     if meeting.rank > 0:
         return None
-    low, high = values[:2], values[2:]
-    with np.errstate(invalid="ignore"):
-        shares = np.where(low == high, low, low + (positions - below) * (high - low))
+    median, p95 = (
+        between(float(low), float(high), float(share))
+        for low, high, share in zip(values[:2], values[2:], positions - below, strict=True)
+    )
     return ReprojectionError(
         rmse=float(np.sqrt(squares / count)),
         mean=total / count,
-        median=float(shares[0]),
-        p95=float(shares[1]),
+        median=median,
+        p95=p95,
         max=largest,
         num_observations=count,
         num_behind_camera=num_behind,
