@@ -25,7 +25,7 @@ from bundle.io import problem_source
 from bundle.io.problem_source import LOST_SIGMAS, BalSource
 from bundle.problem import Problem
 
-__all__ = ["check_refined", "load", "losses", "radial_params", "save", "save_like"]
+__all__ = ["check_refined", "load", "losses", "problem_of", "radial_params", "save", "save_like"]
 
 
 class _Layout(NamedTuple):
@@ -56,7 +56,19 @@ def load(path: Path) -> Problem:
             damaged compression path and byte.
         OSError: the file cannot be read.
     """
-    poses, rotations, params, points, image, point, xy = _core.read_bal(path)
+    return problem_of(*_core.read_bal(path))
+
+
+def problem_of(
+    poses: NDArray[np.float64],
+    rotations: NDArray[np.float64],
+    params: NDArray[np.float64],
+    points: NDArray[np.float64],
+    image: NDArray[np.int32],
+    point: NDArray[np.int32],
+    xy: NDArray[np.float64],
+) -> Problem:
+    """Return the problem of what the core read."""
     return Problem(
         cam_from_world=poses,
         camera_models=("RADIAL",) * len(poses),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.errors import InputError, shown
-from bundle.io.problem_source import BalSource
+from bundle.io import bal
 from bundle.problem import Problem
 from bundle.ranks.divided_solve import Ranks
 from bundle.ranks.partition import ProblemPart, divide_tracks, shared_of
@@ -96,17 +96,8 @@ def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
     place = np.full(len(whole.owner), -1, np.int32)
     place[mine] = np.arange(len(mine), dtype=np.int32)
     poses, rotations, params, points, image, point, xy = _core.read_bal_part(path, place)
-    cameras = Problem(
-        cam_from_world=poses,
-        camera_models=("RADIAL",) * len(poses),
-        camera_params=params,
-        points=np.zeros((0, 3)),
-        observation_image=np.zeros(0, np.int32),
-        observation_point=np.zeros(0, np.int32),
-        observation_xy=np.zeros((0, 2)),
-        format="bal",
-        source=BalSource(rotations, poses),
-    )
+    none, nowhere = np.zeros(0, np.int32), np.zeros((0, 2))
+    cameras = bal.problem_of(poses, rotations, params, points[:0], none, none, nowhere)
     part = ProblemPart(
         points=points,
         point_ids=mine,
