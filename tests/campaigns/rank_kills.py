@@ -17,31 +17,23 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import bundle
-from bundle.rounds import checkpoint
-from tests.campaigns.resumes import make_scene
+from tests.campaigns.resumes import FLAGS, files_of, is_whole, make_scene
+from tests.campaigns.resumes import Outcome as Resumed
 
 MPIRUN = Path(sys.executable).parent / "mpirun"
-FLAGS = [
-    *("--rounds", "4", "--max-error", "1.2", "--loss", "cauchy", "--function-tolerance", "1e-10"),
-    *("--threads", "1", "--deterministic", "--quiet", "--checkpoint-interval", "2"),
-]
 SECONDS_TO_END = 10.0
 
 
 @dataclass
-class Outcome:
-    """What was counted, and what was wrong."""
+class Outcome(Resumed):
+    """What was counted beside, of kills."""
 
-    kills: int = 0
-    runs: int = 0
-    with_checkpoint: int = 0
     without_line: int = 0
     slowest_end: float = 0.0
-    wrong: list[str] = field(default_factory=list)
 
 
 def campaign(count: int, seed: int = 0, num_processes: int = 3, num_points: int = 150) -> Outcome:
@@ -55,14 +47,14 @@ def campaign(count: int, seed: int = 0, num_processes: int = 3, num_points: int 
         _, error = finish(start(folder, "reference", "--checkpoint", num_processes))
         assert error == "", error
         seconds = time.perf_counter() - begun
-        expected = _files(folder / "reference")
+        expected = files_of(folder / "reference")
         while outcome.kills < count:
             (folder / "run.ckpt").unlink(missing_ok=True)
             flag = "--checkpoint"
             while _is_killed(draw, seconds, folder, flag, num_processes, outcome):
                 flag = "--resume"
             outcome.runs += 1
-            if _files(folder / "out") != expected:
+            if files_of(folder / "out") != expected:
                 outcome.wrong.append(f"run {outcome.runs} ended elsewhere")
             for path in (folder / "out").iterdir():
                 path.unlink()
@@ -146,32 +138,18 @@ def _is_killed(
     _require(outcome, len(lines) <= 1, f"{what}: {lines}")
     outcome.without_line += lines == []
     _require(outcome, "Traceback" not in error, f"{what}: {error}")
-    outcome.with_checkpoint += _is_whole(folder / "run.ckpt", outcome)
+    outcome.with_checkpoint += is_whole(folder / "run.ckpt", outcome)
     return not _is_complete(folder / "out", folder / "reference")
 
 
 def _is_complete(found: Path, expected: Path) -> bool:
     """Tell whether the output stands already, as where a process dies after its work."""
-    return found.exists() and _files(found).keys() == _files(expected).keys()
-
-
-def _is_whole(path: Path, outcome: Outcome) -> bool:
-    if not path.exists():
-        return False
-    try:
-        checkpoint.check_target(path)
-    except bundle.InputError as error:
-        outcome.wrong.append(str(error))
-    return True
+    return found.exists() and files_of(found).keys() == files_of(expected).keys()
 
 
 def _require(outcome: Outcome, condition: bool, otherwise: str) -> None:
     if not condition:
         outcome.wrong.append(otherwise)
-
-
-def _files(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ def campaign(count: int, seed: int = 0, num_points: int = 150) -> Outcome:
         started = time.perf_counter()
         assert not killed_before(-1, lambda: _refine(folder, "reference", "--checkpoint"))
         seconds = time.perf_counter() - started
-        expected = _files(folder / "reference")
+        expected = files_of(folder / "reference")
         operations = _count_operations(folder)
         while outcome.kills < count:
             (folder / "run.ckpt").unlink(missing_ok=True)
@@ -84,10 +84,10 @@ def campaign(count: int, seed: int = 0, num_points: int = 150) -> Outcome:
                 if not killed:
                     break
                 outcome.kills += 1
-                outcome.with_checkpoint += _is_whole(folder / "run.ckpt", outcome)
+                outcome.with_checkpoint += is_whole(folder / "run.ckpt", outcome)
                 flag = "--resume"
             outcome.runs += 1
-            if _files(folder / "out") != expected:
+            if files_of(folder / "out") != expected:
                 outcome.wrong.append(f"run {outcome.runs} ended elsewhere")
     return outcome
 
@@ -128,7 +128,7 @@ def _killed_after(seconds: float, folder: Path, flag: str) -> bool:
     return os.WIFSIGNALED(status)
 
 
-def _is_whole(path: Path, outcome: Outcome) -> bool:
+def is_whole(path: Path, outcome: Outcome) -> bool:
     """Tell whether a checkpoint stands there; note one that is not whole."""
     if not path.exists():
         return False
@@ -139,7 +139,7 @@ def _is_whole(path: Path, outcome: Outcome) -> bool:
     return True
 
 
-def _files(folder: Path) -> dict[str, bytes]:
+def files_of(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
