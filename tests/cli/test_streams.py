@@ -182,3 +182,37 @@ def test_ctrl_c_again_and_again(tmp_path):
     assert "Traceback" not in err
     assert process.returncode in (0, 1, 130)
     assert (tmp_path / "out.txt").exists() == ("nothing was written" not in err)
+
+
+MOMENTS = {
+    # Python keeps in mind that a string's execution was interrupted, even where that is caught.
+    "while a string is executed": """
+refine.run = lambda _: exec("raise KeyboardInterrupt")
+""",
+    # The second signal arrives where no exception would be caught any more.
+    "just after the first": """
+begin = main._ignoring_interrupts
+refine.run = lambda _: interrupt()
+main._ignoring_interrupts = lambda **how: (interrupt(), begin(**how))[1]
+""",
+}
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_exit_code_of_an_interrupt_at_a_bad_moment(tmp_path, moment):
+    (tmp_path / "program.py").write_text(
+        "import os, signal, sys\n"
+        "from bundle.__main__ import run\n"
+        "from bundle.cli import main as _\n"
+        "from bundle.cli import refine\n"
+        "main = sys.modules['bundle.cli.main']\n"
+        "interrupt = lambda: os.kill(os.getpid(), signal.SIGINT)\n"
+        f"{MOMENTS[moment]}\n"
+        "sys.exit(run())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "program", "refine", "in.txt", "-o", tmp_path / "out.txt"],
+        cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.stderr == "error: interrupted; nothing was written\n"
+    assert done.returncode == 130

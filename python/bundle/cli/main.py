@@ -55,9 +55,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     with atomic.recording() as written, _noting_recoveries():
         try:
             code = _run(sys.argv[1:] if argv is None else list(argv))
-            if argv is None:  # nothing is left but the interpreter's end, which may take a moment
-                signal.signal(signal.SIGINT, signal.SIG_IGN)
+            startup.is_over = argv is None
         except (Exception, KeyboardInterrupt) as error:
+            startup.is_over = argv is None
             with _ignoring_interrupts(for_good=argv is None):
                 line = describe_error(error, written)
                 if line is None:
@@ -65,6 +65,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 complain(f"error: {line}")
                 code = EXIT_INTERRUPTED if is_interruption(error) else EXIT_BAD_INPUT
         finally:
+            startup.is_over = argv is None
+            if argv is None:  # nothing is left but the interpreter's end, which may take a moment
+                startup.ignore_interrupts()
             release_broken_streams()
     if argv is None:
         gc.freeze()  # the interpreter need not search for garbage what the system takes back
@@ -158,12 +161,13 @@ def _noting_recoveries() -> Iterator[None]:
 @contextmanager
 def _ignoring_interrupts(for_good: bool) -> Iterator[None]:
     """Let impatience not interrupt the line that says what has happened, nor what follows."""
-    if threading.current_thread() is not threading.main_thread():
+    if for_good:
+        startup.ignore_interrupts()
+    if for_good or threading.current_thread() is not threading.main_thread():
         yield
         return
     handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        if not for_good:
-            signal.signal(signal.SIGINT, handler)
+        signal.signal(signal.SIGINT, handler)

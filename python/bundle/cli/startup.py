@@ -1,7 +1,12 @@
-"""Ctrl-C while the program is still being imported, which takes a moment.
+"""Ctrl-C at the program's start and at its end.
 
-An exception would have to pass through other people's imports, some of which turn it into one of
-their own. Nothing has been read or written yet, so the process may simply end.
+While modules are imported an exception would have to pass through other people's code, some of
+which turns it into one of its own. Nothing has been read or written yet, so the process may simply
+end.
+
+At the end, while the last line is printed and the interpreter is taken down, nobody is left who
+could catch an exception. Python looks for signals at calls and loops only: ``is_over = True`` as
+the first statement after the work, which contains no call, leaves no moment between.
 
 The garbage collector runs less often as well: by default it runs whenever there are some hundred
 or thousand new objects, and imports make many that stay.
@@ -12,16 +17,21 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
+import threading
 
 TYPE_CHECKING = False  # as of typing, whose import takes longer than all that is here
 if TYPE_CHECKING:
     from types import FrameType
 
-__all__ = ["begin", "done"]
+__all__ = ["begin", "done", "ignore_interrupts", "is_over"]
 
 EXIT_INTERRUPTED = 130
 
 OBJECTS_BETWEEN_COLLECTIONS = 100_000
+
+is_over = False
+"""Whether the work is done, or given up: SIGINT does nothing any more."""
 
 
 def begin() -> None:
@@ -39,9 +49,34 @@ def begin() -> None:
 
 
 def done() -> None:
-    """Let SIGINT raise KeyboardInterrupt again."""
+    """Let SIGINT raise KeyboardInterrupt again, until ``is_over``."""
     if signal.getsignal(signal.SIGINT) is _end:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def ignore_interrupts() -> None:
+    """Ignore SIGINT until the process has ended, by an exit code also where one has come.
+
+    ``is_over`` has to be set before.
+    """
+    if threading.current_thread() is threading.main_thread():
+        sys.unraisablehook = _complain_of_others
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # A KeyboardInterrupt that was caught, but had come while a string was executed (as dataclasses
+    # do), makes Python end by SIGINT after all; the next such execution forgets it.
+    exec("")
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    if not is_over:
+        raise KeyboardInterrupt
+
+
+def _complain_of_others(unraisable: sys.UnraisableHookArgs) -> None:
+    """Say nothing of a signal that came just before it was ignored; Python knows no better."""
+    error = unraisable.exc_value
+    if not (isinstance(error, OSError) and "race condition" in str(error)):
+        sys.__unraisablehook__(unraisable)
 
 
 def _end(_number: int, _frame: FrameType | None) -> None:
