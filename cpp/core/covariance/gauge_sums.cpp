@@ -37,7 +37,7 @@ SimilaritySquare GaugeTriangle::Triangle() {
 
 void GaugeTriangle::Fold() {
   rows_.bottomRows(kRows - count_).setZero();
-  rows_.topRows<kSimilarities>() = TriangleOfQr(rows_);
+  rows_.topRows<kSimilarities>() = TriangleOfQr(Eigen::MatrixXd(rows_));
   count_ = kSimilarities;
 }
 

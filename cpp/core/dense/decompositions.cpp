@@ -5,11 +5,37 @@
 #include <Eigen/LU>
 #include <Eigen/QR>
 #include <Eigen/SVD>
+#include <algorithm>
+#include <cmath>
+#include <limits>
 
 namespace bundle {
 
 using Eigen::MatrixXd;
+using Eigen::MatrixXf;
 using Eigen::VectorXd;
+
+namespace {
+
+template <typename Matrix>
+Matrix Triangle(const Matrix& matrix) {
+  return Eigen::HouseholderQR<Matrix>(matrix)
+      .matrixQR()
+      .topRows(matrix.cols())
+      .template triangularView<Eigen::Upper>();
+}
+
+template <typename Matrix>
+bool SolvePositive(const Matrix& a, const Matrix& b, Matrix* x) {
+  using Scalar = typename Matrix::Scalar;
+  const Eigen::LLT<Matrix> llt(a);
+  const bool is_positive =
+      llt.info() == Eigen::Success && llt.rcond() > std::numeric_limits<Scalar>::epsilon();
+  if (is_positive) *x = llt.solve(b);
+  return is_positive;
+}
+
+}  // namespace
 
 SymmetricEigen DecomposeSymmetric(const MatrixXd& matrix) {
   const Eigen::SelfAdjointEigenSolver<MatrixXd> solver(matrix);
@@ -31,12 +57,9 @@ VectorXd SingularValues(const MatrixXd& matrix) {
   return Eigen::JacobiSVD<MatrixXd>(matrix).singularValues();
 }
 
-MatrixXd TriangleOfQr(const MatrixXd& matrix) {
-  return Eigen::HouseholderQR<MatrixXd>(matrix)
-      .matrixQR()
-      .topRows(matrix.cols())
-      .triangularView<Eigen::Upper>();
-}
+MatrixXd TriangleOfQr(const MatrixXd& matrix) { return Triangle(matrix); }
+
+MatrixXf TriangleOfQr(const MatrixXf& matrix) { return Triangle(matrix); }
 
 MatrixXd OrthonormalColumns(const MatrixXd& matrix) {
   return Eigen::HouseholderQR<MatrixXd>(matrix).householderQ() *
@@ -49,13 +72,39 @@ MatrixXd InverseOfCholesky(const MatrixXd& matrix) {
   return inverse;
 }
 
+bool SolveByCholesky(const MatrixXd& a, const MatrixXd& b, MatrixXd* x) {
+  return SolvePositive(a, b, x);
+}
+
+bool SolveByCholesky(const MatrixXf& a, const MatrixXf& b, MatrixXf* x) {
+  return SolvePositive(a, b, x);
+}
+
+MatrixXd SolveSemidefinite(const MatrixXd& a, const MatrixXd& b, double epsilon) {
+  VectorXd scale = a.diagonal();
+  for (double& entry : scale) entry = entry > 0 ? 1 / std::sqrt(entry) : 0;
+  const SymmetricEigen eigen = DecomposeSymmetric(scale.asDiagonal() * a * scale.asDiagonal());
+  VectorXd inverse = eigen.values;
+  const double least = epsilon * double(inverse.size()) * std::max(inverse.maxCoeff(), 0.0);
+  for (double& x : inverse) x = x > least ? 1 / x : 0;
+  const MatrixXd turned =
+      inverse.asDiagonal() * MultiplyTransposed(eigen.vectors, scale.asDiagonal() * b);
+  return scale.asDiagonal() * Multiply(eigen.vectors, turned);
+}
+
 VectorXd SolveByFullPivoting(const MatrixXd& a, const VectorXd& b) {
   return Eigen::FullPivLU<MatrixXd>(a).setThreshold(0.0).solve(b);
 }
 
 MatrixXd Multiply(const ConstColumns& a, const ConstColumns& b) { return a * b; }
 
+MatrixXf Multiply(const ConstColumnsOf<float>& a, const ConstColumnsOf<float>& b) { return a * b; }
+
 MatrixXd MultiplyTransposed(const ConstColumns& a, const ConstColumns& b) {
+  return a.transpose() * b;
+}
+
+MatrixXf MultiplyTransposed(const ConstColumnsOf<float>& a, const ConstColumnsOf<float>& b) {
   return a.transpose() * b;
 }
 

@@ -29,6 +29,7 @@ Eigen::VectorXd SingularValues(const Eigen::MatrixXd& matrix);
 
 /// R of A = Q R, square, for at least as many rows as columns.
 Eigen::MatrixXd TriangleOfQr(const Eigen::MatrixXd& matrix);
+Eigen::MatrixXf TriangleOfQr(const Eigen::MatrixXf& matrix);
 
 /// Q of A = Q R, of A's shape, for at least as many rows as columns. Columns that depend on others
 /// become some direction beside them.
@@ -37,14 +38,30 @@ Eigen::MatrixXd OrthonormalColumns(const Eigen::MatrixXd& matrix);
 /// U^-1 with U upper triangular and U^T U = A, which is positive definite.
 Eigen::MatrixXd InverseOfCholesky(const Eigen::MatrixXd& matrix);
 
+/// X of A X = B by Cholesky's factor. False, and no X, where A is not positive definite or its
+/// condition leaves no digit.
+bool SolveByCholesky(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b, Eigen::MatrixXd* x);
+bool SolveByCholesky(const Eigen::MatrixXf& a, const Eigen::MatrixXf& b, Eigen::MatrixXf* x);
+
+/// X of A X = B, A positive semi-definite, on the subspace of which A says something; X is zero
+/// across it. Rank is judged in units in which A's diagonal is 1: eigenvalues up to `epsilon` times
+/// the largest and A's size count as zero.
+Eigen::MatrixXd SolveSemidefinite(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b,
+                                  double epsilon);
+
 /// x of A x = b. Of a singular A, some x that fits best where pivots are zero.
 Eigen::VectorXd SolveByFullPivoting(const Eigen::MatrixXd& a, const Eigen::VectorXd& b);
 
-using ConstColumns = Eigen::Ref<const Eigen::MatrixXd, 0, Eigen::OuterStride<>>;
+template <typename Scalar>
+using ConstColumnsOf = Eigen::Ref<const Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic>, 0,
+                                  Eigen::OuterStride<>>;
+using ConstColumns = ConstColumnsOf<double>;
 
 /// A B
 Eigen::MatrixXd Multiply(const ConstColumns& a, const ConstColumns& b);
+Eigen::MatrixXf Multiply(const ConstColumnsOf<float>& a, const ConstColumnsOf<float>& b);
 /// A^T B
 Eigen::MatrixXd MultiplyTransposed(const ConstColumns& a, const ConstColumns& b);
+Eigen::MatrixXf MultiplyTransposed(const ConstColumnsOf<float>& a, const ConstColumnsOf<float>& b);
 
 }  // namespace bundle

@@ -217,7 +217,7 @@ class GaugeCount {
 
   void Factorize() {
     const Eigen::Index n = rows_.cols();
-    rows_.topRows(n) = TriangleOfQr(rows_.topRows(num_rows_));
+    rows_.topRows(n) = TriangleOfQr(rows_.topRows(num_rows_).eval());
     num_rows_ = n;
   }
 

@@ -5,7 +5,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
-#include <Eigen/QR>
+#include <Eigen/Householder>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -71,8 +71,12 @@ class WindowElimination {
         continue;
       }
       ++result->num_landmarks;
-      const Matrix w = llt.matrixL().solve(own.transpose() * rest);  // its last column: L^-1 g
-      Scatter(rest.transpose() * rest - w.transpose() * w, blocks);
+      Matrix w = MultiplyTransposed(own, rest);  // L w = own^T rest; its last column: L^-1 g
+      const auto l = llt.matrixLLT();
+      w.row(0) /= l(0, 0);
+      w.row(1) = (w.row(1) - l(1, 0) * w.row(0)) / l(1, 1);
+      w.row(2) = (w.row(2) - l(2, 0) * w.row(0) - l(2, 1) * w.row(1)) / l(2, 2);
+      Scatter(MultiplyTransposed(rest, rest) - MultiplyTransposed(w, w), blocks);
       constant -= w.col(w.cols() - 1).squaredNorm() / 2;
     }
     const Matrix haa = h_.topLeftCorner(a, a), hba = h_.bottomLeftCorner(b, a);
@@ -80,8 +84,8 @@ class WindowElimination {
     Matrix rhs(a, b + 1);
     rhs << h_.topRightCorner(a, b), g_.head(a);
     SolveGone(haa, rhs, &solved, result);
-    Matrix lambda = h_.bottomRightCorner(b, b) - hba * solved.leftCols(b);
-    const Vector eta = hba * solved.col(b) - g_.tail(b);
+    Matrix lambda = h_.bottomRightCorner(b, b) - Multiply(hba, solved.leftCols(b));
+    const Vector eta = Multiply(hba, solved.col(b)) - g_.tail(b);
     constant -= g_.head(a).dot(solved.col(b)) / 2;
     const double largest = b == 0 ? 0 : double(lambda.cwiseAbs().maxCoeff());
     if (largest > 0) {
@@ -133,9 +137,7 @@ class WindowElimination {
       all.middleRows(row, part.rows()) = part;
       row += static_cast<int>(part.rows());
     }
-    const Eigen::HouseholderQR<Eigen::Ref<Matrix>> qr(all);
-    const auto r = qr.matrixQR().template triangularView<Eigen::Upper>();
-    const Matrix triangle = r.toDenseMatrix().topRows(n + 1);
+    const Matrix triangle = TriangleOfQr(all);
     Scalar largest = 0;
     for (int k = 0; k < a; ++k) largest = std::max(largest, std::abs(triangle(k, k)));
     for (int k = 0; k < a; ++k) {
@@ -154,28 +156,11 @@ class WindowElimination {
   }
 
   void SolveGone(const Matrix& haa, const Matrix& rhs, Matrix* solved, MarginalizedWindow* result) {
-    const Eigen::LLT<Matrix> llt(haa);
-    if (llt.info() == Eigen::Success && llt.rcond() > std::numeric_limits<Scalar>::epsilon()) {
-      *solved = llt.solve(rhs);
-      return;
-    }
-    // Information on part of the coordinates only: the others take nothing along. Rank is judged in
-    // units in which the diagonal is 1.
+    if (SolveByCholesky(haa, rhs, solved)) return;
+    // Information on part of the coordinates only: the others take nothing along.
     result->is_regular = false;
-    Eigen::VectorXd scale(haa.rows());
-    for (int k = 0; k < scale.size(); ++k) {
-      const double entry = double(haa(k, k));
-      scale[k] = entry > 0 ? 1 / std::sqrt(entry) : 0;
-    }
-    const SymmetricEigen eigen =
-        DecomposeSymmetric(scale.asDiagonal() * haa.template cast<double>() * scale.asDiagonal());
-    Eigen::VectorXd inverse = eigen.values;
-    const double least = double(std::numeric_limits<Scalar>::epsilon()) * double(inverse.size()) *
-                         std::max(inverse.maxCoeff(), 0.0);
-    for (double& x : inverse) x = x > least ? 1 / x : 0;
-    const Eigen::MatrixXd scaled = scale.asDiagonal() * rhs.template cast<double>();
-    *solved = (scale.asDiagonal() * eigen.vectors * inverse.asDiagonal() *
-               (eigen.vectors.transpose() * scaled))
+    *solved = SolveSemidefinite(haa.template cast<double>(), rhs.template cast<double>(),
+                                double(std::numeric_limits<Scalar>::epsilon()))
                   .template cast<Scalar>();
   }
 
@@ -294,7 +279,7 @@ class WindowElimination {
 
   /// H and g of rows [by blocks, r].
   void AddRows(const Matrix& dense, const std::vector<int>& blocks) {
-    Scatter(dense.transpose() * dense, blocks);
+    Scatter(MultiplyTransposed(dense, dense), blocks);
   }
 
   /// Adds [J^T J, J^T r; r^T J, .] of some blocks to H and g.
