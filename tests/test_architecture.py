@@ -30,6 +30,7 @@ CORE_MAY_INCLUDE = {
     "graph": {"factors", "geometry"},
     "problem": {"factors", "cameras", "geometry", "parallel"},
     "io": {"cameras"},
+    "synthetic": {"cameras", "geometry", "parallel"},
     "interface": {"problem", "factors"},
     "model": {
         *{"interface", "problem", "factors", "cameras", "geometry", "symbolic", "parallel"},
@@ -227,8 +228,10 @@ PYTHON_MAY_IMPORT = {
         "display",
         "errors",
         "inertial",
+        "io",
         "option_fields",
         "problem",
+        "reprojection",
         "rigid_motions",
         "rotations",
         "vio",

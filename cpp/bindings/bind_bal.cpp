@@ -3,6 +3,7 @@
 #include <pybind11/stl/filesystem.h>
 
 #include <filesystem>
+#include <memory>
 #include <string>
 #include <system_error>
 #include <utility>
@@ -13,6 +14,7 @@
 #include "core/error.h"
 #include "core/io/bal.h"
 #include "core/io/bal_parts.h"
+#include "core/io/bal_stream.h"
 
 namespace py = pybind11;
 
@@ -129,6 +131,61 @@ void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_wo
   }
 }
 
+/// `call()` without the GIL; system errors name the file.
+template <typename Call>
+void Unlocked(const BalStream& stream, const Call& call) {
+  try {
+    const py::gil_scoped_release release;
+    call();
+  } catch (const std::system_error& error) {
+    ThrowOsError(error, stream.path());
+  }
+}
+
+std::unique_ptr<BalStream> OpenBalStream(const py::list& given, int64_t num_images,
+                                         int64_t num_points) {
+  std::vector<std::filesystem::path> paths;
+  for (const py::handle path : given) {
+    paths.push_back(PathFromPython(py::reinterpret_borrow<py::object>(path)));
+  }
+  std::unique_ptr<BalStream> stream;
+  try {
+    stream = std::make_unique<BalStream>(paths, num_images, num_points, CheckSignals);
+  } catch (const std::system_error& error) {
+    ThrowOsError(error, paths.front());
+  }
+  return stream;
+}
+
+/// Indices are those of bundle.synthetic, which made them.
+void StreamObservations(BalStream& stream, const Array<double>& camera_params,
+                        const Array<int32_t>& image, const Array<int32_t>& point,
+                        const Array<double>& xy) {
+  BalView view;
+  view.num_observations = xy.shape(0);
+  view.camera_params = Checked(camera_params, "camera_params", camera_params.shape(0), 5);
+  view.observation_image = Checked(image, "observation_image", view.num_observations, 1);
+  view.observation_point = Checked(point, "observation_point", view.num_observations, 1);
+  view.observation_xy = Checked(xy, "observation_xy", view.num_observations, 2);
+  Unlocked(stream, [&] { stream.AddObservations(view); });
+}
+
+void StreamCameras(BalStream& stream, int file, const Array<double>& cam_from_world,
+                   const Array<double>& camera_params) {
+  BalView view;
+  view.num_images = cam_from_world.shape(0);
+  view.cam_from_world = Checked(cam_from_world, "cam_from_world", view.num_images, 7);
+  view.camera_params = Checked(camera_params, "camera_params", view.num_images, 5);
+  Unlocked(stream, [&] { stream.AddCameras(file, view); });
+}
+
+void StreamPoints(BalStream& stream, int file, const Array<double>& points) {
+  BalView view;
+  view.num_points = points.shape(0);
+  view.points = Checked(points, "points", view.num_points, 3);
+  Unlocked(stream, [&] { stream.AddPoints(file, view); });
+}
+
 }  // namespace
 }  // namespace bundle
 
@@ -136,6 +193,16 @@ void BindBal(py::module_& m) {
   m.def("read_bal", &bundle::ReadBalFile, py::arg("path"));
   m.def("survey_bal", &bundle::SurveyBalFile, py::arg("path"));
   m.def("read_bal_part", &bundle::ReadPartOfBalFile, py::arg("path"), py::arg("place"));
+  py::class_<bundle::BalStream>(m, "BalStream")
+      .def(py::init(&bundle::OpenBalStream), py::arg("paths"), py::arg("num_images"),
+           py::arg("num_points"))
+      .def("add_observations", &bundle::StreamObservations, py::arg("camera_params"),
+           py::arg("observation_image"), py::arg("observation_point"), py::arg("observation_xy"))
+      .def("add_cameras", &bundle::StreamCameras, py::arg("file"), py::arg("cam_from_world"),
+           py::arg("camera_params"))
+      .def("add_points", &bundle::StreamPoints, py::arg("file"), py::arg("points"))
+      .def("close",
+           [](bundle::BalStream& stream) { bundle::Unlocked(stream, [&] { stream.Close(); }); });
   m.def("write_bal_like", &bundle::WriteBalFileLike, py::arg("source"), py::arg("num_observations"),
         py::arg("path"), py::arg("cam_from_world"), py::arg("camera_params"), py::arg("points"),
         py::arg("rotations"), py::arg("keeps_rotation"), py::arg("compression"));

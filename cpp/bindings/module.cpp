@@ -24,6 +24,7 @@ void BindGraphCertainty(py::module_& m);
 void BindWindow(py::module_& m);
 void BindProcess(py::module_& m);
 void BindLauncher(py::module_& m);
+void BindSynthetic(py::module_& m);
 
 PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of bundle. Private: use the Python package.";
@@ -48,4 +49,5 @@ PYBIND11_MODULE(_core, m) {
   BindWindow(m);
   BindProcess(m);
   BindLauncher(m);
+  BindSynthetic(m);
 }

@@ -79,6 +79,24 @@ def read_bal_part(
     NDArray[np.int32],
     NDArray[np.float64],
 ]: ...  # as read_bal
+
+class BalStream:
+    def __init__(
+        self, paths: list[str | os.PathLike[str]], num_images: int, num_points: int
+    ) -> None: ...
+    def add_observations(
+        self,
+        camera_params: NDArray[np.float64],
+        observation_image: NDArray[np.int32],
+        observation_point: NDArray[np.int32],
+        observation_xy: NDArray[np.float64],
+    ) -> None: ...
+    def add_cameras(
+        self, file: int, cam_from_world: NDArray[np.float64], camera_params: NDArray[np.float64]
+    ) -> None: ...
+    def add_points(self, file: int, points: NDArray[np.float64]) -> None: ...
+    def close(self) -> None: ...
+
 def write_bal_like(
     source: str | os.PathLike[str],
     num_observations: int,
@@ -286,6 +304,47 @@ def ordered_full_pattern(
 def full_pattern(
     problem: Problem, options: dict[str, Any]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...
+
+# bind_synthetic.cpp
+class SyntheticImages:
+    def __init__(
+        self,
+        centers: NDArray[np.float64],
+        rotations: NDArray[np.float64],
+        ball_centers: NDArray[np.float64],
+        ball_radii: NDArray[np.float64],
+        max_tangents: NDArray[np.float64],
+        sizes: NDArray[np.float64],
+        richness: NDArray[np.float64],
+        cameras: NDArray[np.int32],
+        params: NDArray[np.float64],
+        model: str,
+        min_cosine: float,
+        pitch: float,
+        clearance: float,
+    ) -> None: ...
+    def visible_pairs(
+        self,
+        positions: NDArray[np.float64],
+        normals: NDArray[np.float64],
+        reach: NDArray[np.float64],
+        keys: NDArray[np.float64],
+        cell_centers: NDArray[np.float64],
+        half_diagonal: float,
+        cell_starts: NDArray[np.int64],
+        order: NDArray[np.int64],
+        wanted: NDArray[np.float64],
+        fewest: int,
+        bit_generator: Any,
+        num_threads: int,
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]: ...
+    def exact_pixels(
+        self,
+        positions: NDArray[np.float64],
+        observation_image: NDArray[np.int32],
+        observation_point: NDArray[np.int32],
+        num_threads: int,
+    ) -> NDArray[np.float64]: ...
 
 # bind_diagnosis.cpp
 def reduced_spectrum(

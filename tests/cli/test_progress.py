@@ -77,3 +77,22 @@ def test_elapsed(monkeypatch, elapsed, shown):
     progress = Progress(quiet=True)
     monkeypatch.setattr(time, "perf_counter", lambda: progress._started + elapsed)
     assert progress._elapsed() == shown
+
+
+def test_shares_of_long_work(screen, monkeypatch):
+    screen(80)
+    with Progress(quiet=False) as progress:
+        progress.stage("making a scene")
+        progress.share(0.256)
+        assert progress._line().plain.endswith("making a scene ... 26%")
+        progress.stage("writing it")
+        assert progress._line().plain.endswith("writing it ...")
+    stream = screen(80, term="dumb")
+    with Progress(quiet=False) as progress:
+        progress.stage("making a scene")
+        progress.share(0.1)  # too soon for another line
+        monkeypatch.setattr("bundle.cli.progress._SECONDS_BETWEEN_LINES", 0.0)
+        progress.share(0.5)
+    first, second = stream.getvalue().splitlines()
+    assert first == "making a scene ..."
+    assert second.startswith("making a scene ... 50%, ")

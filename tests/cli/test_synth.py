@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bundle
+from bundle.synthetic import blocks
 from tests.figures import figures
 
 DATA = Path(__file__).parents[2] / "data"
@@ -169,3 +170,25 @@ def test_example_data_is_complete_and_small():
     named = {Path(shlex.split(command)[1]).name.partition(".")[0] for command in COMMANDS}
     present = {path.name.partition(".")[0] for path in DATA.iterdir()} - {"README"}
     assert present == named | {f"{name}_ground_truth" for name in named}
+
+
+def test_large_scenes_are_streamed(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(blocks, "LARGEST_SINGLE", 300)
+    monkeypatch.setattr(blocks, "POINTS_PER_BLOCK", 200)
+    monkeypatch.setattr(blocks, "_POINTS_PER_IMAGE", 5)
+    flags = ("--images", 10, "--points", 700, "--track-length", 3, "--camera-model", "radial")
+    reports = []
+    for name in ("a.txt", "b.txt.gz"):  # the second is made in memory
+        outcome = run("synth", tmp_path / name, *flags, "--seed", 3, "--json", "-")
+        assert outcome.code == 0
+        reports.append(json.loads(outcome.out))
+        assert reports[-1].pop("output")["format"] == reports[-1].pop("ground_truth")["format"]
+    streamed, whole = (report.pop("reprojection_error") for report in reports)
+    assert reports[0] == reports[1]
+    for name in ("start", "ground_truth"):
+        assert streamed[name].keys() == whole[name].keys()
+        for field, value in whole[name].items():
+            assert streamed[name][field] == pytest.approx(value, rel=1e-2), field
+    assert (tmp_path / "a.txt").read_text().splitlines()[0].endswith(" ")
+    first, second = bundle.load(tmp_path / "a.txt"), bundle.load(tmp_path / "b.txt.gz")
+    assert_array_equal(first.points, second.points)

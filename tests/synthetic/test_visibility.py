@@ -5,13 +5,12 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from bundle import SceneOptions
-from bundle.synthetic import visibility
 from bundle.synthetic.cells import Cells
 from bundle.synthetic.intrinsics import draw_intrinsics
 from bundle.synthetic.orbit import Orbit
 from bundle.synthetic.photo_collection import PhotoCollection
 from bundle.synthetic.street import ROAD_WIDTH, Street
-from bundle.synthetic.visibility import visible_pairs
+from bundle.synthetic.visibility import Visibility
 from tests.scenes import project
 
 KINDS = {"street": Street, "orbit": Orbit, "photo_collection": PhotoCollection}
@@ -24,6 +23,17 @@ def build(kind, count=1500, **changes):
     scene = KINDS[kind](rng, options)
     cameras = draw_intrinsics(rng, scene.images, "RADIAL", shared=options.has_shared_camera)
     return scene, cameras, scene.draw_points(rng, count)
+
+
+def is_clear(scene, center, positions):
+    """(n,) whether no block is at 12 places of the line of sight from a centre to each position."""
+    pitch, clearance = scene.blocks
+    if pitch == 0:
+        return np.ones(len(positions), bool)
+    t = ((np.arange(12) + 0.5) / 12)[:, None, None]
+    sight = center[:2] + t * (positions[:, :2] - center[:2])
+    away = np.abs(sight - pitch * np.round(sight / pitch))
+    return ~(away > clearance).all(axis=2).any(axis=0)
 
 
 def sees(scene, cameras, points, image):
@@ -50,7 +60,7 @@ def sees(scene, cameras, points, image):
         & (in_camera[:, 2] > 0)
         & (off_axis < 1.3 * half_diagonal)
         & ((xy >= 0) & (xy <= images.sizes[image])).all(axis=1)
-        & scene.is_clear(images.centers[image], points.positions)
+        & is_clear(scene, images.centers[image], points.positions)
     )
 
 
@@ -58,7 +68,7 @@ def sees(scene, cameras, points, image):
 def test_same_as_brute_force(kind):
     scene, cameras, points = build(kind, num_images=25)
     lengths = np.full(len(points), NO_THINNING)
-    pairs = visible_pairs(np.random.default_rng(0), scene, cameras, points, lengths)
+    pairs = Visibility(scene, cameras).pairs(np.random.default_rng(0), points, lengths)
     expected = np.stack([sees(scene, cameras, points, image) for image in range(25)], axis=1)
     assert 2 * len(points) < expected.sum() < 0.9 * expected.size
     found = np.zeros_like(expected)
@@ -72,8 +82,8 @@ def test_same_as_brute_force(kind):
 def test_thinning_takes_a_subset_and_leaves_enough():
     scene, cameras, points = build("photo_collection", 20000, num_images=200)
     everything, thinned = (
-        visible_pairs(
-            np.random.default_rng(0), scene, cameras, points, np.full(len(points), length)
+        Visibility(scene, cameras).pairs(
+            np.random.default_rng(0), points, np.full(len(points), length)
         )
         for length in (NO_THINNING, 3.0)
     )
@@ -96,7 +106,7 @@ def test_blocks_hide_what_is_behind_them():
             [2.0 * pitch, 2.0, 2.0],  # down the same road
         ]
     )
-    assert_array_equal(street.is_clear(center, positions), [True, False, False, True])
+    assert_array_equal(is_clear(street, center, positions), [True, False, False, True])
 
 
 def test_street_points_are_on_surfaces():
@@ -114,36 +124,31 @@ def test_street_points_are_on_surfaces():
     assert (offset.min(axis=1)[~is_facade] <= 0.5 * ROAD_WIDTH).all()
 
 
-def test_cells_find_all_that_a_ball_holds():
+def test_cells_hold_all_points():
     rng = np.random.default_rng(3)
     keys = rng.uniform(-5, 20, (4000, 3)) * [1, 0.3, 2]
     cells = Cells(keys, 1.7)
     assert_array_equal(np.sort(cells.order), np.arange(4000))
-    for _ in range(50):
-        center, radius = rng.uniform(-8, 25, 3), rng.uniform(0.01, 9)
-        members = cells.order[cells.members(cells.touched_by(center, radius))]
-        inside = np.flatnonzero(np.linalg.norm(keys - center, axis=1) <= radius)
-        assert set(inside) <= set(members)
-        assert len(set(members)) == len(members)
-        reach = radius + 2 * np.sqrt(3) * 1.7
-        assert (np.linalg.norm(keys[members] - center, axis=1) <= reach).all()
+    cell = np.repeat(np.arange(len(cells)), np.diff(cells.starts))
+    away = np.abs(keys[cells.order] - cells.centers[cell])
+    assert (away <= 0.5 * 1.7 + 1e-12).all()
+    assert len(np.unique(cells.centers, axis=0)) == len(cells)
+    assert cells.half_diagonal == pytest.approx(np.linalg.norm([0.85, 0.85, 0.85]))
 
 
-def test_threads_and_blocks_of_images_do_not_show(monkeypatch):
+def test_threads_do_not_show():
     """Random numbers are drawn image by image, in order."""
     scene, cameras, points = build("street")
     lengths = np.full(len(points), 1.0)  # so that pairs are thinned
 
-    def pairs():
-        return visible_pairs(np.random.default_rng(5), scene, cameras, points, lengths)
+    def pairs(threads=0):
+        return Visibility(scene, cameras).pairs(np.random.default_rng(5), points, lengths, threads)
 
     expected = pairs()
     assert len(expected) < len(
-        visible_pairs(np.random.default_rng(5), scene, cameras, points, NO_THINNING * lengths)
+        Visibility(scene, cameras).pairs(np.random.default_rng(5), points, NO_THINNING * lengths)
     )
-    monkeypatch.setattr(visibility, "_IMAGES_AT_A_TIME", 3)
     for threads in (1, 4):
-        monkeypatch.setattr(visibility, "hardware_threads", lambda threads=threads: threads)
-        found = pairs()
+        found = pairs(threads)
         assert_array_equal(found.point, expected.point)
         assert_array_equal(found.image, expected.image)

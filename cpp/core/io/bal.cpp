@@ -5,6 +5,7 @@
 
 #include "core/error.h"
 #include "core/io/bal_reader.h"
+#include "core/io/bal_writer.h"
 #include "core/io/files.h"
 #include "core/io/number_writer.h"
 
@@ -47,33 +48,6 @@ BalProblem ReadBal(const std::filesystem::path& path, const std::function<void()
 
 namespace {
 
-void WriteObservation(const BalView& problem, int32_t image, int32_t point, const double* xy,
-                      NumberWriter* writer) {
-  const double* params = problem.camera_params + 5 * int64_t{image};
-  writer->Write(image, ' ');
-  writer->Write(point, ' ');
-  writer->Write(xy[0] - params[1], ' ');
-  writer->Write(-(xy[1] - params[2]), '\n');
-}
-
-void WriteCameras(const BalView& problem, NumberWriter* writer) {
-  for (int64_t i = 0; i < problem.num_images; ++i) {
-    double pose[6];
-    BalFromCamFromWorld(problem.cam_from_world + 7 * i, pose);
-    if (problem.rotations != nullptr && problem.keeps_rotation[i] != 0) {
-      std::copy_n(problem.rotations + 3 * i, 3, pose);
-    }
-    for (const double value : pose) writer->Write(value, '\n');
-    const double* params = problem.camera_params + 5 * i;
-    for (const int k : {0, 3, 4}) writer->Write(params[k], '\n');
-  }
-}
-
-void WritePoints(const BalView& problem, NumberWriter* writer) {
-  for (int64_t i = 0; i < 3 * int64_t{problem.num_points}; ++i)
-    writer->Write(problem.points[i], '\n');
-}
-
 /// Writes the observations of one file into another.
 struct CopyObservations {
   const BalView& problem;
@@ -96,7 +70,7 @@ template <typename WriteObservations>
 void WriteBal(const BalView& problem, const std::filesystem::path& path, Compression compression,
               const std::function<void()>& on_block, WriteObservations write_observations) {
   OutputFile file(path, compression);
-  NumberWriter writer(file, on_block);
+  NumberWriter writer({&file}, on_block);
   writer.Write(problem.num_images, ' ');
   writer.Write(problem.num_points, ' ');
   writer.Write(problem.num_observations, '\n');
@@ -111,12 +85,8 @@ void WriteBal(const BalView& problem, const std::filesystem::path& path, Compres
 
 void WriteBal(const BalView& problem, const std::filesystem::path& path, Compression compression,
               const std::function<void()>& on_block) {
-  WriteBal(problem, path, compression, on_block, [&](NumberWriter* writer) {
-    for (int64_t i = 0; i < problem.num_observations; ++i) {
-      WriteObservation(problem, problem.observation_image[i], problem.observation_point[i],
-                       problem.observation_xy + 2 * i, writer);
-    }
-  });
+  WriteBal(problem, path, compression, on_block,
+           [&](NumberWriter* writer) { WriteObservations(problem, writer); });
 }
 
 void WriteBalLike(const std::filesystem::path& source, const BalView& problem,

@@ -59,6 +59,8 @@ class OutputFile {
 
   /// Adds a block; blocks of kBlockSize are best.
   void Write(std::string_view block);
+  /// Replaces bytes that were written, of a file that is not compressed.
+  void Overwrite(int64_t position, std::string_view bytes);
   void Close();
 
   static constexpr size_t kBlockSize = 900'000;  ///< what bzip2 compresses at a time

@@ -281,7 +281,7 @@ void WriteG2o(const G2oView& graph, const std::filesystem::path& path, Compressi
               const std::function<void()>& on_block) {
   const G2oKind& kind = kG2oKinds[graph.dimension - 2];
   OutputFile file(path, compression);
-  NumberWriter writer(file, on_block);
+  NumberWriter writer({&file}, on_block);
   for (int64_t i = 0; i < graph.num_poses; ++i) {
     writer.WriteWord(kind.vertex, ' ');
     writer.Write(graph.ids[i], ' ');

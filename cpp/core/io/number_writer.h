@@ -5,18 +5,20 @@
 #include <functional>
 #include <string>
 #include <string_view>
+#include <utility>
+#include <vector>
 
 #include "core/io/files.h"
 
 namespace bundle {
 
-/// Collects numbers and words as text and hands it on in blocks. Numbers are the shortest that read
-/// back as the same.
+/// Collects numbers and words as text and hands it on in blocks, each to all files. Numbers are the
+/// shortest that read back as the same.
 class NumberWriter {
  public:
   /// `on_block` is called between blocks; it may throw to end the writing. Keeps references.
-  NumberWriter(OutputFile& file, const std::function<void()>& on_block)
-      : file_(file), on_block_(on_block), buffer_(OutputFile::kBlockSize, '\0') {}
+  NumberWriter(std::vector<OutputFile*> files, const std::function<void()>& on_block)
+      : files_(std::move(files)), on_block_(on_block), buffer_(OutputFile::kBlockSize, '\0') {}
 
   template <typename T>
   void Write(T value, char separator) {
@@ -36,14 +38,14 @@ class NumberWriter {
 
   void Flush() {
     if (on_block_) on_block_();
-    file_.Write(std::string_view(buffer_).substr(0, used_));
+    for (OutputFile* file : files_) file->Write(std::string_view(buffer_).substr(0, used_));
     used_ = 0;
   }
 
  private:
   static constexpr size_t kLongestItem = 32;
 
-  OutputFile& file_;
+  std::vector<OutputFile*> files_;
   const std::function<void()>& on_block_;
   std::string buffer_;
   size_t used_ = 0;

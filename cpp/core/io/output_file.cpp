@@ -75,6 +75,18 @@ void OutputFile::Write(std::string_view block) {
   }
 }
 
+void OutputFile::Overwrite(int64_t position, std::string_view bytes) {
+  while (!bytes.empty()) {
+    const ssize_t count = pwrite(fd_, bytes.data(), bytes.size(), position);
+    if (count >= 0) {
+      bytes.remove_prefix(static_cast<size_t>(count));
+      position += count;
+    } else if (errno != EINTR) {
+      ThrowSystemError();
+    }
+  }
+}
+
 void OutputFile::Close() {
   while (!streams_.empty()) FinishOldestStream();
   if (close(std::exchange(fd_, -1)) != 0) ThrowSystemError();

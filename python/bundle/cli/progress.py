@@ -19,6 +19,8 @@ __all__ = ["Progress"]
 _HEAD = (
     f"{'iteration':>9}  {'cost':>12}  {'change':>9}  {'gradient':>9}  {'radius':>9}  {'elapsed':>9}"
 )
+# Where the line cannot be updated.
+_SECONDS_BETWEEN_LINES = 10.0
 
 
 class Progress:
@@ -31,6 +33,8 @@ class Progress:
     def __init__(self, *, quiet: bool) -> None:
         self._started = time.perf_counter()
         self._stage = ""
+        self._done: float | None = None
+        self._said = self._started
         self._latest: Mapping[str, Any] | None = None
         self._quiet = quiet
         screen = console(sys.stderr)
@@ -68,8 +72,17 @@ class Progress:
 
     def stage(self, name: str) -> None:
         """Begin a stage, such as "reading sparse/0"."""
-        self._stage, self._latest = name, None
+        self._stage, self._latest, self._done = name, None, None
+        self._said = time.perf_counter()
         self._print(f"{name} ...")
+
+    def share(self, done: float) -> None:
+        """Show how much of a stage is done, 0 to 1; in lines of a file now and then only."""
+        self._done = done
+        now = time.perf_counter()
+        if now - self._said >= _SECONDS_BETWEEN_LINES:
+            self._said = now
+            self._print(f"{self._stage} ... {done:.0%}, {self._elapsed()}")
 
     def iteration(self, values: Mapping[str, Any]) -> None:
         """Show an iteration; `values` has the names of Ceres' IterationSummary."""
@@ -98,7 +111,8 @@ class Progress:
         line = Text(no_wrap=True, overflow="ellipsis")
         line.append(f"{self._elapsed():>7}  ", style="dim")
         if latest is None:
-            return line.append(f"{self._stage} ...")
+            share = "" if self._done is None else f" {self._done:.0%}"
+            return line.append(f"{self._stage} ...{share}")
         line.append(f"iter {latest['iteration']}", style="bold")
         line.append(f"  cost {latest['cost']:.4e}  change {latest['cost_change']:.0e}")
         line.append(f"  gradient {latest['gradient_max_norm']:.0e}")

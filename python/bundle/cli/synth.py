@@ -6,10 +6,8 @@ import argparse
 import dataclasses
 import os
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.flight_synthesis import (
@@ -29,6 +27,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from bundle.synthetic import SyntheticScene
+    from bundle.synthetic.scene_tally import SceneTally
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -74,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.progress import Progress
     from bundle.io import check_target, output_format, save
     from bundle.synthetic import synthesize
+    from bundle.synthetic.blocks import SceneInBlocks
 
     options = options_given(arguments, SceneOptions)
     path = arguments.output
@@ -84,19 +84,27 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.overwrite:
         for target in (path, truth_path):
             check_new(target, "--overwrite")
-    with Progress(quiet=arguments.quiet) as progress:
+    with Progress(quiet=arguments.quiet) as progress, naming_flags(SceneOptions):
         progress.stage(f"making {options.num_images} images of {options.num_points} points")
-        with naming_flags(SceneOptions):
-            scene = synthesize(options)
-        format = output_format(scene.problem, path, arguments.format)
-        output = {"path": path, "format": format}
-        truth = {"path": truth_path, "format": format}
-        check_target(scene.problem, path, format)
-        check_target(scene.ground_truth, truth_path, format)
-        progress.stage(f"writing {shown(path)}")
-        save(scene.problem, path, format)
-        save(scene.ground_truth, truth_path, format)
-    report = _report(scene, output, truth)
+        scene = SceneInBlocks(options)
+        images = scene.images()
+        format = output_format(images, path, arguments.format)
+        check_target(images, path, format)
+        check_target(images, truth_path, format)
+        is_plain = not any(name.lower().endswith((".gz", ".bz2")) for name in (path, truth_path))
+        if format == "bal" and is_plain and scene.num_blocks > 1:
+            from bundle.synthetic.streamed import write_bal_scene
+
+            tally = write_bal_scene(options, Path(path), Path(truth_path), progress.share)
+        else:
+            made = synthesize(options)
+            tally = _tally(made)
+            progress.stage(f"writing {shown(path)}")
+            save(made.problem, path, format)
+            save(made.ground_truth, truth_path, format)
+    output = {"path": path, "format": format}
+    truth = {"path": truth_path, "format": format}
+    report = _report(options, images.num_cameras, tally, output, truth)
     if arguments.json != "-":
         show(*_tables(report))
     write_json(arguments.json, report)
@@ -110,44 +118,51 @@ def _beside(path: str) -> str:
     return re.sub(r"((\.txt(\.gz|\.bz2)?)?)$", r"_ground_truth\1", path, count=1, flags=re.I)
 
 
-def _report(scene: SyntheticScene, output: dict[str, str], truth: dict[str, str]) -> dict[str, Any]:
+def _tally(scene: SyntheticScene) -> SceneTally:
+    from bundle.synthetic.scene_tally import SceneTally
+
+    problem = scene.problem
+    tally = SceneTally(problem.num_images)
+    tally.add(problem.observation_image, problem.observation_point, scene.is_outlier)
+    tally.errors = {
+        "start": reprojection_error(problem),
+        "ground_truth": reprojection_error(scene.ground_truth),
+    }
+    return tally
+
+
+def _report(
+    options: SceneOptions,
+    num_cameras: int,
+    tally: SceneTally,
+    output: dict[str, str],
+    truth: dict[str, str],
+) -> dict[str, Any]:
     """Return the report for programs, which is also what the table for people shows."""
     from bundle import __version__
     from bundle.reports.json import SCHEMA, plain
 
-    problem = scene.problem
     report: dict[str, Any] = plain(
         {
             "schema": SCHEMA,
             "command": NAME,
             "version": __version__,
-            "options": scene.options.asdict(),
+            "options": options.asdict(),
             "output": output,
             "ground_truth": truth,
-            "num_cameras": problem.num_cameras,
-            "num_images": problem.num_images,
-            "num_points": problem.num_points,
-            "num_observations": problem.num_observations,
-            "num_outliers": scene.is_outlier.sum(),
-            "track_length": _distribution(problem.observation_point),
-            "observations_per_image": _distribution(problem.observation_image),
+            "num_cameras": num_cameras,
+            "num_images": options.num_images,
+            "num_points": options.num_points,
+            "num_observations": tally.num_observations,
+            "num_outliers": tally.num_outliers,
+            "track_length": tally.track_length(),
+            "observations_per_image": tally.image_size(),
             "reprojection_error": {
-                "start": dataclasses.asdict(reprojection_error(problem)),
-                "ground_truth": dataclasses.asdict(reprojection_error(scene.ground_truth)),
+                name: dataclasses.asdict(errors) for name, errors in tally.errors.items()
             },
         }
     )
     return report
-
-
-def _distribution(index: NDArray[np.int32]) -> dict[str, Any]:
-    counts = np.bincount(index)
-    return {
-        "min": counts.min(),
-        "mean": counts.mean(),
-        "median": np.median(counts),
-        "max": counts.max(),
-    }
 
 
 def _tables(report: dict[str, Any]) -> list[RenderableType]:

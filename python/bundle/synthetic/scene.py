@@ -142,10 +142,13 @@ class Scene(ABC):
     Attributes:
         images: the true images.
         min_cosine: smallest cosine between a surface normal and the direction to the camera.
+        blocks: what hides points: blocks of a town with a road along every multiple of the first
+            number in x and in y, as far from the roads' middles as the second. 0: nothing does.
     """
 
     images: Images
     min_cosine: float
+    blocks: tuple[float, float] = (0.0, 0.0)
 
     @abstractmethod
     def draw_points(self, rng: np.random.Generator, count: int) -> Points:
@@ -158,8 +161,3 @@ class Scene(ABC):
     @abstractmethod
     def preference(self, rng: np.random.Generator, points: Points, pairs: Pairs) -> Array:
         """Return (M,): of the images that could see a point, those with the smallest values do."""
-
-    def is_clear(self, center: Array, positions: Array) -> NDArray[np.bool_]:
-        """Tell whether nothing stands between a camera centre (3,) and positions (n, 3)."""
-        del center
-        return np.ones(len(positions), dtype=np.bool_)

@@ -40,6 +40,8 @@ class Street(Scene):
         self.spacing = float(np.clip(VIEW_LENGTH / (2.4 * options.wanted_track_length), 0.3, 3.5))
         # Small drives get small blocks, so that they too turn and close a lap (4 blocks' length).
         self.pitch = float(np.clip(count * self.spacing / 4.4, 20.0, 60.0))
+        # A line of sight may graze a facade.
+        self.blocks = (self.pitch, 0.5 * ROAD_WIDTH + 0.6)
         self._block_heights = rng.uniform(6.0, 18.0, 512)
         where, heading = waypoints(
             drive_laps if options.loop_closure else drive_one_way,
@@ -92,7 +94,7 @@ class Street(Scene):
             is_facade, FACADE_REACH, np.where(is_ground, GROUND_REACH, FURNITURE_REACH)
         )
         reach = reach * rng.uniform(0.6, 1.0, count)
-        kept = np.where(is_facade, is_on, ~self._is_in_block(positions[:, 0], positions[:, 1], 0.0))
+        kept = np.where(is_facade, is_on, ~self._is_in_block(positions[:, 0], positions[:, 1]))
         points = Points(positions, normals, reach, positions)
         return points.take(kept)
 
@@ -108,22 +110,14 @@ class Street(Scene):
         preference: Array = away + rng.uniform(0.0, 1.6, len(pairs))
         return preference
 
-    def is_clear(self, center: Array, positions: Array) -> NDArray[np.bool_]:
-        """Tell whether the line of sight misses all blocks, by 12 samples along it."""
-        clear = np.ones(len(positions), dtype=np.bool_)
-        for t in (np.arange(12) + 0.5) / 12.0:
-            x, y = (center[i] + t * (positions[:, i] - center[i]) for i in range(2))
-            clear &= ~self._is_in_block(x, y, 0.6)
-        return clear
-
     def _from_axes(self, xy: Array) -> tuple[Array, Array]:
         """Return offsets from the nearest road axes, and those axes' positions."""
         axes = self.pitch * np.round(xy / self.pitch)
         return xy - axes, axes
 
-    def _is_in_block(self, x: Array, y: Array, margin: float) -> NDArray[np.bool_]:
+    def _is_in_block(self, x: Array, y: Array) -> NDArray[np.bool_]:
         # One coordinate at a time: reductions over rows of two numbers take ten times as long.
-        limit = 0.5 * ROAD_WIDTH + margin
+        limit = 0.5 * ROAD_WIDTH
         outside_x, outside_y = (np.abs(self._from_axes(u)[0]) > limit for u in (x, y))
         inside: NDArray[np.bool_] = outside_x & outside_y
         return inside

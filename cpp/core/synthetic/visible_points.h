@@ -1,0 +1,58 @@
+#pragma once
+
+/// Which points of a synthetic scene an image sees.
+///
+/// A point X with unit normal n (zero: seen from all sides), key k and reach d is seen by an image
+/// with rotation R, centre c and a ball (b, r) in the space of the keys if
+///     |k - b| <= r,   |c - X| <= d,   n . (c - X) >= min_cosine |c - X|   or n = 0,
+///     P = R (X - c) has Pz > 0 and |(Px, Py)| <= max_tangent Pz,   its projection is in the image,
+/// and nothing stands between. What can stand there are the blocks of a town with a road along
+/// every multiple of `pitch` in x and in y: a place is in a block if both of its distances from the
+/// nearest road's middle are above `clearance`. The line of sight is sampled at
+/// c + t (X - c), t = (i + 1/2) / 12.
+
+#include <cstdint>
+#include <vector>
+
+namespace bundle {
+
+struct CameraModel;
+
+/// The images of a scene; arrays owned by somebody else, a row each image.
+struct SyntheticImages {
+  int64_t num_images = 0;
+  const double* centers = nullptr;       ///< 3, world
+  const double* rotations = nullptr;     ///< 3 x 3, camera from world
+  const double* ball_centers = nullptr;  ///< 3, in the space of the keys
+  const double* ball_radii = nullptr;
+  const double* max_tangents = nullptr;
+  const double* sizes = nullptr;     ///< 2, pixels
+  const double* richness = nullptr;  ///< how readily it yields observations, relative to others
+  const int32_t* cameras = nullptr;  ///< a row of params
+  const double* params = nullptr;
+  int num_params = 0;
+  const CameraModel* model = nullptr;
+  double min_cosine = 0;
+  double pitch = 0;  ///< between roads; 0: nothing hides anything
+  double clearance = 0;
+};
+
+/// Arrays owned by somebody else, a row each point.
+struct SyntheticPoints {
+  int64_t num_points = 0;
+  const double* positions = nullptr;  ///< 3, world
+  const double* normals = nullptr;    ///< 3
+  const double* reach = nullptr;      ///< 1
+  const double* keys = nullptr;       ///< 3
+};
+
+/// The candidates (indices of points) that an image sees, in their order.
+std::vector<int64_t> VisiblePoints(const SyntheticImages& images, int64_t image,
+                                   const SyntheticPoints& points,
+                                   const std::vector<int64_t>& candidates);
+
+/// Writes the projections of points (3 each) by images, pixels without noise, to xy (2 each).
+void ProjectExactly(const SyntheticImages& images, const double* positions, int64_t count,
+                    const int32_t* image, const int32_t* point, int num_threads, double* xy);
+
+}  // namespace bundle

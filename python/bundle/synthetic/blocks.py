@@ -1,0 +1,244 @@
+"""A scene block by block: its images and cameras first, then its points with their observations.
+
+A scene of at most a million points is one block. A larger one has blocks of about equal size, each
+with random numbers of its own: whatever images share, they share in each block. So blocks are
+made side by side, and no more of them are in memory than are being made. The scene does not depend
+on the number of threads.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.errors import InputError
+from bundle.problem import Problem
+from bundle.rotations import quaternion_from_matrix, rotate
+from bundle.synthetic.intrinsics import draw_intrinsics
+from bundle.synthetic.noise import measure
+from bundle.synthetic.orbit import Orbit
+from bundle.synthetic.photo_collection import PhotoCollection
+from bundle.synthetic.scene import Pairs, Points, Scene
+from bundle.synthetic.scene_options import SceneOptions
+from bundle.synthetic.street import Street
+from bundle.synthetic.tracks import select_observations, wanted_lengths
+from bundle.synthetic.visibility import Visibility
+
+__all__ = ["Block", "SceneInBlocks"]
+
+Array = NDArray[np.float64]
+
+LARGEST_SINGLE = 1 << 20
+"""Points of the largest scene that is one block."""
+POINTS_PER_BLOCK = 1 << 18
+"""Points of the blocks of others, but more where many images look for their own in each."""
+_POINTS_PER_IMAGE = 40
+# A block takes some hundred megabytes while it is made.
+_MOST_AT_A_TIME = 8
+_MAX_ROUNDS = 12
+
+_SCENES: dict[str, Callable[[np.random.Generator, SceneOptions], Scene]] = {
+    "street": Street,
+    "orbit": Orbit,
+    "photo_collection": PhotoCollection,
+}
+
+
+@dataclass(frozen=True)
+class Block:
+    """Points and their observations.
+
+    Attributes:
+        first_point: index of the first point in the scene.
+        points: (n, 3) true positions.
+        image: (M,) image index of each observation; sorted by point, then image.
+        point: (M,) index of its point in the scene.
+        xy: (M, 2) measured, in pixels.
+        is_outlier: (M,)
+    """
+
+    first_point: int
+    points: Array
+    image: NDArray[np.int32]
+    point: NDArray[np.int32]
+    xy: Array
+    is_outlier: NDArray[np.bool_]
+
+
+class SceneInBlocks:
+    """The true images and cameras of a scene, and what makes its blocks.
+
+    Attributes:
+        cameras: the true cameras.
+        start_seed: of the start.
+        num_blocks: how many there are.
+    """
+
+    def __init__(self, options: SceneOptions) -> None:
+        # One independent stream a purpose: more noise leaves the structure as it is.
+        layout, self._structure, self._measurement, self.start_seed = np.random.SeedSequence(
+            options.seed
+        ).spawn(4)
+        rng = np.random.default_rng(layout)
+        self._options = options
+        self._scene = _SCENES[options.scene](rng, options)
+        self.cameras = draw_intrinsics(
+            rng, self._scene.images, options.camera_model, shared=options.has_shared_camera
+        )
+        self._visibility = Visibility(self._scene, self.cameras)
+        size = max(POINTS_PER_BLOCK, _POINTS_PER_IMAGE * options.num_images)
+        is_single = options.num_points <= LARGEST_SINGLE
+        self.num_blocks = 1 if is_single else -(-options.num_points // size)
+
+    def images(self) -> Problem:
+        """Return the true images and cameras, without points."""
+        images, cameras, kind = self._scene.images, self.cameras, self._options.scene
+        translations = -rotate(images.rotations, images.centers)
+        num_images, num_cameras = len(images.centers), len(cameras.params)
+        return Problem(
+            cam_from_world=np.concatenate(
+                [quaternion_from_matrix(images.rotations), translations], axis=1
+            ),
+            image_ids=np.arange(1, num_images + 1),
+            image_names=tuple(f"{kind}_{i:04d}.jpg" for i in range(1, num_images + 1)),
+            image_camera=cameras.image_camera,
+            camera_ids=np.arange(1, num_cameras + 1),
+            camera_models=(cameras.model,) * num_cameras,
+            camera_params=cameras.params,
+            camera_sizes=cameras.sizes,
+            points=np.zeros((0, 3)),
+            observation_image=np.zeros(0, np.int32),
+            observation_point=np.zeros(0, np.int32),
+            observation_xy=np.zeros((0, 2)),
+        )
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the blocks in their order; some are made ahead, on other threads.
+
+        Raises:
+            InputError: the scene cannot be made, see ``synthesize``.
+        """
+        count = self.num_blocks
+        if count == 1:
+            yield self._make(0, self._options.num_points, self._structure, self._measurement, 0)
+            return
+        ends = [self._options.num_points * (k + 1) // count for k in range(count)]
+        begins = [0, *ends[:-1]]
+        seeds = zip(self._structure.spawn(count), self._measurement.spawn(count), strict=True)
+        tasks = zip(begins, ends, seeds, strict=True)
+        at_a_time = min(_core.hardware_threads(), _MOST_AT_A_TIME)
+        ahead: deque[Future[Block]] = deque()
+        pool = ThreadPoolExecutor(at_a_time)
+        try:
+            for begin, end, (structure, measurement) in tasks:
+                if len(ahead) == at_a_time:
+                    yield ahead.popleft().result()
+                ahead.append(pool.submit(self._make, begin, end - begin, structure, measurement, 1))
+            while ahead:
+                yield ahead.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    @staticmethod
+    def part(images: Problem, block: Block) -> Problem:
+        """Return the images with the points of a block, these alone, and their observations."""
+        return images.replace(
+            points=block.points,
+            point_ids=None,
+            observation_image=block.image,
+            observation_point=block.point - np.int32(block.first_point),
+            observation_xy=block.xy,
+            observation_keypoint=None,
+        )
+
+    def _make(
+        self,
+        first_point: int,
+        num_points: int,
+        structure: np.random.SeedSequence,
+        measurement: np.random.SeedSequence,
+        num_threads: int,
+    ) -> Block:
+        scene, options = self._scene, self._options
+        points, pairs = _observe(
+            np.random.default_rng(structure),
+            scene,
+            self._visibility,
+            options,
+            num_points,
+            num_threads,
+        )
+        exact = self._visibility.pixels(points.positions, pairs.image, pairs.point, num_threads)
+        sizes = scene.images.sizes[pairs.image]
+        xy, is_outlier = measure(np.random.default_rng(measurement), exact, sizes, options)
+        numbered = pairs.point + np.int32(first_point)
+        return Block(first_point, points.positions, pairs.image, numbered, xy, is_outlier)
+
+
+def _observe(
+    rng: np.random.Generator,
+    scene: Scene,
+    visibility: Visibility,
+    options: SceneOptions,
+    num_points: int,
+    num_threads: int,
+) -> tuple[Points, Pairs]:
+    """Draw points until enough of them are visible from two images, then choose observations."""
+    parts: list[tuple[Points, Array, Pairs]] = []
+    found, drawn = 0, 0
+    while found < num_points:
+        if len(parts) == _MAX_ROUNDS:
+            raise InputError(
+                f"num_points: expected at most {found}, as many are visible from two images, "
+                f"found {num_points}"
+            )
+        missing = num_points - found
+        share = max(found / drawn, 0.02) if drawn else 1.0
+        count = int(1.15 * missing / share) + 50
+        part = _draw_visible(rng, scene, visibility, options, missing, count, num_threads)
+        parts.append(part[:3])
+        found += len(part[0])
+        drawn += part[3]
+    points = Points.concatenate([part[0] for part in parts])
+    weights = np.concatenate([part[1] for part in parts])
+    pairs = Pairs.concatenate([part[2] for part in parts])
+    preference = scene.preference(rng, points, pairs)
+    return points, select_observations(
+        pairs,
+        preference,
+        weights,
+        options.wanted_track_length,
+        options.num_images,
+        may_be_shorter=options.mean_track_length == 0,
+    )
+
+
+def _draw_visible(
+    rng: np.random.Generator,
+    scene: Scene,
+    visibility: Visibility,
+    options: SceneOptions,
+    wanted: int,
+    count: int,
+    num_threads: int,
+) -> tuple[Points, Array, Pairs, int]:
+    """Draw ``count`` points, of which at most ``wanted`` that two images see are kept.
+
+    Returns:
+        The points kept, how long their tracks want to be, who could observe them, and how many
+        points had to be drawn for that.
+    """
+    points = scene.draw_points(rng, count)
+    weights = scene.draw_lengths(rng, len(points))
+    lengths = wanted_lengths(weights, options.wanted_track_length - 2.0).astype(np.float64)
+    pairs = visibility.pairs(rng, points, lengths, num_threads)
+    visible = np.flatnonzero(pairs.counts >= 2)
+    kept = np.sort(rng.permutation(visible)[:wanted])
+    drawn = round(count * len(kept) / len(visible)) if len(visible) else count
+    return points.take(kept), weights[kept], pairs.of_points(kept), drawn
