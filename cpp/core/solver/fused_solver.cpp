@@ -30,6 +30,9 @@ FusedSolver::FusedSolver(const ProblemView& problem, const SolveOptions& options
       track_lengths_(std::move(prepared.track_lengths)) {
   const Stopwatch time;
   ChooseSolver();
+  // It groups all observations by point, for which there is room as long as the problem is not
+  // built.
+  if (options_.check_solution) CountInformation();
   BuildProblem();
   // Of a solver that is reused, no solve spends it.
   build_time_ = is_reused ? 0 : time.seconds();

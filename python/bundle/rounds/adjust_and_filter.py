@@ -189,7 +189,9 @@ def solve_rounds(
     return dataclasses.replace(
         result,
         problem=(
-            refined if part is None else part.merge(state.problem, state.observations, state.points)
+            refined
+            if part is None
+            else part.merge(state.problem, state.observation_mask, state.point_mask)
         ),
         initial_problem=given,
         options=result.options if part is None else restored(result.options, options),

@@ -40,7 +40,7 @@ SCHEMA = "bundle checkpoint 1"
 
 NOT_DECISIVE = ("num_threads", "check_solution")
 
-_Indices = NDArray[np.int64]
+_Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,16 +49,16 @@ class State:
 
     Attributes:
         problem: what the next solve starts from, or the end.
-        observations: which observations of the first round's problem are left.
-        points: which of its points are left.
+        observation_mask: which observations of the first round's problem are left.
+        point_mask: which of its points are left.
         rounds: that are over.
         so_far: what was done of the current round, or the last one if the run has ended.
         has_ended: whether nothing is left to do.
     """
 
     problem: Problem
-    observations: _Indices
-    points: _Indices
+    observation_mask: _Mask
+    point_mask: _Mask
     rounds: tuple[Round, ...] = ()
     so_far: Result | None = None
     has_ended: bool = False
@@ -98,16 +98,12 @@ def check_target(path: Path) -> None:
         _open(path)
 
 
-def write(path: Path, state: State, start: Problem, fingerprint: Mapping[str, Any]) -> None:
-    """Replace a checkpoint; `start` is the problem of the first round.
+def write(path: Path, state: State, fingerprint: Mapping[str, Any]) -> None:
+    """Replace a checkpoint.
 
     Raises:
         OSError: the system refuses: no permission, disk full.
     """
-    observations = np.zeros(start.num_observations, bool)
-    observations[state.observations] = True
-    points = np.zeros(start.num_points, bool)
-    points[state.points] = True
     meta = {
         "schema": SCHEMA,
         "fingerprint": dict(fingerprint),
@@ -121,8 +117,8 @@ def write(path: Path, state: State, start: Problem, fingerprint: Mapping[str, An
             file,
             meta=np.frombuffer(json.dumps(meta).encode(), np.uint8),
             **{name: getattr(state.problem, name) for name in STATE},
-            observation_mask=np.packbits(observations),
-            point_mask=np.packbits(points),
+            observation_mask=np.packbits(state.observation_mask),
+            point_mask=np.packbits(state.point_mask),
             **arrays,
         )
 
@@ -166,8 +162,8 @@ def _state(
         so_far = _result(so_far, _without_prefix(arrays), problem, options)
     return State(
         problem=problem,
-        observations=np.flatnonzero(masks[0]),
-        points=np.flatnonzero(masks[1]),
+        observation_mask=masks[0],
+        point_mask=masks[1],
         rounds=tuple(Round(**done) for done in meta["rounds"]),
         so_far=so_far,
         has_ended=bool(meta["has_ended"]),

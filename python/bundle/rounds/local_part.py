@@ -180,15 +180,16 @@ class LocalPart:
         keys = {("camera", camera_id) for camera_id in outside}
         return {key: value for key, value in bounds.items() if key not in keys}
 
-    def merge(self, refined: Problem, observations: _Indices, points: _Indices) -> Problem:
+    def merge(self, refined: Problem, observation_mask: _Mask, point_mask: _Mask) -> Problem:
         """Return the whole problem with the values of the part that were refined.
 
         Args:
             refined: the part, or what is left of it.
-            observations: which observations of the part are left.
-            points: which points of the part are left.
+            observation_mask: which observations of the part are left.
+            point_mask: which points of the part are left.
         """
         whole, taken = self._whole, self.extract
+        points = np.flatnonzero(point_mask)
         pose, params = whole.cam_from_world.copy(), whole.camera_params.copy()
         xyz = whole.points.copy()
         pose[taken.images[self._named]] = refined.cam_from_world[self._named]
@@ -207,7 +208,7 @@ class LocalPart:
         values = whole.replace(cam_from_world=pose, camera_params=params, points=xyz, **rigs)
         left = np.ones(whole.num_observations, bool)
         left[taken.observations] = False
-        left[taken.observations[observations]] = True
+        left[taken.observations[observation_mask]] = True
         stays = np.ones(whole.num_points, bool)
         stays[taken.points] = False
         stays[taken.points[points]] = True

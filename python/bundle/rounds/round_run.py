@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from bundle import solver
 from bundle.errors import InputError
@@ -59,8 +59,8 @@ class RoundRun:
         self._interval = 0
         self._state = State(
             problem=start,
-            observations=np.arange(start.num_observations),
-            points=np.arange(start.num_points),
+            observation_mask=np.broadcast_to(True, start.num_observations),  # takes no memory
+            point_mask=np.broadcast_to(True, start.num_points),
         )
 
     def keep(
@@ -135,14 +135,21 @@ class RoundRun:
         _check_left(filtered, done, self._limits)
         return State(
             problem=filtered.problem,
-            observations=state.observations[filtered.observation_mask],
-            points=state.points[filtered.point_mask],
+            observation_mask=_left_of(state.observation_mask, filtered.observation_mask),
+            point_mask=_left_of(state.point_mask, filtered.point_mask),
             rounds=(*state.rounds, done),
         )
 
     def _save(self, state: State) -> None:
         if self._path is not None:
-            write(self._path, state, self._start, self._fingerprint)
+            write(self._path, state, self._fingerprint)
+
+
+def _left_of(mask: NDArray[np.bool_], left: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return what is left of a mask, `left` being of what it has."""
+    out = mask.copy()
+    out[mask] = left
+    return out
 
 
 def _filter_adjusted(
