@@ -137,6 +137,7 @@ PYTHON_MAY_IMPORT = {
         "camera_bounds",
         "constraint_record",
         "display",
+        "free_degrees",
         "georeference",
         "problem",
         "reprojection",
@@ -239,7 +240,8 @@ PYTHON_MAY_IMPORT = {
     },
     "placement": {"arguments", "errors", "georeference", "graph", "problem"},
     "slices": {
-        *{"_core", "arrays", "errors", "io", "options", "problem", "process_record", "ranks"},
+        *{"_core", "arrays", "components", "errors", "free_degrees", "io"},
+        *{"options", "problem", "process_record", "ranks"},
         *{"reprojection", "result", "solve_record", "solver", "worst_images"},
     },
     "solver": {

@@ -13,6 +13,7 @@
 #include "bindings/immutable_array.h"
 #include "core/error.h"
 #include "core/io/colmap_model.h"
+#include "core/io/colmap_parts.h"
 
 namespace py = pybind11;
 
@@ -150,17 +151,17 @@ void ExpectShape(const Numbers& array, const char* name, size_t rows, py::ssize_
   }
 }
 
-void WriteModel(const ColmapModel& model, const py::object& given_folder,
-                const Numbers& cam_from_world, const Numbers& camera_params, const Numbers& points,
-                const Numbers& point_errors, const Numbers& rig_from_world,
-                const Numbers& sensor_from_rig) {
-  const std::filesystem::path folder = PathFromPython(given_folder);
+/// The values in these arrays, which must have the shapes of the model.
+ColmapValues CheckedValues(const ColmapModel& model, size_t num_points,
+                           const Numbers& cam_from_world, const Numbers& camera_params,
+                           const Numbers& points, const Numbers& point_errors,
+                           const Numbers& rig_from_world, const Numbers& sensor_from_rig) {
   ExpectShape(cam_from_world, "cam_from_world", model.images_by_id.size(), 7);
   ExpectShape(rig_from_world, "rig_from_world", model.rigs.frames.size(), 7);
   ExpectShape(sensor_from_rig, "sensor_from_rig", model.rigs.sensors.size(), 7);
   ExpectShape(camera_params, "camera_params", model.cameras_by_id.size(), -1);
-  ExpectShape(points, "points", model.points_by_id.size(), 3);
-  ExpectShape(point_errors, "point_errors", model.points_by_id.size(), 1);
+  ExpectShape(points, "points", num_points, 3);
+  ExpectShape(point_errors, "point_errors", num_points, 1);
   for (const auto& camera : model.index.cameras) {
     if (camera.model->num_params > camera_params.shape(1)) {
       throw InputError("camera_params: expected at least " +
@@ -168,19 +169,95 @@ void WriteModel(const ColmapModel& model, const py::object& given_folder,
                        std::to_string(camera_params.shape(1)));
     }
   }
-  const ColmapValues values{cam_from_world.data(),
-                            rig_from_world.data(),
-                            sensor_from_rig.data(),
-                            camera_params.data(),
-                            static_cast<size_t>(camera_params.shape(1)),
-                            points.data(),
-                            point_errors.data()};
+  return {cam_from_world.data(),
+          rig_from_world.data(),
+          sensor_from_rig.data(),
+          camera_params.data(),
+          static_cast<size_t>(camera_params.shape(1)),
+          points.data(),
+          point_errors.data()};
+}
+
+void WriteModel(const ColmapModel& model, const py::object& given_folder,
+                const Numbers& cam_from_world, const Numbers& camera_params, const Numbers& points,
+                const Numbers& point_errors, const Numbers& rig_from_world,
+                const Numbers& sensor_from_rig) {
+  const std::filesystem::path folder = PathFromPython(given_folder);
+  const ColmapValues values =
+      CheckedValues(model, model.points_by_id.size(), cam_from_world, camera_params, points,
+                    point_errors, rig_from_world, sensor_from_rig);
   try {
     const py::gil_scoped_release release;
     WriteColmapModel(model, values, folder);
   } catch (const std::system_error& error) {
     ThrowOsError(error, folder);
   }
+}
+
+template <typename T>
+std::vector<T> ToVector(const py::array_t<T, py::array::c_style>& array) {
+  return {array.data(), array.data() + array.size()};
+}
+
+void RewriteModel(const ColmapModel& model, const py::object& given_folder,
+                  const Numbers& cam_from_world, const Numbers& camera_params,
+                  const Numbers& points, const Numbers& point_errors, const Numbers& rig_from_world,
+                  const Numbers& sensor_from_rig,
+                  const py::array_t<int64_t, py::array::c_style>& point_ids) {
+  const std::filesystem::path folder = PathFromPython(given_folder);
+  const std::vector<int64_t> ids = ToVector(point_ids);
+  const ColmapValues values = CheckedValues(model, ids.size(), cam_from_world, camera_params,
+                                            points, point_errors, rig_from_world, sensor_from_rig);
+  try {
+    const py::gil_scoped_release release;
+    RewriteColmapModel(model, ids, values, folder);
+  } catch (const std::system_error& error) {
+    ThrowOsError(error, folder);
+  }
+}
+
+py::tuple SurveyModel(const std::string& folder) {
+  ColmapSurvey survey;
+  {
+    const py::gil_scoped_release release;
+    survey = SurveyColmap(folder, CheckSignals);
+  }
+  const auto num_points = static_cast<py::ssize_t>(survey.point_ids.size());
+  return py::make_tuple(survey.num_images, survey.num_observations,
+                        ToImmutableNumpy(std::move(survey.point_ids), {num_points}),
+                        ToImmutableNumpy(std::move(survey.first_image), {num_points}),
+                        ToImmutableNumpy(std::move(survey.last_image), {num_points}),
+                        ToImmutableNumpy(std::move(survey.num_seen), {num_points}));
+}
+
+/// The model, the fields of a bundle.Problem by name but for the ids of the points, and what
+/// contradicts itself: file (0: points), place in it, sentence.
+py::tuple ReadPartOfModel(const std::string& folder,
+                          const py::array_t<int64_t, py::array::c_style>& point_ids,
+                          const py::array_t<int32_t, py::array::c_style>& place) {
+  if (point_ids.size() != place.size()) {
+    throw InputError("place: expected " + std::to_string(point_ids.size()) + " numbers");
+  }
+  const std::vector<int64_t> ids = ToVector(point_ids);
+  const std::vector<int32_t> places = ToVector(place);
+  ColmapPart part;
+  {
+    const py::gil_scoped_release release;
+    part = ReadColmapPart(folder, ids, places, CheckSignals);
+  }
+  py::dict fields;
+  PutCameras(part.model, &fields);
+  PutImages(part.model, &fields);
+  PutRigs(part.model, &fields);
+  const auto num_points = static_cast<py::ssize_t>(part.points.size() / 3);
+  fields["points"] = ToImmutableNumpy(std::move(part.points), {num_points, 3});
+  PutObservations(std::move(part.observations), &fields);
+  py::object failure = py::none();
+  if (part.failure.has_value()) {
+    failure = py::make_tuple(part.failure->is_in_images ? 1 : 0, part.failure->position,
+                             part.failure->message);
+  }
+  return py::make_tuple(std::make_unique<ColmapModel>(std::move(part.model)), fields, failure);
 }
 
 /// The files by name, as they were read.
@@ -211,5 +288,11 @@ void BindColmap(py::module_& m) {
       .def("files", &bundle::Files)
       .def("write", &bundle::WriteModel, py::arg("folder"), py::arg("cam_from_world"),
            py::arg("camera_params"), py::arg("points"), py::arg("point_errors"),
-           py::arg("rig_from_world"), py::arg("sensor_from_rig"));
+           py::arg("rig_from_world"), py::arg("sensor_from_rig"))
+      .def("rewrite", &bundle::RewriteModel, py::arg("folder"), py::arg("cam_from_world"),
+           py::arg("camera_params"), py::arg("points"), py::arg("point_errors"),
+           py::arg("rig_from_world"), py::arg("sensor_from_rig"), py::arg("point_ids"));
+  m.def("survey_colmap_model", &bundle::SurveyModel, py::arg("folder"));
+  m.def("read_colmap_part", &bundle::ReadPartOfModel, py::arg("folder"), py::arg("point_ids"),
+        py::arg("place"));
 }

@@ -140,8 +140,32 @@ class ColmapModel:
         rig_from_world: NDArray[np.float64],
         sensor_from_rig: NDArray[np.float64],
     ) -> None: ...
+    def rewrite(
+        self,
+        folder: str | os.PathLike[str],
+        cam_from_world: NDArray[np.float64],
+        camera_params: NDArray[np.float64],
+        points: NDArray[np.float64],
+        point_errors: NDArray[np.float64],
+        rig_from_world: NDArray[np.float64],
+        sensor_from_rig: NDArray[np.float64],
+        point_ids: NDArray[np.int64],
+    ) -> None: ...
 
 def read_colmap_model(folder: str | bytes) -> tuple[ColmapModel, dict[str, Any]]: ...
+def survey_colmap_model(
+    folder: str | bytes,
+) -> tuple[
+    int,
+    int,
+    NDArray[np.int64],
+    NDArray[np.int32],
+    NDArray[np.int32],
+    NDArray[np.int32],
+]: ...
+def read_colmap_part(
+    folder: str | bytes, point_ids: NDArray[np.int64], place: NDArray[np.int32]
+) -> tuple[ColmapModel, dict[str, Any], tuple[int, int, str] | None]: ...
 
 # bind_losses.cpp
 def evaluate_loss(

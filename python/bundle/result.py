@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from bundle.camera_bounds import ActiveBound
 from bundle.constraint_record import RuleEnd
 from bundle.display import Display
+from bundle.free_degrees import GaugeFreedom, gauge_freedom
 from bundle.problem import Problem
 from bundle.reprojection import (
     ReprojectionError,
@@ -85,6 +86,11 @@ class Result(SolveRecord):
         """The images with the largest errors at the output, measured when first asked for."""
         options = self.options
         return worst_images(self.problem, options.cheirality, num_threads=options.num_threads)
+
+    @cached_property
+    def gauge_freedom(self) -> GaugeFreedom:
+        """Degrees of freedom that the observations left open at the input."""
+        return gauge_freedom(self.initial_problem, self.options)
 
     def measure(self) -> None:
         """Measure all of these now, so that asking for them takes no time."""

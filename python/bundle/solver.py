@@ -43,6 +43,7 @@ __all__ = [
     "constrained",
     "prepare",
     "resolve_defaults",
+    "result_of",
     "settle",
     "solve",
     "with_priors",
@@ -195,7 +196,7 @@ def solve(
     ready = prepare(problem, options, factors, priors, align, bounds, constraints)
     placed, options, limits = ready.placed, ready.options, ready.limits
     output = _run(ready, progress)
-    return with_priors(_result(placed.problem, options, output, limits), placed, problem)
+    return with_priors(result_of(placed.problem, options, output, limits), placed, problem)
 
 
 def _run(ready: Prepared, progress: Progress | None) -> dict[str, Any]:
@@ -333,7 +334,7 @@ class Solver(Displayed):
             self._core.check_structure(problem)
             self._limits.check_start(problem)
         output = self._core.solve(problem, options.asdict() if changes else None, progress)
-        return _result(problem, options, output, self._limits)
+        return result_of(problem, options, output, self._limits)
 
     def __copy__(self) -> Solver:
         return _make_solver(*self._parts())
@@ -388,12 +389,13 @@ def _check_pickles(name: str, factor: Factor) -> None:
         ) from None
 
 
-def _result(
+def result_of(
     problem: Problem,
     options: SolveOptions,
     output: dict[str, Any],
     limits: Restrictions | None = None,
 ) -> Result:
+    """Return the result of what the core made of a problem."""
     refined = problem._moved(**{name: output[name] for name in STATE if name in output})
     result = Result(
         problem=refined,

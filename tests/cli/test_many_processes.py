@@ -76,6 +76,27 @@ def test_refines_as_one_process_does(model, tmp_path):
     np.testing.assert_allclose(bundle.load(output).points, alone.problem.points, atol=1e-6)
 
 
+def test_a_colmap_model_in_slices_and_without_pycolmap(model, tmp_path):
+    source, output, report = (tmp_path / name for name in ("model", "out", "report.json"))
+    bundle.save(bundle.load(model), source, "colmap")
+    script = tmp_path / "looks.py"
+    script.write_text(
+        "import sys\nfrom bundle.__main__ import run\n"
+        "code = run()\nsys.exit(9 if 'pycolmap' in sys.modules else code)\n"
+    )
+    words = ("refine", source, "-o", output, "--json", report, "--threads", 1)
+    code, _, err = mpirun(2, *words, script=script)
+    assert (code, error_lines(err)) == (0, [])
+    given = json.loads(report.read_text())
+    alone = bundle.solve(source, num_threads=1)
+    costs = [step["cost"] for step in given["iterations"]]
+    np.testing.assert_allclose(costs, alone.iterations["cost"], rtol=1e-9)
+    assert given["output"]["format"] == "colmap"
+    parts = given["summary"]["processes"]["parts"]
+    assert sum(part["num_points"] for part in parts) == alone.problem.num_points
+    np.testing.assert_allclose(bundle.load(output).points, alone.problem.points, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("words", "found"),
     [
@@ -100,7 +121,7 @@ def test_a_process_that_fails_alone_ends_all(model, tmp_path):
     """As one does that has too little memory."""
     script = tmp_path / "fails.py"
     script.write_text(
-        "import os, sys, bundle.slices.bal_refinement as c\n"
+        "import os, sys, bundle.slices.sliced_refinement as c\n"
         "def fail(*given):\n"
         "    raise MemoryError('no room')\n"
         "if os.environ['OMPI_COMM_WORLD_RANK'] == '1': c.work_on = fail\n"

@@ -59,15 +59,15 @@ def test_more_processes(problem, inspection):
     assert many.memory_of_others_in_bytes < two.memory_of_others_in_bytes
 
 
-def test_a_bal_file_is_divided_and_a_model_is_kept_by_the_first(problem, inspection):
+def test_files_are_kept_by_one_process_and_divided_among_several(problem, inspection):
     bal, problem = problem.replace(format="bal"), problem.replace(format="colmap")
-    (kept,) = predict_ranks(problem, inspection, counts=[3])
-    (divided,) = predict_ranks(bal, inspection, counts=[3])
+    kept, divided = predict_ranks(problem, inspection, counts=[1, 3])
+    bal_kept, bal_divided = predict_ranks(bal, inspection, counts=[1, 3])
     observations = 28 * problem.num_observations
-    more = kept.memory_of_first_in_bytes - divided.memory_of_first_in_bytes
-    assert more > observations
-    others = divided.memory_of_others_in_bytes  # another gauge: a few columns of S less
-    assert kept.memory_of_others_in_bytes == pytest.approx(others, rel=1e-3)
+    assert kept.memory_of_first_in_bytes > bal_kept.memory_of_first_in_bytes + observations
+    for name, most in (("memory_of_first_in_bytes", 50), ("memory_of_others_in_bytes", 40)):
+        per_point = (getattr(divided, name) - getattr(bal_divided, name)) / problem.num_points
+        assert 8 <= per_point <= most  # ids, and errors of points; a bit less of another gauge
 
 
 def test_the_network(problem, inspection):

@@ -12,12 +12,13 @@
 //
 // Every count is held against what is left of the file before anything is allocated or read.
 
-#include <array>
-#include <cmath>
-#include <cstring>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "core/cameras/registry.h"
+#include "core/io/colmap_binary_records.h"
+#include "core/io/colmap_byte_reader.h"
 #include "core/io/colmap_index.h"
 
 namespace bundle {
@@ -25,79 +26,10 @@ namespace {
 
 // Bytes of the smallest possible record of each kind.
 constexpr uint64_t kMinCameraSize = 24 + 2 * 8;
-constexpr uint64_t kMinImageSize = 4 + 56 + 4 + 1 + 8;
 constexpr uint64_t kMinRigSize = 8;
 constexpr uint64_t kMinFrameSize = 8 + 56 + 4;
 constexpr uint64_t kDatumSize = 16;
 constexpr uint64_t kMinSensorSize = 9;
-
-class ByteReader {
- public:
-  explicit ByteReader(const ModelFile& file) : file_(file), contents_(file.contents()) {}
-
-  uint64_t position() const { return position_; }
-  uint64_t num_left() const { return contents_.size() - position_; }
-
-  /// The value under the cursor; `what` names it when the file ends before it.
-  template <typename T>
-  T Read(const char* what) {
-    T value;
-    ReadArray(&value, 1, what);
-    return value;
-  }
-
-  template <typename T>
-  void ReadArray(T* values, size_t count, const char* what) {
-    if (num_left() < count * sizeof(T)) {
-      Fail(std::string("expected ") + what + " (" + std::to_string(count * sizeof(T)) +
-           " bytes), found the end of the file after " + std::to_string(num_left()));
-    }
-    std::memcpy(values, contents_.data() + position_, count * sizeof(T));
-    position_ += count * sizeof(T);
-  }
-
-  /// A count of records that each take `min_size` bytes at least.
-  template <typename T>
-  T ReadCount(const std::string& what, uint64_t min_size) {
-    const uint64_t at = position_;
-    const T count = Read<T>(("the number of " + what).c_str());
-    if (count > num_left() / min_size) {
-      file_.Fail(at, "expected at most " + std::to_string(num_left() / min_size) + " " + what +
-                         " in the " + std::to_string(num_left()) + " bytes that follow, found " +
-                         std::to_string(count));
-    }
-    return count;
-  }
-
-  std::string_view ReadName(const std::string& subject) {
-    const size_t end = contents_.find('\0', position_);
-    if (end == std::string_view::npos) {
-      Fail(subject + ": expected a name that ends in a zero byte, found the end of the file");
-    }
-    const std::string_view name = contents_.substr(position_, end - position_);
-    position_ = end + 1;
-    return name;
-  }
-
-  void ExpectEnd() const {
-    if (num_left() == 0) return;
-    Fail("expected the end of the file, found " + std::to_string(num_left()) + " more bytes");
-  }
-
-  [[noreturn]] void Fail(const std::string& message) const { file_.Fail(position_, message); }
-
- private:
-  const ModelFile& file_;
-  std::string_view contents_;
-  uint64_t position_ = 0;
-};
-
-uint32_t ReadId(ByteReader* reader, const ModelFile& file, const char* what) {
-  const uint64_t at = reader->position();
-  const auto id = reader->Read<uint32_t>(what);
-  if (id != kInvalidColmapId) return id;
-  file.Fail(at, std::string("expected ") + what + " below 4294967295, found " + std::to_string(id));
-}
 
 ColmapIndex::Sensor ReadSensor(ByteReader* reader, const ModelFile& file,
                                const std::string& subject) {
@@ -108,7 +40,7 @@ ColmapIndex::Sensor ReadSensor(ByteReader* reader, const ModelFile& file,
     file.Fail(at, subject + ": expected sensor type 0 (camera) or 1 (IMU), found " +
                       std::to_string(type));
   }
-  return {static_cast<SensorType>(type), ReadId(reader, file, "a sensor id")};
+  return {static_cast<SensorType>(type), reader->ReadId("a sensor id")};
 }
 
 void ScanCameras(ColmapIndex* index) {
@@ -117,7 +49,7 @@ void ScanCameras(ColmapIndex* index) {
   index->cameras.reserve(count);
   for (uint64_t i = 0; i < count; ++i) {
     const uint64_t at = reader.position();
-    const uint32_t id = ReadId(&reader, index->cameras_file, "a camera id");
+    const uint32_t id = reader.ReadId("a camera id");
     const std::string subject = "camera " + std::to_string(id);
     const auto model_id = reader.Read<int32_t>("a camera model id");
     const CameraModel* model = FindColmapCameraModel(model_id);
@@ -139,83 +71,48 @@ void ScanCameras(ColmapIndex* index) {
   reader.ExpectEnd();
 }
 
-void ScanKeypoints(ColmapIndex* index, ByteReader* reader, const std::string& subject) {
-  const auto count = reader->ReadCount<uint64_t>("keypoints of " + subject, kKeypointSize);
-  ColmapIndex::Image& image = index->images.back();
-  image.keypoints_at = reader->position();
-  image.num_keypoints = count;
-  for (uint64_t k = 0; k < count; ++k) {
-    double xy[2];
-    reader->ReadArray(xy, 2, "a keypoint");
-    if (!std::isfinite(xy[0]) || !std::isfinite(xy[1])) {
-      index->images_file.Fail(index->KeypointPlace(image, k),
-                              subject + ", keypoint " + std::to_string(k) +
-                                  ": expected finite coordinates, found " + FormatNumber(xy[0]) +
-                                  " " + FormatNumber(xy[1]));
-    }
-    const auto point_id = reader->Read<uint64_t>("a point id");
+/// Keeps images and their keypoints in the index.
+struct KeepImages {
+  ColmapIndex* index;
+
+  void Begin(uint64_t count, uint64_t num_bytes) {
+    index->images.reserve(count);
+    index->keypoint_point_ids.reserve(num_bytes / kKeypointSize);
+  }
+  void Image(ColmapIndex::Image image) {
+    image.first_keypoint = index->keypoint_point_ids.size();
+    index->images.push_back(std::move(image));
+  }
+  void Keypoint(uint64_t, const double* xy, uint64_t point_id) {
     index->keypoint_point_ids.push_back(point_id);
-    if (point_id == kInvalidPoint3DId) continue;
+    if (point_id == kInvalidPoint3DId) return;
     index->triangulated_xy.insert(index->triangulated_xy.end(), {xy[0], xy[1]});
   }
-}
+};
 
 void ScanImages(ColmapIndex* index) {
-  ByteReader reader(index->images_file);
-  const auto count = reader.ReadCount<uint64_t>("images", kMinImageSize);
-  index->images.reserve(count);
-  index->keypoint_point_ids.reserve(reader.num_left() / kKeypointSize);
-  for (uint64_t i = 0; i < count; ++i) {
-    const uint64_t at = reader.position();
-    const uint32_t id = ReadId(&reader, index->images_file, "an image id");
-    const std::string subject = "image " + std::to_string(id);
-    std::array<double, 7> pose;
-    reader.ReadArray(pose.data(), 7, "a pose");
-    CheckPose(index->images_file, at + 4, subject, pose.data());
-    const ColmapSpan pose_span{at + 4, reader.position()};
-    const uint32_t camera_id = ReadId(&reader, index->images_file, "a camera id");
-    const uint64_t name_at = reader.position();
-    const std::string_view name = reader.ReadName(subject);
-    CheckImageName(index->images_file, name_at, subject, name);
-    index->images.push_back({id, camera_id, at, 0, index->keypoint_point_ids.size(), 0,
-                             std::string(name), pose, pose_span});
-    ScanKeypoints(index, &reader, subject);
-  }
-  reader.ExpectEnd();
+  KeepImages sink{index};
+  ScanImageRecords(index->images_file, &sink);
 }
 
-void ScanPoints(ColmapIndex* index) {
-  ByteReader reader(index->points_file);
-  const auto count = reader.ReadCount<uint64_t>("points", kPointRecordSize);
-  index->points.reserve(count);
-  index->track_elements.reserve((reader.num_left() - count * kPointRecordSize) / kTrackElementSize);
-  for (uint64_t i = 0; i < count; ++i) {
-    const uint64_t at = reader.position();
-    const auto id = reader.Read<uint64_t>("a point id");
-    if (id > kMaxPoint3DId) {
-      index->points_file.Fail(at, "expected a point id below 2^63, found " + std::to_string(id));
-    }
-    std::array<double, 3> xyz;
-    reader.ReadArray(xyz.data(), 3, "a position");
-    const ColmapSpan xyz_span{at + 8, reader.position()};
-    if (!std::isfinite(xyz[0]) || !std::isfinite(xyz[1]) || !std::isfinite(xyz[2])) {
-      index->points_file.Fail(at + 8, "point " + std::to_string(id) +
-                                          ": expected a finite position, found " +
-                                          FormatNumber(xyz[0]) + " " + FormatNumber(xyz[1]) + " " +
-                                          FormatNumber(xyz[2]));
-    }
-    uint8_t rgb[3];
-    reader.ReadArray(rgb, 3, "a colour");
-    const uint64_t error_at = reader.position();
-    reader.Read<double>("an error");  // may be anything: it is computed anew
-    const ColmapSpan error_span{error_at, reader.position()};
-    const auto length = reader.ReadCount<uint64_t>("track elements", kTrackElementSize);
-    const size_t first_element = index->track_elements.size();
-    index->points.push_back({id, at, first_element, xyz, xyz_span, error_span});
-    index->track_elements.resize(first_element + length);
-    reader.ReadArray(index->track_elements.data() + first_element, length, "a track");
+/// Keeps points and their tracks in the index.
+struct KeepPoints {
+  ColmapIndex* index;
+
+  void Begin(uint64_t count, uint64_t num_bytes) {
+    index->points.reserve(count);
+    index->track_elements.reserve((num_bytes - count * kPointRecordSize) / kTrackElementSize);
   }
-  reader.ExpectEnd();
+  void Point(ColmapIndex::Point point, const std::vector<ColmapIndex::TrackElement>& track) {
+    point.first_element = index->track_elements.size();
+    index->points.push_back(point);
+    index->track_elements.insert(index->track_elements.end(), track.begin(), track.end());
+  }
+};
+
+void ScanPoints(ColmapIndex* index) {
+  KeepPoints sink{index};
+  ScanPointRecords(index->points_file, &sink);
 }
 
 void ScanRigs(ColmapIndex* index) {
@@ -224,7 +121,7 @@ void ScanRigs(ColmapIndex* index) {
   index->rigs.reserve(count);
   for (uint64_t i = 0; i < count; ++i) {
     const uint64_t at = reader.position();
-    const uint32_t id = ReadId(&reader, index->rigs_file, "a rig id");
+    const uint32_t id = reader.ReadId("a rig id");
     const std::string subject = "rig " + std::to_string(id);
     const auto num_sensors =
         reader.ReadCount<uint32_t>("sensors of " + subject, kMinSensorSize - 1);
@@ -251,9 +148,9 @@ void ScanFrames(ColmapIndex* index) {
   index->frames.reserve(count);
   for (uint64_t i = 0; i < count; ++i) {
     const uint64_t at = reader.position();
-    const uint32_t id = ReadId(&reader, index->frames_file, "a frame id");
+    const uint32_t id = reader.ReadId("a frame id");
     const std::string subject = "frame " + std::to_string(id);
-    const uint32_t rig_id = ReadId(&reader, index->frames_file, "a rig id");
+    const uint32_t rig_id = reader.ReadId("a rig id");
     ColmapIndex::Frame frame{id, rig_id, at, {}};
     reader.ReadArray(frame.pose.data(), 7, "a pose");
     CheckPose(index->frames_file, at + 8, subject, frame.pose.data());

@@ -4,13 +4,14 @@
 #include <filesystem>
 #include <string>
 #include <system_error>
-#include <unordered_map>
 #include <utility>
 #include <vector>
 
 #include "core/error.h"
+#include "core/io/colmap_id_map.h"
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
+#include "core/io/colmap_track_errors.h"
 #include "core/io/files.h"
 
 namespace bundle {
@@ -71,7 +72,6 @@ ColmapIndex ScanColmapModel(const std::string& folder, bool keep_contents) {
   const bool binary = missing_binary.empty();
   ColmapIndex index =
       ScanFiles(folder, binary ? kColmapBinaryScanner : kColmapTextScanner, keep_contents);
-  CheckNotEmpty(index);
   return index;
 }
 
@@ -80,41 +80,6 @@ void CheckColmapModel(const std::string& folder) {
 }
 
 namespace {
-
-/// Position of a record by its id.
-class IdMap {
- public:
-  static constexpr int64_t kNone = -1;
-
-  /// `record` is "camera"; a repeated id is an error at the record that repeats it.
-  template <typename Record>
-  IdMap(const std::vector<Record>& records, const ModelFile& file, const std::string& record) {
-    uint64_t max_id = 0;
-    for (const Record& entry : records) max_id = std::max<uint64_t>(max_id, entry.id);
-    // Ids are dense in practice, and tracks look up an image for every observation.
-    if (max_id < 16 * records.size() + 1024) dense_.assign(max_id + 1, kNone);
-    for (size_t i = 0; i < records.size(); ++i) {
-      const uint32_t id = records[i].id;
-      const bool inserted = dense_.empty()
-                                ? sparse_.emplace(id, i).second
-                                : std::exchange(dense_[id], static_cast<int64_t>(i)) == kNone;
-      if (!inserted) {
-        file.Fail(records[i].at, "expected each " + record + " once, found " + record + " " +
-                                     std::to_string(id) + " again");
-      }
-    }
-  }
-
-  int64_t Find(uint64_t id) const {
-    if (!dense_.empty()) return id < dense_.size() ? dense_[id] : kNone;
-    const auto found = sparse_.find(id);
-    return found == sparse_.end() ? kNone : static_cast<int64_t>(found->second);
-  }
-
- private:
-  std::vector<int64_t> dense_;
-  std::unordered_map<uint64_t, size_t> sparse_;
-};
 
 std::string Name(const ColmapIndex::Sensor& sensor) {
   return RecordName(sensor.type == SensorType::kCamera ? "camera" : "IMU", sensor.id);
@@ -216,28 +181,13 @@ std::vector<int64_t> CheckTracks(const ColmapIndex& index, const IdMap& images) 
                                RecordName("point", point.id) + ": " + message);
       };
       const int64_t i = images.Find(element.image_id);
-      if (i == IdMap::kNone) {
-        fail("expected an image of the model in the track, found " +
-             RecordName("image", element.image_id));
-      }
+      if (i == IdMap::kNone) fail(NoSuchImage(element));
       const ColmapIndex::Image& image = index.images[static_cast<size_t>(i)];
-      if (element.keypoint >= image.num_keypoints) {
-        fail("expected one of the " + std::to_string(image.num_keypoints) + " keypoints of " +
-             RecordName("image", image.id) + " in the track, found " +
-             RecordName("keypoint", element.keypoint));
-      }
+      if (element.keypoint >= image.num_keypoints) fail(NoSuchKeypoint(element, image));
       const uint64_t keypoint = image.first_keypoint + element.keypoint;
       const uint64_t point_id = index.keypoint_point_ids[keypoint];
-      if (point_id != point.id) {
-        fail("expected " + RecordName("keypoint", element.keypoint) + " of " +
-             RecordName("image", image.id) + " to refer back to it, found " +
-             (point_id == kInvalidPoint3DId ? "no point" : RecordName("point", point_id)));
-      }
-      if (point_of_keypoint[keypoint] != IdMap::kNone) {
-        fail("expected each keypoint once in the track, found " +
-             RecordName("keypoint", element.keypoint) + " of " + RecordName("image", image.id) +
-             " again");
-      }
+      if (point_id != point.id) fail(RefersElsewhere(element, point_id));
+      if (point_of_keypoint[keypoint] != IdMap::kNone) fail(VisitedAgain(element));
       point_of_keypoint[keypoint] = static_cast<int64_t>(p);
     }
   }
@@ -248,10 +198,7 @@ std::vector<int64_t> CheckTracks(const ColmapIndex& index, const IdMap& images) 
           point_of_keypoint[image.first_keypoint + k] != IdMap::kNone) {
         continue;
       }
-      index.images_file.Fail(index.KeypointPlace(image, k),
-                             RecordName("image", image.id) + ", " + RecordName("keypoint", k) +
-                                 ": expected a point with this keypoint in its track, found " +
-                                 RecordName("point", point_id));
+      index.images_file.Fail(index.KeypointPlace(image, k), NotInTrack(image, k, point_id));
     }
   }
   return point_of_keypoint;
@@ -268,7 +215,8 @@ uint64_t ColmapIndex::TrackElementPlace(const Point& point, uint64_t element) co
          (kind == ModelFile::Kind::kBinary ? kPointRecordSize + element * kTrackElementSize : 0);
 }
 
-std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index) {
+void CheckColmapViews(const ColmapIndex& index) {
+  CheckNotEmpty(index);
   const IdMap cameras(index.cameras, index.cameras_file, "camera");
   const IdMap rigs(index.rigs, index.rigs_file, "rig");
   const IdMap frames(index.frames, index.frames_file, "frame");
@@ -277,8 +225,12 @@ std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index) {
   CheckRigs(index, cameras);
   CheckFrames(index, rigs, images, &frame_of_image);
   CheckImages(index, cameras, frame_of_image);
+}
+
+std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index) {
+  CheckColmapViews(index);
   CheckPointIdsUnique(index);
-  return CheckTracks(index, images);
+  return CheckTracks(index, IdMap(index.images, index.images_file, "image"));
 }
 
 }  // namespace bundle

@@ -6,6 +6,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <limits>
 #include <map>
 #include <memory>
@@ -18,7 +19,8 @@
 
 namespace bundle {
 
-/// One file of a model, read whole, and the place that every complaint about it names.
+/// One file of a model, read whole or open as a stream, and the place that every complaint about it
+/// names.
 class ModelFile {
  public:
   enum class Kind { kText, kBinary };
@@ -28,11 +30,26 @@ class ModelFile {
   /// Throws InputError when the file cannot be opened, is no regular file or cannot be read.
   ModelFile(std::string path, Kind kind);
 
+  /// Opens a file of which `ReadAt` reads parts. `on_block` is called before each and may throw.
+  /// Throws InputError as the constructor.
+  static ModelFile Stream(std::string path, Kind kind, std::function<void()> on_block);
+
   const std::string& path() const { return path_; }
-  std::string_view contents() const { return {contents_.get(), size_}; }
+  uint64_t size() const { return size_; }
+  bool is_stream() const { return descriptor_ != nullptr; }
+
+  /// Of a file that was read whole; empty of a stream.
+  std::string_view contents() const { return {contents_.get(), is_stream() ? 0 : size_}; }
+
+  /// Reads bytes of a stream. Throws InputError when the file cannot be read or has changed since
+  /// it was opened.
+  void ReadAt(uint64_t position, char* buffer, size_t count) const;
 
   /// Frees the contents; `Fail` goes on working.
   void Release();
+
+  /// What `Fail` throws.
+  std::string Complaint(uint64_t position, const std::string& message) const;
 
   /// Throws InputError "PATH:POSITION: message" (a line, counted from 1) for text and
   /// "PATH: byte POSITION: message" (an offset, counted from 0) for binary.
@@ -43,6 +60,9 @@ class ModelFile {
   Kind kind_ = Kind::kText;
   std::unique_ptr<char[]> contents_;
   size_t size_ = 0;
+  std::shared_ptr<const int> descriptor_;  ///< of a stream
+  int64_t changed_at_ = 0;                 ///< of a stream, nanoseconds
+  std::function<void()> on_block_;
 };
 
 // COLMAP's kInvalid*Id: the value for "none", and the id of no record.
@@ -182,8 +202,12 @@ struct ColmapScanner {
 extern const ColmapScanner kColmapTextScanner;
 extern const ColmapScanner kColmapBinaryScanner;
 
-/// Checks that ids are unique and references resolve. Throws InputError as the scanners do. Returns
-/// the position in `points` of each keypoint's point, -1 where it has none.
+/// Checks rigs, cameras, frames and images: unique ids, references that resolve. Throws InputError
+/// as the scanners do.
+void CheckColmapViews(const ColmapIndex& index);
+
+/// The same and points with their tracks. Returns the position in `points` of each keypoint's
+/// point, -1 where it has none.
 std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index);
 
 /// nullptr where COLMAP 4.2 has no such model. Our models stand in the order of COLMAP's ids.

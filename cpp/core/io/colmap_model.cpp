@@ -195,46 +195,82 @@ std::string FormatNumber(double value) {
 
 namespace {
 
-class FileDescriptor {
- public:
-  explicit FileDescriptor(const std::string& path)
-      : fd_(open(path.c_str(), O_RDONLY | O_CLOEXEC)) {}
-  ~FileDescriptor() {
-    if (fd_ >= 0) close(fd_);
-  }
-  FileDescriptor(const FileDescriptor&) = delete;
-  FileDescriptor& operator=(const FileDescriptor&) = delete;
-
-  int get() const { return fd_; }
-
- private:
-  int fd_;
-};
-
 [[noreturn]] void FailToRead(const std::string& path, const std::string& reason) {
   throw InputError(Printable(path) + ": expected a readable file, found: " + reason);
+}
+
+/// Opens a regular file; the descriptor is closed with the last copy of the pointer.
+std::shared_ptr<const int> OpenRegularFile(const std::string& path) {
+  struct stat status;
+  // Before open(), which would wait for a writer if this were a named pipe.
+  if (stat(path.c_str(), &status) != 0) FailToRead(path, std::strerror(errno));
+  if (!S_ISREG(status.st_mode)) FailToRead(path, "not a regular file");
+  const int descriptor = open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (descriptor < 0) FailToRead(path, std::strerror(errno));
+  return {new int(descriptor), [](const int* opened) {
+            close(*opened);
+            delete opened;
+          }};
+}
+
+struct stat StatusOf(int descriptor, const std::string& path) {
+  struct stat status;
+  if (fstat(descriptor, &status) != 0) FailToRead(path, std::strerror(errno));
+  return status;
+}
+
+/// When contents or size of a file last changed, in nanoseconds.
+int64_t ChangedAt(const struct stat& status) {
+#ifdef __APPLE__
+  const timespec& time = status.st_mtimespec;
+#else
+  const timespec& time = status.st_mtim;
+#endif
+  return int64_t{time.tv_sec} * 1'000'000'000 + time.tv_nsec;
+}
+
+/// Reads up to `size` bytes from `position` on; returns how many the file has.
+size_t ReadBytes(int descriptor, const std::string& path, uint64_t position, char* buffer,
+                 size_t size) {
+  size_t done = 0;
+  while (done < size) {
+    const ssize_t count =
+        pread(descriptor, buffer + done, size - done, static_cast<off_t>(position + done));
+    if (count < 0 && errno == EINTR) continue;
+    if (count < 0) FailToRead(path, std::strerror(errno));
+    if (count == 0) break;  // shortened while we read
+    done += static_cast<size_t>(count);
+  }
+  return done;
 }
 
 }  // namespace
 
 ModelFile::ModelFile(std::string path, Kind kind) : path_(std::move(path)), kind_(kind) {
-  struct stat status;
-  // Before open(), which would wait for a writer if this were a named pipe.
-  if (stat(path_.c_str(), &status) != 0) FailToRead(path_, std::strerror(errno));
-  if (!S_ISREG(status.st_mode)) FailToRead(path_, "not a regular file");
-  const FileDescriptor file(path_);
-  if (file.get() < 0) FailToRead(path_, std::strerror(errno));
-
-  const auto size = static_cast<size_t>(status.st_size);
+  const std::shared_ptr<const int> file = OpenRegularFile(path_);
+  const auto size = static_cast<size_t>(StatusOf(*file, path_).st_size);
   contents_.reset(new (std::nothrow) char[size]);
   if (contents_ == nullptr) FailToRead(path_, std::to_string(size) + " bytes, more than memory");
-  while (size_ < size) {
-    const ssize_t count = read(file.get(), contents_.get() + size_, size - size_);
-    if (count < 0 && errno == EINTR) continue;
-    if (count < 0) FailToRead(path_, std::strerror(errno));
-    if (count == 0) break;  // shortened while we read
-    size_ += static_cast<size_t>(count);
-  }
+  size_ = ReadBytes(*file, path_, 0, contents_.get(), size);
+}
+
+ModelFile ModelFile::Stream(std::string path, Kind kind, std::function<void()> on_block) {
+  ModelFile file;
+  file.path_ = std::move(path);
+  file.kind_ = kind;
+  file.descriptor_ = OpenRegularFile(file.path_);
+  const struct stat status = StatusOf(*file.descriptor_, file.path_);
+  file.size_ = static_cast<size_t>(status.st_size);
+  file.changed_at_ = ChangedAt(status);
+  file.on_block_ = std::move(on_block);
+  return file;
+}
+
+void ModelFile::ReadAt(uint64_t position, char* buffer, size_t count) const {
+  if (on_block_) on_block_();
+  const size_t done = ReadBytes(*descriptor_, path_, position, buffer, count);
+  if (done == count && ChangedAt(StatusOf(*descriptor_, path_)) == changed_at_) return;
+  throw InputError(Printable(path_) + ": the input file has changed while it was in use");
 }
 
 void ModelFile::Release() {
@@ -242,11 +278,14 @@ void ModelFile::Release() {
   size_ = 0;
 }
 
-void ModelFile::Fail(uint64_t position, const std::string& message) const {
+std::string ModelFile::Complaint(uint64_t position, const std::string& message) const {
   const std::string path = Printable(path_);
   const std::string place = std::to_string(position);
-  throw InputError((kind_ == Kind::kText ? path + ":" + place : path + ": byte " + place) + ": " +
-                   message);
+  return (kind_ == Kind::kText ? path + ":" + place : path + ": byte " + place) + ": " + message;
+}
+
+void ModelFile::Fail(uint64_t position, const std::string& message) const {
+  throw InputError(Complaint(position, message));
 }
 
 }  // namespace bundle

@@ -1,5 +1,6 @@
 /// Writes a COLMAP model: the files as they were read, with refined values in place of the old.
 
+#include <algorithm>
 #include <array>
 #include <cstring>
 #include <map>
@@ -8,6 +9,9 @@
 #include <utility>
 #include <vector>
 
+#include "core/error.h"
+#include "core/io/colmap_binary_records.h"
+#include "core/io/colmap_byte_reader.h"
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_model.h"
 #include "core/io/files.h"
@@ -18,8 +22,8 @@ namespace {
 /// Puts numbers in place of others: in binary of the same bytes, in text separated by blanks.
 class Patcher {
  public:
-  Patcher(const ModelFile& file, const std::filesystem::path& path, bool is_binary)
-      : contents_(file.contents()), file_(path, Compression::kNone), is_binary_(is_binary) {}
+  Patcher(const ModelFile& source, const std::filesystem::path& path, bool is_binary)
+      : source_(source), window_(source), file_(path, Compression::kNone), is_binary_(is_binary) {}
 
   /// Spans must come in the order of the file.
   void Replace(const ColmapSpan& span, const double* values, size_t count) {
@@ -36,7 +40,7 @@ class Patcher {
   }
 
   void Finish() {
-    Copy(contents_.size());
+    Copy(source_.size());
     Flush();
     file_.Close();
   }
@@ -44,9 +48,13 @@ class Patcher {
  private:
   /// Copies the file up to `end`.
   void Copy(uint64_t end) {
-    buffer_ += contents_.substr(position_, end - position_);
-    position_ = end;
-    if (buffer_.size() >= OutputFile::kBlockSize) Flush();
+    while (position_ < end) {
+      const auto count =
+          static_cast<size_t>(std::min<uint64_t>(end - position_, OutputFile::kBlockSize));
+      buffer_.append(window_.At(position_, count), count);
+      position_ += count;
+      if (buffer_.size() >= OutputFile::kBlockSize) Flush();
+    }
   }
 
   void Flush() {
@@ -54,7 +62,8 @@ class Patcher {
     buffer_.clear();
   }
 
-  std::string_view contents_;
+  const ModelFile& source_;
+  FileWindow window_;
   OutputFile file_;
   bool is_binary_;
   std::string buffer_;
@@ -167,8 +176,11 @@ void WriteTrivialText(const ColmapModel& model, const ColmapValues& values,
 
 }  // namespace
 
-void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
-                      const std::filesystem::path& folder) {
+namespace {
+
+/// Writes all but the points.
+void WriteViews(const ColmapModel& model, const ColmapValues& values,
+                const std::filesystem::path& folder) {
   const ColmapIndex& index = model.index;
   const bool is_binary = model.is_binary();
   const char* extension = is_binary ? ".bin" : ".txt";
@@ -192,14 +204,6 @@ void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
                    7);
   }
   images.Finish();
-
-  const std::vector<size_t> point_rows = Rows(model.points_by_id);
-  Patcher points = patcher(index.points_file, "points3D");
-  for (size_t p = 0; p < index.points.size(); ++p) {
-    points.Replace(index.points[p].xyz_span, values.points + 3 * point_rows[p], 3);
-    points.Replace(index.points[p].error_span, values.point_errors + point_rows[p], 1);
-  }
-  points.Finish();
 
   if (!model.has_frames()) {
     const auto write_trivial = is_binary ? WriteTrivialBinary : WriteTrivialText;
@@ -226,6 +230,56 @@ void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
     frames.Replace(index.frames[f].pose_span, FilePose(poses, static_cast<size_t>(row)).data(), 7);
   }
   frames.Finish();
+}
+
+/// Writes points as they are read once more.
+struct RewritePoints {
+  const ColmapValues& values;
+  const std::vector<int64_t>& ids;
+  Patcher patcher;
+  size_t num_points = 0;
+
+  void Begin(uint64_t count, uint64_t) const {
+    if (count != ids.size()) FailAsChanged();
+  }
+  void Point(const ColmapIndex::Point& point, const std::vector<ColmapIndex::TrackElement>&) {
+    const auto id = static_cast<int64_t>(point.id);
+    size_t row = num_points++;
+    if (ids[row] != id) {  // not in the order of the ids
+      row = static_cast<size_t>(std::lower_bound(ids.begin(), ids.end(), id) - ids.begin());
+      if (row == ids.size() || ids[row] != id) FailAsChanged();
+    }
+    patcher.Replace(point.xyz_span, values.points + 3 * row, 3);
+    patcher.Replace(point.error_span, values.point_errors + row, 1);
+  }
+  [[noreturn]] static void FailAsChanged() {
+    throw InputError("the input file has changed while it was in use");
+  }
+};
+
+}  // namespace
+
+void WriteColmapModel(const ColmapModel& model, const ColmapValues& values,
+                      const std::filesystem::path& folder) {
+  WriteViews(model, values, folder);
+  const ColmapIndex& index = model.index;
+  const std::vector<size_t> point_rows = Rows(model.points_by_id);
+  const char* name = model.is_binary() ? "points3D.bin" : "points3D.txt";
+  Patcher points(index.points_file, folder / name, model.is_binary());
+  for (size_t p = 0; p < index.points.size(); ++p) {
+    points.Replace(index.points[p].xyz_span, values.points + 3 * point_rows[p], 3);
+    points.Replace(index.points[p].error_span, values.point_errors + point_rows[p], 1);
+  }
+  points.Finish();
+}
+
+void RewriteColmapModel(const ColmapModel& model, const std::vector<int64_t>& point_ids,
+                        const ColmapValues& values, const std::filesystem::path& folder) {
+  WriteViews(model, values, folder);
+  const ModelFile& file = model.index.points_file;
+  RewritePoints sink{values, point_ids, Patcher(file, folder / "points3D.bin", true)};
+  ScanPointRecords(file, &sink);
+  sink.patcher.Finish();
 }
 
 }  // namespace bundle

@@ -7,11 +7,13 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bundle.io import output_format, recover
+from bundle.io.model_files import is_text_model, missing_model_files
 from bundle.options import SolveOptions
 from bundle.ranks import current
 
 if TYPE_CHECKING:
-    from bundle.slices.bal_refinement import BalRefinement
+    from bundle.slices.sliced_refinement import SlicedRefinement
 
 __all__ = ["sliced_input"]
 
@@ -21,27 +23,55 @@ COMPRESSED = (".gz", ".bz2")
 _HARMLESS = {"command", "run", "input", "output", "json", "quiet", "format", "fixed_image_ids"}
 
 
-def sliced_input(arguments: argparse.Namespace) -> BalRefinement | None:
-    """Return the refinement of a BAL file in slices; None where one process has to read it all.
+def sliced_input(arguments: argparse.Namespace) -> SlicedRefinement | None:
+    """Return the refinement of INPUT in slices; None where one process has to read it all.
 
-    That is any other format, one process, and any flag beside the options of a plain solve.
+    That is one process, COLMAP models as text, an output in another format than the input or
+    compressed, a model with rigs of which all points are held (its free degrees are counted from
+    them), and any flag beside the options of a plain solve.
 
     Raises:
-        InputError: the file has no observations, or is not what the format says.
-        OSError: the file cannot be read.
+        InputError: there are no observations, or INPUT is not what its format says.
+        OSError: a file cannot be read.
     """
     from bundle.ranks.mpi_crew import MpiCrew
 
     crew = current()
     source, target = Path(arguments.input), Path(arguments.output)
-    if not isinstance(crew, MpiCrew) or not source.is_file():
+    if not isinstance(crew, MpiCrew):
         return None
     plain = _HARMLESS | {field.name for field in dataclasses.fields(SolveOptions)}
     others = {name: value for name, value in vars(arguments).items() if name not in plain}
     given = [value for value in others.values() if value not in (None, False, [], ())]
-    is_bal = arguments.format in (None, "bal") and str(arguments.output)[-1:] != "/"
-    if given or not is_bal or target.is_dir() or target.suffix.lower() in COMPRESSED:
+    if given:
         return None
-    from bundle.slices.bal_refinement import BalRefinement
+    recover(source)
+    source_format = _format(source)
+    if source_format is None:
+        return None
+    found = _Found(source_format)
+    target_format = output_format(found, arguments.output, arguments.format, source)  # type: ignore[arg-type]
+    is_compressed = target_format == "bal" and target.suffix.lower() in COMPRESSED
+    has_held_points = arguments.refine is not None and "points" not in arguments.refine
+    if target_format != source_format or is_compressed:
+        return None
+    if has_held_points and (source / "rigs.bin").is_file():
+        return None
+    from bundle.slices.sliced_refinement import SlicedRefinement
 
-    return BalRefinement(crew, source)
+    return SlicedRefinement(crew, source)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Found:
+    """What ``output_format`` looks at of a problem."""
+
+    format: str
+
+
+def _format(source: Path) -> str | None:
+    """Return "bal" or "colmap" of what can be read in slices, None of all else."""
+    if source.is_file():
+        return "bal"
+    is_binary = source.is_dir() and not missing_model_files(source) and not is_text_model(source)
+    return "colmap" if is_binary else None

@@ -19,7 +19,8 @@ Bytes of a step with blocks (i, j) of S of h x w numbers, n columns:
 
 With conjugate gradients the block diagonal of J_c^T J_c may come on top. Memory is that of a
 process without a problem, of a part and of S, without fill; the first process has the factor
-besides, and the whole problem or, where that is read in slices (``bundle.slices``), all points.
+besides and all points: several processes read BAL files and COLMAP models in binary in slices
+(``bundle.slices``), and of a model each has the ids of all points.
 """
 
 from __future__ import annotations
@@ -48,6 +49,9 @@ PROCESS = 62e6
 
 COLMAP = 85.0
 """Bytes per observation that the files of a COLMAP model and their index take."""
+
+POINT_IDS = 28.0
+"""Bytes per point of a COLMAP model in slices that each process has: ids, their index, owners."""
 
 # Of a step: S in one or more portions, its right-hand side, sums with their way back, the step.
 _MESSAGES = 24
@@ -119,7 +123,10 @@ def predict_ranks(
     tracks = np.bincount(problem.observation_point, minlength=problem.num_points)
     work = tracks * (tracks + 1.0)
     whole = _bytes_of(problem)
-    read = 0.0 if problem.format == "bal" else COLMAP * problem.num_observations
+    is_bal = problem.format == "bal"
+    read = 0.0 if is_bal else COLMAP * problem.num_observations
+    ids = 0.0 if is_bal else POINT_IDS * problem.num_points
+    points_of_first = problem.points.nbytes + (0 if is_bal else 8 * problem.num_points)
     terms, times = method.memory_terms, method.time_terms
     of_points = sum(times.get(name, 0.0) for name in _OF_POINTS)
     of_first = method.time_per_step_in_seconds - of_points
@@ -137,9 +144,9 @@ def predict_ranks(
         time = share * of_points + of_first + sent
         most = max(int(tracks[points].sum()) for points in parts)
         own = most / max(int(tracks.sum()), 1)
-        kept = read
-        if count > 1:
-            kept += problem.points.nbytes if problem.format == "bal" else whole
+        is_divided = count > 1
+        kept = float(points_of_first) if is_divided else read
+        common = other + (ids if is_divided else 0.0)
         rows.append(
             RankPrediction(
                 num_processes=count,
@@ -149,10 +156,10 @@ def predict_ranks(
                 time_per_step_in_seconds=time,
                 network_time_per_step_in_seconds=sent,
                 efficiency=method.time_per_step_in_seconds / (count * time),
-                memory_of_first_in_bytes=PROCESS + kept + own * (whole + part) + factor + other,
+                memory_of_first_in_bytes=PROCESS + kept + own * (whole + part) + factor + common,
                 memory_of_others_in_bytes=0.0
                 if count == 1
-                else PROCESS + own * (whole + part) + values + other,
+                else PROCESS + own * (whole + part) + values + common,
             )
         )
     return tuple(rows)

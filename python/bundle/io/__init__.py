@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from bundle import address_space
@@ -36,7 +36,9 @@ __all__ = [
     "is_path",
     "load",
     "output_format",
+    "recover",
     "save",
+    "save_model",
 ]
 
 FORMATS = ("bal", "colmap", "colmap-text")
@@ -56,7 +58,7 @@ def load(path: str | os.PathLike[str]) -> Problem:
         OSError: the path does not exist or cannot be read.
     """
     path = as_path(path)
-    _recover(path)
+    recover(path)
     if path.is_dir():
         _check_model(path)
         # Writing may need pycolmap: better to lack room for it now than after the work.
@@ -91,7 +93,7 @@ def save(
         OSError: the system refuses: no permission, disk full.
     """
     _check_problem(problem)
-    _recover(path)
+    recover(path)
     chosen = output_format(problem, path, format)
     path = as_path(path)
     if chosen == "bal":
@@ -100,15 +102,32 @@ def save(
             bal.save(problem, temporary, _compression(path))
         return lost
     binary = chosen == "colmap"
-    going = _files_of_other_format(path, chosen)
     if colmap_files.can_rewrite(problem, binary=binary):
-        with atomic.replace_folder(path) as temporary:
-            lost = colmap_files.rewrite(problem, temporary, binary=binary)
-        return lost + going
+        return save_model(
+            path, chosen, lambda folder: colmap_files.rewrite(problem, folder, binary=binary)
+        )
     with interrupts_deferred():  # pycolmap takes a while to import, and knows no interruption
         from bundle.io import colmap
+    return save_model(path, chosen, lambda folder: colmap.save(problem, folder, binary=binary))
+
+
+def save_model(
+    path: Path, format: str, write: Callable[[Path], tuple[str, ...]]
+) -> tuple[str, ...]:
+    """Replace a COLMAP model by another; return what is lost by that, one sentence each.
+
+    Args:
+        path: the folder.
+        format: "colmap" (binary) or "colmap-text".
+        write: writes the files of the model into a folder and returns what they do not hold.
+
+    Raises:
+        InputError: the path cannot be replaced; or what ``write`` raises.
+        OSError: the system refuses: no permission, disk full.
+    """
+    going = _files_of_other_format(path, format)
     with atomic.replace_folder(path) as temporary:
-        lost = colmap.save(problem, temporary, binary=binary)
+        lost = write(temporary)
     return lost + going
 
 
@@ -163,7 +182,7 @@ def check_target(
         InputError: the format cannot hold the problem, or the path cannot be replaced.
         OSError: there is no permission to write.
     """
-    _recover(path)
+    recover(path)
     chosen = output_format(problem, path, format)
     if chosen == "bal":
         bal.check_refined(problem, refined, fixed_camera_ids)
@@ -182,7 +201,7 @@ def check_target(
         colmap.check_text(problem)
 
 
-def _recover(path: str | os.PathLike[str]) -> None:
+def recover(path: str | os.PathLike[str]) -> None:
     """Finish what a killed process has left unfinished at a path, and warn that this was done."""
     for sentence in atomic.recover(as_path(path)):
         warnings.warn(sentence, atomic.RecoveryWarning, stacklevel=3)

@@ -28,7 +28,7 @@ from bundle.problem import Problem
 if TYPE_CHECKING:
     import pycolmap
 
-__all__ = ["can_rewrite", "load", "lost", "rewrite"]
+__all__ = ["can_rewrite", "load", "lost", "point_errors", "problem_of", "rewrite", "rewrite_like"]
 
 # What a problem shares with its source where only numbers that a solve changes are other ones.
 _SHARED_ARRAYS = (
@@ -65,7 +65,15 @@ def load(path: str | os.PathLike[str]) -> Problem:
     if not folder.is_dir():
         found = "something else" if folder.exists() else "nothing"
         raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
-    model, fields = _core.read_colmap_model(os.fsencode(folder))
+    return problem_of(folder, *_core.read_colmap_model(os.fsencode(folder)))
+
+
+def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -> Problem:
+    """Return the problem of what the core read.
+
+    Raises:
+        InputError: there is something wrong with it.
+    """
     fields["cam_from_world"] = rig_arrays.placed(fields)
     source = DeferredSource(model, fields, partial(_reconstruction, folder, fields))
     try:
@@ -139,6 +147,42 @@ def rewrite(problem: Problem, folder: Path, *, binary: bool) -> tuple[str, ...]:
     return lost(problem, binary=binary)
 
 
+def rewrite_like(
+    problem: Problem,
+    point_ids: NDArray[np.int64],
+    points: NDArray[np.float64],
+    errors: NDArray[np.float64],
+    folder: Path,
+) -> None:
+    """Write cameras and images of a problem and these points beside the keypoints of its source.
+
+    Keypoints and tracks pass from file to file; the points of the problem are not looked at.
+
+    Args:
+        problem: its source is a part of a binary model (``_core.read_colmap_part``).
+        point_ids: (num_points,) of all points of the source, ascending.
+        points: (num_points, 3).
+        errors: (num_points,) as :func:`point_errors` returns them.
+        folder: an existing one.
+
+    Raises:
+        OSError: the files could not be written, or not whole.
+        InputError: the files of the source have changed.
+    """
+    problem.check_padding()
+    source: Any = vars(problem)["source"]
+    source.model.rewrite(
+        folder,
+        problem.cam_from_world,
+        problem.camera_params,
+        points,
+        errors[:, None],
+        problem.rig_from_world,
+        problem.sensor_from_rig,
+        point_ids,
+    )
+
+
 def lost(problem: Problem, *, binary: bool) -> tuple[str, ...]:
     """Return what no COLMAP model of this format keeps of a problem, one sentence each."""
     sigmas = () if problem.observation_sigma is None else (LOST_SIGMAS,)
@@ -170,10 +214,25 @@ def _model(problem: Problem, *, binary: bool) -> _core.ColmapModel | None:
 
 
 def _point_errors(problem: Problem) -> NDArray[np.float64]:
-    """Return the mean reprojection error of each point as COLMAP has it, -1 without observation."""
     errors, behind = _core.reprojection_errors(problem, 0)
+    return point_errors(errors, behind, problem.observation_point, problem.num_points)
+
+
+def point_errors(
+    errors: NDArray[np.float64],
+    behind: NDArray[np.bool_],
+    point: NDArray[np.int32],
+    num_points: int,
+) -> NDArray[np.float64]:
+    """Return the mean reprojection error of each point as COLMAP has it, -1 without observation.
+
+    Args:
+        errors: (num_observations,) ||r|| in pixels; nan without a projection.
+        behind: (num_observations,) whether the point is behind the camera.
+        point: (num_observations,) index of the point.
+        num_points: how many there are.
+    """
     errors = np.where(behind | np.isnan(errors), _NO_PROJECTION, errors)
-    point = problem.observation_point
-    counts = np.bincount(point, minlength=problem.num_points)
-    sums = np.bincount(point, weights=errors, minlength=problem.num_points)
+    counts = np.bincount(point, minlength=num_points)
+    sums = np.bincount(point, weights=errors, minlength=num_points)
     return np.where(counts > 0, sums / np.maximum(counts, 1), -1.0)

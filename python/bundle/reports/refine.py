@@ -9,7 +9,6 @@ from rich.console import RenderableType
 
 from bundle.camera_changes import CameraChange, camera_changes
 from bundle.errors import shown
-from bundle.free_degrees import gauge_freedom
 from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
 from bundle.problem import Problem
@@ -245,8 +244,7 @@ def _gauge(solved: Result) -> list[tuple[str, str]]:
     """Return what the gauge of rigs takes away; nothing where there are no rigs."""
     if not solved.problem.num_frames or solved.options.gauge == "none":
         return []
-    freedom = gauge_freedom(solved.initial_problem, solved.options)
-    return [("gauge", f"{freedom.sentence}: held")]
+    return [("gauge", f"{solved.gauge_freedom.sentence}: held")]
 
 
 def _backend(summary: Summary) -> str:
