@@ -13,7 +13,7 @@ from benchmarks.problems import ROOT, BenchmarkProblem
 
 OURS, THEIRS = "bundle refine", "pycolmap script"
 # What the installed command runs, without asking where it is installed.
-_REFINE = "import sys; from bundle.__main__ import run; sys.exit(run())"
+COMMAND = "import sys; from bundle.__main__ import run; sys.exit(run())"
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def jobs(
     refine = [
         sys.executable,
         "-c",
-        _REFINE,
+        COMMAND,
         "refine",
         str(problem.path),
         "-o",

@@ -72,6 +72,12 @@ void SchurProblem::Reset(const SolveOptions& options) {
   MeasureStart(options);
 }
 
+void SchurProblem::FreeSteps() {
+  sums_.FreeSystem();
+  for (std::vector<double>* values : {&candidate_->points, &squared_scale_, &points_p_, &points_q_})
+    std::vector<double>().swap(*values);
+}
+
 Linearization SchurProblem::Linearize(double damping) {
   damping_ = damping;
   sums_.Clear(&pool_);

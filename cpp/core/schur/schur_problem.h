@@ -110,8 +110,8 @@ class SchurProblem final : public LeastSquares {
   StateRecords records() const { return x_->records(); }
   const std::vector<HeldResidual>& held() const { return x_->held.all(); }
 
-  /// Frees S, which can be most of its memory, after the last linearisation.
-  void FreeSystem() { sums_.FreeSystem(); }
+  /// Frees what steps alone need, S above all, after the last step.
+  void FreeSteps();
 
   /// Camera parameters and points (as in ProblemView) at the state.
   const CameraStates& cameras() const { return x_->cameras(); }

@@ -52,7 +52,7 @@ SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning>
   times.minimizer = minimizer.seconds();
 
   const Stopwatch postprocessor;
-  if (!is_reused_) schur_->FreeSystem();
+  if (!is_reused_) schur_->FreeSteps();
   SolveOutput output;
   CollectState(&output);
   times.postprocessor = postprocessor.seconds();
