@@ -26,11 +26,12 @@ using Array = py::array_t<T, py::array::c_style>;
 
 /// Calls `read(path, on_block)` without the GIL.
 template <typename Read>
-auto ReadFile(const py::object& given_path, Read read) {
+auto ReadFile(const py::object& given_path, Read read, const py::object& progress = py::none()) {
   const std::filesystem::path path = PathFromPython(given_path);
+  BlockWatch watch(progress, kReadBlockSize);
   try {
     const py::gil_scoped_release release;
-    return read(path, CheckSignals);
+    return read(path, watch.OnBlock());
   } catch (const std::system_error& error) {
     ThrowOsError(error, path);
   }
@@ -49,7 +50,9 @@ py::tuple ToTuple(BalProblem problem) {
                         ToImmutableNumpy(std::move(problem.observation_xy), {num_observations, 2}));
 }
 
-py::tuple ReadBalFile(const py::object& path) { return ToTuple(ReadFile(path, ReadBal)); }
+py::tuple ReadBalFile(const py::object& path, const py::object& progress) {
+  return ToTuple(ReadFile(path, ReadBal, progress));
+}
 
 py::tuple ReadPartOfBalFile(const py::object& path, const Array<int32_t>& place) {
   const std::vector<int32_t> places(place.data(), place.data() + place.size());
@@ -114,7 +117,8 @@ void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_wo
                   const Array<double>& camera_params, const Array<double>& points,
                   const Array<int32_t>& observation_image, const Array<int32_t>& observation_point,
                   const Array<double>& observation_xy, const Array<double>& rotations,
-                  const Array<bool>& keeps_rotation, const std::string& compression) {
+                  const Array<bool>& keeps_rotation, const std::string& compression,
+                  const py::object& progress) {
   const std::filesystem::path path = PathFromPython(given_path);
   BalView problem = ViewOf(cam_from_world, camera_params, points, rotations, keeps_rotation);
   problem.num_observations = observation_xy.shape(0);
@@ -123,9 +127,10 @@ void WriteBalFile(const py::object& given_path, const Array<double>& cam_from_wo
   problem.observation_point =
       Checked(observation_point, "observation_point", problem.num_observations, 1);
   problem.observation_xy = Checked(observation_xy, "observation_xy", problem.num_observations, 2);
+  BlockWatch watch(progress, OutputFile::kBlockSize);
   try {
     const py::gil_scoped_release release;
-    WriteBal(problem, path, CompressionFromName(compression), CheckSignals);
+    WriteBal(problem, path, CompressionFromName(compression), watch.OnBlock());
   } catch (const std::system_error& error) {
     ThrowOsError(error, path);
   }
@@ -190,7 +195,7 @@ void StreamPoints(BalStream& stream, int file, const Array<double>& points) {
 }  // namespace bundle
 
 void BindBal(py::module_& m) {
-  m.def("read_bal", &bundle::ReadBalFile, py::arg("path"));
+  m.def("read_bal", &bundle::ReadBalFile, py::arg("path"), py::arg("progress") = py::none());
   m.def("survey_bal", &bundle::SurveyBalFile, py::arg("path"));
   m.def("read_bal_part", &bundle::ReadPartOfBalFile, py::arg("path"), py::arg("place"));
   py::class_<bundle::BalStream>(m, "BalStream")
@@ -209,5 +214,5 @@ void BindBal(py::module_& m) {
   m.def("write_bal", &bundle::WriteBalFile, py::arg("path"), py::arg("cam_from_world"),
         py::arg("camera_params"), py::arg("points"), py::arg("observation_image"),
         py::arg("observation_point"), py::arg("observation_xy"), py::arg("rotations"),
-        py::arg("keeps_rotation"), py::arg("compression"));
+        py::arg("keeps_rotation"), py::arg("compression"), py::arg("progress") = py::none());
 }

@@ -6,7 +6,9 @@
 #include <pybind11/stl/filesystem.h>
 
 #include <cerrno>
+#include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <system_error>
 
@@ -20,6 +22,28 @@ inline void CheckSignals() {
   const pybind11::gil_scoped_acquire acquire;
   if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
 }
+
+/// What readers and writers of text call between blocks: lets Ctrl-C end them, and tells
+/// `progress`, if it is not None, how many bytes there were so far, about. Keeps a reference to it.
+class BlockWatch {
+ public:
+  BlockWatch(const pybind11::object& progress, int64_t bytes_per_block)
+      : progress_(progress), bytes_per_block_(bytes_per_block) {}
+
+  std::function<void()> OnBlock() {
+    return [this] {
+      const pybind11::gil_scoped_acquire acquire;
+      if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
+      if (!progress_.is_none()) progress_(bytes_);
+      bytes_ += bytes_per_block_;
+    };
+  }
+
+ private:
+  const pybind11::object& progress_;
+  int64_t bytes_per_block_;
+  int64_t bytes_ = 0;
+};
 
 /// A str, bytes or os.PathLike. pybind11's own conversion would say TypeError where a signal comes
 /// while Python code of the path runs.

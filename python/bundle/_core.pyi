@@ -49,6 +49,7 @@ def project(
 # bind_bal.cpp
 def read_bal(
     path: str | os.PathLike[str],
+    progress: Callable[[int], None] | None = None,
 ) -> tuple[
     NDArray[np.float64],  # cam_from_world (num_images, 7)
     NDArray[np.float64],  # rotations (num_images, 3): the file's angle-axis
@@ -119,6 +120,7 @@ def write_bal(
     rotations: NDArray[np.float64],
     keeps_rotation: NDArray[np.bool_],
     compression: str,
+    progress: Callable[[int], None] | None = None,
 ) -> None: ...
 
 # bind_colmap.cpp

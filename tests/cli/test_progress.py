@@ -85,6 +85,8 @@ def test_shares_of_long_work(screen, monkeypatch):
         progress.stage("making a scene")
         progress.share(0.256)
         assert progress._line().plain.endswith("making a scene ... 26%")
+        progress.text(3_400_000_000)
+        assert progress._line().plain.endswith("making a scene ... 3.4 GB")
         progress.stage("writing it")
         assert progress._line().plain.endswith("writing it ...")
     stream = screen(80, term="dumb")

@@ -234,3 +234,28 @@ def test_problems_without_cameras_load_and_come_back(tmp_path: Path, text: str) 
     assert problem.num_images == 0
     assert bundle.save(problem, tmp_path / "out.txt") == ()
     assert (tmp_path / "out.txt").read_text().split() == text.split()
+
+
+def test_progress_of_long_files(tmp_path: Path) -> None:
+    scene = bundle.synthesize(num_images=20, num_points=10_000, mean_track_length=5, seed=1)
+    path, other = tmp_path / "a.txt", tmp_path / "b.txt"
+    written: list[int] = []
+    read: list[int] = []
+    bundle.io.save(scene.problem, path, progress=written.append)
+    loaded = bundle.io.load(path, read.append)
+    size = path.stat().st_size
+    for seen in (written, read):
+        assert len(seen) >= 3
+        assert (np.diff(seen) > 0).all()
+        assert abs(seen[-1] - size) < 2.2e6  # a block, and a call at the end
+    assert loaded.num_observations == scene.problem.num_observations
+
+    def stop(num_bytes: int) -> None:
+        if num_bytes > 1_500_000:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bundle.io.load(path, stop)
+    with pytest.raises(KeyboardInterrupt):
+        bundle.io.save(scene.problem, other, progress=stop)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]

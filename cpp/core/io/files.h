@@ -43,6 +43,9 @@ class InputFile {
   virtual bool is_compressed() const = 0;
 };
 
+/// What readers of text take at a time.
+inline constexpr size_t kReadBlockSize = size_t{1} << 20;
+
 enum class Compression { kNone, kGzip, kBzip2 };
 
 /// A file to write, compressed on the way. Compression runs on all cores: the file is a sequence of

@@ -24,7 +24,7 @@ class LineCursor {
  public:
   /// `on_block` is called between blocks of about a megabyte; it may throw to end the reading.
   LineCursor(InputFile& file, std::function<void()> on_block)
-      : file_(file), on_block_(std::move(on_block)), buffer_(kBufferSize) {
+      : file_(file), on_block_(std::move(on_block)), buffer_(kReadBlockSize) {
     next_line_ = end_ = buffer_.data();
   }
 
@@ -85,7 +85,6 @@ class LineCursor {
   }
 
  private:
-  static constexpr size_t kBufferSize = size_t{1} << 20;
   static constexpr size_t kLongestLine = size_t{1} << 24;
 
   bool NextLine() {

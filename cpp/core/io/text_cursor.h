@@ -28,7 +28,7 @@ class TextCursor {
  public:
   /// `on_block` is called between blocks of about a megabyte; it may throw to end the reading.
   TextCursor(InputFile& file, std::function<void()> on_block)
-      : file_(file), on_block_(std::move(on_block)), buffer_(kBufferSize) {
+      : file_(file), on_block_(std::move(on_block)), buffer_(kReadBlockSize) {
     position_ = end_ = buffer_.data();
   }
 
@@ -65,7 +65,6 @@ class TextCursor {
   }
 
  private:
-  static constexpr size_t kBufferSize = size_t{1} << 20;
   static constexpr ptrdiff_t kEnoughAhead = 256;  ///< bytes that hold white space and a number
   static constexpr size_t kLongestNumber = 4096;  ///< a longer token is no number
   static constexpr size_t kShownBytes = 40;

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.json, source, target)
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
         progress.stage(f"reading {shown(source)}")
-        problem = load(source)
+        problem = load(source, progress.text)
         output = {
             "path": target,
             "format": output_format(problem, target, arguments.format, source),
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
         }
         aligned = align(problem, **{k: v for k, v in settings.items() if v is not None})
         progress.stage(f"writing {shown(target)}")
-        lost = save(aligned.problem, **output)
+        lost = save(aligned.problem, **output, progress=progress.text)
         write_georeference(aligned, **output)
     if arguments.json != "-":
         show(*alignment(source, aligned, output, lost))

@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.json, arguments.input, path)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
-        problem = load(arguments.input)
+        problem = load(arguments.input, progress.text)
         edits = cameras_edited(arguments, problem)
         edited = problem if edits is None else edits.problem
         edited = with_rigs(edited, arguments.rig_config)
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
         }
         check_target(edited, **output)
         progress.stage(f"writing {shown(path)}")
-        lost = save(edited, **output)
+        lost = save(edited, **output, progress=progress.text)
     if arguments.json != "-":
         show(*conversion(arguments.input, problem, output, lost, edits))
     report = json.conversion(arguments.input, problem, output, lost, edits)

@@ -145,7 +145,7 @@ def run(arguments: argparse.Namespace) -> int:
     rules = constraints_given(arguments)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
-        problem = load(source)
+        problem = load(source, progress.text)
         options = with_named_images(options, arguments, problem)
         known = priors_given(arguments, problem)
         progress.stage("inverting")

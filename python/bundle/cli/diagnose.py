@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.json, arguments.input, *filter(None, [arguments.constraints]))
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
-        problem = with_rigs(load(arguments.input), arguments.rig_config)
+        problem = with_rigs(load(arguments.input, progress.text), arguments.rig_config)
         options = with_named_images(options, arguments, problem)
         known = priors_given(arguments, problem)
         progress.stage("diagnosing")

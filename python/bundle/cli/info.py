@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
                 tables += ["", *described]
                 reports.append(report)
                 continue
-            problem = with_rigs(load(path), arguments.rig_config)
+            problem = with_rigs(load(path, progress.text), arguments.rig_config)
             progress.stage("counting")
             description = describe(problem)
             tables += ["", *info.information(path, problem, description)]

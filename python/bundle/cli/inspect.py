@@ -144,7 +144,7 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
     counts, network = _processes_given(arguments)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
-        problem = load(arguments.input)
+        problem = load(arguments.input, progress.text)
         options = with_named_images(options, arguments, problem)
         progress.stage("inspecting")
         with naming_flags(SolveOptions):

@@ -53,14 +53,14 @@ def run(arguments: argparse.Namespace) -> int:
         problems = []
         for path in paths:
             progress.stage(f"reading {shown(path)}")
-            problems.append(load(path))
+            problems.append(load(path, progress.text))
         a, b = problems
         output = {"path": target, "format": output_format(a, target, arguments.format, paths[0])}
         check_target(a, **output)
         progress.stage("merging")
         merged = merge(a, b, max_error=arguments.max_error)
         progress.stage(f"writing {shown(target)}")
-        lost = save(merged.problem, **output)
+        lost = save(merged.problem, **output, progress=progress.text)
     if arguments.json != "-":
         show(*merged_table(paths, (a, b), merged, output, lost))
     write_json(arguments.json, as_json(paths, (a, b), merged, output))

@@ -33,7 +33,7 @@ class Progress:
     def __init__(self, *, quiet: bool) -> None:
         self._started = time.perf_counter()
         self._stage = ""
-        self._done: float | None = None
+        self._done = ""
         self._said = self._started
         self._latest: Mapping[str, Any] | None = None
         self._quiet = quiet
@@ -72,17 +72,24 @@ class Progress:
 
     def stage(self, name: str) -> None:
         """Begin a stage, such as "reading sparse/0"."""
-        self._stage, self._latest, self._done = name, None, None
+        self._stage, self._latest, self._done = name, None, ""
         self._said = time.perf_counter()
         self._print(f"{name} ...")
 
     def share(self, done: float) -> None:
         """Show how much of a stage is done, 0 to 1; in lines of a file now and then only."""
+        self._show(f"{done:.0%}")
+
+    def text(self, num_bytes: int) -> None:
+        """Show how much text has been read or written."""
+        self._show(f"{num_bytes / 1e9:.1f} GB")
+
+    def _show(self, done: str) -> None:
         self._done = done
         now = time.perf_counter()
         if now - self._said >= _SECONDS_BETWEEN_LINES:
             self._said = now
-            self._print(f"{self._stage} ... {done:.0%}, {self._elapsed()}")
+            self._print(f"{self._stage} ... {done}, {self._elapsed()}")
 
     def iteration(self, values: Mapping[str, Any]) -> None:
         """Show an iteration; `values` has the names of Ceres' IterationSummary."""
@@ -111,8 +118,7 @@ class Progress:
         line = Text(no_wrap=True, overflow="ellipsis")
         line.append(f"{self._elapsed():>7}  ", style="dim")
         if latest is None:
-            share = "" if self._done is None else f" {self._done:.0%}"
-            return line.append(f"{self._stage} ...{share}")
+            return line.append(f"{self._stage} ... {self._done}".rstrip())
         line.append(f"iter {latest['iteration']}", style="bold")
         line.append(f"  cost {latest['cost']:.4e}  change {latest['cost_change']:.0e}")
         line.append(f"  gradient {latest['gradient_max_norm']:.0e}")

@@ -160,7 +160,7 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage(f"reading {shown(source)}")
         begun = perf_counter()
         sliced = sliced_input(arguments)
-        loaded = load(source) if sliced is None else sliced.cameras
+        loaded = load(source, progress.text) if sliced is None else sliced.cameras
         load_time = perf_counter() - begun
         if loaded.num_observations == 0:
             raise InputError(f"{shown(source)}: expected observations to refine, found none")
@@ -215,7 +215,10 @@ def run(arguments: argparse.Namespace) -> int:
         saved = solved.summary.is_solution_usable or solved.summary.interrupted
         if saved:
             progress.stage(f"writing {shown(target)}")
-            lost = save(solved.problem, **output) if sliced is None else sliced.save(Path(target))
+            if sliced is None:
+                lost = save(solved.problem, **output, progress=progress.text)
+            else:
+                lost = sliced.save(Path(target))
             if georeference is not None:
                 write_georeference(georeference, **output)
         save_time = perf_counter() - begun
@@ -223,6 +226,8 @@ def run(arguments: argparse.Namespace) -> int:
         begun = perf_counter()
         if sliced is not None:
             sliced.measure(solved)
+        _ = solved.reprojection_error_before
+        progress.share(0.5)
         solved.measure()
         statistics_time = perf_counter() - begun
         if arguments.html is not None:

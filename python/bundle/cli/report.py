@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_json(arguments.json, source, page, *read)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
-        problem = with_rigs(load(source), arguments.rig_config)
+        problem = with_rigs(load(source, progress.text), arguments.rig_config)
         place, lost = placed(source)
         known = priors_given(arguments, problem)
         progress.stage(f"writing {shown(page)}")

@@ -49,8 +49,12 @@ MOST_HINTS = 5
 _BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
 
 
-def load(path: str | os.PathLike[str]) -> Problem:
+def load(path: str | os.PathLike[str], progress: Callable[[int], None] | None = None) -> Problem:
     """Read a COLMAP model folder (binary or text) or a BAL file (plain, gzip or bzip2).
+
+    Args:
+        path: of the folder or file.
+        progress: called now and then while a BAL file is read, with the bytes of text so far.
 
     Raises:
         InputError: the content is not what its format says; one line with path, place, what was
@@ -70,13 +74,14 @@ def load(path: str | os.PathLike[str]) -> Problem:
         )
     if is_pose_graph_file(path):
         raise InputError(f"{shown(path)}: expected a reconstruction, found a pose graph")
-    return bal.load(path)
+    return bal.load(path, progress)
 
 
 def save(
     problem: Problem,
     path: str | os.PathLike[str],
     format: str | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> tuple[str, ...]:
     """Write a problem; return what the format does not keep, one sentence each.
 
@@ -87,6 +92,7 @@ def save(
         problem: what to write.
         path: a file (BAL; ".gz" and ".bz2" at the end compress) or a folder (COLMAP).
         format: "bal", "colmap" (binary) or "colmap-text"; None: see ``output_format``.
+        progress: called now and then while a BAL file is written, with the bytes of text so far.
 
     Raises:
         InputError: the format cannot hold the problem, or the path cannot be replaced.
@@ -99,7 +105,7 @@ def save(
     if chosen == "bal":
         lost = bal.losses(problem)
         with atomic.replace_file(path) as temporary:
-            bal.save(problem, temporary, _compression(path))
+            bal.save(problem, temporary, _compression(path), progress)
         return lost
     binary = chosen == "colmap"
     if colmap_files.can_rewrite(problem, binary=binary):

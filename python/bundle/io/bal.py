@@ -11,7 +11,7 @@ Format: https://grail.cs.washington.edu/projects/bal/
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,17 +46,18 @@ _LAYOUTS = {
 }
 
 
-def load(path: Path) -> Problem:
+def load(path: Path, progress: Callable[[int], None] | None = None) -> Problem:
     """Read a BAL file; compression is told from the content.
 
-    Observations keep the file's order; a repeated one stays repeated.
+    Observations keep the file's order; a repeated one stays repeated. ``progress`` is called now
+    and then with the bytes of text so far.
 
     Raises:
         InputError: the file is not what the format says; the message has path and line, or for
             damaged compression path and byte.
         OSError: the file cannot be read.
     """
-    return problem_of(*_core.read_bal(path))
+    return problem_of(*_core.read_bal(path, progress))
 
 
 def problem_of(
@@ -82,10 +83,16 @@ def problem_of(
     )
 
 
-def save(problem: Problem, path: Path, compression: str = "") -> None:
+def save(
+    problem: Problem,
+    path: Path,
+    compression: str = "",
+    progress: Callable[[int], None] | None = None,
+) -> None:
     """Write a BAL file, compressed by "gzip", "bzip2" or "" (not at all).
 
     Every image gets a camera of its own and principal points are subtracted from the observations.
+    ``progress`` is called now and then with the bytes of text so far.
 
     Raises:
         InputError: see ``radial_params``.
@@ -103,6 +110,7 @@ def save(problem: Problem, path: Path, compression: str = "") -> None:
         rotations,
         keeps_rotation,
         compression,
+        progress,
     )
 
 
