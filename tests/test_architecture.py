@@ -240,8 +240,8 @@ PYTHON_MAY_IMPORT = {
     },
     "placement": {"arguments", "errors", "georeference", "graph", "problem"},
     "slices": {
-        *{"_core", "arrays", "components", "errors", "free_degrees", "io"},
-        *{"options", "problem", "process_record", "ranks"},
+        *{"_core", "arrays", "components", "errors", "free_degrees", "io", "option_fields"},
+        *{"options", "problem", "process_record", "ranks", "rounds"},
         *{"reprojection", "result", "solve_record", "solver", "worst_images"},
     },
     "solver": {

@@ -121,7 +121,7 @@ def test_a_process_that_fails_alone_ends_all(model, tmp_path):
     """As one does that has too little memory."""
     script = tmp_path / "fails.py"
     script.write_text(
-        "import os, sys, bundle.slices.sliced_refinement as c\n"
+        "import os, sys, bundle.slices.slice_process as c\n"
         "def fail(*given):\n"
         "    raise MemoryError('no room')\n"
         "if os.environ['OMPI_COMM_WORLD_RANK'] == '1': c.work_on = fail\n"
@@ -201,7 +201,8 @@ def test_sigusr1_ends_a_solve_as_ctrl_c_does_in_one_process(model, tmp_path):
 DIES_IN_THE_THIRD_SOLVE = """
 import os, signal, sys
 import bundle.ranks.mpi_crew as crew
-work_on, solves = crew.work_on, []
+import bundle.slices.slice_process as slices
+work_on, solves = slices.work_on, []
 
 class Dying(crew.MpiRanks):
     def sum_to_first(self, what, values):
@@ -209,12 +210,12 @@ class Dying(crew.MpiRanks):
             os.kill(os.getpid(), signal.SIGKILL)
         super().sum_to_first(what, values)
 
-def work(job, ranks):
-    solves.append(job)
-    return work_on(job, ranks)
+def work(*given):
+    solves.append(given)
+    return work_on(*given)
 
 if os.environ["OMPI_COMM_WORLD_RANK"] == "1":
-    crew.work_on, crew.MpiRanks = work, Dying
+    slices.work_on, crew.MpiRanks = work, Dying
 from bundle.__main__ import run
 sys.exit(run())
 """

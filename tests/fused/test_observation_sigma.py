@@ -8,7 +8,7 @@ import pytest
 
 import bundle
 from bundle.losses import evaluate_loss
-from bundle.rounds.checkpoint import digest
+from bundle.rounds.input_digest import digest
 from tests import scenes
 from tests.fused.test_same_steps_as_ceres import shuffled
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.rounds import checkpoint as files
 from bundle.rounds import segments
+from bundle.rounds.input_digest import digest
 from tests.campaigns import resumes
 
 OPTIONS = bundle.SolveOptions(
@@ -27,7 +27,7 @@ def scene():
 
 def equal(one, other):
     """Whether two problems are the same, bit for bit."""
-    return files.digest(one) == files.digest(other)
+    return digest(one) == digest(other)
 
 
 def kill_at(step):

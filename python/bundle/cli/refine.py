@@ -194,7 +194,7 @@ def run(arguments: argparse.Namespace) -> int:
         flags = {**ARGUMENTS, **NAMED, "priors": main_flag(arguments)}
         with naming_flags(SolveOptions, RoundOptions, **flags):
             if sliced is not None:
-                solved = sliced.solve(options, progress.iteration)
+                solved = sliced.solve(options, progress.iteration, **checkpoints)
             else:
                 solved = solve_rounds(
                     problem,

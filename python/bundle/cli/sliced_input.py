@@ -20,7 +20,10 @@ __all__ = ["sliced_input"]
 COMPRESSED = (".gz", ".bz2")
 
 # Flags beside the options of a solve that have nothing to do with the observations.
-_HARMLESS = {"command", "run", "input", "output", "json", "quiet", "format", "fixed_image_ids"}
+_HARMLESS = {
+    *("command", "run", "input", "output", "json", "quiet", "format", "fixed_image_ids"),
+    *("checkpoint", "checkpoint_interval", "resume"),
+}
 
 
 def sliced_input(arguments: argparse.Namespace) -> SlicedRefinement | None:

@@ -17,7 +17,8 @@ from bundle.option_fields import choice, number
 from bundle.options import SolveOptions
 from bundle.placement import place_at_priors
 from bundle.result import Result
-from bundle.rounds.checkpoint import digest, fingerprint_of_options
+from bundle.rounds.checkpoint import fingerprint_of_options
+from bundle.rounds.input_digest import digest
 from bundle.rounds.local_part import LocalPart
 from bundle.rounds.rest_prior import marginalize_rest, without_prior
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
@@ -201,6 +202,20 @@ def solve_rounds(
         constraints=() if applied is None else _rule_ends(applied, placed.problem, state.problem),
         part=record,
     )
+
+
+def plain_fingerprint(
+    input_digest: str, options: SolveOptions, checkpoint_interval: int
+) -> dict[str, Any]:
+    """Return the fingerprint of a run without rounds, parts, factors, bounds and rules."""
+    return {
+        "input": input_digest,
+        **fingerprint_of_options(options),
+        **RoundOptions().asdict(),
+        "checkpoint_interval": checkpoint_interval,
+        "only_images": None,
+        "factors and bounds": digest_of_pickle(_without_places((), None, None, None)),
+    }
 
 
 def _without_places(factors: Any, bounds: Any, targets: Any, applied: Applied | None) -> Any:

@@ -12,13 +12,12 @@ per observation, and the wait for the disk.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +33,22 @@ from bundle.rounds.filtering import subset
 from bundle.solver import STATE
 from bundle.summary import Summary
 
-__all__ = ["State", "check_target", "digest", "fingerprint_of_options", "read", "write"]
+__all__ = [
+    "State",
+    "check_target",
+    "fingerprint_of_options",
+    "read",
+    "read_by",
+    "result_of_record",
+    "write",
+]
 
 SCHEMA = "bundle checkpoint 1"
 
 NOT_DECISIVE = ("num_threads", "check_solution")
 
 _Mask = NDArray[np.bool_]
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,21 +70,6 @@ class State:
     rounds: tuple[Round, ...] = ()
     so_far: Result | None = None
     has_ended: bool = False
-
-
-def digest(problem: Problem) -> str:
-    """Return what tells a problem from others: all its arrays and names, not where it came from."""
-    digest = hashlib.sha256()
-    for field in dataclasses.fields(problem):
-        value = None if field.name == "source" else getattr(problem, field.name)
-        if value is None:
-            continue
-        if isinstance(value, np.ndarray):
-            digest.update(f"{field.name} {value.dtype} {value.shape}".encode())
-            digest.update(np.ascontiguousarray(value).data)
-        else:
-            digest.update(f"{field.name} {value!r}".encode())
-    return digest.hexdigest()
 
 
 def fingerprint_of_options(options: SolveOptions) -> dict[str, Any]:
@@ -138,10 +131,27 @@ def read(
         InputError: the file is no checkpoint, or one of another input or other options.
         OSError: the file cannot be read.
     """
+
+    def state(meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> State:
+        return _state(meta, arrays, start, options)
+
+    return read_by(state, path, fingerprint)
+
+
+def read_by(
+    make: Callable[[dict[str, Any], dict[str, NDArray[Any]]], Made],
+    path: Path,
+    fingerprint: Mapping[str, Any],
+) -> Made:
+    """Return what is made of the record and the arrays of a checkpoint.
+
+    Raises:
+        InputError, OSError: as :func:`read`.
+    """
     meta, arrays = _open(path)
     _compare(path, meta["fingerprint"], fingerprint)
     try:
-        return _state(meta, arrays, start, options)
+        return make(meta, arrays)
     except (KeyError, ValueError, TypeError, IndexError) as error:
         raise InputError(
             f"{shown(path)}: expected a checkpoint, found a damaged one ({first_line(error)})"
@@ -159,7 +169,7 @@ def _state(
     problem = subset(start, *masks).replace(**{name: arrays[name] for name in STATE})
     so_far = meta["so_far"]
     if so_far is not None:
-        so_far = _result(so_far, _without_prefix(arrays), problem, options)
+        so_far = result_of_record(so_far, arrays, problem, options)
     return State(
         problem=problem,
         observation_mask=masks[0],
@@ -181,12 +191,13 @@ def _record(result: Result) -> dict[str, Any]:
     }
 
 
-def _result(
+def result_of_record(
     record: dict[str, Any],
-    iterations: dict[str, NDArray[Any]],
+    arrays: dict[str, NDArray[Any]],
     problem: Problem,
     options: SolveOptions,
 ) -> Result:
+    """Return what was done of a round, of the record and the arrays of a checkpoint."""
     summary: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in record["summary"].items()
@@ -198,7 +209,7 @@ def _result(
         initial_problem=problem,
         options=options,
         summary=Summary(**summary),
-        iterations=iterations,
+        iterations=_without_prefix(arrays),
         factor_costs_before=np.array(record["factor_costs_before"], float),
         factor_costs_after=np.array(record["factor_costs_after"], float),
         active_bounds=tuple(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -11,38 +11,36 @@ from typing import Any, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle import _core, solver
-from bundle.arrays import freeze
+from bundle import solver
 from bundle.errors import InputError, shown
 from bundle.free_degrees import gauge_freedom
-from bundle.io import atomic, bal, colmap_files, save_model
+from bundle.io import as_path, atomic, bal, colmap_files, save_model
+from bundle.option_fields import number
 from bundle.options import SolveOptions
 from bundle.problem import Problem
 from bundle.process_record import ProcessRecord, Traffic
-from bundle.ranks.divided_solve import Crew, Job, PartOfOutput, Ranks, heeding, work_on
-from bundle.ranks.partition import ProblemPart
+from bundle.ranks.divided_solve import Crew, heeding
 from bundle.result import Result
-from bundle.slices.divided_errors import divided_statistics
-from bundle.slices.skeleton import skeleton
-from bundle.slices.slice_reading import Meeting, Slice, Survey, read_slice, survey
-from bundle.worst_images import sums_of_images, worst_of_sums
+from bundle.rounds.round_options import CHECKPOINT_INTERVAL
+from bundle.rounds.segments import solve_in_segments
+from bundle.slices.slice_process import Process
+from bundle.slices.slice_reading import Meeting, Survey, survey
+from bundle.slices.sliced_checkpoint import SlicedCheckpoint
+from bundle.solve_record import Progress
+from bundle.worst_images import worst_of_sums
 
 __all__ = ["SliceCrew", "SliceJob", "SlicedRefinement"]
 
 
 @dataclass
 class SliceJob:
-    """What the other processes do: read, solve, measure."""
+    """What the other processes do: read, then what the first one says."""
 
     path: Path
 
     def work(self, meeting: Meeting) -> None:
         """Take part in all that ``SlicedRefinement`` does."""
-        own = read_slice(meeting, self.path, None)
-        options = meeting.broadcast()
-        end, _ = _solve(meeting, own, options, None)
-        meeting.gather((end.given, end.point_errors()))
-        _measure(meeting, own, options, end)
+        Process(meeting, self.path, None).follow()
 
 
 class SliceCrew(Crew, Protocol):
@@ -71,61 +69,81 @@ class SlicedRefinement:
     """
 
     def __init__(self, crew: SliceCrew, path: Path) -> None:
-        self._crew, self._meeting, self._path = crew, crew.meeting(), path.absolute()
+        self._crew, self._num_ranks = crew, crew.num_ranks
+        self._path = path.absolute()
         found = survey(path, crew.num_ranks)
         if found.num_observations == 0:
             raise InputError(f"{shown(path)}: expected observations to refine, found none")
         crew.send_to_all(SliceJob(self._path))
-        self._slice = read_slice(self._meeting, path, found)
+        self._process = Process(crew.meeting(), path, found)
+        self._slice = self._process.slice
         self._survey = found
+        self._now = self._slice.cameras
         self._points: NDArray[np.float64] = np.zeros((0, 3))
-        self._point_errors: NDArray[np.float64] = np.zeros(0)
 
     @property
     def cameras(self) -> Problem:
-        """The cameras of the file as it is; counts of points and observations are the file's."""
-        return cast("Problem", _Whole(self._slice.cameras, self._survey))
+        """The cameras of the model as it is; counts of points and observations are the model's."""
+        return self._whole(self._slice.cameras)
 
     def solve(
-        self, options: SolveOptions, progress: Callable[[dict[str, Any]], None] | None
+        self,
+        options: SolveOptions,
+        progress: Progress | None,
+        *,
+        checkpoint: str | os.PathLike[str] | None = None,
+        resume: str | os.PathLike[str] | None = None,
+        checkpoint_interval: int = CHECKPOINT_INTERVAL,
     ) -> Result:
-        """Refine; the problems of the result have cameras only."""
-        cameras = self._slice.cameras
-        settled = solver.resolve_defaults(cameras, options)
+        """Refine; the problems of the result have cameras only.
+
+        Args:
+            options: how.
+            progress: called after each iteration.
+            checkpoint: as in :func:`bundle.solve_rounds`; it is one of the whole model, for any
+                number of processes.
+            resume: as there.
+            checkpoint_interval: as there.
+
+        Raises:
+            InputError, OSError: as :func:`bundle.solve_rounds`.
+        """
+        settled = solver.resolve_defaults(self._slice.cameras, options)
         self._options = settled.asdict()
-        fixed = np.asarray(settled.fixed_point_ids, np.int64)
-        unknown = self._survey.unknown(fixed)
+        unknown = self._survey.unknown(np.asarray(settled.fixed_point_ids, np.int64))
         if unknown.size:
             raise InputError(f"fixed_point_ids: expected ids in the problem, found {unknown[0]}")
-        self._meeting.broadcast(self._options)
-        end, ranks = _solve(
-            self._meeting, self._slice, self._options, heeding(self._crew, progress)
-        )
-        self._end = end
-        self._points = np.empty((len(self._survey.owner), 3))
-        self._point_errors = np.empty(len(self._points))
-        parts = []
-        for rank, (given, errors) in enumerate(
-            self._meeting.gather((end.given, end.point_errors()))
-        ):
-            mine = self._survey.owner == rank
-            self._points[mine], self._point_errors[mine] = given.points, errors
-            parts.append(given.process)
-        traffic = tuple(
-            Traffic(what=what, num_messages=int(n), num_bytes=int(size), seconds=seconds)
-            for what, (n, size, seconds) in ranks.traffic.items()
-        )
-        end.output["summary"] |= {
-            "num_processes": self._meeting.num_ranks,
-            "processes": ProcessRecord(parts=tuple(parts), traffic=traffic),
-        }
-        result = solver.result_of(cameras, settled, end.output | {"points": cameras.points})
-        self._refined = result.problem
-        return dataclasses.replace(
-            result,
-            problem=cast("Problem", _Whole(self._refined, self._survey)),
-            initial_problem=self.cameras,
-        )
+        checkpoint = None if checkpoint is None else as_path(checkpoint, "checkpoint")
+        resume = None if resume is None else as_path(resume, "resume")
+        path = checkpoint if checkpoint is not None else resume
+        if path is None:
+            return self._finished(self._segment(settled, progress))
+        interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
+        sums = self._process.lead("digest")
+        keeper = SlicedCheckpoint(path, self._slice.cameras, sums, self._survey, options, interval)
+        so_far, has_ended = None, False
+        if resume is not None and resume.exists():
+            kept = keeper.read(resume, settled)
+            state = kept.state
+            self._points = state.pop("points")
+            self._now = self._now._moved(**state)
+            self._process.lead("restart", state, points=self._points)
+            so_far, has_ended = kept.so_far, kept.has_ended
+            if so_far is not None:
+                so_far = dataclasses.replace(so_far, problem=self._whole(self._now))
+        if so_far is None or not has_ended:
+            so_far = solve_in_segments(
+                lambda _, used, told: self._segment(used, told),
+                self._whole(self._now),
+                settled,
+                interval,
+                so_far=so_far,
+                progress=progress,
+                save=keeper.write,
+            )
+            if so_far.summary.is_solution_usable and not so_far.summary.interrupted:
+                keeper.write(so_far, has_ended=True)
+        return self._finished(so_far)
 
     def save(self, path: Path) -> tuple[str, ...]:
         """Write the refined model; return what is lost by that, one sentence each.
@@ -139,101 +157,76 @@ class SlicedRefinement:
         if ids is None:
             with atomic.replace_file(path) as temporary:
                 bal.save_like(
-                    self._path, found.num_observations, self._refined, self._points, temporary
+                    self._path, found.num_observations, self._now, self._points, temporary
                 )
             return ()
+        errors = np.empty(len(ids))
+        for rank, given in enumerate(
+            self._process.lead("point_errors", self._options["num_threads"])
+        ):
+            errors[found.owner == rank] = given
 
         def write(folder: Path) -> tuple[str, ...]:
-            colmap_files.rewrite_like(self._refined, ids, self._points, self._point_errors, folder)
+            colmap_files.rewrite_like(self._now, ids, self._points, errors, folder)
             return ()
 
         return save_model(path, "colmap", write)
 
     def measure(self, result: Result) -> None:
         """Measure the errors before and after, and the worst images, into the result."""
-        before, after, sums, bones = _measure(self._meeting, self._slice, self._options, self._end)
+        before, after, sums, bones = self._process.lead("measure", self._options)
         values = vars(result)  # where cached_property keeps them; the dataclass itself is frozen
         values["reprojection_error_before"] = before
         values["reprojection_error_after"] = after
         count, total, largest = zip(*sums, strict=True)
         values["worst_images"] = worst_of_sums(
-            self._refined, sum(count), sum(total), np.max(largest, axis=0)
+            self._now, sum(count), sum(total), np.max(largest, axis=0)
         )
         if bones is not None:
             values["gauge_freedom"] = gauge_freedom(bones, result.options)
         self._crew.release()
 
+    def _segment(self, options: SolveOptions, progress: Progress | None) -> Result:
+        """Adjust from where things are."""
+        output, given, ranks = self._process.lead(
+            "solve", options.asdict(), progress=heeding(self._crew, progress)
+        )
+        self._points = np.empty((len(self._survey.owner), 3))
+        for rank, of_rank in enumerate(given):
+            self._points[self._survey.owner == rank] = of_rank.points
+        traffic = tuple(
+            Traffic(what=what, num_messages=int(n), num_bytes=int(size), seconds=seconds)
+            for what, (n, size, seconds) in ranks.traffic.items()
+        )
+        output["summary"] |= {
+            "num_processes": self._num_ranks,
+            "processes": ProcessRecord(
+                parts=tuple(of_rank.process for of_rank in given), traffic=traffic
+            ),
+        }
+        before = self._now
+        result = solver.result_of(before, options, output | {"points": before.points})
+        self._now = result.problem
+        return dataclasses.replace(
+            result, problem=self._whole(self._now), initial_problem=self._whole(before)
+        )
+
+    def _finished(self, result: Result) -> Result:
+        return dataclasses.replace(result, initial_problem=self.cameras)
+
+    def _whole(self, cameras: Problem) -> Problem:
+        return cast("Problem", _Whole(cameras, self._survey, self._points))
+
 
 class _Whole:
-    """Cameras of a file with its counts of points and observations, for reports."""
+    """Cameras of a model with all its points and its counts, for reports and checkpoints."""
 
-    def __init__(self, cameras: Problem, found: Survey) -> None:
+    def __init__(self, cameras: Problem, found: Survey, points: NDArray[np.float64]) -> None:
         self._cameras = cameras
         vars(self)["source"] = vars(cameras)["source"]  # without pycolmap
+        self.points = points
         self.num_points = len(found.owner)
         self.num_observations = found.num_observations
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._cameras, name)
-
-
-@dataclass
-class _End:
-    """Where a solve has brought one process.
-
-    Attributes:
-        output: of the core, points of the part.
-        given: what the first process gets of it.
-        part: with the refined numbers.
-        errors: (num_observations,) ||r|| after the solve, in pixels.
-        behind: (num_observations,) whether a point is behind its camera.
-    """
-
-    output: dict[str, Any]
-    given: PartOfOutput
-    part: ProblemPart
-    errors: NDArray[np.float64]
-    behind: NDArray[np.bool_]
-
-    def point_errors(self) -> NDArray[np.float64]:
-        """Return the mean error of each point of the part, as COLMAP's files have it."""
-        return colmap_files.point_errors(
-            self.errors, self.behind, self.part.observation_point, len(self.part.points)
-        )
-
-
-def _solve(
-    meeting: Meeting,
-    own: Slice,
-    options: dict[str, Any],
-    progress: Callable[[dict[str, Any]], None] | None,
-) -> tuple[_End, Ranks]:
-    fixed = np.intersect1d(np.asarray(options["fixed_point_ids"], np.int64), own.part.point_ids)
-    given_options = options | {"fixed_point_ids": fixed.tolist()}
-    ranks = meeting.ranks()
-    job = Job(own.part, given_options, None, None, own.image_is_observed)
-    output, given = work_on(job, ranks, progress)
-    state = {name: freeze(output[name]) for name in solver.STATE if name in output}
-    points = state.pop("points")
-    part = dataclasses.replace(own.part, points=points, shared=own.part.shared | state)
-    return _End(output, given, part, *_errors(part, options)), ranks
-
-
-def _errors(part: ProblemPart, options: dict[str, Any]) -> tuple[Any, Any]:
-    return _core.reprojection_errors(part, options["num_threads"])  # type: ignore[arg-type]
-
-
-def _measure(meeting: Meeting, own: Slice, options: dict[str, Any], end: _End) -> Any:
-    """Return, to the first, the statistics before and after, the sums of images, the skeleton.
-
-    There is no skeleton where nobody asks for the gauge.
-    """
-    cheirality = options["cheirality"]
-    before = divided_statistics(meeting, *_errors(own.part, options), cheirality)
-    sums = sums_of_images(
-        own.part.observation_image, own.cameras.num_images, end.errors, end.behind, cheirality
-    )
-    after = divided_statistics(meeting, end.errors, end.behind, cheirality)
-    asked = own.cameras.num_frames > 0 and options["gauge"] != "none"
-    bones = skeleton(meeting, own, options["fixed_point_ids"]) if asked else None
-    return before, after, meeting.gather(sums), bones
