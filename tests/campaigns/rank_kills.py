@@ -1,11 +1,12 @@
 """Kills of single processes of `mpirun -n N bundle refine --checkpoint`: all end, a resume goes on.
 
-python -m tests.campaigns.rank_kills COUNT [SEED] [N]
+python -m tests.campaigns.rank_kills COUNT [SEED] [N] [--slices]
 
 A random process is killed at a random instant between the start of mpirun and its end. All must be
 gone within ten seconds with one line of ours, no output may stand, and what stands at the
 checkpoint's path must be whole. The run is resumed, killed again and so on, until one gets to its
-end; its model must then be that of a run that was not killed, byte for byte.
+end; its model must then be that of a run that was not killed, byte for byte. The runs have rounds,
+for which the first process reads all; --slices: none, so that each process reads its slice.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from tests.campaigns.resumes import Outcome as Resumed
 
 MPIRUN = Path(sys.executable).parent / "mpirun"
 SECONDS_TO_END = 10.0
+ROUNDS = ("--rounds", "4", "--max-error", "1.2")
 
 
 @dataclass
@@ -36,22 +38,30 @@ class Outcome(Resumed):
     slowest_end: float = 0.0
 
 
-def campaign(count: int, seed: int = 0, num_processes: int = 3, num_points: int = 150) -> Outcome:
+def campaign(
+    count: int,
+    seed: int = 0,
+    num_processes: int = 3,
+    num_points: int = 150,
+    *,
+    in_slices: bool = False,
+) -> Outcome:
     """Kill `count` times."""
     draw = random.Random(seed)
+    flags = [flag for flag in FLAGS if flag not in ROUNDS] if in_slices else FLAGS
     outcome = Outcome()
     with tempfile.TemporaryDirectory(prefix="rank-kills-") as name:
         folder = Path(name)
         bundle.save(make_scene(num_points), folder / "input")
         begun = time.perf_counter()
-        _, error = finish(start(folder, "reference", "--checkpoint", num_processes))
+        _, error = finish(start(folder, "reference", [*flags, "--checkpoint"], num_processes))
         assert error == "", error
         seconds = time.perf_counter() - begun
         expected = files_of(folder / "reference")
         while outcome.kills < count:
             (folder / "run.ckpt").unlink(missing_ok=True)
             flag = "--checkpoint"
-            while _is_killed(draw, seconds, folder, flag, num_processes, outcome):
+            while _is_killed(draw, seconds, folder, [*flags, flag], num_processes, outcome):
                 flag = "--resume"
             outcome.runs += 1
             if files_of(folder / "out") != expected:
@@ -62,12 +72,12 @@ def campaign(count: int, seed: int = 0, num_processes: int = 3, num_points: int 
     return outcome
 
 
-def start(folder: Path, output: str, flag: str, num_processes: int) -> subprocess.Popen[str]:
+def start(folder: Path, output: str, flags: list[str], num_processes: int) -> subprocess.Popen[str]:
     """Start a run; the checkpoint of the reference is of its own."""
     file = folder / ("reference.ckpt" if output == "reference" else "run.ckpt")
     root = ["--allow-run-as-root"] if os.geteuid() == 0 else []
     head = [MPIRUN, *root, "--oversubscribe", "-n", num_processes, sys.executable, "-m", "bundle"]
-    words = [*head, "refine", folder / "input", "-o", f"{folder / output}/", *FLAGS, flag, file]
+    words = [*head, "refine", folder / "input", "-o", f"{folder / output}/", *flags, file]
     return subprocess.Popen(
         [str(word) for word in words],
         stdout=subprocess.DEVNULL,
@@ -104,10 +114,10 @@ def is_alive(pid: int) -> bool:
 
 
 def _is_killed(
-    draw: random.Random, seconds: float, folder: Path, flag: str, num: int, outcome: Outcome
+    draw: random.Random, seconds: float, folder: Path, flags: list[str], num: int, outcome: Outcome
 ) -> bool:
     """Run, kill one at an instant, and judge; return False if the run had ended before."""
-    run = start(folder, "out", flag, num)
+    run = start(folder, "out", flags, num)
     instant, which = draw.uniform(0, seconds), draw.randrange(num)
     time.sleep(instant)
     processes = processes_of(run)
@@ -153,6 +163,7 @@ def _require(outcome: Outcome, condition: bool, otherwise: str) -> None:
 
 
 if __name__ == "__main__":
-    result = campaign(int(sys.argv[1]), *map(int, sys.argv[2:]))
+    numbers = [int(word) for word in sys.argv[1:] if word != "--slices"]
+    result = campaign(*numbers, in_slices="--slices" in sys.argv)
     print(result)
     sys.exit(bool(result.wrong))
