@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks import backend, flops, practitioners, scaling, table, targets, uncertainty, whole
+from benchmarks import (
+    backend,
+    flops,
+    practitioners,
+    scale,
+    scaling,
+    table,
+    targets,
+    uncertainty,
+    whole,
+)
 from benchmarks.results import Results
 from benchmarks.solvers import REFERENCE
 
@@ -39,6 +49,7 @@ def page(results: Results, heading: str, plots: dict[str, str]) -> str:
         ("Preintegration", backend.inertial_table(results.inertial)),
         ("A batch of visual-inertial keyframes", backend.windows_table(results.windows)),
         ("Whole processes: start, load, solve, save", _whole_table(results)),
+        ("Large problems, from file to file", scale.measured()),
     ):
         if text:
             parts += [f"## {title}", text]

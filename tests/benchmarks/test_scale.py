@@ -6,6 +6,8 @@ import pytest
 
 from benchmarks import scale
 
+PAGE = scale.ROOT / "docs" / "benchmarks.md"
+
 
 def test_a_small_problem_makes_a_row(tmp_path):
     cells = scale.measure(3000, 2, tmp_path, keep=False)
@@ -27,3 +29,13 @@ def test_too_small_a_disk_is_said_first(tmp_path, monkeypatch):
 def test_images_of_large_problems():
     sizes = [scale.num_images(int(n)) for n in (1000, 1e6, 20e6, 50e6, 250e6)]
     assert sizes == [10, 500, 10_000, 10_000, 25_000]
+
+
+def test_kept_rows_are_of_this_table():
+    lines = scale.measured().splitlines()
+    (header,) = (line for line in lines if line.startswith("| observations"))
+    assert header == "| " + " | ".join(scale.HEADER) + " |"
+    rows = [line for line in lines if line.startswith("| ") and line[2].isdigit()]
+    assert rows
+    assert all(line.count("|") == header.count("|") for line in rows)
+    assert f"## Large problems, from file to file\n\n{scale.measured()}\n" in PAGE.read_text()
