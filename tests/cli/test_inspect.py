@@ -97,13 +97,14 @@ def test_recalibrate(run, model, rates):
 def test_html(run, model, cycle, tmp_path, monkeypatch):
     written = []
     page = types.ModuleType("bundle.html")
-    page.write_inspection = lambda *arguments, name="": written.append((*arguments, name))
+    page.write_inspection = lambda *arguments, **named: written.append((*arguments, named))
     monkeypatch.setitem(sys.modules, "bundle.html", page)
     target = str(tmp_path / "page.html")
-    assert run("inspect", model, "--html", target).code == 0
+    assert run("inspect", model, "--html", target, "--ranks", "1,4").code == 0
     assert run("inspect", "--graph", cycle, "--html", target).code == 0
-    (inspection, path, problem, options, name), (graph, _, _) = written
-    assert (path, name) == (target, str(model))
+    (inspection, path, problem, options, named), (graph, _, _) = written
+    assert (path, named["name"]) == (target, str(model))
+    assert [row.num_processes for row in named["ranks"]] == [1, 4]
     assert inspection.methods
     assert problem.num_images == inspection.num_camera_blocks
     assert options.num_threads == 0

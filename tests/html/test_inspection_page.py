@@ -12,9 +12,10 @@ import pytest
 from bundle import SolveOptions
 from bundle.html import write_inspection
 from bundle.html.subgraph import best_connected, image_graph, spread
-from bundle.inspection import Inspection, MethodInspection
+from bundle.inspection import Inspection, MethodInspection, find_rank_limit
 from tests.html.browser import check_nothing_is_clipped
 from tests.html.reader import Page, check_self_contained
+from tests.inspection.test_rank_limit import row
 from tests.scenes import make_problem
 
 NUMBERS = {
@@ -79,9 +80,9 @@ def images(count, **changes):
 
 @pytest.fixture
 def written(tmp_path):
-    def write(problem=None, options=None, inspection=INSPECTION):
+    def write(problem=None, options=None, inspection=INSPECTION, **more):
         path = tmp_path / "inspection.html"
-        write_inspection(inspection, path, problem, options, name="<a street>")
+        write_inspection(inspection, path, problem, options, name="<a street>", **more)
         page = Page(path)
         check_self_contained(page)
         return path, page
@@ -122,6 +123,20 @@ def test_the_page_leads_with_what_to_take_how_and_why(written):
     assert "bundle refine" not in page.text
 
 
+def test_several_processes(written):
+    """Where they stop to pay stands above the table, whose row of the most that do stands out."""
+    ranks = [row(n, points=10.0, first=1.0, messages=0.001 * (n > 1)) for n in (1, 4, 16)]
+    _, page = written(ranks=ranks, network=(25.0, 5.0))
+    rows = {cells[0]: cells[1:] for cells in page.rows if len(cells) == 6}
+    assert rows["1"] == ["11.0 s", "100%", "-", "1 GB", "-"]
+    assert rows["16"] == ["1.63 s", "42%", "8 MB", "1 GB", "500 MB"]
+    assert find_rank_limit(ranks).message in page.text
+    assert "25 Gbit/s and 5 microseconds" in page.text
+    assert "the first process alone" in page.text  # its line in the chart
+    _, without = written()
+    assert "Several processes" not in without.text
+
+
 def test_options_are_in_the_command(written):
     _, page = written(options=SolveOptions(refine=("poses", "points"), num_threads=1))
     assert "--solver sparse-schur --threads 1 --refine poses,points" in page.text
@@ -147,7 +162,8 @@ def test_rows_beyond_five_are_folded_away(written):
 def test_nothing_is_clipped(written, browser, width):
     long = method("ITERATIVE_SCHUR schur_power_series_expansion", "FUSED", note=NOTE)
     methods = dataclasses.replace(INSPECTION, methods=(*METHODS, long, long, long))
-    path, _ = written(images(40), inspection=methods)
+    ranks = [row(n, points=10.0, first=1.0, messages=0.001 * (n > 1)) for n in (1, 16, 256)]
+    path, _ = written(images(40), inspection=methods, ranks=ranks)
     check_nothing_is_clipped(browser, path, width)
 
 

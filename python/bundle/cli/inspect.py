@@ -135,7 +135,7 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.inspection import inspect, predict_ranks
+    from bundle.inspection import find_rank_limit, inspect, predict_ranks
     from bundle.io import load
     from bundle.reports.inspect import as_json, inspected
     from bundle.reports.process_tables import predicted_ranks
@@ -156,7 +156,9 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
 
             progress.stage(f"writing {shown(arguments.html)}")
             page, name = arguments.html, str(arguments.input)
-            write_inspection(inspection, page, problem, options, name=name)
+            write_inspection(
+                inspection, page, problem, options, name=name, ranks=ranks, network=network
+            )
     if arguments.json != "-":
         show(
             *inspected(arguments.input, problem, inspection, options),
@@ -167,6 +169,8 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
     if ranks:
         report["network"] = {"gbit_per_second": network[0], "latency_in_microseconds": network[1]}
         report["ranks"] = [dataclasses.asdict(row) for row in ranks]
+        limit = find_rank_limit(ranks)
+        report["rank_limit"] = None if limit is None else dataclasses.asdict(limit)
     write_json(arguments.json, report)
     return EXIT_DONE
 

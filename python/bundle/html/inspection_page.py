@@ -15,10 +15,18 @@ from bundle.html.graph_page import column_counts, write_graph
 from bundle.html.matrices import covisibility, matrix, orderings
 from bundle.html.numbers import amount, amount_if_any, seconds
 from bundle.html.page import tag, write_page
+from bundle.html.processes_section import processes_section
 from bundle.html.subgraph import image_graph
 from bundle.html.svg_charts import bars
 from bundle.html.table import Notes, convention, table
-from bundle.inspection import GraphInspection, Inspection, MethodInspection, inspect_graph
+from bundle.inspection import (
+    GraphInspection,
+    Inspection,
+    MethodInspection,
+    RankPrediction,
+    inspect_graph,
+)
+from bundle.inspection.rank_prediction import NETWORK
 from bundle.io import as_path
 from bundle.memory_sizes import format_size
 from bundle.options import SolveOptions
@@ -46,6 +54,8 @@ def write_inspection(
     options: SolveOptions | None = None,
     *,
     name: str = "",
+    ranks: Sequence[RankPrediction] = (),
+    network: tuple[float, float] = NETWORK,
 ) -> None:
     """Write an inspection as one HTML file that needs nothing else.
 
@@ -58,6 +68,8 @@ def write_inspection(
             has tables and bars alone. Nothing for a graph.
         options: with which it was inspected: they decide what is refined.
         name: of the problem, for the title of its page.
+        ranks: of ``predict_ranks``: what several processes would cost; nothing for a graph.
+        network: that these are for, gigabits per second and microseconds of latency.
 
     Raises:
         InputError: the path is a folder, or its parent is none.
@@ -69,7 +81,8 @@ def write_inspection(
     options = SolveOptions.of(options, {}, "options")
     if isinstance(inspection, Inspection):
         title = f"What solving {name} costs" if name else "What solving costs"
-        _write_problem(inspection, path, title, problem, options, name)
+        processes = processes_section(ranks, network)
+        _write_problem(inspection, path, title, problem, options, name, processes)
     elif isinstance(inspection, GraphInspection):
         write_graph(_with_rivals(inspection), path)
     else:
@@ -107,6 +120,7 @@ def _write_problem(
     problem: Problem | None,
     options: SolveOptions,
     name: str,
+    processes: Sequence[str],
 ) -> None:
     methods = _ranked(inspection)
     sections = [
@@ -116,6 +130,7 @@ def _write_problem(
         _methods(inspection, methods),
         tag("h2", "What a step costs"),
         _costs(methods),
+        *processes,
         tag("h2", "What is factorised"),
         _factors(methods),
     ]

@@ -8,6 +8,7 @@ from bundle.inspection.graph_inspection import GRAPH_ORDERINGS, GraphInspection,
 from bundle.inspection.inspection_result import Inspection, MethodInspection
 from bundle.inspection.pose_graph_inspection import EliminationCost, PoseGraphInspection
 from bundle.inspection.problem_inspection import inspect
+from bundle.inspection.rank_limit import RankLimit, find_rank_limit
 from bundle.inspection.rank_prediction import RankPrediction, predict_ranks
 from bundle.inspection.schur_counts import SchurCounts, count_schur_by_hand
 
@@ -20,9 +21,11 @@ __all__ = [
     "Inspection",
     "MethodInspection",
     "PoseGraphInspection",
+    "RankLimit",
     "RankPrediction",
     "SchurCounts",
     "count_schur_by_hand",
+    "find_rank_limit",
     "inspect",
     "inspect_graph",
     "load_graph",

@@ -71,7 +71,9 @@ class RankPrediction:
         most_observations: of the fullest process.
         bytes_per_step: of messages, as ``summary.processes.traffic`` counts them.
         time_per_step_in_seconds: predicted.
-        network_time_per_step_in_seconds: the part of it that messages take.
+        points_time_per_step_in_seconds: the part of it that is divided, of the fullest process.
+        first_time_per_step_in_seconds: the part that the first process does alone, which is not.
+        network_time_per_step_in_seconds: the part that messages take.
         efficiency: time of one process over N times the time of N.
         memory_of_first_in_bytes, memory_of_others_in_bytes: peak of a process.
     """
@@ -81,6 +83,8 @@ class RankPrediction:
     most_observations: int
     bytes_per_step: int
     time_per_step_in_seconds: float
+    points_time_per_step_in_seconds: float
+    first_time_per_step_in_seconds: float
     network_time_per_step_in_seconds: float
     efficiency: float
     memory_of_first_in_bytes: float
@@ -154,6 +158,8 @@ def predict_ranks(
                 most_observations=most,
                 bytes_per_step=size if count > 1 else 0,
                 time_per_step_in_seconds=time,
+                points_time_per_step_in_seconds=share * of_points,
+                first_time_per_step_in_seconds=of_first,
                 network_time_per_step_in_seconds=sent,
                 efficiency=method.time_per_step_in_seconds / (count * time),
                 memory_of_first_in_bytes=PROCESS + kept + own * (whole + part) + factor + common,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rich.console import RenderableType
 
-from bundle.inspection import RankPrediction
+from bundle.inspection import RankPrediction, find_rank_limit
 from bundle.memory_sizes import format_size
 from bundle.process_record import ProcessPart, ProcessRecord
 from bundle.tables import columns, facts, notes, seconds
@@ -75,14 +75,16 @@ def predicted_ranks(
     ]
     head = ("processes", "per step", "messages", "efficiency", "sent", "first: memory", "others")
     rate, latency = network
+    limit = find_rank_limit(ranks)
     return [
         "",
         columns(head, rows),
         *notes(
             [
+                *([] if limit is None else [limit.message]),
                 f"Processes of mpirun, {ranks[0].method}, {rate:g} Gbit/s and {latency:g} "
                 "microseconds between them; the first one solves the reduced system alone. Memory "
-                "is that of whole processes; the first one keeps the input, but for a BAL file."
+                "is that of whole processes, which read slices of BAL files and binary models.",
             ]
         ),
     ]
