@@ -26,12 +26,14 @@ def source(request, tmp_path_factory):
     return folder / "model"
 
 
-def refined(source, output, num_ranks, keep=None, **given):
+def refined(source, output, num_ranks, keep=None, told=None, **given):
     """Refine; `keep` = (checkpoint, copy) copies the checkpoint as it is at iteration 4."""
     crew = ThreadCrew(num_ranks)
     sliced = SlicedRefinement(crew, source)
 
     def progress(record):
+        if told is not None:
+            told.append(record)
         if record["iteration"] == 4 and keep is not None:
             shutil.copy(*keep)
 
@@ -62,6 +64,8 @@ def test_a_killed_run_ends_where_the_others_do(source, tmp_path):
     first = refined(source, out / name, 3, checkpoint=file, keep=(file, copy))
     assert len(first.iterations["cost"]) > 5
     second = refined(source, again / name, 3, resume=copy)
+    begun = second.initial_problem.cam_from_world
+    np.testing.assert_array_equal(begun, bundle.load(source).cam_from_world)
     assert contents(again / name) == contents(out / name)
     np.testing.assert_array_equal(second.iterations["cost"], first.iterations["cost"])
     assert second.reprojection_error_before == first.reprojection_error_before
@@ -95,11 +99,27 @@ def test_any_number_of_processes_goes_on(source, tmp_path):
     ends.append(one.problem.points)
     for end in ends[1:]:
         np.testing.assert_allclose(end, ends[0], atol=1e-6)
-    # What one process has ended, several only write.
+    # What one process has ended, several only write, and the other way round.
     (tmp_path / "late").mkdir()
-    late = refined(source, tmp_path / "late" / name, 2, resume=tmp_path / "one.npz")
+    told = []
+    late = refined(source, tmp_path / "late" / name, 2, told=told, resume=tmp_path / "one.npz")
+    assert told == []
     np.testing.assert_array_equal(late.iterations["cost"], one.iterations["cost"])
-    np.testing.assert_array_equal(points(tmp_path / "late" / name), one.problem.points)
+    written = bundle.load(tmp_path / "late" / name)
+    np.testing.assert_array_equal(written.points, one.problem.points)
+    np.testing.assert_array_equal(written.camera_params, one.problem.camera_params)
+    begun = late.initial_problem.camera_params
+    np.testing.assert_array_equal(begun, bundle.load(source).camera_params)
+    ended = bundle.solve_rounds(
+        source,
+        resume=file,
+        num_rounds=0,
+        checkpoint_interval=2,
+        progress=told.append,
+        **OPTIONS,
+    )
+    assert told == []
+    np.testing.assert_array_equal(ended.problem.points, ends[0])
 
 
 def test_checkpoints_of_something_else(source, tmp_path):

@@ -43,7 +43,7 @@ __all__ = [
     "write",
 ]
 
-SCHEMA = "bundle checkpoint 1"
+SCHEMA = "bundle checkpoint 2"  # 1: another digest of the input
 
 NOT_DECISIVE = ("num_threads", "check_solution")
 
