@@ -192,3 +192,6 @@ def test_large_scenes_are_streamed(run, tmp_path, monkeypatch):
     assert (tmp_path / "a.txt").read_text().splitlines()[0].endswith(" ")
     first, second = bundle.load(tmp_path / "a.txt"), bundle.load(tmp_path / "b.txt.gz")
     assert_array_equal(first.points, second.points)
+    both = (tmp_path / "c.txt", "--ground-truth", tmp_path / "d.txt.gz")
+    assert run("synth", *both, *flags, "--seed", 3).code == 0
+    assert (tmp_path / "d.txt.gz").read_bytes()[:2] == b"\x1f\x8b"

@@ -79,6 +79,9 @@ def test_scenes_in_blocks_keep_their_promises():
     assert reprojection_error(problem).rmse == pytest.approx(0.5 * np.sqrt(2), rel=0.1)
     # Blocks are not copies of each other.
     assert len(np.unique(problem.points, axis=0)) == 700
+    errors, _ = bundle.reprojection_errors(problem)
+    second = first[700 // 4]
+    assert not np.isclose(errors[:50], errors[second : second + 50]).any()
 
 
 @pytest.mark.usefixtures("small_blocks")
@@ -115,8 +118,16 @@ def test_quantiles_of_many_errors():
     for seed in range(3):
         parts.append(make_problem(num_images=12, num_points=400, seed=seed, perturbation=0.01))
         tally.add(parts[-1])
-    errors = np.concatenate([bundle.reprojection_errors(part)[0] for part in parts])
+    parts.append(parts[0].replace(points=50 * parts[0].points))  # half of it behind cameras
+    tally.add(parts[-1])
+    errors, behind = (
+        np.concatenate(arrays)
+        for arrays in zip(*map(bundle.reprojection_errors, parts), strict=True)
+    )
+    errors = errors[~behind & ~np.isnan(errors)]
     found = tally.statistics()
+    assert found.num_behind_camera == behind.sum() > 100
+    assert found.num_observations == len(errors)
     # To the width of a bin, and the distance of two neighbouring errors.
     assert found.median == pytest.approx(np.quantile(errors, 0.5), rel=2e-3)
     assert found.p95 == pytest.approx(np.quantile(errors, 0.95), rel=1e-2)
@@ -125,15 +136,15 @@ def test_quantiles_of_many_errors():
 
 def test_counts_of_parts():
     rng = np.random.default_rng(2)
-    tally, lengths = SceneTally(7), []
+    tally, lengths = SceneTally(8), []
     image = []
     for longest in (4, 9, 2):
         its = rng.integers(1, longest, 51)
         point = np.repeat(np.arange(51, dtype=np.int32), its)
-        image.append(rng.integers(0, 7, len(point)).astype(np.int32))
+        image.append(rng.integers(0, 8, len(point)).astype(np.int32))
         tally.add(image[-1], point, image[-1] == 3)
         lengths.append(its)
-    whole, images = np.concatenate(lengths), np.bincount(np.concatenate(image), minlength=7)
+    whole, images = np.concatenate(lengths), np.bincount(np.concatenate(image), minlength=8)
     for found, values in ((tally.track_length(), whole), (tally.image_size(), images)):
         assert_allclose(
             [found[name] for name in ("min", "mean", "median", "max")],

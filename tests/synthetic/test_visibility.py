@@ -94,6 +94,17 @@ def test_thinning_takes_a_subset_and_leaves_enough():
     assert thinned.counts.mean() > 3.0
 
 
+def test_an_image_that_would_keep_few_keeps_all():
+    scene, cameras, points = build("street")
+    seen = Visibility(scene, cameras)
+    all_of_them, few = (
+        seen.pairs(np.random.default_rng(0), points, np.full(len(points), length))
+        for length in (NO_THINNING, 1e-9)
+    )
+    assert_array_equal(few.point, all_of_them.point)
+    assert_array_equal(few.image, all_of_them.image)
+
+
 def test_blocks_hide_what_is_behind_them():
     street, _, _ = build("street", num_images=400)
     pitch, side = street.pitch, 0.5 * ROAD_WIDTH
