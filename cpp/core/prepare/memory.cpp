@@ -120,10 +120,12 @@ double AvailableMemoryFor(double bytes) {
 double PredictFusedWorkingBytes(const ParameterLayout& layout,
                                 const std::vector<int64_t>& track_lengths, bool has_sigmas,
                                 int num_threads, double buffer_bytes) {
-  // Image, measurement and place in the chunk; while they are sorted, where they come from.
-  const double bytes_per_observation = 22 + 8 + (has_sigmas ? 8 : 0);
-  // Two states, the scale of the columns, the solution, and where the point is in the plan.
-  constexpr double kBytesPerPoint = 4 * 24 + 3 * 8;
+  // Image, measurement and place in the chunk, and what lists of chunks take (measured). While they
+  // are sorted there is more of an observation, but nothing yet of what follows.
+  const double bytes_per_observation = 22 + 5 + (has_sigmas ? 8 : 0);
+  // Two states, the scale of the columns, and where the point is in the plan. What is given back
+  // comes when steps are over, and only the last state is there.
+  constexpr double kBytesPerPoint = 3 * 24 + 8 + 4;
   constexpr double kBytesPerPair = 2;
   constexpr double kBuffersPerThread = 3;
   const auto num_points = static_cast<int>(track_lengths.size());

@@ -122,7 +122,7 @@ TEST(WorkingMemory, CountsPairsBuffersAndBothStates) {
   const PreparedSolve prepared = PrepareSolve(problem, SolveOptions());
   const double observations = 2000, pairs = 100 * 190;
   const double one = PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, false, 1, 0);
-  EXPECT_EQ(one, 30 * observations + 120 * 100 + 2 * pairs);
+  EXPECT_EQ(one, 27 * observations + 84 * 100 + 2 * pairs);
   EXPECT_EQ(PredictFusedWorkingBytes(prepared.layout, prepared.track_lengths, false, 4, 1e6),
             one + 12e6);
 
