@@ -108,10 +108,11 @@ def aligned(_):
 
 
 def synthesized(_):
-    made = synthesize(SceneOptions(num_images=5, num_points=40, mean_track_length=3.0))
-    report = synth._report(
-        made, {"path": "s", "format": "colmap"}, {"path": "s_ground_truth", "format": "colmap"}
-    )
+    options = SceneOptions(num_images=5, num_points=40, mean_track_length=3.0)
+    made = synthesize(options)
+    output, truth = ({"path": path, "format": "colmap"} for path in ("s", "s_ground_truth"))
+    num_cameras = made.problem.num_cameras
+    report = synth._report(options, num_cameras, synth._tally(made), output, truth)
     return synth._tables(report)
 
 
