@@ -18,7 +18,7 @@ from bundle.options import SolveOptions
 from bundle.placement import place_at_priors
 from bundle.result import Result
 from bundle.rounds.checkpoint import fingerprint_of_options
-from bundle.rounds.input_digest import digest
+from bundle.rounds.input_digest import digest, digest_of_order
 from bundle.rounds.local_part import LocalPart
 from bundle.rounds.rest_prior import marginalize_rest, without_prior
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
@@ -172,6 +172,7 @@ def solve_rounds(
     if checkpoint is not None or resume is not None:
         fingerprint = {
             "input": digest(given),
+            **({"order": digest_of_order(given)} if limits.num_rounds > 0 else {}),
             **fingerprint_of_options(options),
             **limits.asdict(),
             "checkpoint_interval": interval,

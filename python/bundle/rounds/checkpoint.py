@@ -254,7 +254,8 @@ def _open(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 
 def _compare(path: Path, saved: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    if saved["input"] != now["input"]:
+    in_order = "order" not in saved or saved["order"] == now.get("order", saved["order"])
+    if saved["input"] != now["input"] or not in_order:
         raise InputError(
             f"{shown(path)}: expected a checkpoint of this input, found one of another input"
         )
@@ -267,7 +268,7 @@ def _compare(path: Path, saved: Mapping[str, Any], now: Mapping[str, Any]) -> No
 
 
 def _names(saved: Mapping[str, Any], now: Mapping[str, Any]) -> Iterable[str]:
-    return dict.fromkeys([*now, *saved])
+    return (name for name in dict.fromkeys([*now, *saved]) if name != "order")
 
 
 def _short(value: Any) -> str:

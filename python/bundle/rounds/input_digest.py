@@ -1,9 +1,10 @@
 """What tells the input of a run from others, whoever has which part of it.
 
 The digest is of all arrays and names of a problem, not of where it came from. Points and
-observations count as sets of rows: each row is hashed, and the hashes are added modulo 2^64. So
-processes that have slices add what they have, and a checkpoint of theirs is one of the whole
-problem.
+observations are rows: each is hashed, and the hashes are added modulo 2^64. So processes that have
+slices add what they have, and a checkpoint of theirs is one of the whole problem. A point's row has
+its index, as a checkpoint has coordinates by index. The order of observations does not matter to a
+solve; rounds, which remember the observations that are left, have ``digest_of_order`` besides.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from bundle.problem import Problem
 
-__all__ = ["digest", "digest_of_parts", "sums_of_rows"]
+__all__ = ["digest", "digest_of_order", "digest_of_parts", "sums_of_rows"]
 
 _ROWS = ("points", "point_ids", "observation_sigma")
 _BLOCK = 1 << 18
@@ -28,7 +29,15 @@ _Sums = NDArray[np.uint64]
 
 def digest(problem: Problem) -> str:
     """Return what tells a problem from others."""
-    return digest_of_parts(problem, sums_of_rows(problem))
+    return digest_of_parts(problem, sums_of_rows(problem, np.arange(problem.num_points)))
+
+
+def digest_of_order(problem: Problem) -> str:
+    """Return what tells an order of the observations from others."""
+    digest = hashlib.sha256()
+    for name in ("observation_image", "observation_point", "observation_xy"):
+        digest.update(np.ascontiguousarray(getattr(problem, name)).data)
+    return digest.hexdigest()
 
 
 def digest_of_parts(cameras: Problem, sums: _Sums) -> str:
@@ -47,16 +56,17 @@ def digest_of_parts(cameras: Problem, sums: _Sums) -> str:
     return digest.hexdigest()
 
 
-def sums_of_rows(part: Any) -> _Sums:
+def sums_of_rows(part: Any, places: NDArray[np.int64]) -> _Sums:
     """Return numbers, hashes and hashes mixed once more, of points, then of observations.
 
     Args:
         part: a problem, or a part of one (``ranks.partition.ProblemPart``).
+        places: (num_points,) index in the problem of each point of the part.
     """
     ids, point = part.point_ids, part.observation_point
     sigma = () if part.observation_sigma is None else (part.observation_sigma,)
     xy, xyz = part.observation_xy, part.points
-    points = _sums(len(ids), lambda rows: [ids[rows], *xyz[rows].T])
+    points = _sums(len(ids), lambda rows: [places[rows], ids[rows], *xyz[rows].T])
     seen = _sums(
         len(point),
         lambda rows: [

@@ -65,7 +65,8 @@ class Process:
 
     def digest(self) -> Any:
         """Return the sums of all rows of points and observations as they were read."""
-        sums = self._meeting.gather(sums_of_rows(self.slice.part))
+        mine = np.flatnonzero(self.slice.survey.owner == self._meeting.rank)
+        sums = self._meeting.gather(sums_of_rows(self.slice.part, mine))
         return None if sums is None else np.sum(sums, axis=0, dtype=np.uint64)
 
     def restart(self, state: dict[str, Any], points: NDArray[np.float64] | None = None) -> None:
