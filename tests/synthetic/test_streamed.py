@@ -9,6 +9,7 @@ from bundle import InputError, SceneOptions, _core
 from bundle.components import component_roots
 from bundle.reprojection import reprojection_error
 from bundle.synthetic import blocks
+from bundle.synthetic.blocks import SceneInBlocks
 from bundle.synthetic.scene_tally import ErrorTally, SceneTally
 from bundle.synthetic.streamed import write_bal_scene
 from tests.scenes import make_problem
@@ -40,7 +41,7 @@ def small_blocks(monkeypatch):
 def test_files_are_those_of_the_scene_in_memory(tmp_path, kind):
     path, truth = tmp_path / "a.txt", tmp_path / "b.txt"
     shares = []
-    tally = write_bal_scene(options(scene=kind), path, truth, shares.append)
+    tally = write_bal_scene(SceneInBlocks(options(scene=kind)), path, truth, shares.append)
     scene = bundle.synthesize(options(scene=kind))
     for written, made in ((path, scene.problem), (truth, scene.ground_truth)):
         bundle.save(made, tmp_path / "whole.txt")
@@ -99,16 +100,16 @@ def test_threads_do_not_show(monkeypatch):
 def test_nothing_is_left_where_a_block_cannot_be_made(tmp_path):
     paths = [tmp_path / "a.txt", tmp_path / "b.txt"]
     with pytest.raises(InputError, match="mean_track_length"):
-        write_bal_scene(options(num_images=40, mean_track_length=40), *paths)
+        write_bal_scene(SceneInBlocks(options(num_images=40, mean_track_length=40)), *paths)
     paths[0].write_text("before")
     with pytest.raises(InputError, match="BAL"):
-        write_bal_scene(options(camera_model="OPENCV"), *paths)
+        write_bal_scene(SceneInBlocks(options(camera_model="OPENCV")), *paths)
 
     def interrupt(_):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_bal_scene(options(), *paths, interrupt)
+        write_bal_scene(SceneInBlocks(options()), *paths, interrupt)
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
     assert paths[0].read_text() == "before"
 

@@ -72,8 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import check_json, check_new, show, write_json
     from bundle.cli.progress import Progress
     from bundle.io import check_target, output_format, save
-    from bundle.synthetic import synthesize
     from bundle.synthetic.blocks import SceneInBlocks
+    from bundle.synthetic.synthesis import assemble
 
     options = options_given(arguments, SceneOptions)
     path = arguments.output
@@ -95,9 +95,9 @@ def run(arguments: argparse.Namespace) -> int:
         if format == "bal" and is_plain and scene.num_blocks > 1:
             from bundle.synthetic.streamed import write_bal_scene
 
-            tally = write_bal_scene(options, Path(path), Path(truth_path), progress.share)
+            tally = write_bal_scene(scene, Path(path), Path(truth_path), progress.share)
         else:
-            made = synthesize(options)
+            made = assemble(scene)
             tally = _tally(made)
             progress.stage(f"writing {shown(path)}")
             save(made.problem, path, format)

@@ -75,6 +75,7 @@ class SceneInBlocks:
     """The true images and cameras of a scene, and what makes its blocks.
 
     Attributes:
+        options: what to make.
         cameras: the true cameras.
         start_seed: of the start.
         num_blocks: how many there are.
@@ -82,11 +83,11 @@ class SceneInBlocks:
 
     def __init__(self, options: SceneOptions) -> None:
         # One independent stream a purpose: more noise leaves the structure as it is.
-        layout, self._structure, self._measurement, self.start_seed = np.random.SeedSequence(
+        layout, structure, measurement, self.start_seed = np.random.SeedSequence(
             options.seed
         ).spawn(4)
         rng = np.random.default_rng(layout)
-        self._options = options
+        self.options = options
         self._scene = _SCENES[options.scene](rng, options)
         self.cameras = draw_intrinsics(
             rng, self._scene.images, options.camera_model, shared=options.has_shared_camera
@@ -95,10 +96,14 @@ class SceneInBlocks:
         size = max(POINTS_PER_BLOCK, _POINTS_PER_IMAGE * options.num_images)
         is_single = options.num_points <= LARGEST_SINGLE
         self.num_blocks = 1 if is_single else -(-options.num_points // size)
+        self._seeds = [(structure, measurement)]
+        if self.num_blocks > 1:
+            children = (seed.spawn(self.num_blocks) for seed in (structure, measurement))
+            self._seeds = list(zip(*children, strict=True))
 
     def images(self) -> Problem:
         """Return the true images and cameras, without points."""
-        images, cameras, kind = self._scene.images, self.cameras, self._options.scene
+        images, cameras, kind = self._scene.images, self.cameras, self.options.scene
         translations = -rotate(images.rotations, images.centers)
         num_images, num_cameras = len(images.centers), len(cameras.params)
         return Problem(
@@ -126,12 +131,11 @@ class SceneInBlocks:
         """
         count = self.num_blocks
         if count == 1:
-            yield self._make(0, self._options.num_points, self._structure, self._measurement, 0)
+            yield self._make(0, self.options.num_points, *self._seeds[0], 0)
             return
-        ends = [self._options.num_points * (k + 1) // count for k in range(count)]
+        ends = [self.options.num_points * (k + 1) // count for k in range(count)]
         begins = [0, *ends[:-1]]
-        seeds = zip(self._structure.spawn(count), self._measurement.spawn(count), strict=True)
-        tasks = zip(begins, ends, seeds, strict=True)
+        tasks = zip(begins, ends, self._seeds, strict=True)
         at_a_time = min(_core.hardware_threads(), _MOST_AT_A_TIME)
         ahead: deque[Future[Block]] = deque()
         pool = ThreadPoolExecutor(at_a_time)
@@ -165,7 +169,7 @@ class SceneInBlocks:
         measurement: np.random.SeedSequence,
         num_threads: int,
     ) -> Block:
-        scene, options = self._scene, self._options
+        scene, options = self._scene, self.options
         points, pairs = _observe(
             np.random.default_rng(structure),
             scene,

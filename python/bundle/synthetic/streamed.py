@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from bundle import _core
 from bundle.io import atomic, bal
 from bundle.synthetic.blocks import SceneInBlocks
-from bundle.synthetic.scene_options import SceneOptions
 from bundle.synthetic.scene_tally import ErrorTally, SceneTally
 from bundle.synthetic.start import Start, median_distance
 
@@ -31,7 +30,7 @@ _POINTS_AT_A_TIME = 1 << 20
 
 
 def write_bal_scene(
-    options: SceneOptions,
+    scene: SceneInBlocks,
     path: Path,
     truth_path: Path,
     progress: Callable[[float], None] | None = None,
@@ -39,7 +38,7 @@ def write_bal_scene(
     """Write the start of a scene and its ground truth, as ``synthesize`` makes them.
 
     Args:
-        options: what to make.
+        scene: what to make.
         path: of the start, a BAL file that is not compressed.
         truth_path: of the ground truth, likewise.
         progress: called with the share of the points that is done, after each block.
@@ -52,8 +51,7 @@ def write_bal_scene(
             cameras; a path cannot be replaced.
         OSError: a file cannot be written. Whatever goes wrong, neither of the files is there.
     """
-    scene = SceneInBlocks(options)
-    truth = scene.images()
+    options, truth = scene.options, scene.images()
     bal.radial_params(truth)
     tally = SceneTally(truth.num_images)
     errors = {"start": ErrorTally(), "ground_truth": ErrorTally()}

@@ -15,7 +15,7 @@ from bundle.synthetic.scene_options import SceneOptions
 from bundle.synthetic.start import Start, median_distance
 from bundle.words import contents, plural
 
-__all__ = ["SyntheticScene", "synthesize"]
+__all__ = ["SyntheticScene", "assemble", "synthesize"]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -67,9 +67,16 @@ def synthesize(options: SceneOptions | None = None, **changes: Any) -> Synthetic
         >>> scene.ground_truth.num_images
         12
     """
-    options = SceneOptions.of(options, changes, "synthesize")
-    scene = SceneInBlocks(options)
-    images = scene.images()
+    return assemble(SceneInBlocks(SceneOptions.of(options, changes, "synthesize")))
+
+
+def assemble(scene: SceneInBlocks) -> SyntheticScene:
+    """Make the blocks of a scene; return all of it.
+
+    Raises:
+        InputError: the scene cannot be made, see :func:`synthesize`.
+    """
+    options, images = scene.options, scene.images()
     blocks = list(scene.blocks())
     image = np.concatenate([block.image for block in blocks])
     truth = images.replace(
