@@ -1,9 +1,7 @@
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
-#include <algorithm>
 #include <cstdint>
-#include <functional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -68,7 +66,7 @@ class Images {
   std::vector<py::object> kept_;
 };
 
-/// Of all images; share_of(views of each cell) gives the share of each point that stays.
+/// Of all images.
 py::tuple PairsOf(const Images& images, const Array<double>& positions,
                   const Array<double>& normals, const Array<double>& reach,
                   const Array<double>& keys, const Array<double>& cell_centers,
@@ -80,23 +78,13 @@ py::tuple PairsOf(const Images& images, const Array<double>& positions,
   const PointCells cells{cell_centers.shape(0), cell_centers.data(), half_diagonal,
                          cell_starts.data()};
   const auto* random = bit_generator.get_pointer<BitGenerator>();
+  const int64_t* order_of_points = order.data();
   const double* wants = wanted.data();
   VisiblePairs pairs;
   {
     const py::gil_scoped_release release;
-    const auto touched = FindTouchedCells(images.view(), cells, num_threads);
-    std::vector<int64_t> views(cells.num_cells);
-    for (const auto& its_cells : touched) {
-      for (const int64_t cell : its_cells) ++views[cell];
-    }
-    std::vector<double> share(points.num_points);
-    for (int64_t cell = 0; cell < cells.num_cells; ++cell) {
-      const auto by = static_cast<double>(std::max<int64_t>(views[cell], 1));
-      for (int64_t i = cells.starts[cell]; i < cells.starts[cell + 1]; ++i)
-        share[i] = wants[i] / by;
-    }
     pairs = FindVisiblePairs(
-        images.view(), points, cells, touched, order.data(), share.data(), fewest,
+        images.view(), points, cells, order_of_points, wants, fewest,
         [random] { return random->next_double(random->state); }, num_threads);
   }
   const auto count = static_cast<py::ssize_t>(pairs.point.size());

@@ -32,8 +32,7 @@ std::vector<int64_t> Thin(std::vector<int64_t> members, const double* share, dou
   return static_cast<int64_t>(kept.size()) >= fewest ? kept : members;
 }
 
-}  // namespace
-
+/// Of each image, the cells that its ball may touch, ascending.
 std::vector<std::vector<int64_t>> FindTouchedCells(const SyntheticImages& images,
                                                    const PointCells& cells, int num_threads) {
   std::vector<std::vector<int64_t>> touched(images.num_images);
@@ -54,18 +53,37 @@ std::vector<std::vector<int64_t>> FindTouchedCells(const SyntheticImages& images
   return touched;
 }
 
+/// Of each point, the share of its candidates that stay.
+std::vector<double> FindShares(const PointCells& cells,
+                               const std::vector<std::vector<int64_t>>& touched,
+                               const double* wanted, int64_t num_points) {
+  std::vector<int64_t> views(cells.num_cells);
+  for (const auto& its_cells : touched) {
+    for (const int64_t cell : its_cells) ++views[cell];
+  }
+  std::vector<double> share(num_points);
+  for (int64_t cell = 0; cell < cells.num_cells; ++cell) {
+    const auto by = static_cast<double>(std::max<int64_t>(views[cell], 1));
+    for (int64_t i = cells.starts[cell]; i < cells.starts[cell + 1]; ++i) share[i] = wanted[i] / by;
+  }
+  return share;
+}
+
+}  // namespace
+
 VisiblePairs FindVisiblePairs(const SyntheticImages& images, const SyntheticPoints& points,
-                              const PointCells& cells,
-                              const std::vector<std::vector<int64_t>>& touched,
-                              const int64_t* order, const double* share, int64_t fewest,
-                              const std::function<double()>& uniform, int num_threads) {
+                              const PointCells& cells, const int64_t* order, const double* wanted,
+                              int64_t fewest, const std::function<double()>& uniform,
+                              int num_threads) {
+  const std::vector<std::vector<int64_t>> touched = FindTouchedCells(images, cells, num_threads);
+  const std::vector<double> share = FindShares(cells, touched, wanted, points.num_points);
   std::vector<std::vector<int32_t>> seen(images.num_images);
   std::vector<std::vector<int64_t>> candidates(std::min(images.num_images, kImagesAtATime));
   for (int64_t first = 0; first < images.num_images; first += kImagesAtATime) {
     const int64_t count = std::min(kImagesAtATime, images.num_images - first);
     for (int64_t k = 0; k < count; ++k) {
-      candidates[k] = Thin(Members(cells, touched[first + k]), share, images.richness[first + k],
-                           fewest, uniform);
+      candidates[k] = Thin(Members(cells, touched[first + k]), share.data(),
+                           images.richness[first + k], fewest, uniform);
     }
     ParallelFor(
         count, num_threads,

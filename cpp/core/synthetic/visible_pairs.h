@@ -5,7 +5,8 @@
 /// Points are sorted into the cells of a grid over their keys. An image looks at the points in the
 /// cells that its ball may touch, the candidates. Where points have far more candidates than their
 /// tracks need, these are thinned at random: candidate j stays if u < share_j * richness, u uniform
-/// in [0, 1), unless that would leave fewer than `fewest`. visible_points.h says which are seen.
+/// in [0, 1) and share_j = wanted_j / views of its cell, unless that would leave fewer than
+/// `fewest`. visible_points.h says which are seen.
 
 #include <cstdint>
 #include <functional>
@@ -23,23 +24,18 @@ struct PointCells {
   const int64_t* starts = nullptr;  ///< num_cells + 1: the first point of each cell, and the end
 };
 
-/// Of each image, the cells that its ball may touch, ascending.
-std::vector<std::vector<int64_t>> FindTouchedCells(const SyntheticImages& images,
-                                                   const PointCells& cells, int num_threads);
-
 /// Pairs sorted by point, then image. A point has the number that `order` gives.
 struct VisiblePairs {
   std::vector<int32_t> point;
   std::vector<int32_t> image;
 };
 
-/// `points` and `share` are in the order of the cells, `order` is their numbers. `uniform` is
+/// `points` and `wanted` are in the order of the cells, `order` is their numbers. `uniform` is
 /// called by this thread only, image by image in their order: the result does not depend on the
 /// number of threads.
 VisiblePairs FindVisiblePairs(const SyntheticImages& images, const SyntheticPoints& points,
-                              const PointCells& cells,
-                              const std::vector<std::vector<int64_t>>& touched,
-                              const int64_t* order, const double* share, int64_t fewest,
-                              const std::function<double()>& uniform, int num_threads);
+                              const PointCells& cells, const int64_t* order, const double* wanted,
+                              int64_t fewest, const std::function<double()>& uniform,
+                              int num_threads);
 
 }  // namespace bundle
