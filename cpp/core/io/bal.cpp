@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <memory>
 
-#include "core/error.h"
 #include "core/io/bal_reader.h"
 #include "core/io/bal_writer.h"
 #include "core/io/files.h"
@@ -56,7 +55,7 @@ struct CopyObservations {
   void Begin(int32_t num_images, int32_t num_points, int32_t num_observations, uint64_t) const {
     if (num_images != problem.num_images || num_points != problem.num_points ||
         num_observations != problem.num_observations) {
-      throw InputError("the input file has changed while it was in use");
+      FailAsChanged();
     }
   }
   void Observation(int32_t image, int32_t point, double x, double y) const {

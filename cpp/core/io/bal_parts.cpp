@@ -4,7 +4,6 @@
 #include <memory>
 #include <utility>
 
-#include "core/error.h"
 #include "core/io/bal_reader.h"
 #include "core/io/files.h"
 
@@ -37,7 +36,7 @@ struct KeepPart {
 
   void Begin(int32_t, int32_t num_points, int32_t, uint64_t) const {
     if (static_cast<size_t>(num_points) != place.size()) {
-      throw InputError("the input file has changed while it was in use");
+      FailAsChanged();
     }
   }
   void Observation(int32_t image, int32_t point, double x, double y) {

@@ -215,22 +215,23 @@ uint64_t ColmapIndex::TrackElementPlace(const Point& point, uint64_t element) co
          (kind == ModelFile::Kind::kBinary ? kPointRecordSize + element * kTrackElementSize : 0);
 }
 
-void CheckColmapViews(const ColmapIndex& index) {
+IdMap CheckColmapViews(const ColmapIndex& index) {
   CheckNotEmpty(index);
   const IdMap cameras(index.cameras, index.cameras_file, "camera");
   const IdMap rigs(index.rigs, index.rigs_file, "rig");
   const IdMap frames(index.frames, index.frames_file, "frame");
-  const IdMap images(index.images, index.images_file, "image");
+  IdMap images(index.images, index.images_file, "image");
   std::vector<int64_t> frame_of_image(index.images.size(), IdMap::kNone);
   CheckRigs(index, cameras);
   CheckFrames(index, rigs, images, &frame_of_image);
   CheckImages(index, cameras, frame_of_image);
+  return images;
 }
 
 std::vector<int64_t> CheckColmapReferences(const ColmapIndex& index) {
-  CheckColmapViews(index);
+  const IdMap images = CheckColmapViews(index);
   CheckPointIdsUnique(index);
-  return CheckTracks(index, IdMap(index.images, index.images_file, "image"));
+  return CheckTracks(index, images);
 }
 
 }  // namespace bundle

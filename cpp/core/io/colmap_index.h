@@ -202,9 +202,11 @@ struct ColmapScanner {
 extern const ColmapScanner kColmapTextScanner;
 extern const ColmapScanner kColmapBinaryScanner;
 
+class IdMap;
+
 /// Checks rigs, cameras, frames and images: unique ids, references that resolve. Throws InputError
-/// as the scanners do.
-void CheckColmapViews(const ColmapIndex& index);
+/// as the scanners do. Returns the positions of the images.
+IdMap CheckColmapViews(const ColmapIndex& index);
 
 /// The same and points with their tracks. Returns the position in `points` of each keypoint's
 /// point, -1 where it has none.

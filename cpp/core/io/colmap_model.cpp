@@ -270,7 +270,7 @@ void ModelFile::ReadAt(uint64_t position, char* buffer, size_t count) const {
   if (on_block_) on_block_();
   const size_t done = ReadBytes(*descriptor_, path_, position, buffer, count);
   if (done == count && ChangedAt(StatusOf(*descriptor_, path_)) == changed_at_) return;
-  throw InputError(Printable(path_) + ": the input file has changed while it was in use");
+  FailAsChanged(Printable(path_));
 }
 
 void ModelFile::Release() {

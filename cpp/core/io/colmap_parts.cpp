@@ -13,18 +13,14 @@
 #include <utility>
 #include <vector>
 
-#include "core/error.h"
 #include "core/io/colmap_binary_records.h"
 #include "core/io/colmap_id_map.h"
 #include "core/io/colmap_index.h"
 #include "core/io/colmap_track_errors.h"
+#include "core/io/files.h"
 
 namespace bundle {
 namespace {
-
-[[noreturn]] void FailAsChanged() {
-  throw InputError("the input file has changed while it was in use");
-}
 
 /// Rows of points by id.
 class PointRows {
@@ -199,9 +195,8 @@ std::optional<ColmapPart::Failure> CheckTrack(const ColmapIndex& index, const Id
 
 /// Finds the first contradiction in points3D.bin, of the points with a place that no keypoint
 /// filled.
-void CheckTracksOfPart(const ColmapIndex& index, const PartOfPoints& part,
+void CheckTracksOfPart(const ColmapIndex& index, const IdMap& images, const PartOfPoints& part,
                        const std::vector<double>& xy, std::optional<ColmapPart::Failure>* failure) {
-  const IdMap images(index.images, index.images_file, "image");
   for (const PartOfPoints::Record& record : part.records) {
     bool is_filled = true;
     for (uint64_t row = record.first; row < record.first + record.length; ++row) {
@@ -230,9 +225,9 @@ ColmapPart ReadColmapPart(const std::string& folder, const std::vector<int64_t>&
   part.Sort();
   PartOfImages pixels{point_rows, place, part, &index, &result.observations, &result.failure};
   ScanImageRecords(index.images_file, &pixels);
-  CheckColmapViews(index);
+  const IdMap images = CheckColmapViews(index);
   OrderViews(&result.model);
-  CheckTracksOfPart(index, part, result.observations.xy, &result.failure);
+  CheckTracksOfPart(index, images, part, result.observations.xy, &result.failure);
   const std::vector<int32_t> rows = RowsOfImages(result.model);
   for (int32_t& image : result.observations.image) image = rows[static_cast<size_t>(image)];
   result.points = std::move(part.points);

@@ -141,9 +141,8 @@ ColmapSurvey SurveyColmap(const std::string& folder, const std::function<void()>
   ColmapIndex& index = model.index;
   KeepViews views{&index.images};
   ScanImageRecords(index.images_file, &views);
-  CheckColmapViews(index);
+  const IdMap images = CheckColmapViews(index);
   OrderViews(&model);
-  const IdMap images(index.images, index.images_file, "image");
   const std::vector<int32_t> rows = RowsOfImages(model);
   SurveyTracks tracks{images, rows};
   ScanPointRecords(index.points_file, &tracks);

@@ -9,7 +9,6 @@
 #include <utility>
 #include <vector>
 
-#include "core/error.h"
 #include "core/io/colmap_binary_records.h"
 #include "core/io/colmap_byte_reader.h"
 #include "core/io/colmap_index.h"
@@ -174,10 +173,6 @@ void WriteTrivialText(const ColmapModel& model, const ColmapValues& values,
   WriteWhole(folder / "frames.txt", frames);
 }
 
-}  // namespace
-
-namespace {
-
 /// Writes all but the points.
 void WriteViews(const ColmapModel& model, const ColmapValues& values,
                 const std::filesystem::path& folder) {
@@ -251,9 +246,6 @@ struct RewritePoints {
     }
     patcher.Replace(point.xyz_span, values.points + 3 * row, 3);
     patcher.Replace(point.error_span, values.point_errors + row, 1);
-  }
-  [[noreturn]] static void FailAsChanged() {
-    throw InputError("the input file has changed while it was in use");
   }
 };
 

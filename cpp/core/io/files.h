@@ -43,6 +43,10 @@ class InputFile {
   virtual bool is_compressed() const = 0;
 };
 
+/// Throws InputError: what is read again is not what was read before. `name`: of the file, for
+/// messages; "" where the caller adds it.
+[[noreturn]] void FailAsChanged(const std::string& name = "");
+
 /// What readers of text take at a time.
 inline constexpr size_t kReadBlockSize = size_t{1} << 20;
 

@@ -290,4 +290,9 @@ std::unique_ptr<InputFile> InputFile::Open(const std::filesystem::path& path) {
   return std::make_unique<PlainFile>(std::move(raw));
 }
 
+void FailAsChanged(const std::string& name) {
+  throw InputError((name.empty() ? name : name + ": ") +
+                   "the input file has changed while it was in use");
+}
+
 }  // namespace bundle
