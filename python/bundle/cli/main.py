@@ -55,7 +55,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     with atomic.recording() as written, _noting_recoveries():
         try:
             code = _run(sys.argv[1:] if argv is None else list(argv))
-            startup.is_over = argv is None
         except (Exception, KeyboardInterrupt) as error:
             startup.is_over = argv is None
             with _ignoring_interrupts(for_good=argv is None):

@@ -170,14 +170,11 @@ def solve_rounds(
         start, used, limits, factors, bounds, progress, placed.control_point_ids, applied
     )
     if checkpoint is not None or resume is not None:
-        fingerprint = {
-            "input": digest(given),
-            **({"order": digest_of_order(given)} if limits.num_rounds > 0 else {}),
-            **fingerprint_of_options(options),
+        fingerprint = plain_fingerprint(digest(given), options, interval) | {
             **limits.asdict(),
-            "checkpoint_interval": interval,
             "only_images": None if part is None else part.named_ids,
             **({} if prior is None else {"rest": rest}),
+            **({"order": digest_of_order(given)} if limits.num_rounds > 0 else {}),
             "factors and bounds": digest_of_pickle(
                 _without_places(given_factors, given_bounds, placed.targets, applied)
             ),

@@ -189,7 +189,6 @@ class LocalPart:
             point_mask: which points of the part are left.
         """
         whole, taken = self._whole, self.extract
-        points = np.flatnonzero(point_mask)
         pose, params = whole.cam_from_world.copy(), whole.camera_params.copy()
         xyz = whole.points.copy()
         pose[taken.images[self._named]] = refined.cam_from_world[self._named]
@@ -203,15 +202,15 @@ class LocalPart:
         params[taken.cameras[self._refined_cameras], :width] = refined.camera_params[
             self._refined_cameras
         ]
-        moved = self._seen[points]
-        xyz[taken.points[points[moved]]] = refined.points[moved]
+        moved = self._seen[point_mask]
+        xyz[taken.points[point_mask][moved]] = refined.points[moved]
         values = whole.replace(cam_from_world=pose, camera_params=params, points=xyz, **rigs)
         left = np.ones(whole.num_observations, bool)
         left[taken.observations] = False
         left[taken.observations[observation_mask]] = True
         stays = np.ones(whole.num_points, bool)
         stays[taken.points] = False
-        stays[taken.points[points]] = True
+        stays[taken.points[point_mask]] = True
         return subset(values, left, stays)
 
 
