@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import re
 
 import numpy as np
 import pytest
@@ -132,6 +133,11 @@ def test_several_processes(written):
     assert rows["16"] == ["1.63 s", "42%", "8 MB", "1 GB", "500 MB"]
     assert find_rank_limit(ranks).message in page.text
     assert "25 Gbit/s and 5 microseconds" in page.text
+    best = page.source.split('<tr class="best">')[-1]
+    assert best.startswith('<th scope="row">4</th>')
+    memory = page.source.split("Peak memory")[-1].split("</figure>")[0]
+    assert ">GB<" in memory
+    assert re.findall(r">([\d.]+)<", memory)[-2:] == ["0.1", "1"]  # ticks of 0.5 to 1 GB
     assert "the first process alone" in page.text  # its line in the chart
     _, without = written()
     assert "Several processes" not in without.text

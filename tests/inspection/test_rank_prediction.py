@@ -50,6 +50,11 @@ def test_more_processes(problem, inspection):
     )
     assert one.time_per_step_in_seconds == pytest.approx(best)
     assert one.efficiency == pytest.approx(1)
+    for row in (one, two, many):
+        parts = row.points_time_per_step_in_seconds + row.first_time_per_step_in_seconds
+        whole = parts + row.network_time_per_step_in_seconds
+        assert whole == pytest.approx(row.time_per_step_in_seconds)
+    assert two.points_time_per_step_in_seconds < one.points_time_per_step_in_seconds
     assert (one.bytes_per_step, one.network_time_per_step_in_seconds) == (0, 0)
     assert one.most_observations == len(problem.observation_xy)
     assert one.most_observations / 2 <= two.most_observations < 0.6 * one.most_observations
