@@ -67,6 +67,7 @@ class IterativeSolver final : public LinearSolver {
         q_(structure_.num_columns()) {}
 
   bool NeedsCameraDiagonal() const override { return preconditioner_->NeedsCameraDiagonal(); }
+  bool IsIterative() const override { return true; }
   bool NeedsGaugeDirections() const override { return preconditioner_->NeedsGaugeDirections(); }
 
   void ForgetValues() override { preconditioner_->ForgetValues(); }

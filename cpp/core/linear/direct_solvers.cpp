@@ -39,10 +39,11 @@ LinearSolution CheckFinite(const double* x, int64_t size) {
 
 class RemoteSolver final : public LinearSolver {
  public:
-  explicit RemoteSolver(bool needs_camera_diagonal)
-      : needs_camera_diagonal_(needs_camera_diagonal) {}
+  RemoteSolver(bool needs_camera_diagonal, bool is_iterative)
+      : needs_camera_diagonal_(needs_camera_diagonal), is_iterative_(is_iterative) {}
 
   bool NeedsCameraDiagonal() const override { return needs_camera_diagonal_; }
+  bool IsIterative() const override { return is_iterative_; }
 
  private:
   LinearSolution DoFactorize(BlockSystem* /*system*/,
@@ -55,6 +56,7 @@ class RemoteSolver final : public LinearSolver {
   }
 
   const bool needs_camera_diagonal_;
+  const bool is_iterative_;
 };
 
 class DenseSolver final : public LinearSolver {
@@ -107,8 +109,8 @@ class DenseSolver final : public LinearSolver {
 
 }  // namespace
 
-std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal) {
-  return std::make_unique<RemoteSolver>(needs_camera_diagonal);
+std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal, bool is_iterative) {
+  return std::make_unique<RemoteSolver>(needs_camera_diagonal, is_iterative);
 }
 
 std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads) {

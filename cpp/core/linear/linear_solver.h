@@ -98,6 +98,8 @@ class LinearSolver {
 
   /// True if it reads BlockSystem::camera_diagonal.
   virtual bool NeedsCameraDiagonal() const { return false; }
+  /// True of conjugate gradients, which may take what rounding leaves in S a long way.
+  virtual bool IsIterative() const { return false; }
   /// True if it reads BlockSystem::gauge_directions.
   virtual bool NeedsGaugeDirections() const { return false; }
 
@@ -123,8 +125,8 @@ std::unique_ptr<LinearSolver> MakeSparseSolver(const FillOrdering& ordering, int
                                                BlockStructure* structure);
 
 /// Stands for the solver of rank 0 on other ranks, which get its steps (schur/schur_problem.cpp):
-/// it solves nothing. `needs_camera_diagonal`: of the solver of rank 0.
-std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal);
+/// it solves nothing. The arguments are properties of the solver of rank 0.
+std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal, bool is_iterative);
 
 /// Preconditioned conjugate gradients, as Ceres' ITERATIVE_SCHUR runs them; takes a sparse
 /// structure. `preconditioner` is one of kIdentity, kJacobi, kSchurJacobi,

@@ -50,6 +50,9 @@ struct Candidate {
   double cost = 0;               ///< at the candidate; not finite where a residual is not
   /// Other residuals than at x count, so that the model is of another function.
   bool changes_what_counts = false;
+  /// What the order in which costs are summed up may change in their difference, with a margin; 0:
+  /// it is the same in all orders that occur.
+  double cost_uncertainty = 0;
 };
 
 /// The step d of the last Newton or dogleg step, not projected.

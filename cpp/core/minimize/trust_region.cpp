@@ -13,6 +13,7 @@
 ///   candidate whose cost is not finite costs DBL_MAX. That of an invalid step has the cost at x,
 ///   and zeros. The radius in a record is that of the next step.
 
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <cmath>
@@ -39,6 +40,15 @@ using Clock = std::chrono::steady_clock;
 
 double SecondsSince(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+/// The nearest multiple of a power of two that is at least `spacing`, but at most 1/8.
+double RoundTo(double spacing, double value) {
+  if (spacing == 0 || !(std::abs(value) < 1e6)) return value;
+  int exponent = 0;
+  std::frexp(spacing, &exponent);
+  const double unit = std::ldexp(1.0, std::min(exponent, -3));
+  return unit * std::round(value / unit);
 }
 
 /// "VALUE <= BOUND", as Ceres' messages have it.
@@ -144,7 +154,7 @@ class TrustRegion {
 
   bool HandleSuccessfulStep(const Candidate& candidate) {
     problem_.Accept();
-    strategy_->StepAccepted(record_.relative_decrease);
+    strategy_->StepAccepted(CertainQuality(candidate));
     record_.cost = candidate.cost;
     record_.step_is_successful = true;
     try {
@@ -173,6 +183,13 @@ class TrustRegion {
   double RelativeDecrease(const Candidate& candidate) const {
     if (candidate.cost == kNoCost) return std::numeric_limits<double>::lowest();
     return (current_cost_ - candidate.cost) / candidate.model_cost_change;
+  }
+
+  /// The digits of a step's quality that do not depend on the order of sums: with the others, the
+  /// next radius would, and all that follows from it.
+  double CertainQuality(const Candidate& candidate) const {
+    return RoundTo(candidate.cost_uncertainty / candidate.model_cost_change,
+                   record_.relative_decrease);
   }
 
   bool StoppedByUser() {

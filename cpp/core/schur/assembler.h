@@ -32,6 +32,8 @@
 
 namespace bundle {
 
+class SumGrid;
+
 /// The camera parameters' part of the normal equations.
 struct CameraSums {
   BlockSystem system;
@@ -148,10 +150,13 @@ class OrderedSums {
               const Assembler& assembler, int num_images, int num_threads,
               bool wants_camera_diagonal);
 
+  /// Sums on a grid, where one is chosen, from the next Clear on; nullptr: on none.
+  void UseGrid(const SumGrid* grid) { grid_ = grid; }
+
   /// Starts anew, at zero.
   void Clear(ThreadPool* pool);
 
-  /// Zeros for a thread to sum up a chunk in, until it calls End.
+  /// Where a thread sums up a chunk, until it calls End: zeros, or what sums on the grid start at.
   ChunkSum& Begin(int chunk, int thread);
   void End(int thread);
 
@@ -205,6 +210,7 @@ class OrderedSums {
   static void GroupBySecond(const Chunk& chunk, Waiting* waiting);
 
   void MakeSystem();
+  bool HasGrid() const;
   void AddOldest(Waiting* waiting);
   void WaitFor(const std::atomic<int>& value, int wanted) const;
 
@@ -213,6 +219,7 @@ class OrderedSums {
   const Assembler& assembler_;
   const bool wants_camera_diagonal_;
   const bool chunks_have_camera_diagonal_;
+  const SumGrid* grid_ = nullptr;
   CameraSums sums_;
   bool is_new_ = false;                       ///< S, and zero therefore
   std::vector<Waiting> waiting_;              ///< of each thread

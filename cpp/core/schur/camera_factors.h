@@ -42,6 +42,8 @@ class CameraFactors {
   /// Of factors with something to refine.
   int num_factors() const { return static_cast<int>(of_cameras_.size() + of_points_.size()); }
   int num_residuals() const { return num_residuals_; }
+  /// True if AddTo adds anything.
+  bool has_camera_factors() const { return !of_cameras_.empty(); }
   /// Of those without, at a state; not finite where one has no value.
   double FixedCost(const CameraStates& cameras) const;
   /// True if a factor of a point has not the two rows of an observation.

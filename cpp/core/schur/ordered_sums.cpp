@@ -5,6 +5,7 @@
 
 #include "core/linear/block_structure.h"
 #include "core/schur/assembler.h"
+#include "core/schur/sum_grid.h"
 
 namespace bundle {
 
@@ -111,8 +112,11 @@ ChunkSum& OrderedSums::Begin(int chunk, int thread) {
     buffer.camera_diagonal.assign(images * block_size, 0.0);
     buffer.sum.camera_diagonal = buffer.camera_diagonal.data();
   }
+  if (HasGrid()) grid_->Start(what, &buffer.sum);
   return buffer.sum;
 }
+
+bool OrderedSums::HasGrid() const { return grid_ != nullptr && grid_->is_chosen(); }
 
 void OrderedSums::End(int thread) {
   Waiting& waiting = waiting_[thread];
@@ -145,9 +149,10 @@ void OrderedSums::GroupBySecond(const Chunk& chunk, Waiting* waiting) {
 }
 
 void OrderedSums::AddOldest(Waiting* waiting) {
-  const Buffer& buffer = waiting->Oldest();
+  Buffer& buffer = waiting->Oldest();
   const int c = buffer.chunk;
   const Chunk& chunk = input_.plan->chunks[c];
+  if (HasGrid()) grid_->Finish(chunk, &buffer.sum);
   const bool has_shared_blocks = assembler_.has_shared_blocks();
   if (has_shared_blocks) GroupBySecond(chunk, waiting);
   Assembler::PairsOfImage pairs;

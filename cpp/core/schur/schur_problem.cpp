@@ -1,25 +1,32 @@
 #include "core/schur/schur_problem.h"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <numeric>
 #include <utility>
 
 #include "core/linear/newton_result.h"
-#include "core/minimize/damping.h"
 #include "core/model/gauge.h"
 #include "core/parallel/reducer.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/assembler.h"
 #include "core/schur/camera_factors.h"
 #include "core/schur/elimination_plan.h"
+#include "core/schur/for_chunks.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
 #include "core/schur/sum_systems.h"
 
 namespace bundle {
 namespace {
+
+// Of the cost: thousands of times what the order changes in its sum, which is a few units in the
+// last place, so that one quality in some ten thousand is where rounding decides on its last digit.
+constexpr double kCostUncertainty = 0x1p-38;
+
+// Conjugate gradients on fewer columns end before they make much of rounding, and keep the digits
+// that a grid costs.
+constexpr size_t kColumnsWorthAGrid = 100;
 
 double Dot(const std::vector<double>& a, const std::vector<double>& b) {
   double sum = 0;
@@ -60,11 +67,17 @@ SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& la
   scale_.resize(n);
   d_squared_.resize(n);
   newton_.resize(n);
+  if (solver->IsIterative() && n >= kColumnsWorthAGrid && !assembler_.has_maps()) {
+    grid_ = std::make_unique<SumGrid>(input_, assembler_, structure_, problem.num_images);
+    sums_.UseGrid(grid_.get());
+    has_camera_factors_ = BroadcastFirst(ranks_, factors_.has_camera_factors() ? 1 : 0) > 0;
+  }
   MeasureStart(options);
 }
 
 void SchurProblem::Reset(const SolveOptions& options) {
   setup_.Reset(options);
+  if (grid_ != nullptr) grid_->Forget();
   input_ = WithPriors(setup_.input);
   for (State& state : states_) state.Reset(layout_, plan_);
   solver_->ForgetValues();
@@ -76,54 +89,6 @@ void SchurProblem::FreeSteps() {
   sums_.FreeSystem();
   for (std::vector<double>* values : {&candidate_->points, &squared_scale_, &points_p_, &points_q_})
     std::vector<double>().swap(*values);
-}
-
-Linearization SchurProblem::Linearize(double damping) {
-  damping_ = damping;
-  sums_.Clear(&pool_);
-  setup_.assembler.SetMaps(x_->cameras());
-  const bool first = !scaled_;
-  Linearization result;
-  result.cost = factors_.Linearize(x_->cameras(), x_->points.data());
-  double gradient_squared = 0, gradient_max = 0;
-  std::vector<ChunkSum> parts(plan_.chunks.size());
-  ForChunks(
-      [&](int c, int thread) {
-        ThrowIfInterrupted();
-        ChunkSum& sum = sums_.Begin(c, thread);
-        StateRecords x = x_->records();
-        if (first && plan_.chunks[c].first_row == 0) x.sink = x_->held.Collect(c);
-        kernels_.eliminate(input_, x, plan_.chunks[c], damping, first, squared_scale_.data(),
-                           Memory(thread), &sum);
-        parts[c] = sum;
-        sums_.End(thread);
-      },
-      [&](int thread) { sums_.Flush(thread); });
-  ThrowIfInterrupted();  // only this thread is told, and the others may have taken every chunk
-  if (first) x_->held.Merge();
-  for (const ChunkSum& part : parts) {
-    result.cost += part.cost;
-    gradient_squared += part.gradient_squared;
-    if (!(part.gradient_max <= gradient_max)) gradient_max = part.gradient_max;
-  }
-  factors_.AddTo(&sums_.sums());
-  SumOverRanks(ranks_, {&result.cost, &gradient_squared});
-  gradient_max = MaxOverRanks(ranks_, gradient_max);
-  SumCameraVectors(ranks_, &sums_.sums());
-  SumSystems(ranks_, structure_, &sums_.sums().system);
-  HoldActive();
-  DampCameras(damping, first);
-  for (size_t j = 0; j < gradient().size(); ++j) {
-    const double g = gradient()[j];
-    gradient_squared += g * g;
-    const double size = std::abs(ProjectedStep(j, -g));
-    if (!(size <= gradient_max)) gradient_max = size;
-  }
-  result.gradient_norm = std::sqrt(gradient_squared);
-  result.gradient_max_norm = gradient_max;
-  result.is_finite = std::isfinite(result.cost) && std::isfinite(result.gradient_norm);
-  scaled_ = true;
-  return result;
 }
 
 NewtonResult SchurProblem::SolveNewton(double eta) {
@@ -233,6 +198,7 @@ double SchurProblem::SlopeAtCandidate() { return SlopeAt(*candidate_); }
 void SchurProblem::Accept() {
   std::swap(x_, candidate_);
   std::swap(state_norm_, candidate_norm_);
+  std::swap(x_cost_, candidate_cost_);
   x_->MoveAnchors();
 }
 
@@ -247,49 +213,6 @@ void SchurProblem::MeasureStart(const SolveOptions& options) {
   const double points_squared = SumOverRanks(ranks_, x_->FreePointsSquared(plan_));
   state_norm_ = std::sqrt(Dot(x_->camera_state, x_->camera_state) + points_squared);
   fixed_cost_ = SumOverRanks(ranks_, setup_.FixedCost(options) + factors_.FixedCost(x_->cameras()));
-}
-
-template <typename Visit, typename Done>
-void SchurProblem::ForChunks(const Visit& visit, const Done& done) {
-  const auto count = static_cast<int>(plan_.chunks.size());
-  std::atomic<int> next{0};
-  pool_.Run([&](int thread) {
-    try {
-      for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) {
-        visit(c, thread);
-      }
-      done(thread);
-    } catch (const OrderedSums::Abandoned&) {  // the other thread's exception counts
-    } catch (...) {
-      next.store(count);
-      sums_.Abandon();
-      throw;
-    }
-  });
-}
-
-template <typename Visit>
-void SchurProblem::ForChunks(const Visit& visit) {
-  ForChunks(visit, [](int) {});
-}
-
-void SchurProblem::DampCameras(double damping, bool first) {
-  CameraSums& sums = sums_.sums();
-  for (size_t j = 0; j < scale_.size(); ++j) {
-    const double squared_norm = sums.squared_norms[j];
-    if (first) scale_[j] = JacobiScale(squared_norm);
-    d_squared_[j] = SquaredDamping(squared_norm, scale_[j]);
-  }
-  assembler_.AddDamping(damping, d_squared_, &sums);
-}
-
-void SchurProblem::HoldActive() {
-  if (!HasBounds()) return;
-  active_.resize(gradient().size());
-  for (size_t j = 0; j < active_.size(); ++j) {
-    active_[j] = bounds_.IsActive(j, x_->camera_state[j], gradient()[j]);
-  }
-  assembler_.ClearColumns(active_, &sums_.sums());
 }
 
 void SchurProblem::MoveCameras(const std::vector<double>& step) {
@@ -359,7 +282,8 @@ Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateSum sum
     step_squared += moved * moved;
   }
   result.step_norm = std::sqrt(step_squared + sum.step_squared);
-  result.cost = sum.cost;
+  result.cost = candidate_cost_ = sum.cost;
+  if (grid_ != nullptr) result.cost_uncertainty = kCostUncertainty * x_cost_;
   return result;
 }
 

@@ -15,6 +15,7 @@
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
 #include "core/schur/state_records.h"
+#include "core/schur/sum_grid.h"
 
 namespace bundle {
 
@@ -128,6 +129,16 @@ class SchurProblem final : public LeastSquares {
   template <typename Visit>
   void ForChunks(const Visit& visit);
   double* Memory(int thread) { return memory_[thread].data(); }
+  /// Sums over the points alone, and the sizes of their gradient.
+  struct PointSums {
+    double cost = 0, gradient_squared = 0, gradient_max = 0;
+  };
+  /// All sums at x, with the factors': gradient and squared norms on all ranks, S on rank 0.
+  PointSums SumUp(double damping, bool first, double factors_cost);
+  /// A pass over this rank's chunks.
+  PointSums SumChunks(double damping, bool first);
+  /// What a pass has summed up, all but S, becomes that of all ranks.
+  void AddRanks(PointSums* sums);
   /// Scales and damps the columns of the camera parameters.
   void DampCameras(double damping, bool first);
   const std::vector<double>& gradient() { return sums_.sums().gradient; }
@@ -166,6 +177,10 @@ class SchurProblem final : public LeastSquares {
   CameraStep other_step_;
   std::vector<double> squared_scale_;  ///< of each point's columns
   OrderedSums sums_;
+  std::unique_ptr<SumGrid> grid_;       ///< nullptr: the sums need none
+  std::vector<double> observed_norms_;  ///< ||J e_j||^2 where the grid was used last
+  bool has_camera_factors_ = false;     ///< on any rank
+  double x_cost_ = 0, candidate_cost_ = 0;
   std::vector<double> scale_;      ///< Jacobi scaling of the camera parameters' columns
   std::vector<double> d_squared_;  ///< D^2 of the camera parameters
   std::vector<double> newton_;     ///< camera parameters of the Newton direction

@@ -69,4 +69,9 @@ void SumCameraVectors(Reducer* ranks, CameraSums* sums) {
   SumOverRanks(ranks, "gradient", &sums->squared_norms);
 }
 
+void ShareCameraVectors(Reducer* ranks, CameraSums* sums) {
+  BroadcastFirst(ranks, "gradient", &sums->gradient);
+  BroadcastFirst(ranks, "gradient", &sums->squared_norms);
+}
+
 }  // namespace bundle

@@ -22,4 +22,7 @@ void ShareSolution(Reducer* ranks, LinearSolution* solution, std::vector<double>
 /// Gradient and squared norms become their sums, on all ranks.
 void SumCameraVectors(Reducer* ranks, CameraSums* sums);
 
+/// All ranks get those of rank 0.
+void ShareCameraVectors(Reducer* ranks, CameraSums* sums);
+
 }  // namespace bundle

@@ -169,7 +169,8 @@ void FusedSolver::BuildProblem() {
   if (problem_.ranks != nullptr) {
     const double needs = IsFirst(problem_.ranks) && solver_->NeedsCameraDiagonal() ? 1 : 0;
     const bool wants_diagonal = BroadcastFirst(problem_.ranks, needs) > 0;
-    if (solver_ == nullptr) solver_ = MakeRemoteSolver(wants_diagonal);
+    const bool is_iterative = options_.linear_solver_type == LinearSolverType::kIterativeSchur;
+    if (solver_ == nullptr) solver_ = MakeRemoteSolver(wants_diagonal, is_iterative);
   }
   symbolic_time_ += symbolic.seconds();
   SummarizeFactor();

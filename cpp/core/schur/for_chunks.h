@@ -1,0 +1,34 @@
+#pragma once
+
+#include <atomic>
+
+#include "core/schur/assembler.h"
+#include "core/schur/schur_problem.h"
+
+namespace bundle {
+
+template <typename Visit, typename Done>
+void SchurProblem::ForChunks(const Visit& visit, const Done& done) {
+  const auto count = static_cast<int>(plan_.chunks.size());
+  std::atomic<int> next{0};
+  pool_.Run([&](int thread) {
+    try {
+      for (int c = next.fetch_add(1); c < count; c = next.fetch_add(1)) {
+        visit(c, thread);
+      }
+      done(thread);
+    } catch (const OrderedSums::Abandoned&) {  // the other thread's exception counts
+    } catch (...) {
+      next.store(count);
+      sums_.Abandon();
+      throw;
+    }
+  });
+}
+
+template <typename Visit>
+void SchurProblem::ForChunks(const Visit& visit) {
+  ForChunks(visit, [](int) {});
+}
+
+}  // namespace bundle

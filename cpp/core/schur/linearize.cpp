@@ -1,0 +1,146 @@
+/// The linearisation of a SchurProblem: a pass over the points, sums over ranks, damping. Where
+/// conjugate gradients make much of rounding, the sums are made on a grid (schur/sum_grid.h); what
+/// is on none, the sums over other factors, is added last.
+
+#include <cmath>
+#include <cstddef>
+#include <vector>
+
+#include "core/minimize/damping.h"
+#include "core/parallel/reducer.h"
+#include "core/schur/for_chunks.h"
+#include "core/schur/schur_problem.h"
+#include "core/schur/sum_systems.h"
+
+namespace bundle {
+namespace {
+
+/// Within it all points of a plan are held: a pass then costs half, as no pair of images adds
+/// anything, and has the squared norms nevertheless.
+class HeldPoints {
+ public:
+  explicit HeldPoints(EliminationPlan* plan) : plan_(plan), num_free_(plan->num_free_points) {
+    plan_->num_free_points = 0;
+  }
+  ~HeldPoints() { plan_->num_free_points = num_free_; }
+  HeldPoints(const HeldPoints&) = delete;
+  HeldPoints& operator=(const HeldPoints&) = delete;
+
+ private:
+  EliminationPlan* const plan_;
+  const int num_free_;
+};
+
+}  // namespace
+
+Linearization SchurProblem::Linearize(double damping) {
+  damping_ = damping;
+  setup_.assembler.SetMaps(x_->cameras());
+  const bool first = !scaled_;
+  const double factors_cost = factors_.Linearize(x_->cameras(), x_->points.data());
+  PointSums sums = SumUp(damping, first, factors_cost);
+  if (first) x_->held.Merge();
+  Linearization result;
+  result.cost = x_cost_ = sums.cost;
+  double gradient_squared = sums.gradient_squared, gradient_max = sums.gradient_max;
+  HoldActive();
+  DampCameras(damping, first);
+  for (size_t j = 0; j < gradient().size(); ++j) {
+    const double g = gradient()[j];
+    gradient_squared += g * g;
+    const double size = std::abs(ProjectedStep(j, -g));
+    if (!(size <= gradient_max)) gradient_max = size;
+  }
+  result.gradient_norm = std::sqrt(gradient_squared);
+  result.gradient_max_norm = gradient_max;
+  result.is_finite = std::isfinite(result.cost) && std::isfinite(result.gradient_norm);
+  scaled_ = true;
+  return result;
+}
+
+SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double factors_cost) {
+  CameraSums& cameras = sums_.sums();
+  if (grid_ == nullptr) {
+    PointSums sums = SumChunks(damping, first);
+    sums.cost += factors_cost;
+    factors_.AddTo(&cameras);
+    AddRanks(&sums);
+    SumSystems(ranks_, structure_, &cameras.system);
+    return sums;
+  }
+  const auto pass = [&] {
+    PointSums sums = SumChunks(damping, first);
+    sums.cost += factors_cost;
+    AddRanks(&sums);
+    return sums;
+  };
+  if (grid_->is_chosen()) {
+    grid_->Choose(observed_norms_, x_cost_);
+  } else {
+    const HeldPoints held(&setup_.plan);
+    const double cost = pass().cost;
+    grid_->Choose(cameras.squared_norms, cost);
+  }
+  PointSums sums = pass();
+  if (!grid_->Fits(cameras.squared_norms, sums.cost)) {
+    grid_->Choose(cameras.squared_norms, sums.cost);
+    sums = pass();
+  }
+  observed_norms_ = cameras.squared_norms;
+  SumSystems(ranks_, structure_, &cameras.system);
+  factors_.AddTo(&cameras);  // on no grid, therefore last
+  if (has_camera_factors_) ShareCameraVectors(ranks_, &cameras);
+  return sums;
+}
+
+SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first) {
+  sums_.Clear(&pool_);
+  std::vector<ChunkSum> parts(plan_.chunks.size());
+  ForChunks(
+      [&](int c, int thread) {
+        ThrowIfInterrupted();
+        ChunkSum& sum = sums_.Begin(c, thread);
+        StateRecords x = x_->records();
+        if (first && plan_.chunks[c].first_row == 0) x.sink = x_->held.Collect(c);
+        kernels_.eliminate(input_, x, plan_.chunks[c], damping, first, squared_scale_.data(),
+                           Memory(thread), &sum);
+        parts[c] = sum;
+        sums_.End(thread);
+      },
+      [&](int thread) { sums_.Flush(thread); });
+  ThrowIfInterrupted();  // only this thread is told, and the others may have taken every chunk
+  PointSums total;
+  for (const ChunkSum& part : parts) {
+    total.cost += part.cost;
+    total.gradient_squared += part.gradient_squared;
+    if (!(part.gradient_max <= total.gradient_max)) total.gradient_max = part.gradient_max;
+  }
+  return total;
+}
+
+void SchurProblem::AddRanks(PointSums* sums) {
+  SumOverRanks(ranks_, {&sums->cost, &sums->gradient_squared});
+  sums->gradient_max = MaxOverRanks(ranks_, sums->gradient_max);
+  SumCameraVectors(ranks_, &sums_.sums());
+}
+
+void SchurProblem::DampCameras(double damping, bool first) {
+  CameraSums& sums = sums_.sums();
+  for (size_t j = 0; j < scale_.size(); ++j) {
+    const double squared_norm = sums.squared_norms[j];
+    if (first) scale_[j] = JacobiScale(squared_norm);
+    d_squared_[j] = SquaredDamping(squared_norm, scale_[j]);
+  }
+  assembler_.AddDamping(damping, d_squared_, &sums);
+}
+
+void SchurProblem::HoldActive() {
+  if (!HasBounds()) return;
+  active_.resize(gradient().size());
+  for (size_t j = 0; j < active_.size(); ++j) {
+    active_[j] = bounds_.IsActive(j, x_->camera_state[j], gradient()[j]);
+  }
+  assembler_.ClearColumns(active_, &sums_.sums());
+}
+
+}  // namespace bundle
