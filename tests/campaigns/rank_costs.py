@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.campaigns.rank_kills import MPIRUN
+from tests.ranks.mpirun import mpirun_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("BUNDLE_DATA", REPOSITORY.parent / "shared" / "data"))
@@ -106,12 +106,12 @@ def compare(data: str, method: str, num_ranks: int, alone: list[Any], divided: l
 
 def iterations(folder: Path, words: list[str], num_ranks: int) -> list[Any]:
     """Return the records of a run; 0 processes: one, without mpirun."""
-    root = ["--allow-run-as-root"] if os.geteuid() == 0 else []
-    head = [str(MPIRUN), *root, "--oversubscribe", "-n", str(num_ranks)] if num_ranks else []
     output = folder / ("out.txt" if ".txt" in words[0] else "out/")
     report = folder / "report.json"
     tail = ["-o", f"{output}{'' if output.suffix else '/'}", "--json", str(report), "--quiet"]
-    command = [*head, sys.executable, "-m", "bundle", "refine", *words, *tail]
+    alone = [sys.executable, "-m", "bundle"]
+    head = mpirun_command(num_ranks) if num_ranks else alone
+    command = [*head, "refine", *words, *tail]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     found: list[Any] = json.loads(report.read_text())["iterations"]
     return found

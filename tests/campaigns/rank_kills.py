@@ -24,8 +24,8 @@ from pathlib import Path
 import bundle
 from tests.campaigns.resumes import FLAGS, files_of, is_whole, make_scene
 from tests.campaigns.resumes import Outcome as Resumed
+from tests.ranks.mpirun import mpirun_command
 
-MPIRUN = Path(sys.executable).parent / "mpirun"
 SECONDS_TO_END = 10.0
 ROUNDS = ("--rounds", "4", "--max-error", "1.2")
 
@@ -75,11 +75,9 @@ def campaign(
 def start(folder: Path, output: str, flags: list[str], num_processes: int) -> subprocess.Popen[str]:
     """Start a run; the checkpoint of the reference is of its own."""
     file = folder / ("reference.ckpt" if output == "reference" else "run.ckpt")
-    root = ["--allow-run-as-root"] if os.geteuid() == 0 else []
-    head = [MPIRUN, *root, "--oversubscribe", "-n", num_processes, sys.executable, "-m", "bundle"]
-    words = [*head, "refine", folder / "input", "-o", f"{folder / output}/", *flags, file]
+    words = ["refine", folder / "input", "-o", f"{folder / output}/", *flags, file]
     return subprocess.Popen(
-        [str(word) for word in words],
+        mpirun_command(num_processes, *words),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -5,17 +5,15 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import bundle
+from tests.ranks.mpirun import MPIRUN
+from tests.ranks.mpirun import mpirun_command as command
 from tests.scenes import scene
-
-MPIRUN = Path(sys.executable).parent / "mpirun"
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -32,12 +30,6 @@ def model(tmp_path_factory):
     path = tmp_path_factory.mktemp("mpi") / "model.txt"
     bundle.save(scene(), path)
     return path
-
-
-def command(num_processes, *words):
-    root = ["--allow-run-as-root"] if os.geteuid() == 0 else []
-    head = [MPIRUN, *root, "--oversubscribe", "-n", num_processes, sys.executable, "-m", "bundle"]
-    return [str(word) for word in (*head, *words)]
 
 
 def mpirun(num_processes, *words, script=None, cwd=None, **environment):

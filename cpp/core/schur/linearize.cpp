@@ -61,16 +61,14 @@ Linearization SchurProblem::Linearize(double damping) {
 SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double factors_cost) {
   CameraSums& cameras = sums_.sums();
   if (grid_ == nullptr) {
-    PointSums sums = SumChunks(damping, first);
-    sums.cost += factors_cost;
+    PointSums sums = SumChunks(damping, first, factors_cost);
     factors_.AddTo(&cameras);
     AddRanks(&sums);
     SumSystems(ranks_, structure_, &cameras.system);
     return sums;
   }
   const auto pass = [&] {
-    PointSums sums = SumChunks(damping, first);
-    sums.cost += factors_cost;
+    PointSums sums = SumChunks(damping, first, factors_cost);
     AddRanks(&sums);
     return sums;
   };
@@ -93,7 +91,7 @@ SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double f
   return sums;
 }
 
-SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first) {
+SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first, double factors_cost) {
   sums_.Clear(&pool_);
   std::vector<ChunkSum> parts(plan_.chunks.size());
   ForChunks(
@@ -110,6 +108,7 @@ SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first) {
       [&](int thread) { sums_.Flush(thread); });
   ThrowIfInterrupted();  // only this thread is told, and the others may have taken every chunk
   PointSums total;
+  total.cost = factors_cost;
   for (const ChunkSum& part : parts) {
     total.cost += part.cost;
     total.gradient_squared += part.gradient_squared;

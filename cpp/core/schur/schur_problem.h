@@ -129,14 +129,14 @@ class SchurProblem final : public LeastSquares {
   template <typename Visit>
   void ForChunks(const Visit& visit);
   double* Memory(int thread) { return memory_[thread].data(); }
-  /// Sums over the points alone, and the sizes of their gradient.
+  /// The cost, and the sizes of the points' gradient.
   struct PointSums {
     double cost = 0, gradient_squared = 0, gradient_max = 0;
   };
   /// All sums at x, with the factors': gradient and squared norms on all ranks, S on rank 0.
   PointSums SumUp(double damping, bool first, double factors_cost);
   /// A pass over this rank's chunks.
-  PointSums SumChunks(double damping, bool first);
+  PointSums SumChunks(double damping, bool first, double factors_cost);
   /// What a pass has summed up, all but S, becomes that of all ranks.
   void AddRanks(PointSums* sums);
   /// Scales and damps the columns of the camera parameters.

@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <string>
@@ -209,6 +210,66 @@ class Unreliable final : public LeastSquares {
   DenseProblem problem_;
   const std::vector<NewtonResult> results_;
 };
+
+/// A problem whose costs are a little off, and that says so.
+class Uncertain final : public LeastSquares {
+ public:
+  Uncertain(ClassicFunction function, double off, double uncertainty)
+      : problem_(std::move(function)), off_(off), uncertainty_(uncertainty) {}
+
+  Linearization Linearize(double damping) override { return problem_.Linearize(damping); }
+  NewtonResult SolveNewton(double eta) override { return problem_.SolveNewton(eta); }
+  Candidate EvaluateNewtonStep() override {
+    Candidate candidate = problem_.EvaluateNewtonStep();
+    candidate.cost *= 1 + off_;
+    candidate.cost_uncertainty = uncertainty_;
+    return candidate;
+  }
+  DoglegProducts Products() override { return problem_.Products(); }
+  Candidate EvaluateDoglegStep(double a, double b) override {
+    return problem_.EvaluateDoglegStep(a, b);
+  }
+  void Accept() override { problem_.Accept(); }
+  double StateNorm() const override { return problem_.StateNorm(); }
+
+ private:
+  DenseProblem problem_;
+  const double off_, uncertainty_;
+};
+
+std::vector<double> RadiiOf(double off, double uncertainty) {
+  Uncertain problem(Rosenbrock(), off, uncertainty);
+  SolveOptions options = Endless();
+  options.max_num_iterations = 6;
+  std::vector<double> radii;
+  for (const IterationRecord& record : Minimize(options, nullptr, &problem).iterations) {
+    radii.push_back(record.trust_region_radius);
+  }
+  return radii;
+}
+
+TEST(TrustRegion, RadiiFollowFromTheCertainDigitsOfTheQuality) {
+  EXPECT_NE(RadiiOf(0, 0), RadiiOf(1e-13, 0));
+  EXPECT_EQ(RadiiOf(0, 1e-6), RadiiOf(1e-13, 1e-6));
+  const std::vector<double> exact = RadiiOf(0, 0), certain = RadiiOf(0, 1e-6);
+  ASSERT_EQ(exact.size(), certain.size());
+  for (size_t k = 0; k < exact.size(); ++k) EXPECT_NEAR(certain[k] / exact[k], 1, 1e-3);
+}
+
+TEST(TrustRegion, AQualityKeepsAnEighthHoweverUncertainItIs) {
+  Uncertain problem(Rosenbrock(), 0, 1e300);
+  SolveOptions options = Endless();
+  options.max_num_iterations = 6;
+  const MinimizerSummary minimum = Minimize(options, nullptr, &problem);
+  for (size_t k = 1; k < minimum.iterations.size(); ++k) {
+    const IterationRecord& record = minimum.iterations[k];
+    if (!record.step_is_successful) continue;
+    const double quality = std::round(8 * record.relative_decrease) / 8;
+    const double shrink = std::max(1.0 / 3, 1 - std::pow(2 * quality - 1, 3));
+    EXPECT_DOUBLE_EQ(record.trust_region_radius,
+                     minimum.iterations[k - 1].trust_region_radius / shrink);
+  }
+}
 
 const NewtonResult kIndefinite{NewtonResult::Status::kFailure, 1, "not positive definite"};
 
