@@ -51,7 +51,7 @@ CORE_MAY_INCLUDE = {
     },
     "schur": {
         *{"linear", "minimize", "model", "interface", "problem", "factors", "cameras"},
-        "parallel",
+        *{"parallel", "dense"},
     },
     "covariance": {
         *{"prepare", "schur", "linear", "model", "interface", "problem", "factors"},

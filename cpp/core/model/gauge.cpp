@@ -166,16 +166,6 @@ std::string FixThreePoints(const ProblemView& problem, const std::vector<int>& p
 
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
-Eigen::Vector3d MeanCentre(const CameraStates& cameras, int num_images) {
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (int i = 0; i < num_images; ++i) {
-    const PoseState& pose = cameras.pose(i);
-    sum -= Eigen::Map<const Matrix3>(pose.rotation).transpose() *
-           Eigen::Map<const Eigen::Vector3d>(pose.translation);
-  }
-  return num_images == 0 ? sum : Eigen::Vector3d(sum / num_images);
-}
-
 /// Holds the free coordinate of a pose's translation in which `direction` is largest. False where
 /// it is zero in all of them.
 bool HoldCoordinate(const double* direction, uint8_t* bits) {
@@ -261,11 +251,22 @@ void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
   out.block<3, 1>(3, 6) = translation + rotation * c;
 }
 
+std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (int i = 0; i < num_images; ++i) {
+    const PoseState& pose = cameras.pose(i);
+    sum -= Eigen::Map<const Matrix3>(pose.rotation).transpose() *
+           Eigen::Map<const Eigen::Vector3d>(pose.translation);
+  }
+  if (num_images > 0) sum /= num_images;
+  return {sum[0], sum[1], sum[2]};
+}
+
 std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras) {
   constexpr int kCount = kNumGaugeDirections;
   std::vector<double> gauge_directions(static_cast<size_t>(layout.state_size()) * kCount, 0.0);
-  const Eigen::Vector3d centre = MeanCentre(cameras, problem.num_images);
+  const std::array<double, 3> centre = MeanCentre(cameras, problem.num_images);
   // What scaling the world does to a sensor is no direction of it: a sensor's block is better off
   // without, as a cluster of its own that has all its columns (linear/coarse_space.cpp).
   for (int i = 0; i < problem.num_images + problem.num_frames; ++i) {

@@ -2,6 +2,7 @@
 
 /// The gauge: fixed where the options ask for it, and its directions.
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -29,8 +30,11 @@ inline constexpr int kNumGaugeDirections = 7;
 void GaugeRowsOfPose(const PoseState& pose, const double centre[3],
                      double rows[kPoseSize * kNumGaugeDirections]);
 
-/// What moving, turning and scaling the world does to the camera parameters: for each column of
-/// the layout, its derivative by three translations, three rotations and the scale.
+/// Of the cameras of all images.
+std::array<double, 3> MeanCentre(const CameraStates& cameras, int num_images);
+
+/// What moving, turning and scaling the world about MeanCentre does to the camera parameters: for
+/// each column of the layout, its derivative by three translations, three rotations and the scale.
 std::vector<double> GaugeDirections(const ProblemView& problem, const ParameterLayout& layout,
                                     const CameraStates& cameras);
 

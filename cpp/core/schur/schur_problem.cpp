@@ -87,7 +87,8 @@ void SchurProblem::Reset(const SolveOptions& options) {
 
 void SchurProblem::FreeSteps() {
   sums_.FreeSystem();
-  for (std::vector<double>* values : {&candidate_->points, &squared_scale_, &points_p_, &points_q_})
+  for (std::vector<double>* values :
+       {&candidate_->points, &squared_scale_, &points_p_, &points_q_, &points_d_squared_})
     std::vector<double>().swap(*values);
 }
 
@@ -123,39 +124,6 @@ Candidate SchurProblem::EvaluateNewtonStep() {
   total.model_cost_change += factors_.ModelCostChange(newton_);
   line_ = newton_;
   return Finish(newton_, total);
-}
-
-DoglegProducts SchurProblem::Products() {
-  gradient_direction_.resize(newton_.size());
-  for (size_t j = 0; j < newton_.size(); ++j) {
-    gradient_direction_[j] = gradient()[j] / d_squared_[j];
-  }
-  points_p_.resize(x_->points.size());
-  points_q_.resize(x_->points.size());
-  step_.Set(gradient_direction_, x_->cameras());
-  other_step_.Set(newton_, x_->cameras());
-  DoglegProducts total;
-  std::vector<ProductSum> parts(plan_.chunks.size());
-  ForChunks([&](int c, int thread) {
-    kernels_.products(input_, x_->records(), plan_.chunks[c], damping_, squared_scale_.data(),
-                      step_.records(), other_step_.records(), points_p_.data(), points_q_.data(),
-                      Memory(thread), &parts[c]);
-  });
-  for (const ProductSum& part : parts) {
-    total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
-    total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
-  }
-  factors_.AddProducts(gradient_direction_, newton_, &total);
-  SumOverRanks(ranks_,
-               {&total.d_pp, &total.d_pq, &total.d_qq, &total.j_pp, &total.j_pq, &total.j_qq});
-  for (size_t j = 0; j < newton_.size(); ++j) {
-    const double p = gradient_direction_[j], q = newton_[j];
-    total.d_pp += p * d_squared_[j] * p;
-    total.d_pq += p * d_squared_[j] * q;
-    total.d_qq += q * d_squared_[j] * q;
-  }
-  products_ = total;
-  return total;
 }
 
 Candidate SchurProblem::EvaluateDoglegStep(double a, double b) {

@@ -144,6 +144,9 @@ class SchurProblem final : public LeastSquares {
   const std::vector<double>& gradient() { return sums_.sums().gradient; }
   /// Takes the columns of numbers on active bounds out of the normal equations.
   void HoldActive();
+  /// Takes what rounding put along free similarities out of q (newton_gauge.h); returns what
+  /// <q,q> loses.
+  double TakeOutGauge();
   void MoveCameras(const std::vector<double>& step);
   /// What is left of a step of one number of the camera parameters within its bounds.
   double ProjectedStep(size_t j, double step) const;
@@ -186,6 +189,8 @@ class SchurProblem final : public LeastSquares {
   std::vector<double> newton_;     ///< camera parameters of the Newton direction
   std::vector<double> gradient_direction_;
   std::vector<double> points_p_, points_q_;
+  std::vector<double> points_d_squared_;    ///< D^2 of the points; empty where the world is held
+  int gauge_degrees_ = -1;                  ///< of doglegs; not known yet: -1
   std::vector<double> line_, points_line_;  ///< the last step, not projected
   DoglegProducts products_;
   const StateBounds bounds_;

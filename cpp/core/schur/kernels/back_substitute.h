@@ -126,7 +126,7 @@ inline void AddProducts(const double* record, const double* p, const double* q, 
 inline void Products(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                      double damping, const double* squared_scale, const StepRecords& camera_p,
                      const StepRecords& camera_q, double* points_p, double* points_q,
-                     double* memory, ProductSum* sum) {
+                     double* points_d_squared, double* memory, ProductSum* sum) {
   const int64_t* const begin = input.plan->first.data();
   PointBlock blocks[kStripPoints];
   for (int point = chunk.first_point; point < chunk.last_point && chunk.first_row == 0;) {
@@ -149,6 +149,7 @@ inline void Products(const EliminationInput& input, const StateRecords& x, const
           sum->d_pp += p[j] * d_squared * p[j];
           sum->d_pq += p[j] * d_squared * q[j];
           sum->d_qq += q[j] * d_squared * q[j];
+          if (points_d_squared != nullptr) points_d_squared[3 * i + j] = d_squared;
         }
       }
       for (int64_t k = 0; k < count; ++k) AddProducts(records + k * kStepRecord, p, q, sum);

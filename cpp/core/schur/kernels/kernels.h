@@ -166,10 +166,11 @@ struct Kernels {
                                double* candidate_points, double* memory, CandidateSum* sum);
 
   /// Both directions of the points (3 a point each), out of those of the cameras, and products.
+  /// `d_squared`: D^2 of the free points' columns; nullptr: not wanted.
   void (*products)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk,
                    double damping, const double* squared_scale, const StepRecords& p,
-                   const StepRecords& q, double* points_p, double* points_q, double* memory,
-                   ProductSum* sum);
+                   const StepRecords& q, double* points_p, double* points_q, double* d_squared,
+                   double* memory, ProductSum* sum);
 
   /// The cost of the chunk at a state.
   double (*cost)(const EliminationInput& input, const StateRecords& x, const Chunk& chunk);

@@ -1,0 +1,80 @@
+#pragma once
+
+/// The gauge of a Newton direction.
+///
+/// Where nothing holds the world, moving, turning and scaling it changes no residual: J N = 0, the
+/// columns of N being what these similarities do to all that is free. Of the Newton direction q,
+/// (J^T J + damping D^2) q = -J^T r, the product with N^T leaves
+///
+///   damping N^T D^2 q = -(J N)^T r = 0.
+///
+/// So q has no part along N by the products of D^2. But S is rounded, and a solution divides what
+/// rounding puts along N by the damping: with the 1e-8 of doglegs, half of the digits of q are
+/// those of the order in which S was summed up. The model does not see that part, costs at x + q
+/// do: they are curved along N, too. It is taken out:
+///
+///   q - N k,    (N^T D^2 N) k = N^T D^2 q,    <q,q> - k^T N^T D^2 q,
+///
+/// and the other products of a dogleg are as they were, since <p,N> = r^T J N = 0. Of the cameras,
+/// N is model/gauge.h's; a point X about their centre c has
+///
+///   N_X = [I, -[X - c]_x, X - c],
+///
+/// a row of which has four numbers that are not zero: sums over points are of 4 x 4 blocks.
+///
+/// A world of rigs whose sensors stand apart has a scale, and six columns.
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "core/model/gauge.h"
+#include "core/model/parameter_layout.h"
+#include "core/problem/problem_view.h"
+#include "core/schur/elimination_plan.h"
+
+namespace bundle {
+
+class NewtonGauge {
+ public:
+  using Row = Eigen::Matrix<double, 1, kNumGaugeDirections>;
+  using Square = Eigen::Matrix<double, kNumGaugeDirections, kNumGaugeDirections>;
+
+  /// N^T D^2 N and N^T D^2 q.
+  struct Sums {
+    Square square = Square::Zero();
+    Row product = Row::Zero();
+
+    void Add(const Row& moves, double d_squared, double q);
+    void Add(const Sums& other);
+  };
+
+  /// Columns of N: 7, 6 with rigs, 0 where anything may hold the world, on any rank.
+  static int Degrees(const ProblemView& problem, const ParameterLayout& layout,
+                     const EliminationPlan& plan);
+
+  /// At a state of the cameras. Keeps a reference to the points, three numbers each.
+  NewtonGauge(const ProblemView& problem, const ParameterLayout& layout, int degrees,
+              const CameraStates& cameras, const std::vector<double>& points);
+
+  Row OfUnknown(size_t unknown) const;
+  /// Adds points first to last, the last excluded; both arrays have 3 numbers of every point.
+  void AddPoints(int first, int last, const std::vector<double>& d_squared,
+                 const std::vector<double>& q, Sums* sums) const;
+  /// N_X k of a point.
+  Eigen::Vector3d MoveOfPoint(int point, const Row& k) const;
+
+  /// k, by the sums over all unknowns and points; zero along what N^T D^2 N is singular to.
+  Row Solve(const Sums& sums) const;
+
+ private:
+  Eigen::Vector3d FromCentre(int point) const;
+
+  const int degrees_;
+  const Eigen::Vector3d centre_;
+  const std::vector<double> unknowns_;  ///< unknowns x 7, row-major
+  const std::vector<double>& points_;
+};
+
+}  // namespace bundle
