@@ -1,5 +1,9 @@
 """Hundreds of conjugate gradients end at the same bits, whoever summed up what."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -146,3 +150,29 @@ def test_a_grid_changes_little():
     ours = bundle.solve(problem, **(OPTIONS | options))
     ceres = bundle.solve(problem, backend="ceres", **(OPTIONS | options))
     np.testing.assert_allclose(ours.iterations["cost"], ceres.iterations["cost"], rtol=1e-6)
+
+
+def test_however_many_cores_openblas_has():
+    """A launcher may bind a process to one; the factor of a coarse space is OpenBLAS'."""
+    program = """
+import bundle
+problem = bundle.synthesize(
+    scene="photo-collection", num_images=100, num_points=2000, seed=3
+).problem
+summary = bundle.solve(
+    problem, linear_solver_type="iterative_schur", preconditioner_type="two_level",
+    num_threads=2, max_num_iterations=4,
+)
+print(summary.problem.points.tobytes().hex())
+"""
+    points = [
+        subprocess.run(
+            [sys.executable, "-c", program],
+            env=os.environ | {"OPENBLAS_NUM_THREADS": str(count)},
+            capture_output=True,
+            check=True,
+        ).stdout
+        for count in (1, 4)
+    ]
+    assert len(points[0]) > 2000 * 3 * 16
+    assert points[0] == points[1]

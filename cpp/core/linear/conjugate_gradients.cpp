@@ -16,6 +16,10 @@
 /// which rounding saves it from as a rule; with one block and its exact inverse it is no exception
 /// here.
 ///
+/// OpenBLAS, which preconditioners factorise by, gets one thread: it rounds by their number, which
+/// may be that of the cores that a launcher left to the process, and conjugate gradients would make
+/// more of that.
+///
 /// S is explicit. Its products are nearly all of the time, one an iteration and one more every
 /// 10th; 6 with the power series.
 
@@ -32,6 +36,7 @@
 #include "core/linear/block_structure.h"
 #include "core/linear/linear_solver.h"
 #include "core/linear/preconditioners.h"
+#include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
 
 namespace bundle {
@@ -75,12 +80,14 @@ class IterativeSolver final : public LinearSolver {
  private:
   LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& scale) override {
     system_ = system;
+    const ScopedBlasThreads blas_threads(1);
     if (preconditioner_->Update(*system, scale)) return {Status::kSuccess, 0, ""};
     return {Status::kFailure, 0, "The preconditioner is not positive definite."};
   }
 
   LinearSolution DoSolve(const double* rhs, int num_rhs, double eta, double* x) override {
     LinearSolution all{Status::kSuccess, 0, ""};
+    const ScopedBlasThreads blas_threads(1);
     const auto n = static_cast<std::ptrdiff_t>(x_.size());
     for (int k = 0; k < num_rhs && all.status == Status::kSuccess; ++k) {
       b_.assign(rhs + k * n, rhs + (k + 1) * n);
