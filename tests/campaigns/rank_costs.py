@@ -3,8 +3,9 @@
 python -m tests.campaigns.rank_costs [--ranks 1,2,3,4] [--only NAME,...]
 
 Of each data set, solver and strategy: steps, and the largest relative difference of a cost of the
-divided runs, whose number of steps and conjugate gradients is compared, too. Data: what the issue
-of the divided solves names, and streets and photo collections of a thousand images.
+divided runs, of steps that were taken and of tries that were rejected, which may be far away; the
+number of steps and conjugate gradients is compared, too. Data: what the issue of the divided solves
+names, and streets and photo collections of a thousand images.
 """
 
 from __future__ import annotations
@@ -64,6 +65,7 @@ class Row:
     same_steps: bool
     same_iterations: bool
     largest: float
+    largest_rejected: float
 
     def __str__(self) -> str:
         """Return a line of the table."""
@@ -71,7 +73,8 @@ class Row:
         of_solver = "same" if self.same_iterations else "other"
         return (
             f"{self.data:22} {self.method:31} N = {self.num_ranks}  {self.num_steps:3d} steps "
-            f"{steps:5}  iterations {of_solver:5}  {self.largest:.1e}"
+            f"{steps:5}  iterations {of_solver:5}  {self.largest:.1e}  "
+            f"rejected {self.largest_rejected:.1e}"
         )
 
 
@@ -98,9 +101,12 @@ def compare(data: str, method: str, num_ranks: int, alone: list[Any], divided: l
         for name in ("step_is_successful", "linear_solver_iterations")
     )
     costs = [abs(a["cost"] - b["cost"]) / a["cost"] for a, b in zip(alone, divided, strict=False)]
+    taken = [cost for cost, success in zip(costs, successes[0], strict=False) if success]
+    rejected = [cost for cost, success in zip(costs, successes[0], strict=False) if not success]
     return Row(
         *(data, method, num_ranks, len(alone) - 1),
-        *(successes[0] == successes[1], counts[0] == counts[1], max(costs)),
+        *(successes[0] == successes[1], counts[0] == counts[1]),
+        *(max(taken), max(rejected, default=0.0)),
     )
 
 
