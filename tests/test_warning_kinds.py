@@ -17,7 +17,7 @@ DECLARED = re.findall(
 
 IN_PYTHON = [
     *("weak_baseline", "several_components", "local_minimum"),
-    *("unproven_set", "most_left_out"),
+    *("unproven_set", "one_process", "most_left_out"),
 ]
 """Kinds that the core does not know, after its own."""
 

@@ -148,6 +148,10 @@ void BindSolve(py::module_& m) {
   m.def("default_options", &DefaultOptions);
   m.def("option_choices", &OptionChoices);
   m.def("hardware_threads", [] { return bundle::EffectiveNumThreads(0); });
+  m.def(
+      "reason_for_ceres",
+      [](const py::dict& options) { return bundle::ReasonForCeres(OptionsFromPython(options)); },
+      py::arg("options"));
   m.def("watch_convergence", &WatchConvergence, py::arg("iterations"));
   m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"),
         py::arg("restrictions") = py::none(), py::arg("factors") = py::none());

@@ -200,13 +200,21 @@ def solve(
 
 
 def _run(ready: Prepared, progress: Progress | None) -> dict[str, Any]:
-    """Return what the core makes of a start, by all processes where there are several."""
+    """Return what the core makes of a start, by all processes where there are several.
+
+    What cannot be divided is this process's alone, with a warning.
+    """
     options, factors = ready.options.asdict(), ready.core_factors()
     crew = ranks.current()
     if crew is None:
         return _core.solve(ready.start, options, progress, ready.limits, factors)
     from bundle.ranks.divided_solve import solve_divided
+    from bundle.ranks.one_process import reason_to_be_alone, with_warning
 
+    reason = reason_to_be_alone(options, factors)
+    if reason:
+        output = _core.solve(ready.start, options, progress, ready.limits, factors)
+        return with_warning(output, reason, crew.num_ranks)
     return solve_divided(crew, ready.start, options, progress, ready.limits, factors)
 
 

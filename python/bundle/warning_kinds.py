@@ -32,6 +32,7 @@ WARNING_KINDS = {
     "several_components": "no edge joins parts of a pose graph: each has a gauge of its own",
     "local_minimum": "a pose graph ended above where the chordal relaxation starts",
     "unproven_set": "a larger consistent set of closures may exist: the search ran out of time",
+    "one_process": "processes of mpirun waited while one solved what cannot be divided",
     "most_left_out": "half of the closures or more contradict the largest consistent set",
 }
 """Each kind with what it means."""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import bundle
+from tests.loops.drift import closures_of, drifted_street
 from tests.ranks.mpirun import MPIRUN
 from tests.ranks.mpirun import mpirun_command as command
 from tests.scenes import scene
@@ -94,8 +95,8 @@ def test_a_colmap_model_in_slices_and_without_pycolmap(model, tmp_path):
     [
         (("info", "MODEL"), "info"),
         (("refine", "nowhere.txt", "-o", "OUTPUT"), "nowhere.txt"),  # before any solve
-        (("refine", "MODEL", "-o", "OUTPUT", "--solver", "dense-qr"), "dense_qr"),  # within one
-        (("refine", "MODEL", "-o", "OUTPUT", "--loops", "x.g2o"), "--loops"),
+        (("refine", "MODEL", "-o", "OUTPUT", "--fix-points", "999999"), "999999"),  # within one
+        (("refine", "MODEL", "-o", "OUTPUT", "--loops", "x.g2o"), "x.g2o"),
     ],
 )
 def test_one_line_of_one_process(model, tmp_path, words, found):
@@ -107,6 +108,48 @@ def test_one_line_of_one_process(model, tmp_path, words, found):
     assert found in line
     assert "Traceback" not in err
     assert not output.exists()
+
+
+@pytest.mark.parametrize("kind", ["bal", "colmap"])  # which slices would be read of
+def test_ceres_solves_in_one_process(model, tmp_path, kind):
+    source, output, report = (tmp_path / name for name in ("model", "out", "report.json"))
+    bundle.save(bundle.load(model), source, kind)
+    words = ("refine", source, "-o", output, "--json", report, "--threads", 1)
+    code, out, err = mpirun(2, *words, "--solver", "dense-qr")
+    assert (code, error_lines(err)) == (0, [])
+    assert "the other one waited" in " ".join(out.split())
+    given = json.loads(report.read_text())
+    alone = bundle.solve(source, num_threads=1, linear_solver_type="dense_qr")
+    assert [step["cost"] for step in given["iterations"]] == alone.iterations["cost"].tolist()
+    assert given["summary"]["warning_kinds"] == ["one_process"]
+
+
+def test_a_pose_graph_is_one_process_work(tmp_path):
+    lines = [f"VERTEX_SE2 {i} {i} {0.1 * i} 0" for i in range(4)]
+    lines += [f"EDGE_SE2 {i} {i + 1} 1 0 0 1 0 0 1 0 1" for i in range(3)]
+    graph, output = tmp_path / "graph.g2o", tmp_path / "out.g2o"
+    graph.write_text("\n".join(lines) + "\n")
+    code, _, err = mpirun(3, "refine", graph, "-o", output)
+    assert (code, error_lines(err)) == (0, [])
+    assert err.count("note: one of 3 processes") == 1
+    assert output.exists()
+
+
+def test_loops_are_closed_by_one_process_and_the_rest_is_divided(tmp_path):
+    truth, model, scales = drifted_street()
+    bundle.save(model, tmp_path / "model", "colmap")
+    bundle.save(closures_of(truth, scales, 8, wrong=2), tmp_path / "x.g2o")
+    reports = [tmp_path / "alone.json", tmp_path / "divided.json"]
+    words = ("refine", tmp_path / "model", "-o", tmp_path / "out", "--loops", tmp_path / "x.g2o")
+    words = (*words, "--threads", 1, "--json")
+    for n, report in zip((1, 3), reports, strict=True):
+        code, _, err = mpirun(n, *words, report)
+        assert (code, error_lines(err)) == (0, [])
+    alone, divided = (json.loads(report.read_text()) for report in reports)
+    assert divided["loops"] == alone["loops"]
+    assert divided["summary"]["num_processes"] == 3
+    costs = [[step["cost"] for step in of["iterations"]] for of in (alone, divided)]
+    np.testing.assert_allclose(*costs, rtol=1e-9)
 
 
 def test_a_process_that_fails_alone_ends_all(model, tmp_path):

@@ -218,9 +218,8 @@ def test_progress_stops_all():
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ({"backend": "ceres"}, "backend"),
-        ({"gauge": "three_points"}, "gauge"),
-        ({"refine": "poses"}, "backend"),
+        ({"backend": "fused", "refine": "poses"}, "refine"),
+        ({"backend": "fused", "linear_solver_type": "dense_qr"}, "linear_solver_type"),
         ({"fixed_point_ids": (999,)}, "999"),
     ],
 )
@@ -237,7 +236,7 @@ def test_more_processes_than_points():
 def test_a_factor_of_two_points():
     factor = bundle.BetweenFactor(("point", 1), ("point", 2), np.zeros(3), np.eye(3))
     with processes(2), pytest.raises(bundle.InputError, match="one point"):
-        bundle.solve(scene(), factors=[factor], **QUICK)
+        bundle.solve(scene(), factors=[factor], backend="fused", **QUICK)
 
 
 def test_alone_without_a_crew():

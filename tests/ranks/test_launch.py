@@ -4,7 +4,6 @@ import os
 
 import pytest
 
-from bundle.errors import InputError
 from bundle.ranks import launch
 
 NAMES = (*launch._SIZES, *launch._RANKS, *launch._LOCAL_SIZES)
@@ -36,13 +35,6 @@ def started(monkeypatch, size, local_size=None, bound=8):
 def test_threads_of_one_process(monkeypatch, size, local_size, bound, threads):
     started(monkeypatch, size, local_size, bound)
     assert launch.threads_of_one_process(8) == threads
-
-
-def test_what_one_process_alone_can_do_is_refused(monkeypatch):
-    launch.refuse_processes("a pose graph")
-    started(monkeypatch, 3)
-    with pytest.raises(InputError, match=r"mpirun.*a pose graph.*3"):
-        launch.refuse_processes("a pose graph")
 
 
 @pytest.mark.parametrize("value", ["", "many", "-2"])

@@ -53,8 +53,21 @@ bool MayIterate(LinearSolverType type) {
   return type == LinearSolverType::kAuto || type == LinearSolverType::kIterativeSchur;
 }
 
-std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
-                                           const PreparedSolve& prepared) {
+bool RefinesBesidePoints(const SolveOptions& options) {
+  return options.refine_poses || options.refine_focal || options.refine_principal_point ||
+         options.refine_extra || options.refine_sensor_from_rig;
+}
+
+Unsupported NoFreePoints() {
+  return {"refine", "points, to eliminate them,", "none that is refined"};
+}
+
+Unsupported NothingBesidePoints() {
+  return {"refine", "poses or intrinsics beside the points", "none that are refined"};
+}
+
+/// Whatever the problem is.
+std::optional<Unsupported> FindUnsupported(const SolveOptions& options) {
   if (!IsSupported(options.linear_solver_type)) {
     return Unsupported{"linear_solver_type", "auto, dense_schur, sparse_schur or iterative_schur",
                        NameOf(options.linear_solver_type, kLinearSolverTypes)};
@@ -68,13 +81,17 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
                        "identity, jacobi, schur_jacobi, schur_power_series_expansion or two_level",
                        NameOf(options.preconditioner_type, kPreconditionerTypes)};
   }
-  const ParameterLayout& layout = prepared.layout;
-  if (prepared.num_free_points == 0) {
-    return Unsupported{"refine", "points, to eliminate them,", "none that is refined"};
-  }
-  if (layout.blocks().empty()) {
-    return Unsupported{"refine", "poses or intrinsics beside the points", "none that are refined"};
-  }
+  if (!options.refine_points) return NoFreePoints();
+  if (!RefinesBesidePoints(options)) return NothingBesidePoints();
+  return std::nullopt;
+}
+
+std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
+                                           const PreparedSolve& prepared) {
+  const std::optional<Unsupported> by_options = FindUnsupported(options);
+  if (by_options) return by_options;
+  if (prepared.num_free_points == 0) return NoFreePoints();
+  if (prepared.layout.blocks().empty()) return NothingBesidePoints();
   const int64_t longest_track = prepared.longest_track;
   if (longest_track > kMaxTrackLength) {
     return Unsupported{"backend",
@@ -88,7 +105,19 @@ std::optional<Unsupported> FindUnsupported(const SolveOptions& options,
   return std::nullopt;
 }
 
+std::string SentenceOf(const Unsupported& obstacle) {
+  return "The fused backend expects " + obstacle.expected + " and found " + obstacle.found + " (" +
+         obstacle.option + ").";
+}
+
 }  // namespace
+
+std::string ReasonForCeres(const SolveOptions& options) {
+  if (options.backend == Backend::kFused) return "";
+  if (options.backend == Backend::kCeres) return "Ceres was asked for (backend).";
+  const std::optional<Unsupported> obstacle = FindUnsupported(options);
+  return obstacle ? SentenceOf(*obstacle) : "";
+}
 
 BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& prepared) {
   if (options.backend == Backend::kCeres) return {Backend::kCeres, ""};
@@ -102,8 +131,7 @@ BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& pr
     return {Backend::kFused,
             "The points are eliminated as they are linearised, in one pass over the observations."};
   }
-  return {Backend::kCeres, "The fused backend expects " + obstacle->expected + " and found " +
-                               obstacle->found + " (" + obstacle->option + ")."};
+  return {Backend::kCeres, SentenceOf(*obstacle)};
 }
 
 namespace {

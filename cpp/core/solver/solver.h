@@ -21,6 +21,9 @@ struct BackendChoice {
 /// the option.
 BackendChoice ChooseBackend(const SolveOptions& options, const PreparedSolve& prepared);
 
+/// Returns why these options mean Ceres for any problem, in one sentence; "" where they do not.
+std::string ReasonForCeres(const SolveOptions& options);
+
 /// Bundle adjustment of one structure, again and again: which image sees which point, the camera
 /// models, what is refined and how it is solved stay; values and stopping rules may change.
 ///

@@ -18,7 +18,7 @@ from bundle.cli.standard_streams import complain
 from bundle.ranks.end_by_mpirun import know_processes, speaks_for_all, take_the_word
 from bundle.ranks.launch import rank_by_launcher, size_by_launcher, use
 
-__all__ = ["run_command"]
+__all__ = ["note_alone", "run_command"]
 
 DELIVERY = 0.5
 """Seconds that mpirun has to pass on a line of another process."""
@@ -65,6 +65,12 @@ def run_command(main: Callable[[], int]) -> int:
             take_the_word()  # which main has had
         crew.end(code)
     return code
+
+
+def note_alone(what: str) -> None:
+    """Say what one process does while the others wait; nothing where there are no others."""
+    if size_by_launcher() > 1:
+        complain(f"note: one of {size_by_launcher()} processes {what}; the others wait")
 
 
 def _refusal(words: list[str]) -> str | None:

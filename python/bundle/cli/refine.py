@@ -13,6 +13,7 @@ from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
 from bundle.cli.lens_flags import add_lens_flags, cameras_edited
 from bundle.cli.loop_flags import add_loop_flags, check_loop_flags, loops_closed
+from bundle.cli.many_processes import note_alone
 from bundle.cli.option_flags import (
     add_options,
     naming_flags,
@@ -23,7 +24,6 @@ from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, wit
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
 from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
-from bundle.ranks.launch import refuse_processes
 from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Refine INPUT into OUTPUT."""
     if is_pose_graph_file(arguments.input):
-        refuse_processes("a pose graph")
+        note_alone("refines the pose graph")
         from bundle.cli.pose_graph_commands import refine_graph
 
         return refine_graph(arguments)
@@ -139,10 +139,6 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.timing import WallTime
     from bundle.rounds import solve_rounds
 
-    if arguments.loops is not None:
-        refuse_processes("--loops")
-    if arguments.rest == "marginal":
-        refuse_processes("--rest marginal")
     options = options_given(arguments, SolveOptions, names_follow=True)
     if arguments.rest is not None and arguments.only_images is None:
         raise InputError(f"--rest: expected with --only-images only, found {arguments.rest}")
@@ -159,7 +155,7 @@ def run(arguments: argparse.Namespace) -> int:
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         begun = perf_counter()
-        sliced = sliced_input(arguments)
+        sliced = sliced_input(arguments, options)
         loaded = load(source, progress.text) if sliced is None else sliced.cameras
         load_time = perf_counter() - begun
         if loaded.num_observations == 0:

@@ -11,6 +11,7 @@ from bundle.io import output_format, recover
 from bundle.io.model_files import is_text_model, missing_model_files
 from bundle.options import SolveOptions
 from bundle.ranks import current
+from bundle.ranks.one_process import reason_in_options
 
 if TYPE_CHECKING:
     from bundle.slices.sliced_refinement import SlicedRefinement
@@ -26,12 +27,12 @@ _HARMLESS = {
 }
 
 
-def sliced_input(arguments: argparse.Namespace) -> SlicedRefinement | None:
+def sliced_input(arguments: argparse.Namespace, options: SolveOptions) -> SlicedRefinement | None:
     """Return the refinement of INPUT in slices; None where one process has to read it all.
 
     That is one process, COLMAP models as text, an output in another format than the input or
-    compressed, a model with rigs of which all points are held (its free degrees are counted from
-    them), and any flag beside the options of a plain solve.
+    compressed, options whose solve is not divided, and any flag beside the options of a plain
+    solve.
 
     Raises:
         InputError: there are no observations, or INPUT is not what its format says.
@@ -46,7 +47,7 @@ def sliced_input(arguments: argparse.Namespace) -> SlicedRefinement | None:
     plain = _HARMLESS | {field.name for field in dataclasses.fields(SolveOptions)}
     others = {name: value for name, value in vars(arguments).items() if name not in plain}
     given = [value for value in others.values() if value not in (None, False, [], ())]
-    if given:
+    if given or reason_in_options(options.asdict()):
         return None
     recover(source)
     source_format = _format(source)
@@ -55,10 +56,7 @@ def sliced_input(arguments: argparse.Namespace) -> SlicedRefinement | None:
     found = _Found(source_format)
     target_format = output_format(found, arguments.output, arguments.format, source)  # type: ignore[arg-type]
     is_compressed = target_format == "bal" and target.suffix.lower() in COMPRESSED
-    has_held_points = arguments.refine is not None and "points" not in arguments.refine
     if target_format != source_format or is_compressed:
-        return None
-    if has_held_points and (source / "rigs.bin").is_file():
         return None
     from bundle.slices.sliced_refinement import SlicedRefinement
 

@@ -7,15 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from bundle.errors import InputError
-
 if TYPE_CHECKING:
     from bundle.ranks.divided_solve import Crew
 
 __all__ = [
     "current",
     "rank_by_launcher",
-    "refuse_processes",
     "size_by_launcher",
     "threads_of_one_process",
     "use",
@@ -66,16 +63,6 @@ def use(crew: Crew) -> Iterator[None]:
         yield
     finally:
         _crew = before
-
-
-def refuse_processes(what: str) -> None:
-    """Refuse what one process does alone while the others would wait.
-
-    Raises:
-        InputError: there are several processes.
-    """
-    if size_by_launcher() > 1:
-        raise InputError(f"mpirun: expected one process for {what}, found {size_by_launcher()}")
 
 
 def _number(names: tuple[str, ...], default: int) -> int:

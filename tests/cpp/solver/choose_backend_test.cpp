@@ -57,5 +57,34 @@ TEST(ChooseBackend, APreconditionerCountsWhereConjugateGradientsMayRun) {
   EXPECT_EQ(Choose(options, Prepare(options)), Backend::kFused);
 }
 
+/// For any problem: the sentence of the choice, and none where the choice is not by the options.
+TEST(ReasonForCeres, IsThatOfTheChoice) {
+  SolveOptions options;
+  EXPECT_EQ(ReasonForCeres(options), "");
+  options.refine_points = false;
+  EXPECT_EQ(ReasonForCeres(options), ChooseBackend(options, Prepare(options)).reason);
+  EXPECT_NE(ReasonForCeres(options), "");
+  options.backend = Backend::kFused;
+  EXPECT_EQ(ReasonForCeres(options), "");
+  options = SolveOptions();
+  options.backend = Backend::kCeres;
+  EXPECT_NE(ReasonForCeres(options), "");
+}
+
+/// Each kind of parameter beside the points is enough for the fused backend.
+TEST(ReasonForCeres, AnythingBesidePoints) {
+  SolveOptions points;
+  points.refine_poses = points.refine_focal = points.refine_extra = false;
+  EXPECT_NE(ReasonForCeres(points), "");
+  for (bool SolveOptions::* kind :
+       {&SolveOptions::refine_poses, &SolveOptions::refine_focal,
+        &SolveOptions::refine_principal_point, &SolveOptions::refine_extra,
+        &SolveOptions::refine_sensor_from_rig}) {
+    SolveOptions options = points;
+    options.*kind = true;
+    EXPECT_EQ(ReasonForCeres(options), "");
+  }
+}
+
 }  // namespace
 }  // namespace bundle

@@ -1,0 +1,55 @@
+"""Solves that the first process does alone while the others wait, and why.
+
+The fused backend divides points; what it leaves to Ceres is not divided. Nor is what needs all
+points at once: three of them that hold the gauge, a factor of several.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from bundle import _core
+
+__all__ = ["KIND", "reason_in_options", "reason_to_be_alone", "with_warning"]
+
+KIND = "one_process"
+"""The kind of the warning that says so."""
+
+
+_OPEN = ("gauge", "cheirality")
+"""Options that the problem may settle, and that say nothing about who solves."""
+
+
+def reason_in_options(options: dict[str, Any]) -> str:
+    """Return why these options cannot be divided, whatever the problem; "" where they can."""
+    if options["gauge"] == "three_points":
+        return "Three points, which may be in different parts, hold the gauge (gauge)."
+    return _core.reason_for_ceres(options | {name: _core.default_options()[name] for name in _OPEN})
+
+
+def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
+    """Return why a solve cannot be divided; "" where it can.
+
+    Args:
+        options: all of them, with nothing left to choose.
+        core_factors: variables, factors and places, as ``_core.solve`` takes them; None: none.
+    """
+    reason = reason_in_options(options)
+    if reason or core_factors is None:
+        return reason
+    _, factors, places = core_factors
+    for factor in factors:
+        kinds = [places[variable][0] for variable in factor[2]]
+        if "point" in kinds and len(kinds) > 1:
+            return f"{factor[1]} joins a point and something else (factors)."
+    return ""
+
+
+def with_warning(output: dict[str, Any], reason: str, num_ranks: int) -> dict[str, Any]:
+    """Return what ``_core.solve`` returned with the warning that others waited."""
+    others = "the other one" if num_ranks == 2 else f"the other {num_ranks - 1}"
+    sentence = f"One process solved, and {others} waited. {reason}"
+    summary = output["summary"]
+    warnings = (*summary["warnings"], sentence)
+    kinds = (*summary["warning_kinds"], KIND)
+    return output | {"summary": summary | {"warnings": warnings, "warning_kinds": kinds}}
