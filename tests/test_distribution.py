@@ -68,11 +68,12 @@ def test_texts_come_from_what_was_built_and_from_either_system(tmp_path: Path) -
         tmp_path / "debian", "doc/libgfortran5/copyright", "common-licenses/GPL-3", "doc/other"
     )
     files = wheel_licences.licence_files(["libcholmod", "libgfortran"], built, debian)
-    assert sorted(files) == sorted([*BUILT, "libgfortran.txt", "GPL-3.0.txt"])
+    assert sorted(files) == sorted([*BUILT, "pybind11.txt", "libgfortran.txt", "GPL-3.0.txt"])
+    assert "Wenzel Jakob" in files["pybind11.txt"].read_text()
     assert files["libgfortran.txt"] == debian / "doc/libgfortran5/copyright"
     alma = filled(tmp_path / "alma", "licenses/bzip2-libs/LICENSE")
     files = wheel_licences.licence_files(["libcholmod", "libbz2"], built, alma)
-    assert sorted(files) == sorted([*BUILT, "libbz2.txt"])
+    assert sorted(files) == sorted([*BUILT, "pybind11.txt", "libbz2.txt"])
     assert files["libbz2.txt"] == alma / "licenses/bzip2-libs/LICENSE"
 
 
@@ -80,6 +81,8 @@ def test_a_text_that_is_not_there_ends_it(tmp_path: Path) -> None:
     built = filled(tmp_path / "built", *BUILT)
     with pytest.raises(SystemExit, match="bzip2-libs"):
         wheel_licences.licence_files(["libbz2"], built, tmp_path)
+    with pytest.raises(SystemExit, match="nobody-has-this"):
+        wheel_licences.installed_text("nobody-has-this")
     (built / "glog.txt").unlink()
     with pytest.raises(SystemExit, match="glog"):
         wheel_licences.licence_files(["libcholmod"], built, tmp_path)

@@ -2,13 +2,14 @@
 
     python tools/wheel_licences.py WHEEL LICENCES OUTPUT_FOLDER
 
-LICENCES is the folder of texts that tools/wheel_libraries.sh fills. A library that is not in the
-table below ends it, as does a text that is not found: nothing is shipped whose licence nobody has
-looked at.
+LICENCES is the folder of texts that tools/wheel_libraries.sh fills; pybind11's is taken from the
+environment that runs this. A library that is not in the table below ends it, as does a text that is
+not found: nothing is shipped whose licence nobody has looked at.
 """
 
 from __future__ import annotations
 
+import importlib.metadata
 import re
 import subprocess
 import sys
@@ -39,6 +40,7 @@ SYSTEM: dict[str, tuple[str, list[str]]] = {
 # Of those that tools/wheel_libraries.sh built: CHOLMOD with METIS, and what is in the module.
 BUILT = {"libcholmod": "LGPL-2.1-or-later AND BSD-3-Clause AND Apache-2.0"}
 STATIC = {"ceres": "BSD-3-Clause", "eigen": "MPL-2.0 AND BSD-3-Clause", "glog": "BSD-3-Clause"}
+HEADERS = {"pybind11": "BSD-3-Clause"}  # packages of Python whose headers are in the module
 OWN = "BSD-3-Clause AND MIT"  # ours, and three.js of the pages
 GPL_3 = ["common-licenses/GPL-3", "licenses/libgcc/COPYING3"]
 
@@ -49,7 +51,7 @@ def expression(libraries: list[str]) -> str:
     unknown = sorted(set(libraries) - set(known))
     if unknown:
         sys.exit(f"error: libraries without a known licence: {', '.join(unknown)}")
-    parts = [OWN, *STATIC.values(), *(known[name] for name in sorted(libraries))]
+    parts = [OWN, *STATIC.values(), *HEADERS.values(), *(known[name] for name in sorted(libraries))]
     return " AND ".join(dict.fromkeys(term for part in parts for term in part.split(" AND ")))
 
 
@@ -58,6 +60,18 @@ def first_of(names: list[str], share: Path) -> Path:
     found = [share / name for name in names if (share / name).is_file()]
     if not found:
         sys.exit(f"error: no licence text: expected one of {', '.join(names)} in {share}")
+    return found[0]
+
+
+def installed_text(package: str) -> Path:
+    """Return the licence of a Python package in this environment."""
+    try:
+        files = importlib.metadata.files(package) or []
+    except importlib.metadata.PackageNotFoundError:
+        files = []
+    found = [Path(str(file.locate())) for file in files if file.name == "LICENSE"]
+    if not found:
+        sys.exit(f"error: no licence text of {package} in the environment of {sys.executable}")
     return found[0]
 
 
@@ -70,6 +84,7 @@ def licence_files(libraries: list[str], built: Path, share: Path) -> dict[str, P
     wanted = {name: SYSTEM[name][1] for name in sorted(libraries) if name in SYSTEM}
     if any(name in wanted for name in ("libgfortran", "libquadmath")):
         wanted["GPL-3.0"] = GPL_3
+    files |= {f"{name}.txt": installed_text(name) for name in HEADERS}
     return files | {f"{name}.txt": first_of(places, share) for name, places in wanted.items()}
 
 
