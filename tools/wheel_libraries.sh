@@ -4,7 +4,7 @@
 # Builds what a wheel carries and no distribution offers without the GPL: CHOLMOD and, static, Ceres
 # with Eigen and glog, into PREFIX, with their licences in PREFIX/licences. OpenBLAS, bzip2 and zlib
 # are the system's, which are under licences that ask for less. What stands there already is kept.
-# Needs a C++ compiler, cmake, curl, tar, xz and OpenBLAS's headers.
+# Needs a C++ compiler, cmake, make, curl, tar, bzip2, xz and OpenBLAS's headers.
 #
 # CHOLMOD's modules Supernodal, MatrixOps and Modify and all of SPQR are under the GPL. Our own code
 # needs neither. Ceres has a path around the supernodal module, and SPQR serves its class Covariance
