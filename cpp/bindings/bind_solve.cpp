@@ -19,6 +19,8 @@
 #include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/parallel/thread_pool.h"
+#include "core/parallel/twofold_sum.h"
+#include "core/schur/point_sections.h"
 #include "core/solver/solver.h"
 
 namespace py = pybind11;
@@ -67,8 +69,9 @@ py::dict Solve(const py::object& problem, const py::dict& options, const py::obj
   return ToPython(view, std::move(output));
 }
 
-/// One rank's part of a solve. `problem` has its points and their observations; `image_is_observed`
-/// is of all ranks. Signals are Python's: what their handlers raise comes out where ranks meet.
+/// One rank's part of a solve. `problem` has its points, their sections and their observations;
+/// `image_is_observed` is of all ranks. Signals are Python's: what their handlers raise comes out
+/// where ranks meet.
 py::dict SolvePart(const py::object& problem, const py::dict& options, const py::object& progress,
                    const py::object& restrictions, const py::object& given_factors,
                    const py::object& ranks, const py::array_t<uint8_t>& image_is_observed) {
@@ -82,6 +85,12 @@ py::dict SolvePart(const py::object& problem, const py::dict& options, const py:
   PythonReducer reducer(ranks);
   view.ranks = &reducer;
   view.image_is_observed = image_is_observed.data();
+  const auto section = py::cast<py::array_t<uint16_t, py::array::c_style | py::array::forcecast>>(
+      problem.attr("point_section"));
+  if (section.size() != view.num_points) {
+    throw bundle::InputError("point_section: expected one entry per point");
+  }
+  view.point_section = section.data();
   PythonProgress report(progress);
   bundle::SolveOutput output = [&] {
     const py::gil_scoped_release release;
@@ -90,6 +99,23 @@ py::dict SolvePart(const py::object& problem, const py::dict& options, const py:
   }();
   report.Rethrow();
   return ToPython(view, std::move(output));
+}
+
+/// Adds twofold sums to others, in place.
+void AddTwofold(const py::array_t<double, py::array::c_style>& sums,
+                const py::array_t<double, py::array::c_style>& rests,
+                py::array_t<double, py::array::c_style> to_sums,
+                py::array_t<double, py::array::c_style> to_rests) {
+  const py::ssize_t count = sums.size();
+  if (rests.size() != count || to_sums.size() != count || to_rests.size() != count) {
+    throw bundle::InputError("add_twofold: expected four arrays of one size");
+  }
+  double* const sum = to_sums.mutable_data();
+  double* const rest = to_rests.mutable_data();
+  for (py::ssize_t i = 0; i < count; ++i) {
+    bundle::AddTwofold(sums.data()[i], sum + i, rest + i);
+    rest[i] += rests.data()[i];
+  }
 }
 
 /// A solver, the problem it was made for and its restrictions, whose arrays nothing in Python can
@@ -158,6 +184,9 @@ void BindSolve(py::module_& m) {
   m.def("solve_part", &SolvePart, py::arg("problem"), py::arg("options"), py::arg("progress"),
         py::arg("restrictions"), py::arg("factors"), py::arg("ranks"),
         py::arg("image_is_observed"));
+  m.def("num_point_sections", &bundle::NumPointSections, py::arg("num_observations"));
+  m.def("add_twofold", &AddTwofold, py::arg("sums"), py::arg("rests"),
+        py::arg("to_sums").noconvert(), py::arg("to_rests").noconvert());
   py::class_<PythonSolver>(m, "Solver")
       .def(py::init<py::object, const py::dict&, py::object, const py::object&>(),
            py::arg("problem"), py::arg("options"), py::arg("restrictions") = py::none(),

@@ -1,7 +1,7 @@
 #pragma once
 
 /// Ranks of a solve that Python connects (bundle/ranks): the core sums and broadcasts by
-/// calling two methods of a Python object with its buffers.
+/// calling three methods of a Python object with its buffers.
 
 #include <pybind11/pybind11.h>
 
@@ -10,9 +10,9 @@
 
 #include "core/parallel/reducer.h"
 
-/// Methods of the object: sum_to_first(what, values) and broadcast(what, values, root), `values` a
-/// writable memoryview of doubles, in place; attributes rank and num_ranks. What they raise comes
-/// out of the solve.
+/// Methods of the object: sum_to_first(what, values), sum_twofold_to_first(what, sums, rests) and
+/// broadcast(what, values, root), arrays as writable memoryviews of doubles, in place; attributes
+/// rank and num_ranks. What they raise comes out of the solve.
 class PythonReducer final : public bundle::Reducer {
  public:
   explicit PythonReducer(pybind11::object ranks)
@@ -26,6 +26,11 @@ class PythonReducer final : public bundle::Reducer {
   void SumToFirst(const char* what, double* values, int64_t count) override {
     const pybind11::gil_scoped_acquire acquire;
     ranks_.attr("sum_to_first")(what, View(values, count));
+  }
+
+  void SumTwofoldToFirst(const char* what, double* sums, double* rests, int64_t count) override {
+    const pybind11::gil_scoped_acquire acquire;
+    ranks_.attr("sum_twofold_to_first")(what, View(sums, count), View(rests, count));
   }
 
   void Broadcast(const char* what, double* values, int64_t count, int root) override {

@@ -213,6 +213,13 @@ def solve_part(
     ranks: Ranks,
     image_is_observed: NDArray[np.uint8],
 ) -> dict[str, Any]: ...
+def num_point_sections(num_observations: int) -> int: ...
+def add_twofold(
+    sums: NDArray[np.float64],
+    rests: NDArray[np.float64],
+    to_sums: NDArray[np.float64],
+    to_rests: NDArray[np.float64],
+) -> None: ...
 
 class Solver:
     def __init__(
@@ -386,6 +393,9 @@ def reduced_spectrum(
 # bind_inspection.cpp
 MAX_TRACK_LENGTH: int
 
+def sums_are_twofold(
+    linear_solver_type: str, num_columns: int, num_blocks: int, num_entries: int
+) -> bool: ...
 def available_memory() -> float: ...
 
 # size, image_block, sensor_block, camera_block: NDArray[np.int32]; point_is_free: bool

@@ -103,12 +103,12 @@ def test_what_does_not_fit_is_marked_and_not_recommended(inspect, monkeypatch):
     inspection = inspect(scene)
     found = by_key(inspection)
     dense = found["DENSE_SCHUR natural", "FUSED"]
-    assert dense.memory_in_bytes > 8 * 18_000**2
+    assert dense.memory_in_bytes > 1.5 * 8 * 18_000**2  # S, and what rounding takes from it
     assert not dense.fits_in_memory
     assert not found["DENSE_SCHUR natural", "CERES"].fits_in_memory
     assert found["SPARSE_SCHUR amd", "FUSED"].fits_in_memory
     assert inspection.methods[inspection.recommended].fits_in_memory
-    assert in_order(inspection.recommendation, "DENSE_SCHUR", "2.65 GB")
+    assert in_order(inspection.recommendation, "DENSE_SCHUR", "3.95 GB")
 
 
 def test_where_nothing_fits(inspect, street, monkeypatch):

@@ -28,7 +28,8 @@ def inspection(problem):
 def test_bytes_of_a_step_are_those_that_are_sent(problem, solver):
     options = resolve_defaults(problem, bundle.SolveOptions(num_threads=1))
     reduced = find_pattern(problem, options).reduced
-    predicted = step_bytes(reduced, is_dense=solver == "dense_schur")
+    predicted = step_bytes(reduced, is_dense=solver == "dense_schur", twofold=True)
+    assert reduced.sums_are_twofold(solver.upper())
     with processes(2):
         summary = bundle.solve(
             problem, num_threads=1, max_num_iterations=5, linear_solver_type=solver
@@ -80,7 +81,11 @@ def test_the_network(problem, inspection):
     (fast,) = predict_ranks(problem, inspection, counts=[4], network=(math.nextafter(1e9, 0), 50))
     (near,) = predict_ranks(problem, inspection, counts=[4], network=(1, 1e-9))
     sent = slow.network_time_per_step_in_seconds
-    assert near.network_time_per_step_in_seconds == pytest.approx(8e-9 * slow.bytes_per_step)
+    # Four processes are two levels of a tree, at each of which twofold sums arrive.
+    reduced = find_pattern(problem, resolve_defaults(problem, bundle.SolveOptions())).reduced
+    only_down = 8 * 3 * reduced.num_columns
+    received = 2 * slow.bytes_per_step - only_down
+    assert near.network_time_per_step_in_seconds == pytest.approx(8e-9 * received)
     latency = fast.network_time_per_step_in_seconds
     assert sent == pytest.approx(latency + near.network_time_per_step_in_seconds)
     gained = slow.time_per_step_in_seconds - fast.time_per_step_in_seconds

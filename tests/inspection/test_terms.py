@@ -28,6 +28,9 @@ PATTERN = SimpleNamespace(
     nnz_jacobian=24_000,
     nnz_information=50_000,
     num_reduced_values=9000.0,
+    reduced=SimpleNamespace(
+        num_columns=60, sums_are_twofold=lambda solver: solver != "ITERATIVE_SCHUR"
+    ),
     pair_entries=70_000.0,
     block_pairs=3000,
     has_equal_blocks=True,
@@ -46,8 +49,8 @@ def test_memory_of_the_fused_backend():
         "buffers of chunks": 2.5 * 3 * (7 * 108 * 8),
         "process": 0.9e6,
     }
-    dense = {"reduced system": 8 * 3600, "BLAS": 0.5e6 + 8 * 384 * 60}
-    sparse = {"reduced system": 8 * 7000, "BLAS": 0.5e6 + 8 * 384 * 50}
+    dense = {"reduced system": 8 * 3600, "BLAS": 0.5e6 + 8 * 384 * 60, "rounding of S": 8 * 1800}
+    sparse = {"reduced system": 8 * 7000, "BLAS": 0.5e6 + 8 * 384 * 50, "rounding of S": 8 * 9000}
     assert fused_memory(PATTERN, "DENSE_SCHUR", COUNTED, 3) == pytest.approx(expected | dense)
     assert fused_memory(PATTERN, "SPARSE_SCHUR", COUNTED, 3) == pytest.approx(expected | sparse)
     iterative = {"reduced system": 8 * 9000}

@@ -194,9 +194,10 @@ def test_the_record_says_who_had_what():
     assert record.balance == max(observations) / (sum(observations) / 3) < 1.2
     assert all(part.peak_memory_in_bytes > 0 for part in record.parts)
     of = {kind.what: kind for kind in record.traffic}
-    # S of 4 blocks of 9 columns, all coupled, whole diagonal blocks; its right-hand side.
+    # S of 4 blocks of 9 columns, all coupled, whole diagonal blocks; its right-hand side. Sums
+    # have two numbers each.
     solves = summary.num_jacobian_evaluations
-    assert of["normal equations"].num_bytes == solves * 8 * (10 * 81 + 36)
+    assert of["normal equations"].num_bytes == solves * 16 * (10 * 81 + 36)
     assert of["step"].num_bytes == summary.num_linear_solves * 8 * 36
     assert record.num_bytes == sum(kind.num_bytes for kind in record.traffic)
 

@@ -22,7 +22,7 @@ def covisible_parts(problem, parts):
 @pytest.mark.parametrize("num_parts", [1, 2, 3, 7, 20])
 def test_parts_are_balanced_and_complete(num_parts):
     problem = bundle.synthesize(scene="street", num_images=60, num_points=2000, seed=1).problem
-    parts = divide(problem, num_parts)
+    parts = divide(problem, num_parts).parts
     assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(problem.num_points))
     assert all(np.all(np.diff(part) > 0) for part in parts)
     lengths = np.bincount(problem.observation_point)
@@ -34,14 +34,14 @@ def test_points_follow_the_images_that_see_them_first():
     problem = bundle.synthesize(scene="street", num_images=60, num_points=2000, seed=1).problem
     first = np.full(problem.num_points, problem.num_images)
     np.minimum.at(first, problem.observation_point, problem.observation_image)
-    parts = divide(problem, 5)
+    parts = divide(problem, 5).parts
     for before, after in itertools.pairwise(parts):
         assert first[before].max() <= first[after].min()
 
 
 def test_parts_are_local():
     problem = bundle.synthesize(scene="street", num_images=200, num_points=4000, seed=1).problem
-    parts = divide(problem, 4)
+    parts = divide(problem, 4).parts
     rng = np.random.default_rng(1)
     shuffled = np.array_split(rng.permutation(problem.num_points), 4)
     assert covisible_parts(problem, parts) < 0.5 * covisible_parts(problem, shuffled)
@@ -49,7 +49,7 @@ def test_parts_are_local():
 
 @pytest.mark.parametrize("num_points", [4, 5, 9])
 def test_every_part_has_a_point(num_points):
-    parts = divide(scene(num_points=num_points), 4)
+    parts = divide(scene(num_points=num_points), 4).parts
     assert all(len(part) > 0 for part in parts)
 
 
@@ -63,7 +63,7 @@ def test_points_without_observations_have_a_home():
             if name.startswith("observation_") and getattr(problem, name) is not None
         }
     )
-    parts = divide(part, 5)
+    parts = divide(part, 5).parts
     assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(12))
     assert all(len(points) > 0 for points in parts)
 
@@ -72,7 +72,9 @@ def test_a_part_has_the_observations_of_its_points():
     sigma = np.linspace(1, 2, 120)
     problem = scene().replace(observation_sigma=sigma)
     points = np.array([3, 4, 11])
-    part = part_of(problem, points)
+    section = np.arange(problem.num_points, dtype=np.uint16)
+    part = part_of(problem, points, section)
+    assert np.array_equal(part.point_section, points)
     mine = np.isin(problem.observation_point, points)
     assert np.array_equal(points[part.observation_point], problem.observation_point[mine])
     assert np.array_equal(part.observation_xy, problem.observation_xy[mine])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle import InputError
+from bundle import InputError, _core
 from bundle.ranks.divided_solve import Job, PartOfOutput, work_on
 from bundle.ranks.launch import use
 
@@ -27,6 +27,15 @@ class ThreadRanks:
         given = self._meet(what, values)
         if self.rank == 0:
             np.frombuffer(values)[:] = sum(given[1:], given[0].copy())
+        self._crew.barrier.wait()
+
+    def sum_twofold_to_first(self, what: str, sums: memoryview, rests: memoryview) -> None:
+        both = np.concatenate([np.frombuffer(sums), np.frombuffer(rests)])
+        given = self._meet(what, memoryview(both))
+        if self.rank == 0:
+            mine = np.frombuffer(sums), np.frombuffer(rests)
+            for other in given[1:]:
+                _core.add_twofold(*np.split(other, 2), *mine)
         self._crew.barrier.wait()
 
     def broadcast(self, what: str, values: memoryview, root: int) -> None:

@@ -39,7 +39,7 @@ def check_slices(path, num_parts):
     problem, found = bundle.load(path), survey(path, num_parts)
     np.testing.assert_array_equal(found.point_ids, problem.point_ids)
     assert found.num_observations == problem.num_observations
-    for rank, points in enumerate(divide(problem, num_parts)):
+    for rank, points in enumerate(divide(problem, num_parts).parts):
         mine, fields, failure = read_part(path, found, rank)
         assert failure is None
         np.testing.assert_array_equal(mine, points)

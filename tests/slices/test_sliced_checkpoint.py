@@ -144,7 +144,11 @@ def test_checkpoints_of_something_else(source, tmp_path):
 def test_parts_add_up_to_the_digest_of_the_whole(source):
     problem = bundle.load(source)
     whole = digest(problem)
-    parts = [sums_of_rows(part_of(problem, points), points) for points in divide(problem, 3)]
+    division = divide(problem, 3)
+    parts = [
+        sums_of_rows(part_of(problem, points, division.section), points)
+        for points in division.parts
+    ]
     assert digest_of_parts(problem, np.sum(parts, axis=0, dtype=np.uint64)) == whole
     for name in ("points", "observation_xy", "camera_params", "cam_from_world"):
         changed = np.array(getattr(problem, name))

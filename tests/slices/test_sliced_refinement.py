@@ -150,7 +150,7 @@ def test_slices_are_the_parts_of_the_whole(path):
     problem = bundle.load(path)
     crew = ThreadCrew(3)
     sliced = SlicedRefinement(crew, path)
-    points = divide(problem, 3)
+    points = divide(problem, 3).parts
     np.testing.assert_array_equal(np.flatnonzero(sliced._survey.owner == 1), points[1])
     own = sliced._slice
     np.testing.assert_array_equal(own.part.point_ids, points[0])

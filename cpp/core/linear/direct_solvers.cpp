@@ -10,6 +10,7 @@
 
 #include "core/linear/linear_solver.h"
 #include "core/linear/supernodal_cholesky.h"
+#include "core/linear/tiled_cholesky.h"
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
 #include "core/symbolic/symbolic.h"
@@ -61,10 +62,12 @@ class RemoteSolver final : public LinearSolver {
 
 class DenseSolver final : public LinearSolver {
  public:
-  DenseSolver(const BlockStructure& structure, int num_threads)
-      : num_columns_(structure.num_columns()),
-        blas_threads_(num_columns_ >= kColumnsWorthBlasThreads ? EffectiveNumThreads(num_threads)
-                                                               : 1) {}
+  DenseSolver(const BlockStructure& structure, int num_threads, bool same_bits)
+      : num_columns_(structure.num_columns()) {
+    if (num_columns_ < kColumnsWorthBlasThreads) return;
+    blas_threads_ = EffectiveNumThreads(num_threads);
+    if (same_bits) pool_ = std::make_unique<ThreadPool>(blas_threads_);
+  }
 
   FactorStatistics factor_statistics() const override {
     const double n = num_columns_;
@@ -76,8 +79,12 @@ class DenseSolver final : public LinearSolver {
   LinearSolution DoFactorize(BlockSystem* system, const std::vector<double>& /*scale*/) override {
     values_ = system->values.data();
     if (num_columns_ == 0) return {};
-    const ScopedBlasThreads blas_threads(blas_threads_);
+    const ScopedBlasThreads blas_threads(pool_ == nullptr ? blas_threads_ : 1);
     int info = 0;
+    if (pool_ != nullptr) {
+      info = FactorizeTiled(values_, num_columns_, pool_.get());
+      return info == 0 ? LinearSolution{} : NotPositiveDefinite(info, "");
+    }
     dpotrf_(&kLower, &num_columns_, values_, &num_columns_, &info);
     if (info < 0) return RefusedArgument(info);
     return info == 0 ? LinearSolution{} : NotPositiveDefinite(info, "");
@@ -87,7 +94,7 @@ class DenseSolver final : public LinearSolver {
     if (num_columns_ == 0 || num_rhs == 0) return {};
     const int64_t size = int64_t{num_columns_} * num_rhs;
     std::copy(rhs, rhs + size, x);
-    const ScopedBlasThreads blas_threads(blas_threads_);
+    const ScopedBlasThreads blas_threads(pool_ == nullptr ? blas_threads_ : 1);
     int info = 0;
     dpotrs_(&kLower, &num_columns_, &num_rhs, values_, &num_columns_, x, &num_columns_, &info);
     return info < 0 ? RefusedArgument(info) : CheckFinite(x, size);
@@ -104,7 +111,8 @@ class DenseSolver final : public LinearSolver {
   static constexpr char kLower = 'L';
   double* values_ = nullptr;  ///< S, then L
   const int num_columns_;
-  const int blas_threads_;
+  int blas_threads_ = 1;
+  std::unique_ptr<ThreadPool> pool_;  ///< for the tiled factorisation; nullptr: OpenBLAS' own
 };
 
 }  // namespace
@@ -113,8 +121,9 @@ std::unique_ptr<LinearSolver> MakeRemoteSolver(bool needs_camera_diagonal, bool 
   return std::make_unique<RemoteSolver>(needs_camera_diagonal, is_iterative);
 }
 
-std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads) {
-  return std::make_unique<DenseSolver>(structure, num_threads);
+std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads,
+                                              bool same_bits) {
+  return std::make_unique<DenseSolver>(structure, num_threads, same_bits);
 }
 
 /// S = L L^T, supernodal: columns of L with the same rows below make one dense panel, so nearly all

@@ -116,7 +116,9 @@ class LinearSolver {
 };
 
 /// LAPACK's Cholesky factorisation; takes a dense structure.
-std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads);
+/// `same_bits`: for any number of threads (tiled_cholesky.h).
+std::unique_ptr<LinearSolver> MakeDenseSolver(const BlockStructure& structure, int num_threads,
+                                              bool same_bits = false);
 
 /// A supernodal Cholesky factorisation, analysed once. `structure` is a sparse one whose blocks
 /// stand in the order of the elimination, which `ordering` counted; it then says where the solver

@@ -24,6 +24,9 @@ void dtrsv_(const char* uplo, const char* trans, const char* diag, const int* n,
 void dgemm_(const char* trans_a, const char* trans_b, const int* m, const int* n, const int* k,
             const double* alpha, const double* a, const int* lda, const double* b, const int* ldb,
             const double* beta, double* c, const int* ldc);
+/// C = alpha A A^T + beta C, A n x k, of one triangle of C.
+void dsyrk_(const char* uplo, const char* trans, const int* n, const int* k, const double* alpha,
+            const double* a, const int* lda, const double* beta, double* c, const int* ldc);
 /// y = alpha A x + beta y, A m x n.
 void dgemv_(const char* trans, const int* m, const int* n, const double* alpha, const double* a,
             const int* lda, const double* x, const int* stride_x, const double* beta, double* y,

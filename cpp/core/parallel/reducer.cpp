@@ -45,6 +45,33 @@ int64_t SumOverRanks(Reducer* ranks, int64_t value) {
   return std::llround(SumOverRanks(ranks, static_cast<double>(value)));
 }
 
+std::vector<double> RoundOverRanks(Reducer* ranks, const char* what,
+                                   const std::vector<TwofoldSum>& values) {
+  std::vector<double> sums, rests;
+  for (const TwofoldSum& value : values) {
+    sums.push_back(value.sum);
+    rests.push_back(value.rest);
+  }
+  if (ranks != nullptr && !values.empty()) {
+    ranks->SumTwofoldToFirst(what, sums.data(), rests.data(), static_cast<int64_t>(sums.size()));
+  }
+  for (size_t i = 0; i < sums.size(); ++i) sums[i] = RoundTwofold(sums[i], rests[i]);
+  BroadcastFirst(ranks, what, &sums);
+  return sums;
+}
+
+void RoundOverRanks(Reducer* ranks, std::initializer_list<TwofoldSum*> values) {
+  std::vector<TwofoldSum> sums;
+  for (const TwofoldSum* value : values) sums.push_back(*value);
+  const std::vector<double> rounded = RoundOverRanks(ranks, kScalars, sums);
+  auto sum = rounded.begin();
+  for (TwofoldSum* value : values) *value = {*sum++, 0};
+}
+
+double RoundOverRanks(Reducer* ranks, const TwofoldSum& value) {
+  return RoundOverRanks(ranks, kScalars, {value}).front();
+}
+
 double MaxOverRanks(Reducer* ranks, double value) {
   if (ranks == nullptr) return value;
   const std::vector<double> values = OfEach(ranks, value);

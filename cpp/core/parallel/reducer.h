@@ -18,6 +18,8 @@
 #include <string>
 #include <vector>
 
+#include "core/parallel/twofold_sum.h"
+
 namespace bundle {
 
 class Reducer {
@@ -28,6 +30,8 @@ class Reducer {
   /// Rank 0 gets the sums over all ranks, in the same order in every run; elsewhere the values mean
   /// nothing afterwards. `what` is the quantity, for reports.
   virtual void SumToFirst(const char* what, double* values, int64_t count) = 0;
+  /// The same of twofold sums (twofold_sum.h): rank 0 gets those of all ranks.
+  virtual void SumTwofoldToFirst(const char* what, double* sums, double* rests, int64_t count) = 0;
   /// All ranks get the values of rank `root`.
   virtual void Broadcast(const char* what, double* values, int64_t count, int root) = 0;
 };
@@ -40,6 +44,13 @@ void SumOverRanks(Reducer* ranks, const char* what, std::vector<double>* values)
 void SumOverRanks(Reducer* ranks, std::initializer_list<double*> values);
 double SumOverRanks(Reducer* ranks, double value);
 int64_t SumOverRanks(Reducer* ranks, int64_t value);
+/// Twofold sums over all ranks, rounded, on all of them.
+std::vector<double> RoundOverRanks(Reducer* ranks, const char* what,
+                                   const std::vector<TwofoldSum>& values);
+/// The same of a few numbers, in one message, each in place of its sum.
+void RoundOverRanks(Reducer* ranks, std::initializer_list<TwofoldSum*> values);
+double RoundOverRanks(Reducer* ranks, const TwofoldSum& value);
+
 /// The largest; one that is not a number, if there is any.
 double MaxOverRanks(Reducer* ranks, double value);
 

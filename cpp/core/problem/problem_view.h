@@ -86,6 +86,9 @@ struct ProblemView {
   Reducer* ranks = nullptr;
   /// num_images, with ranks only: 1 where any rank has an observation of the image.
   const uint8_t* image_is_observed = nullptr;
+  /// num_points: section of each point among those of the whole problem (schur/point_sections.h);
+  /// nullptr: these are all points.
+  const uint16_t* point_section = nullptr;
 
   const double* ParamsOf(int camera) const {
     return camera_params + static_cast<int64_t>(camera) * camera_params_stride;

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "core/parallel/twofold_sum.h"
+
 namespace bundle {
 namespace {
 
@@ -33,6 +35,7 @@ Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
     : problem_(problem),
       layout_(layout),
       structure_(structure),
+      compact_(CompactStructure(structure)),
       images_(problem.num_images),
       diagonal_begin_(DiagonalBlockOffsets(structure)) {
   for (int i = 0; i < problem.num_images; ++i) {
@@ -98,55 +101,77 @@ void Assembler::AddBlock(int image, int place, const ModelGroup& group) {
   }
 }
 
-/// Usually all that images of the model refine is refined, and side by side.
-void Assembler::AddColumn(const ImageBlock& rows, const double* from, double* column) {
-  if (rows.is_contiguous) {
-    from += rows.local[0];
-    for (int j = 0; j < rows.size; ++j) column[j] += from[j];
+void Assembler::Target::Add(int64_t i, double value) const {
+  if (rest == nullptr) {
+    sum[i] += value;
   } else {
-    for (int j = 0; j < rows.size; ++j) column[j] += from[rows.local[j]];
+    AddTwofold(value, sum + i, rest + i);
   }
+}
+
+/// Usually all that images of the model refine is refined, and side by side.
+void Assembler::AddColumn(const ImageBlock& rows, const double* from, const Target& column) {
+  if (!rows.is_contiguous) {
+    for (int j = 0; j < rows.size; ++j) column.Add(j, from[rows.local[j]]);
+    return;
+  }
+  from += rows.local[0];
+  if (column.rest == nullptr) {
+    for (int j = 0; j < rows.size; ++j) column.sum[j] += from[j];
+  } else {
+    for (int j = 0; j < rows.size; ++j) AddTwofold(from[j], column.sum + j, column.rest + j);
+  }
+}
+
+Assembler::Target Assembler::Block(CameraSums* sums, int column, int64_t entry, int r,
+                                   int c) const {
+  Target target;
+  target.sum = sums->system.values.data() + structure_.ValueIndex(column, entry, r, c);
+  if (sums->has_rests) {
+    const int height = structure_.block_size(structure_.row_block[entry]);
+    const int64_t first = int64_t{compact_.row_in_panel[entry]} * structure_.block_size(column);
+    target.rest =
+        sums->rests.values.data() + compact_.panel_begin[column] + first + int64_t{c} * height + r;
+  }
+  return target;
 }
 
 void Assembler::AddImage(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                          size_t i, const PairsOfImage& pairs, CameraSums* sums) const {
   const int64_t block_size = static_cast<int64_t>(input.num_rows) * input.num_columns;
   const auto slot = static_cast<int64_t>(i);
-  double* const values = sums->system.values.data();
   const int image = chunk.images[i];
   const auto block = [&](int64_t b) {
     return sum.blocks + (input.mixed ? sum.block_begin[b] : block_size * b);
   };
   const auto prefetch = [&](size_t pair) {
-    if (pair < pairs.last) PrefetchPair(image, chunk.images[chunk.pairs[pair].second], values);
+    if (pair < pairs.last) PrefetchPair(image, chunk.images[chunk.pairs[pair].second], sums);
   };
   for (size_t ahead = 0; ahead < kPairsAhead; ++ahead) prefetch(pairs.first + ahead);
   const auto num_images = static_cast<int64_t>(chunk.images.size());
   for (size_t k = 0; k < pairs.num_as_second; ++k) {
     const int pair = pairs.as_second[k];
     AddPair(input, chunk.images[chunk.pairs[pair].first], image, block(num_images + pair),
-            PairPart::kSecond, values);
+            PairPart::kSecond, sums);
   }
   const double* const squares =
       sum.camera_diagonal == nullptr ? nullptr : sum.camera_diagonal + block_size * slot;
   AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, squares,
              Part::kOwn, sums);
-  AddDiagonal(input, image, block(slot), Part::kOwn, values);
+  AddDiagonal(input, image, block(slot), Part::kOwn, sums);
   if (!sums->system.camera_diagonal.empty()) {
-    AddCameraDiagonal(input, image, sum.camera_diagonal + block_size * slot, Part::kOwn,
-                      sums->system.camera_diagonal.data());
+    AddCameraDiagonal(input, image, sum.camera_diagonal + block_size * slot, Part::kOwn, sums);
   }
   for (size_t pair = pairs.first; pair < pairs.last; ++pair) {
     prefetch(pair + kPairsAhead);
     AddPair(input, image, chunk.images[chunk.pairs[pair].second],
-            block(num_images + static_cast<int64_t>(pair)), PairPart::kFirst, values);
+            block(num_images + static_cast<int64_t>(pair)), PairPart::kFirst, sums);
   }
 }
 
 void Assembler::AddSharedBlocks(const EliminationInput& input, const Chunk& chunk,
                                 const ChunkSum& sum, CameraSums* sums) const {
   const int64_t block_size = static_cast<int64_t>(input.num_rows) * input.num_columns;
-  double* const values = sums->system.values.data();
   const auto block = [&](int64_t b) {
     return sum.blocks + (input.mixed ? sum.block_begin[b] : block_size * b);
   };
@@ -159,34 +184,39 @@ void Assembler::AddSharedBlocks(const EliminationInput& input, const Chunk& chun
         sum.camera_diagonal == nullptr ? nullptr : sum.camera_diagonal + block_size * slot;
     AddVectors(input, image, sum.vectors + ChunkSum::kVectors * input.num_columns * slot, squares,
                Part::kShared, sums);
-    AddDiagonal(input, image, block(slot), Part::kShared, values);
+    AddDiagonal(input, image, block(slot), Part::kShared, sums);
     if (!sums->system.camera_diagonal.empty()) {
-      AddCameraDiagonal(input, image, squares, Part::kShared, sums->system.camera_diagonal.data());
+      AddCameraDiagonal(input, image, squares, Part::kShared, sums);
     }
     for (; pair < chunk.pairs.size() && chunk.pairs[pair].first == i; ++pair) {
       AddPair(input, image, chunk.images[chunk.pairs[pair].second],
-              block(static_cast<int64_t>(num_images + pair)), PairPart::kShared, values);
+              block(static_cast<int64_t>(num_images + pair)), PairPart::kShared, sums);
     }
   }
 }
 
 /// Asks for the columns of the block that most of a pair goes to; S does not fit a cache, and the
 /// columns of a block are far apart.
-void Assembler::PrefetchPair(int first, int second, const double* values) const {
+void Assembler::PrefetchPair(int first, int second, CameraSums* sums) const {
   if (images_[first].count == 0 || images_[second].count == 0) return;
   const ImageBlock &a = images_[first].of[0], &b = images_[second].of[0];
   if (a.block >= b.block) return;
   const int64_t entry = Entry(a.block, b.block);
   for (int i = 0; i < a.size; ++i) {
-    const double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
-    __builtin_prefetch(column, 1);
-    __builtin_prefetch(column + b.size - 1, 1);
+    const Target column = Block(sums, a.block, entry, 0, i);
+    __builtin_prefetch(column.sum, 1);
+    __builtin_prefetch(column.sum + b.size - 1, 1);
+    if (column.rest == nullptr) continue;
+    __builtin_prefetch(column.rest, 1);
   }
 }
 
 void Assembler::AddVectors(const EliminationInput& input, int image, const double* vectors,
                            const double* squares, Part part, CameraSums* sums) const {
   const int width = WidthOf(input, image);
+  const Target gradient = {sums->gradient.data(), sums->RestsOf(&sums->rests.gradient)};
+  const Target rhs = {sums->system.rhs.data(), sums->RestsOf(&sums->rests.rhs)};
+  const Target norms = {sums->squared_norms.data(), sums->RestsOf(&sums->rests.squared_norms)};
   for (int s = 0; s < images_[image].count; ++s) {
     const ImageBlock& a = images_[image].of[s];
     if (a.is_shared != (part == Part::kShared)) continue;
@@ -195,28 +225,28 @@ void Assembler::AddVectors(const EliminationInput& input, int image, const doubl
       double full[kMaxMapped], mapped[kMaxMapped];
       FillLower(squares, images_[image].num_columns, width, full);
       MapBlock(a, a, full, width, mapped);
-      for (int k = 0; k < a.size; ++k) sums->squared_norms[offset + k] += mapped[k * (a.size + 1)];
+      for (int k = 0; k < a.size; ++k) norms.Add(offset + k, mapped[k * (a.size + 1)]);
       for (int i = 0; i < a.num_local; ++i) {
         const double* const at = vectors + a.local[i];
         for (int k = 0; k < a.size; ++k) {
-          sums->gradient[offset + k] += a.map[i * a.size + k] * at[0];
-          sums->system.rhs[offset + k] -= a.map[i * a.size + k] * at[width];
+          gradient.Add(offset + k, a.map[i * a.size + k] * at[0]);
+          rhs.Add(offset + k, -(a.map[i * a.size + k] * at[width]));
         }
       }
       continue;
     }
     for (int k = 0; k < a.size; ++k) {
       const double* const at = vectors + a.local[k];
-      sums->gradient[offset + k] += at[0];
-      sums->system.rhs[offset + k] -= at[width];
-      sums->squared_norms[offset + k] += at[2 * width];
+      gradient.Add(offset + k, at[0]);
+      rhs.Add(offset + k, -at[width]);
+      norms.Add(offset + k, at[2 * width]);
     }
   }
 }
 
 /// Only the upper triangle of `block` means anything.
 void Assembler::AddDiagonal(const EliminationInput& input, int image, const double* block,
-                            Part part, double* values) const {
+                            Part part, CameraSums* sums) const {
   const ImageBlocks& blocks = images_[image];
   const int width = WidthOf(input, image);
   for (int s = 0; s < blocks.count; ++s) {
@@ -230,16 +260,16 @@ void Assembler::AddDiagonal(const EliminationInput& input, int image, const doub
         FillLower(block, blocks.num_columns, width, full);
         MapBlock(a, b, full, width, mapped);
         for (int i = 0; i < a.size; ++i) {
-          double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
-          for (int j = s == t ? i : 0; j < b.size; ++j) column[j] += mapped[i * b.size + j];
+          const Target column = Block(sums, a.block, entry, 0, i);
+          for (int j = s == t ? i : 0; j < b.size; ++j) column.Add(j, mapped[i * b.size + j]);
         }
         continue;
       }
       for (int i = 0; i < a.size; ++i) {
-        double* const column = values + structure_.ValueIndex(a.block, entry, 0, i);
+        const Target column = Block(sums, a.block, entry, 0, i);
         for (int j = s == t ? i : 0; j < b.size; ++j) {
           const auto [first, second] = std::minmax(a.local[i], b.local[j]);
-          column[j] += block[first * width + second];
+          column.Add(j, block[first * width + second]);
         }
       }
     }
@@ -247,31 +277,35 @@ void Assembler::AddDiagonal(const EliminationInput& input, int image, const doub
 }
 
 void Assembler::AddCameraDiagonal(const EliminationInput& input, int image, const double* block,
-                                  Part part, double* values) const {
+                                  Part part, CameraSums* sums) const {
   const int width = WidthOf(input, image);
+  const Target values = {sums->system.camera_diagonal.data(),
+                         sums->RestsOf(&sums->rests.camera_diagonal)};
   for (int s = 0; s < images_[image].count; ++s) {
     const ImageBlock& a = images_[image].of[s];
     if (a.is_shared != (part == Part::kShared)) continue;
-    double* const target = values + diagonal_begin_[a.block];
+    const int64_t begin = diagonal_begin_[a.block];
     if (a.map != nullptr) {
       double full[kMaxMapped], mapped[kMaxMapped];
       FillLower(block, images_[image].num_columns, width, full);
       MapBlock(a, a, full, width, mapped);
       for (int i = 0; i < a.size; ++i) {
-        for (int j = i; j < a.size; ++j) target[i * a.size + j] += mapped[i * a.size + j];
+        for (int j = i; j < a.size; ++j) {
+          values.Add(begin + i * a.size + j, mapped[i * a.size + j]);
+        }
       }
       continue;
     }
     for (int i = 0; i < a.size; ++i) {
       for (int j = i; j < a.size; ++j) {
-        target[i * a.size + j] += block[a.local[i] * width + a.local[j]];
+        values.Add(begin + i * a.size + j, block[a.local[i] * width + a.local[j]]);
       }
     }
   }
 }
 
 void Assembler::AddPair(const EliminationInput& input, int first, int second, const double* block,
-                        PairPart part, double* values) const {
+                        PairPart part, CameraSums* sums) const {
   const int width = WidthOf(input, second);
   const bool shared_first = part != PairPart::kFirst;
   for (int s = 0; s < images_[first].count; ++s) {
@@ -282,32 +316,32 @@ void Assembler::AddPair(const EliminationInput& input, int first, int second, co
       if (a.map != nullptr || b.map != nullptr) {
         double mapped[kMaxMapped];
         MapBlock(a, b, block, width, mapped);
-        AddPairOf(a.WithoutMap(), b.WithoutMap(), mapped, b.size, values);
+        AddPairOf(a.WithoutMap(), b.WithoutMap(), mapped, b.size, sums);
       } else {
-        AddPairOf(a, b, block, width, values);
+        AddPairOf(a, b, block, width, sums);
       }
     }
   }
 }
 
 void Assembler::AddPairOf(const ImageBlock& a, const ImageBlock& b, const double* block, int width,
-                          double* values) const {
+                          CameraSums* sums) const {
   const int64_t entry = Entry(std::min(a.block, b.block), std::max(a.block, b.block));
   for (int i = 0; i < a.size; ++i) {
     const double* const row = block + a.local[i] * width;
     if (a.block < b.block) {
-      AddColumn(b, row, values + structure_.ValueIndex(a.block, entry, 0, i));
+      AddColumn(b, row, Block(sums, a.block, entry, 0, i));
       continue;
     }
     for (int j = 0; j < b.size; ++j) {
       const double value = row[b.local[j]];
       if (a.block > b.block) {
-        values[structure_.ValueIndex(b.block, entry, i, j)] += value;
+        Block(sums, b.block, entry, i, j).Add(0, value);
         continue;
       }
       // Into a diagonal block, with its transpose.
-      if (i >= j) values[structure_.ValueIndex(a.block, entry, i, j)] += value;
-      if (j >= i) values[structure_.ValueIndex(a.block, entry, j, i)] += value;
+      if (i >= j) Block(sums, a.block, entry, i, j).Add(0, value);
+      if (j >= i) Block(sums, a.block, entry, j, i).Add(0, value);
     }
   }
 }

@@ -39,6 +39,16 @@ struct CameraSums {
   BlockSystem system;
   std::vector<double> gradient;       ///< J_c^T r
   std::vector<double> squared_norms;  ///< ||J e_j||^2
+
+  /// What rounding took from each of these while chunks were added (twofold_sum.h). Of S block
+  /// after block, each column-major: from one column of a block to the next in S it is far.
+  struct Rests {
+    std::vector<double> values, rhs, camera_diagonal, gradient, squared_norms;
+  };
+  bool has_rests = false;
+  Rests rests;
+
+  double* RestsOf(std::vector<double>* of) const { return has_rests ? of->data() : nullptr; }
 };
 
 class Assembler {
@@ -76,11 +86,18 @@ class Assembler {
   void AddSharedBlocks(const EliminationInput& input, const Chunk& chunk, const ChunkSum& sum,
                        CameraSums* sums) const;
 
+  /// Adds what rounding took, after the last chunk: the sums are doubles from then on.
+  void Round(ThreadPool* pool, CameraSums* sums) const;
+
   /// S += damping D^2, and the same for the block diagonal, whose upper triangles it completes.
   void AddDamping(double damping, const std::vector<double>& d_squared, CameraSums* sums) const;
 
   /// Takes the marked columns of the Jacobian out of the sums: their rows and columns become zero.
   void ClearColumns(const std::vector<uint8_t>& which, CameraSums* sums) const;
+
+  /// The first of CameraSums::Rests::values of a block column, and their number.
+  int64_t rests_begin(int block_column) const { return compact_.panel_begin[block_column]; }
+  int64_t num_rests() const { return compact_.num_values; }
 
   /// True if some block of the layout belongs to images of several poses.
   bool has_shared_blocks() const { return has_shared_blocks_; }
@@ -105,25 +122,36 @@ class Assembler {
   /// first shares, or those of what both share.
   enum class PairPart { kFirst, kSecond, kShared };
 
+  /// Sums that follow each other, and what rounding took from them; nullptr: that is not kept.
+  struct Target {
+    double* sum = nullptr;
+    double* rest = nullptr;
+    void Add(int64_t i, double value) const;
+  };
+
   void AddBlock(int image, int place, const ModelGroup& group);
   /// `squares`: A^T A of the image, for maps.
   void AddVectors(const EliminationInput& input, int image, const double* vectors,
                   const double* squares, Part part, CameraSums* sums) const;
   void AddDiagonal(const EliminationInput& input, int image, const double* block, Part part,
-                   double* values) const;
+                   CameraSums* sums) const;
   void AddCameraDiagonal(const EliminationInput& input, int image, const double* block, Part part,
-                         double* values) const;
+                         CameraSums* sums) const;
   void AddPair(const EliminationInput& input, int first, int second, const double* block,
-               PairPart part, double* values) const;
+               PairPart part, CameraSums* sums) const;
   void AddPairOf(const ImageBlock& a, const ImageBlock& b, const double* block, int width,
-                 double* values) const;
-  static void AddColumn(const ImageBlock& rows, const double* from, double* column);
-  void PrefetchPair(int first, int second, const double* values) const;
+                 CameraSums* sums) const;
+  static void AddColumn(const ImageBlock& rows, const double* from, const Target& column);
+  void RoundColumn(int j, CameraSums* sums) const;
+  /// Where entry (r, c) of a block is, and what follows it in its column.
+  Target Block(CameraSums* sums, int column, int64_t entry, int r, int c) const;
+  void PrefetchPair(int first, int second, CameraSums* sums) const;
   int64_t Entry(int column, int row) const { return structure_.Entry(column, row); }
 
   const ProblemView& problem_;
   const ParameterLayout& layout_;
   const BlockStructure& structure_;
+  const BlockStructure compact_;  ///< CompactStructure
   std::vector<ImageBlocks> images_;
   std::vector<int64_t> diagonal_begin_;
   bool has_shared_blocks_ = false;
@@ -145,10 +173,10 @@ class Assembler {
 /// chunk and goes on to the next.
 class OrderedSums {
  public:
-  /// Keeps references to all but the last.
+  /// Keeps references to all but the last. `keeps_rests`: the sums are twofold ones until Round.
   OrderedSums(const EliminationInput& input, const BlockStructure& structure,
               const Assembler& assembler, int num_images, int num_threads,
-              bool wants_camera_diagonal);
+              bool wants_camera_diagonal, bool keeps_rests);
 
   /// Sums on a grid, where one is chosen, from the next Clear on; nullptr: on none.
   void UseGrid(const SumGrid* grid) { grid_ = grid; }

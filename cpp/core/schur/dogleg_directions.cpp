@@ -13,6 +13,18 @@
 
 namespace bundle {
 
+namespace {
+
+constexpr int kNumProducts = 6;
+
+void AddProducts(double d_pp, double d_pq, double d_qq, double j_pp, double j_pq, double j_qq,
+                 TwofoldSum sums[kNumProducts]) {
+  const double products[kNumProducts] = {d_pp, d_pq, d_qq, j_pp, j_pq, j_qq};
+  for (int k = 0; k < kNumProducts; ++k) sums[k].Add(products[k]);
+}
+
+}  // namespace
+
 DoglegProducts SchurProblem::Products() {
   gradient_direction_.resize(newton_.size());
   for (size_t j = 0; j < newton_.size(); ++j) {
@@ -32,13 +44,14 @@ DoglegProducts SchurProblem::Products() {
                       gauge_degrees_ > 0 ? points_d_squared_.data() : nullptr, Memory(thread),
                       &parts[c]);
   });
+  TwofoldSum sums[kNumProducts];
   for (const ProductSum& part : parts) {
-    total.d_pp += part.d_pp, total.d_pq += part.d_pq, total.d_qq += part.d_qq;
-    total.j_pp += part.j_pp, total.j_pq += part.j_pq, total.j_qq += part.j_qq;
+    AddProducts(part.d_pp, part.d_pq, part.d_qq, part.j_pp, part.j_pq, part.j_qq, sums);
   }
   factors_.AddProducts(gradient_direction_, newton_, &total);
-  SumOverRanks(ranks_,
-               {&total.d_pp, &total.d_pq, &total.d_qq, &total.j_pp, &total.j_pq, &total.j_qq});
+  AddProducts(total.d_pp, total.d_pq, total.d_qq, total.j_pp, total.j_pq, total.j_qq, sums);
+  RoundOverRanks(ranks_, {&sums[0], &sums[1], &sums[2], &sums[3], &sums[4], &sums[5]});
+  total = {sums[0].sum, sums[1].sum, sums[2].sum, sums[3].sum, sums[4].sum, sums[5].sum};
   for (size_t j = 0; j < newton_.size(); ++j) {
     const double p = gradient_direction_[j], q = newton_[j];
     total.d_pp += p * d_squared_[j] * p;
@@ -63,12 +76,17 @@ double SchurProblem::TakeOutGauge() {
     gauge.AddPoints(begin, end, points_d_squared_, points_q_, &parts[c]);
   });
   NewtonGauge::Sums total;
-  for (const NewtonGauge::Sums& part : parts) total.Add(part);
-  std::vector<double> sums(total.square.data(), total.square.data() + total.square.size());
-  sums.insert(sums.end(), total.product.data(), total.product.data() + total.product.size());
-  SumOverRanks(ranks_, "gauge", &sums);
-  std::copy_n(sums.data(), total.square.size(), total.square.data());
-  std::copy_n(sums.data() + total.square.size(), total.product.size(), total.product.data());
+  const auto num_squares = static_cast<size_t>(total.square.size());
+  std::vector<TwofoldSum> twofold(num_squares + static_cast<size_t>(total.product.size()));
+  for (const NewtonGauge::Sums& part : parts) {
+    for (size_t k = 0; k < twofold.size(); ++k) {
+      twofold[k].Add(k < num_squares ? part.square.data()[k]
+                                     : part.product.data()[k - num_squares]);
+    }
+  }
+  const std::vector<double> sums = RoundOverRanks(ranks_, "gauge", twofold);
+  std::copy_n(sums.data(), num_squares, total.square.data());
+  std::copy_n(sums.data() + num_squares, total.product.size(), total.product.data());
   for (size_t j = 0; j < newton_.size(); ++j) {
     total.Add(gauge.OfUnknown(j), d_squared_[j], newton_[j]);
   }

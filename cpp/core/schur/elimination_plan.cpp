@@ -5,6 +5,7 @@
 #include <string>
 #include <utility>
 
+#include "core/parallel/reducer.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/state_records.h"
 
@@ -30,8 +31,12 @@ constexpr int kMaxBlocks = 0xffff;
 /// Cuts the points of a plan into chunks.
 class Planner {
  public:
-  Planner(ImageOrder images, EliminationPlan plan, int num_threads)
-      : images_(std::move(images)), plan_(std::move(plan)), num_threads_(num_threads) {}
+  /// `ranks`: whose plans are parts of one.
+  Planner(ImageOrder images, EliminationPlan plan, Reducer* ranks, int num_threads)
+      : images_(std::move(images)),
+        plan_(std::move(plan)),
+        ranks_(ranks),
+        num_threads_(num_threads) {}
 
   EliminationPlan Plan(int block_bytes) {
     CountRefinedObservations();
@@ -54,14 +59,19 @@ class Planner {
   }
 
   void CutIntoChunks(int block_bytes) {
-    const int64_t wanted = ChunkSize();
+    const int64_t largest = ChunkSize();
     const int64_t most_blocks = kMaxBufferBytes / block_bytes;
     plan_.image_in_chunk.resize(plan_.num_observations());
     plan_.pair_block.reserve(CountPairs());
     image_slot_.assign(images_.rank.size(), -1);
-    for (int begin = 0; begin < plan_.num_points();) {
-      begin = HasTooManyBlocks(begin) ? AddRows(begin, most_blocks)
-                                      : AddChunk(begin, wanted, most_blocks);
+    for (size_t s = 0; s + 1 < plan_.section_begin.size(); ++s) {
+      const int begin = plan_.section_begin[s], end = plan_.section_begin[s + 1];
+      // Chunks of a section are as large as each other, about.
+      const int64_t work = WorkOf(begin, end), count = (work + largest - 1) / largest;
+      const int64_t wanted = (work + count - 1) / std::max<int64_t>(count, 1);
+      for (int p = begin; p < end;) {
+        p = HasTooManyBlocks(p) ? AddRows(p, most_blocks) : AddChunk(p, end, wanted, most_blocks);
+      }
     }
   }
 
@@ -71,12 +81,19 @@ class Planner {
     return pairs;
   }
 
+  /// The same on all ranks.
   int64_t ChunkSize() const {
+    const int64_t work = SumOverRanks(ranks_, WorkOf(0, plan_.num_points()));
+    const int64_t observations = SumOverRanks(ranks_, plan_.num_observations());
+    return std::max(
+        std::clamp(observations / kChunksOfSmallProblem, kSmallestChunk, kLargestOfSmallProblem),
+        std::min(work / kChunksOfLargeProblem, kLargestChunk));
+  }
+
+  int64_t WorkOf(int begin, int end) const {
     int64_t work = 0;
-    for (int p = 0; p < plan_.num_points(); ++p) work += WorkOf(p);
-    return std::max(std::clamp(plan_.num_observations() / kChunksOfSmallProblem, kSmallestChunk,
-                               kLargestOfSmallProblem),
-                    std::min(work / kChunksOfLargeProblem, kLargestChunk));
+    for (int p = begin; p < end; ++p) work += WorkOf(p);
+    return work;
   }
 
   int64_t NumObservations(int point) const { return plan_.first[point + 1] - plan_.first[point]; }
@@ -99,13 +116,13 @@ class Planner {
     return chunk;
   }
 
-  /// Adds a chunk of points from `begin` on and returns where it ended: at enough work, or
-  /// where its blocks fill the buffer.
-  int AddChunk(int begin, int64_t wanted, int64_t most_blocks) {
+  /// Adds a chunk of points from `begin` on and returns where it ended: at `end`, at enough work,
+  /// or where its blocks fill the buffer.
+  int AddChunk(int begin, int end, int64_t wanted, int64_t most_blocks) {
     Chunk chunk = StartChunk(begin);
     int64_t work = 0;
     int p = begin;
-    for (; p < plan_.num_points(); work += WorkOf(p++)) {
+    for (; p < end; work += WorkOf(p++)) {
       const bool full = chunk.num_blocks() > most_blocks && work >= 4 * kSmallestChunk;
       if (work >= wanted || full || chunk.num_blocks() > kMaxBlocks / 2 || HasTooManyBlocks(p)) {
         break;
@@ -259,6 +276,7 @@ class Planner {
 
   const ImageOrder images_;
   EliminationPlan plan_;
+  Reducer* const ranks_;
   const int num_threads_;
   std::vector<int> num_refined_;  ///< of each point's observations; 0 for fixed points
   std::vector<int> image_slot_;   ///< in the chunk in the making; -1: not in it
@@ -266,22 +284,25 @@ class Planner {
 };
 
 EliminationPlan Plan(const ProblemView& problem, const ParameterLayout& layout, bool active,
-                     int block_bytes, int num_threads, bool keep_order) {
+                     int block_bytes, int num_threads, bool keep_order, bool in_sections) {
   ImageOrder images = OrderImages(problem, layout);
-  EliminationPlan sorted = SortPoints(problem, layout, images, active, num_threads, keep_order);
-  return Planner(std::move(images), std::move(sorted), num_threads).Plan(block_bytes);
+  EliminationPlan sorted =
+      SortPoints(problem, layout, images, active, in_sections, num_threads, keep_order);
+  // Not all ranks have points with nothing to refine.
+  Reducer* const ranks = active ? problem.ranks : nullptr;
+  return Planner(std::move(images), std::move(sorted), ranks, num_threads).Plan(block_bytes);
 }
 
 }  // namespace
 
 EliminationPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout,
-                           int block_bytes, int num_threads, bool keep_order) {
-  return Plan(problem, layout, true, block_bytes, num_threads, keep_order);
+                           int block_bytes, int num_threads, bool keep_order, bool in_sections) {
+  return Plan(problem, layout, true, block_bytes, num_threads, keep_order, in_sections);
 }
 
 EliminationPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout,
                                 int num_threads, bool keep_order) {
-  return Plan(problem, layout, false, 1, num_threads, keep_order);
+  return Plan(problem, layout, false, 1, num_threads, keep_order, /*in_sections=*/false);
 }
 
 void TakeMeasurements(const ProblemView& problem, EliminationPlan* plan) {

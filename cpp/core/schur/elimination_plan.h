@@ -63,7 +63,8 @@ class PairNumbers {
 /// from far and goes back. So points are sorted by the images that see them, which puts points with
 /// the same images next to each other, and taken in chunks. A chunk knows the image pairs that
 /// occur in it and sums their blocks in a buffer, of which its points use one part after the other;
-/// one addition a block and chunk then goes to S.
+/// one addition a block and chunk then goes to S. Where sums are to have the same bits on any
+/// number of ranks, points are sorted within their sections, where chunks end (point_sections.h).
 ///
 /// A chunk is a pure function of the state: its points in, its part of S, of the right side and of
 /// the cost out. The sum over the chunks, in their order, is the whole, whoever computed them;
@@ -112,6 +113,9 @@ struct EliminationPlan {
   std::vector<uint16_t> pair_block;
   std::vector<Chunk> chunks;
   std::vector<int> image_owner;  ///< ImageOrder::owner
+  /// First point of each section (point_sections.h), of free points, then of fixed ones, and the
+  /// end, without those that have no points. All points are one where sections are not used.
+  std::vector<int> section_begin;
 
   int num_points() const { return static_cast<int>(point.size()); }
   int64_t num_observations() const { return static_cast<int64_t>(image.size()); }
@@ -126,9 +130,11 @@ inline constexpr int64_t kMaxTrackLength = 10000;
 inline constexpr int64_t kMaxBufferBytes = 1 << 25;
 
 /// The observations with something to refine. `block_bytes`: of one block's buffer.
-/// `keep_order`: fills EliminationPlan::observation, for TakeMeasurements.
+/// `keep_order`: fills EliminationPlan::observation, for TakeMeasurements. All ranks have to call
+/// it if one does.
 EliminationPlan PlanPoints(const ProblemView& problem, const ParameterLayout& layout,
-                           int block_bytes, int num_threads = 1, bool keep_order = false);
+                           int block_bytes, int num_threads = 1, bool keep_order = false,
+                           bool in_sections = false);
 
 /// The other observations, whose cost does not change.
 EliminationPlan PlanFixedPoints(const ProblemView& problem, const ParameterLayout& layout,
@@ -151,10 +157,11 @@ struct ImageOrder {
 ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout);
 
 /// Everything of a plan but the chunks and what refers to them: the points with observations that
-/// have something to refine, if `active`, or else with others, sorted lexicographically by the
-/// ranks of the images in these observations.
+/// have something to refine, if `active`, or else with others, by sections if `in_sections`, and
+/// sorted lexicographically by the ranks of the images in these observations.
 EliminationPlan SortPoints(const ProblemView& problem, const ParameterLayout& layout,
-                           const ImageOrder& images, bool active, int num_threads, bool keep_order);
+                           const ImageOrder& images, bool active, bool in_sections, int num_threads,
+                           bool keep_order);
 
 /// The sizes that decide what the passes over the points cost, without a pass.
 

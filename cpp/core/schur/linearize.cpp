@@ -1,6 +1,7 @@
 /// The linearisation of a SchurProblem: a pass over the points, sums over ranks, damping. Where
-/// conjugate gradients make much of rounding, the sums are made on a grid (schur/sum_grid.h); what
-/// is on none, the sums over other factors, is added last.
+/// conjugate gradients make much of rounding, the sums are made on a grid (schur/sum_grid.h),
+/// elsewhere they are twofold (parallel/twofold_sum.h); the sums over other factors, which are
+/// neither, are added last.
 
 #include <cmath>
 #include <cstddef>
@@ -60,18 +61,19 @@ Linearization SchurProblem::Linearize(double damping) {
 
 SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double factors_cost) {
   CameraSums& cameras = sums_.sums();
-  if (grid_ == nullptr) {
-    PointSums sums = SumChunks(damping, first, factors_cost);
-    factors_.AddTo(&cameras);
-    AddRanks(&sums);
-    SumSystems(ranks_, structure_, &cameras.system);
-    return sums;
-  }
   const auto pass = [&] {
     PointSums sums = SumChunks(damping, first, factors_cost);
-    AddRanks(&sums);
+    SumCameraVectors(ranks_, &sums_.sums());
     return sums;
   };
+  if (grid_ == nullptr) {
+    PointSums sums = pass();
+    SumSystems(ranks_, structure_, assembler_, &cameras);
+    assembler_.Round(&pool_, &cameras);
+    factors_.AddTo(&cameras);
+    if (cameras.has_rests || has_camera_factors_) ShareCameraVectors(ranks_, &cameras);
+    return sums;
+  }
   if (grid_->is_chosen()) {
     grid_->Choose(observed_norms_, x_cost_);
   } else {
@@ -85,7 +87,7 @@ SchurProblem::PointSums SchurProblem::SumUp(double damping, bool first, double f
     sums = pass();
   }
   observed_norms_ = cameras.squared_norms;
-  SumSystems(ranks_, structure_, &cameras.system);
+  SumSystems(ranks_, structure_, assembler_, &cameras);
   factors_.AddTo(&cameras);  // on no grid, therefore last
   if (has_camera_factors_) ShareCameraVectors(ranks_, &cameras);
   return sums;
@@ -107,20 +109,19 @@ SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first, doub
       },
       [&](int thread) { sums_.Flush(thread); });
   ThrowIfInterrupted();  // only this thread is told, and the others may have taken every chunk
+  TwofoldSum cost, gradient_squared;
+  cost.Add(factors_cost);
   PointSums total;
-  total.cost = factors_cost;
   for (const ChunkSum& part : parts) {
-    total.cost += part.cost;
-    total.gradient_squared += part.gradient_squared;
+    cost.Add(part.cost);
+    gradient_squared.Add(part.gradient_squared);
     if (!(part.gradient_max <= total.gradient_max)) total.gradient_max = part.gradient_max;
   }
+  RoundOverRanks(ranks_, {&cost, &gradient_squared});
+  total.cost = cost.sum;
+  total.gradient_squared = gradient_squared.sum;
+  total.gradient_max = MaxOverRanks(ranks_, total.gradient_max);
   return total;
-}
-
-void SchurProblem::AddRanks(PointSums* sums) {
-  SumOverRanks(ranks_, {&sums->cost, &sums->gradient_squared});
-  sums->gradient_max = MaxOverRanks(ranks_, sums->gradient_max);
-  SumCameraVectors(ranks_, &sums_.sums());
 }
 
 void SchurProblem::DampCameras(double damping, bool first) {

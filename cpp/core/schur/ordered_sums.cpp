@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "core/linear/block_structure.h"
+#include "core/parallel/twofold_sum.h"
 #include "core/schur/assembler.h"
 #include "core/schur/sum_grid.h"
 
@@ -11,7 +12,7 @@ namespace bundle {
 
 OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& structure,
                          const Assembler& assembler, int num_images, int num_threads,
-                         bool wants_camera_diagonal)
+                         bool wants_camera_diagonal, bool keeps_rests)
     : input_(input),
       structure_(structure),
       assembler_(assembler),
@@ -19,6 +20,7 @@ OrderedSums::OrderedSums(const EliminationInput& input, const BlockStructure& st
       chunks_have_camera_diagonal_(wants_camera_diagonal || assembler.has_maps()),
       waiting_(num_threads),
       last_added_(num_images) {
+  sums_.has_rests = keeps_rests;
   // All memory now, so that no pass ends half way.
   size_t images = 0, pairs = 0, blocks = 0, mixed_doubles = 0;
   std::vector<int64_t> block_begin;
@@ -62,17 +64,24 @@ int64_t OrderedSums::PlaceBlocks(const Chunk& chunk, std::vector<int64_t>* block
 void OrderedSums::MakeSystem() {
   ReserveHugePages(structure_.num_values, &sums_.system.values);
   sums_.system.values.resize(structure_.num_values);
+  if (sums_.has_rests) {
+    const auto size = static_cast<size_t>(assembler_.num_rests());
+    ReserveHugePages(size, &sums_.rests.values);
+    sums_.rests.values.resize(size);
+  }
   is_new_ = true;
 }
 
 void OrderedSums::Clear(ThreadPool* pool) {
-  std::vector<double>& values = sums_.system.values;
-  if (values.empty()) MakeSystem();
+  if (sums_.system.values.empty()) MakeSystem();
   if (!std::exchange(is_new_, false)) {
     pool->Run([&](int thread) {
-      const int64_t size = structure_.num_values, threads = pool->num_threads();
-      std::fill(values.data() + size * thread / threads,
-                values.data() + size * (thread + 1) / threads, 0.0);
+      for (std::vector<double>* const values : {&sums_.system.values, &sums_.rests.values}) {
+        const auto size = static_cast<int64_t>(values->size());
+        const int64_t threads = pool->num_threads();
+        std::fill(values->data() + size * thread / threads,
+                  values->data() + size * (thread + 1) / threads, 0.0);
+      }
     });
   }
   const auto n = static_cast<size_t>(structure_.num_columns());
@@ -82,13 +91,22 @@ void OrderedSums::Clear(ThreadPool* pool) {
   if (wants_camera_diagonal_) {
     sums_.system.camera_diagonal.assign(assembler_.diagonal_begin().back(), 0.0);
   }
+  if (sums_.has_rests) {
+    sums_.rests.rhs.assign(n, 0.0);
+    sums_.rests.gradient.assign(n, 0.0);
+    sums_.rests.squared_norms.assign(n, 0.0);
+    sums_.rests.camera_diagonal.assign(sums_.system.camera_diagonal.size(), 0.0);
+  }
   for (std::atomic<int>& last : last_added_) last.store(-1, std::memory_order_relaxed);
   num_added_.store(0, std::memory_order_relaxed);
   abandoned_.store(false, std::memory_order_relaxed);
   for (Waiting& waiting : waiting_) waiting.count = 0;  // what an abandoned pass left
 }
 
-void OrderedSums::FreeSystem() { std::vector<double>().swap(sums_.system.values); }
+void OrderedSums::FreeSystem() {
+  std::vector<double>().swap(sums_.system.values);
+  std::vector<double>().swap(sums_.rests.values);
+}
 
 ChunkSum& OrderedSums::Begin(int chunk, int thread) {
   Waiting& waiting = waiting_[thread];
@@ -176,6 +194,38 @@ void OrderedSums::AddOldest(Waiting* waiting) {
   if (has_shared_blocks) assembler_.AddSharedBlocks(input_, chunk, buffer.sum, &sums_);
   num_added_.store(c + 1, std::memory_order_release);
   waiting->Pop();
+}
+
+void Assembler::Round(ThreadPool* pool, CameraSums* sums) const {
+  if (!sums->has_rests) return;
+  CameraSums::Rests& rests = sums->rests;
+  const auto round = [](const std::vector<double>& rest, std::vector<double>* sum) {
+    for (size_t i = 0; i < sum->size(); ++i) (*sum)[i] = RoundTwofold((*sum)[i], rest[i]);
+  };
+  round(rests.gradient, &sums->gradient);
+  round(rests.squared_norms, &sums->squared_norms);
+  round(rests.rhs, &sums->system.rhs);
+  round(rests.camera_diagonal, &sums->system.camera_diagonal);
+  constexpr int kColumnsAtOnce = 16;
+  std::atomic<int> next{0};
+  pool->Run([&](int /*thread*/) {
+    const int count = structure_.num_blocks();
+    for (int at = next.fetch_add(kColumnsAtOnce); at < count; at = next.fetch_add(kColumnsAtOnce)) {
+      for (int j = at; j < std::min(at + kColumnsAtOnce, count); ++j) RoundColumn(j, sums);
+    }
+  });
+}
+
+void Assembler::RoundColumn(int j, CameraSums* sums) const {
+  for (int64_t e = structure_.column_begin[j]; e < structure_.column_begin[j + 1]; ++e) {
+    const int height = structure_.block_size(structure_.row_block[e]);
+    for (int c = 0; c < structure_.block_size(j); ++c) {
+      const Target column = Block(sums, j, e, 0, c);
+      for (int r = 0; r < height; ++r) {
+        column.sum[r] = RoundTwofold(column.sum[r], column.rest[r]);
+      }
+    }
+  }
 }
 
 void Assembler::AddDamping(double damping, const std::vector<double>& d_squared,

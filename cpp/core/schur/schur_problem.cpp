@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
 #include <utility>
 
 #include "core/linear/newton_result.h"
@@ -24,25 +23,10 @@ namespace {
 // last place, so that one quality in some ten thousand is where rounding decides on its last digit.
 constexpr double kCostUncertainty = 0x1p-38;
 
-// Conjugate gradients on fewer columns end before they make much of rounding, and keep the digits
-// that a grid costs.
-constexpr size_t kColumnsWorthAGrid = 100;
-
 double Dot(const std::vector<double>& a, const std::vector<double>& b) {
   double sum = 0;
   for (size_t i = 0; i < a.size(); ++i) sum += a[i] * b[i];
   return sum;
-}
-
-CandidateSum Total(const std::vector<CandidateSum>& parts) {
-  CandidateSum total;
-  for (const CandidateSum& part : parts) {
-    total.model_cost_change += part.model_cost_change;
-    total.cost += part.cost;
-    total.step_squared += part.step_squared;
-    total.state_squared += part.state_squared;
-  }
-  return total;
 }
 
 }  // namespace
@@ -61,17 +45,18 @@ SchurProblem::SchurProblem(const ProblemView& problem, const ParameterLayout& la
       other_step_(problem, layout),
       squared_scale_(x_->points.size()),
       sums_(input_, structure_, assembler_, problem.num_images, pool_.num_threads(),
-            solver->NeedsCameraDiagonal()),
+            solver->NeedsCameraDiagonal(),
+            /*keeps_rests=*/setup_.sums == SumOrder::kSections),
       bounds_(layout.Bounds(problem)) {
   const auto n = static_cast<size_t>(structure_.num_columns());
   scale_.resize(n);
   d_squared_.resize(n);
   newton_.resize(n);
-  if (solver->IsIterative() && n >= kColumnsWorthAGrid && !assembler_.has_maps()) {
+  if (setup_.sums == SumOrder::kGrid) {
     grid_ = std::make_unique<SumGrid>(input_, assembler_, structure_, problem.num_images);
     sums_.UseGrid(grid_.get());
-    has_camera_factors_ = BroadcastFirst(ranks_, factors_.has_camera_factors() ? 1 : 0) > 0;
   }
+  has_camera_factors_ = BroadcastFirst(ranks_, factors_.has_camera_factors() ? 1 : 0) > 0;
   MeasureStart(options);
 }
 
@@ -120,8 +105,8 @@ Candidate SchurProblem::EvaluateNewtonStep() {
                                   step_.records(), candidate_->CandidateRecords(x, c),
                                   candidate_->points.data(), Memory(thread), &parts[c]);
   });
-  CandidateSum total = Total(parts);
-  total.model_cost_change += factors_.ModelCostChange(newton_);
+  CandidateTotal total = Total(parts);
+  total.model_cost_change.Add(factors_.ModelCostChange(newton_));
   line_ = newton_;
   return Finish(newton_, total);
 }
@@ -130,7 +115,7 @@ Candidate SchurProblem::EvaluateDoglegStep(double a, double b) {
   std::vector<double> step(newton_.size());
   for (size_t j = 0; j < step.size(); ++j) step[j] = a * gradient_direction_[j] + b * newton_[j];
   MoveCameras(step);
-  const CandidateSum total =
+  const CandidateTotal total =
       MovePoints([&](int64_t i) { return a * points_p_[i] + b * points_q_[i]; });
   const DoglegProducts& d = products_;
   line_ = step;
@@ -178,9 +163,11 @@ EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
 }
 
 void SchurProblem::MeasureStart(const SolveOptions& options) {
-  const double points_squared = SumOverRanks(ranks_, x_->FreePointsSquared(plan_));
+  const double points_squared = RoundOverRanks(ranks_, x_->FreePointsSquared(plan_));
   state_norm_ = std::sqrt(Dot(x_->camera_state, x_->camera_state) + points_squared);
-  fixed_cost_ = SumOverRanks(ranks_, setup_.FixedCost(options) + factors_.FixedCost(x_->cameras()));
+  TwofoldSum fixed_cost = setup_.FixedCost(options);
+  fixed_cost.Add(factors_.FixedCost(x_->cameras()));
+  fixed_cost_ = RoundOverRanks(ranks_, fixed_cost);
 }
 
 void SchurProblem::MoveCameras(const std::vector<double>& step) {
@@ -196,8 +183,19 @@ double SchurProblem::ProjectedStep(size_t j, double step) const {
   return bounds_.Project(j, x_->camera_state[j] + step) - x_->camera_state[j];
 }
 
+SchurProblem::CandidateTotal SchurProblem::Total(const std::vector<CandidateSum>& parts) {
+  CandidateTotal total;
+  for (const CandidateSum& part : parts) {
+    total.model_cost_change.Add(part.model_cost_change);
+    total.cost.Add(part.cost);
+    total.step_squared.Add(part.step_squared);
+    total.state_squared.Add(part.state_squared);
+  }
+  return total;
+}
+
 template <typename PointStep>
-CandidateSum SchurProblem::MovePoints(const PointStep& point_step) {
+SchurProblem::CandidateTotal SchurProblem::MovePoints(const PointStep& point_step) {
   std::vector<CandidateSum> parts(plan_.chunks.size());
   const StateRecords x = x_->records();
   ForChunks([&](int c, int) {
@@ -228,29 +226,31 @@ double SchurProblem::SlopeAt(const State& state) {
     parts[c] = kernels_.slope(input_, state.records(), plan_.chunks[c], step_.records(),
                               points_line_.data(), Memory(thread));
   });
-  return SumOverRanks(ranks_, std::accumulate(parts.begin(), parts.end(),
-                                              factors_.Slope(state.cameras(), state.points.data(),
-                                                             line_, points_line_.data())));
+  TwofoldSum slope;
+  slope.Add(factors_.Slope(state.cameras(), state.points.data(), line_, points_line_.data()));
+  for (const double part : parts) slope.Add(part);
+  return RoundOverRanks(ranks_, slope);
 }
 
-Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateSum sum) {
+Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateTotal sum) {
   candidate_->held.Merge();
-  double changes = candidate_->held.HasSameObservations(x_->held) ? 0 : 1;
-  sum.cost += factors_.Cost(candidate_->cameras(), candidate_->points.data());
-  SumOverRanks(
+  TwofoldSum changes;
+  changes.Add(candidate_->held.HasSameObservations(x_->held) ? 0 : 1);
+  sum.cost.Add(factors_.Cost(candidate_->cameras(), candidate_->points.data()));
+  RoundOverRanks(
       ranks_, {&changes, &sum.model_cost_change, &sum.cost, &sum.step_squared, &sum.state_squared});
   candidate_norm_ =
-      std::sqrt(Dot(candidate_->camera_state, candidate_->camera_state) + sum.state_squared);
+      std::sqrt(Dot(candidate_->camera_state, candidate_->camera_state) + sum.state_squared.sum);
   Candidate result;
-  result.changes_what_counts = changes > 0;
-  result.model_cost_change = sum.model_cost_change;
+  result.changes_what_counts = changes.sum > 0;
+  result.model_cost_change = sum.model_cost_change.sum;
   double step_squared = 0;
   for (size_t j = 0; j < step.size(); ++j) {
     const double moved = ProjectedStep(j, step[j]);
     step_squared += moved * moved;
   }
-  result.step_norm = std::sqrt(step_squared + sum.step_squared);
-  result.cost = candidate_cost_ = sum.cost;
+  result.step_norm = std::sqrt(step_squared + sum.step_squared.sum);
+  result.cost = candidate_cost_ = sum.cost.sum;
   if (grid_ != nullptr) result.cost_uncertainty = kCostUncertainty * x_cost_;
   return result;
 }

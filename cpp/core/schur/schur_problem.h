@@ -9,6 +9,7 @@
 #include "core/minimize/least_squares.h"
 #include "core/model/parameter_layout.h"
 #include "core/parallel/thread_pool.h"
+#include "core/parallel/twofold_sum.h"
 #include "core/problem/problem_view.h"
 #include "core/schur/assembler.h"
 #include "core/schur/camera_factors.h"
@@ -18,6 +19,17 @@
 #include "core/schur/sum_grid.h"
 
 namespace bundle {
+
+/// How much of a sum over points depends on the order in which it is made.
+enum class SumOrder {
+  kGrid,      ///< no bit (sum_grid.h)
+  kSections,  ///< no bit between divisions by sections (point_sections.h, twofold_sum.h)
+  kChunks,    ///< the last digits, between plans of other chunks
+};
+
+/// For S with so many block columns and blocks; `has_maps`: Assembler::has_maps.
+SumOrder ChooseSumOrder(LinearSolverType solver, int num_columns, int64_t num_block_columns,
+                        int64_t num_blocks, bool has_maps);
 
 /// What the passes over the points need of a problem beside its states: which columns each image
 /// has, the order of the elimination, where sums go in S, the kernels. It follows from the
@@ -34,16 +46,17 @@ struct SchurSetup {
   void Reset(const SolveOptions& options);
 
   /// Cost of the observations with nothing to refine, by the same kernels.
-  double FixedCost(const SolveOptions& options);
+  TwofoldSum FixedCost(const SolveOptions& options);
 
   const ProblemView& problem;
   const ParameterLayout& layout;
   const BlockStructure structure;
   const Kernels& kernels;
   const ModelGroups groups;
+  Assembler assembler;
+  const SumOrder sums;
   EliminationPlan plan;
   EliminationInput input;
-  Assembler assembler;
 
  private:
   struct FixedObservations {
@@ -129,16 +142,19 @@ class SchurProblem final : public LeastSquares {
   template <typename Visit>
   void ForChunks(const Visit& visit);
   double* Memory(int thread) { return memory_[thread].data(); }
+  /// CandidateSum over chunks.
+  struct CandidateTotal {
+    TwofoldSum model_cost_change, cost, step_squared, state_squared;
+  };
+  static CandidateTotal Total(const std::vector<CandidateSum>& parts);
   /// The cost, and the sizes of the points' gradient.
   struct PointSums {
     double cost = 0, gradient_squared = 0, gradient_max = 0;
   };
   /// All sums at x, with the factors': gradient and squared norms on all ranks, S on rank 0.
   PointSums SumUp(double damping, bool first, double factors_cost);
-  /// A pass over this rank's chunks.
+  /// A pass over the chunks; costs and points' gradients are those of all ranks.
   PointSums SumChunks(double damping, bool first, double factors_cost);
-  /// What a pass has summed up, all but S, becomes that of all ranks.
-  void AddRanks(PointSums* sums);
   /// Scales and damps the columns of the camera parameters.
   void DampCameras(double damping, bool first);
   const std::vector<double>& gradient() { return sums_.sums().gradient; }
@@ -152,13 +168,13 @@ class SchurProblem final : public LeastSquares {
   double ProjectedStep(size_t j, double step) const;
   /// Moves the candidate's points, number i by point_step(i), and evaluates its cost.
   template <typename PointStep>
-  CandidateSum MovePoints(const PointStep& point_step);
+  CandidateTotal MovePoints(const PointStep& point_step);
   template <typename PointStep>
   void MovePoints(const Chunk& chunk, const PointStep& point_step, CandidateSum* sum);
   /// d^T J^T r along the last step, at a state.
   double SlopeAt(const State& state);
   /// `sum`: of this rank.
-  Candidate Finish(const std::vector<double>& step, CandidateSum sum);
+  Candidate Finish(const std::vector<double>& step, CandidateTotal sum);
 
   SchurSetup setup_;
   const ProblemView& problem_ = setup_.problem;

@@ -1,7 +1,8 @@
 /// Problems often list their observations point by point, as BAL does, but the order in which
 /// points are sorted leads anywhere. Each point is therefore read once on the way to its key and
 /// once on the way to its place, both times in the order of the problem. In between, the keys are
-/// dealt out by the first image that sees the point, and sorted image by image.
+/// dealt out by the first image that sees the point, or by its section where the points have some
+/// (point_sections.h), and sorted within these buckets.
 ///
 /// An observation is one number while it is sorted, its image's rank above its own index, so that
 /// nothing is looked up to compare two.
@@ -16,6 +17,7 @@
 #include "core/linear/block_structure.h"
 #include "core/parallel/thread_pool.h"
 #include "core/schur/elimination_plan.h"
+#include "core/schur/point_sections.h"
 
 namespace bundle {
 namespace {
@@ -23,13 +25,19 @@ namespace {
 class PointSorter {
  public:
   PointSorter(const ProblemView& problem, const ParameterLayout& layout, const ImageOrder& images,
-              bool active, int num_threads, bool keep_order)
+              bool active, bool in_sections, int num_threads, bool keep_order)
       : problem_(problem),
         layout_(layout),
         images_(images),
         active_(active),
         num_threads_(num_threads),
-        keep_order_(keep_order) {}
+        keep_order_(keep_order) {
+    num_buckets_ = problem.num_images;
+    if (!in_sections) return;
+    if (problem.point_section == nullptr) sections_ = FindPointSections(problem, num_threads);
+    section_ = problem.point_section == nullptr ? sections_.data() : problem.point_section;
+    num_buckets_ = 1 << 16;
+  }
 
   EliminationPlan Sort() {
     GroupObservations();
@@ -89,33 +97,37 @@ class PointSorter {
     });
   }
 
-  /// Where a point belongs: its bucket, that of its first image, and the next images as far as it
-  /// has so many.
+  /// Where a point belongs: its bucket, that of its section or its first image, and its images as
+  /// far as it has so many.
   struct Key {
-    uint64_t second_and_third;
-    uint64_t fourth_and_fifth;
+    uint64_t first_and_second;
+    uint64_t third_and_fourth;
     int bucket;  ///< -1: not in the plan
     int point;
   };
-  static constexpr int kRanksInKey = 5;
+
+  static constexpr int kRanksInKey = 4;
 
   Key KeyOf(int point) const {
     const auto rank = [&](int k) {
       const int64_t at = begin_[point] + k;
       return at < begin_[point + 1] ? static_cast<uint64_t>(RankOf(by_point_[at])) + 1 : 0;
     };
-    const int first = static_cast<int>(rank(0)) - 1;
-    const bool is_free = layout_.point_is_free(point);
-    const bool fixed_and_seen = first >= 0 && !is_free;
-    // A point that only factors know comes before those of the first image.
-    const bool unseen = first < 0 && is_free && active_ && problem_.factors != nullptr;
-    return {rank(1) << 32 | rank(2), rank(3) << 32 | rank(4),
-            unseen ? 0 : first + (fixed_and_seen ? problem_.num_images : 0), point};
+    const bool is_seen = rank(0) > 0, is_free = layout_.point_is_free(point);
+    // A point that only factors know comes before those that images see.
+    const bool is_unseen = !is_seen && is_free && active_ && problem_.factors != nullptr;
+    int bucket = -1;
+    if (is_seen || is_unseen) {
+      const int first = is_seen ? static_cast<int>(rank(0)) - 1 : 0;
+      bucket = section_ != nullptr ? section_[point] : first;
+      if (!is_free) bucket += num_buckets_;
+    }
+    return {rank(0) << 32 | rank(1), rank(2) << 32 | rank(3), bucket, point};
   }
 
   /// Into buckets, those of the fixed points behind the others.
   void DealOutPoints() {
-    const size_t num_buckets = 2 * static_cast<size_t>(problem_.num_images);
+    const size_t num_buckets = 2 * static_cast<size_t>(num_buckets_);
     bucket_begin_.assign(num_buckets + 1, 0);
     first_observation_.assign(num_buckets + 1, 0);
     for (const Key& key : keys_) {
@@ -132,7 +144,13 @@ class PointSorter {
       if (key.bucket >= 0) dealt[next[key.bucket]++] = key;
     }
     keys_ = std::move(dealt);
-    plan_.num_free_points = static_cast<int>(bucket_begin_[problem_.num_images]);
+    plan_.num_free_points = static_cast<int>(bucket_begin_[num_buckets_]);
+    for (size_t b = 0; b < num_buckets; ++b) {
+      const bool is_first = section_ == nullptr && b == 0;
+      if (!is_first && (section_ == nullptr || bucket_begin_[b] == bucket_begin_[b + 1])) continue;
+      plan_.section_begin.push_back(static_cast<int>(bucket_begin_[b]));
+    }
+    plan_.section_begin.push_back(static_cast<int>(keys_.size()));
     plan_.point.resize(keys_.size());
     plan_.first.resize(keys_.size() + 1);
     plan_.first.back() = begin_.back();
@@ -158,11 +176,11 @@ class PointSorter {
   void SortBucket(size_t bucket) {
     std::sort(keys_.begin() + bucket_begin_[bucket], keys_.begin() + bucket_begin_[bucket + 1],
               [this](const Key& a, const Key& b) {
-                if (a.second_and_third != b.second_and_third) {
-                  return a.second_and_third < b.second_and_third;
+                if (a.first_and_second != b.first_and_second) {
+                  return a.first_and_second < b.first_and_second;
                 }
-                if (a.fourth_and_fifth != b.fourth_and_fifth) {
-                  return a.fourth_and_fifth < b.fourth_and_fifth;
+                if (a.third_and_fourth != b.third_and_fourth) {
+                  return a.third_and_fourth < b.third_and_fourth;
                 }
                 const int order = CompareFurtherImages(a.point, b.point);
                 return order != 0 ? order < 0 : a.point < b.point;
@@ -209,7 +227,10 @@ class PointSorter {
   const bool active_;
   const int num_threads_;
   const bool keep_order_;
-  std::vector<int64_t> begin_;  ///< of each point of the problem in by_point_, and the end
+  std::vector<uint16_t> sections_;     ///< where the problem has none
+  const uint16_t* section_ = nullptr;  ///< of each point of the problem; nullptr: they are not used
+  int num_buckets_ = 0;                ///< of free points, and of fixed ones
+  std::vector<int64_t> begin_;         ///< of each point of the problem in by_point_, and the end
   std::vector<uint64_t> by_point_;
   std::vector<Key> keys_;              ///< of the points of the problem, then of those in the plan
   std::vector<int64_t> bucket_begin_;  ///< in keys_, then in plan_.point
@@ -245,9 +266,9 @@ ImageOrder OrderImages(const ProblemView& problem, const ParameterLayout& layout
 }
 
 EliminationPlan SortPoints(const ProblemView& problem, const ParameterLayout& layout,
-                           const ImageOrder& images, bool active, int num_threads,
+                           const ImageOrder& images, bool active, bool in_sections, int num_threads,
                            bool keep_order) {
-  return PointSorter(problem, layout, images, active, num_threads, keep_order).Sort();
+  return PointSorter(problem, layout, images, active, in_sections, num_threads, keep_order).Sort();
 }
 
 }  // namespace bundle

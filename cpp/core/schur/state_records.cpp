@@ -192,9 +192,9 @@ std::vector<double> State::AllPoints(const EliminationPlan& plan) const {
   return all;
 }
 
-double State::FreePointsSquared(const EliminationPlan& plan) const {
-  double sum = 0;
-  for (int64_t i = 0; i < 3 * int64_t{plan.num_free_points}; ++i) sum += points[i] * points[i];
+TwofoldSum State::FreePointsSquared(const EliminationPlan& plan) const {
+  TwofoldSum sum;
+  for (int64_t i = 0; i < 3 * int64_t{plan.num_free_points}; ++i) sum.Add(points[i] * points[i]);
   return sum;
 }
 

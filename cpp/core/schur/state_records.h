@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "core/model/parameter_layout.h"
+#include "core/parallel/twofold_sum.h"
 #include "core/problem/problem_view.h"
 #include "core/schur/elimination_plan.h"
 #include "core/schur/kernels/kernels.h"
@@ -53,7 +54,7 @@ class State {
   const CameraStates& cameras() const { return cameras_; }
   /// All points of the problem, in its order.
   std::vector<double> AllPoints(const EliminationPlan& plan) const;
-  double FreePointsSquared(const EliminationPlan& plan) const;
+  TwofoldSum FreePointsSquared(const EliminationPlan& plan) const;
 
   std::vector<double> camera_state;
   std::vector<double> points;  ///< three a point of the plan

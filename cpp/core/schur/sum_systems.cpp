@@ -12,6 +12,7 @@
 namespace bundle {
 namespace {
 
+constexpr const char* kGradient = "gradient";
 constexpr size_t kPortion = size_t{1} << 19;  // doubles: 4 MB
 
 /// Calls visit(values of a block's column, their number) for the columns of the blocks in block
@@ -26,18 +27,33 @@ void ForBlockColumns(const BlockStructure& structure, int j, double* values, con
   }
 }
 
+/// On rank 0; `rests` nullptr: they are doubles.
+void SumToFirst(Reducer* ranks, std::vector<double>* sums, double* rests) {
+  constexpr const char* kWhat = "normal equations";
+  const auto count = static_cast<int64_t>(sums->size());
+  if (count == 0) return;
+  if (rests == nullptr) {
+    ranks->SumToFirst(kWhat, sums->data(), count);
+  } else {
+    ranks->SumTwofoldToFirst(kWhat, sums->data(), rests, count);
+  }
+}
+
 }  // namespace
 
-void SumSystems(Reducer* ranks, const BlockStructure& structure, BlockSystem* system) {
+void SumSystems(Reducer* ranks, const BlockStructure& structure, const Assembler& assembler,
+                CameraSums* sums) {
   if (ranks == nullptr) return;
   std::vector<double> portion;
-  double* const values = system->values.data();
+  double* const values = sums->system.values.data();
   for (int first = 0, j = 0; j < structure.num_blocks(); ++j) {
     ForBlockColumns(structure, j, values, [&](const double* column, int height) {
       portion.insert(portion.end(), column, column + height);
     });
     if (portion.size() < kPortion && j + 1 < structure.num_blocks()) continue;
-    ranks->SumToFirst("normal equations", portion.data(), static_cast<int64_t>(portion.size()));
+    // Rests have the order of the portion.
+    SumToFirst(ranks, &portion,
+               sums->has_rests ? &sums->rests.values[assembler.rests_begin(first)] : nullptr);
     const double* from = portion.data();
     for (; first <= j; ++first) {
       if (ranks->rank() != 0) continue;
@@ -48,10 +64,8 @@ void SumSystems(Reducer* ranks, const BlockStructure& structure, BlockSystem* sy
     }
     portion.clear();
   }
-  for (std::vector<double>* const more : {&system->rhs, &system->camera_diagonal}) {
-    if (more->empty()) continue;
-    ranks->SumToFirst("normal equations", more->data(), static_cast<int64_t>(more->size()));
-  }
+  SumToFirst(ranks, &sums->system.rhs, sums->RestsOf(&sums->rests.rhs));
+  SumToFirst(ranks, &sums->system.camera_diagonal, sums->RestsOf(&sums->rests.camera_diagonal));
 }
 
 void ShareSolution(Reducer* ranks, LinearSolution* solution, std::vector<double>* step) {
@@ -65,13 +79,22 @@ void ShareSolution(Reducer* ranks, LinearSolution* solution, std::vector<double>
 }
 
 void SumCameraVectors(Reducer* ranks, CameraSums* sums) {
-  SumOverRanks(ranks, "gradient", &sums->gradient);
-  SumOverRanks(ranks, "gradient", &sums->squared_norms);
+  if (!sums->has_rests) {
+    SumOverRanks(ranks, kGradient, &sums->gradient);
+    SumOverRanks(ranks, kGradient, &sums->squared_norms);
+    return;
+  }
+  if (ranks == nullptr || sums->gradient.empty()) return;
+  const auto count = static_cast<int64_t>(sums->gradient.size());
+  CameraSums::Rests& rests = sums->rests;
+  ranks->SumTwofoldToFirst(kGradient, sums->gradient.data(), rests.gradient.data(), count);
+  ranks->SumTwofoldToFirst(kGradient, sums->squared_norms.data(), rests.squared_norms.data(),
+                           count);
 }
 
 void ShareCameraVectors(Reducer* ranks, CameraSums* sums) {
-  BroadcastFirst(ranks, "gradient", &sums->gradient);
-  BroadcastFirst(ranks, "gradient", &sums->squared_norms);
+  BroadcastFirst(ranks, kGradient, &sums->gradient);
+  BroadcastFirst(ranks, kGradient, &sums->squared_norms);
 }
 
 }  // namespace bundle

@@ -174,11 +174,27 @@ void FusedSolver::BuildProblem() {
   }
   symbolic_time_ += symbolic.seconds();
   SummarizeFactor();
-  RefuseTooMuchMemory(options_.linear_solver_type,
-                      sizeof(double) * static_cast<double>(structure_.num_values), working_bytes_);
+  RefuseTooMuchMemory(options_.linear_solver_type, sizeof(double) * NumSystemValues(),
+                      working_bytes_);
   ThrowIfInterrupted();
   schur_ = std::make_unique<SchurProblem>(problem_, layout_, options_, std::move(structure_),
                                           solver_.get(), is_reused_);
+}
+
+/// Of S, and where its sums are twofold, of what rounding takes from them.
+double FusedSolver::NumSystemValues() const {
+  const BlockStructure& s = structure_;
+  auto values = static_cast<double>(s.num_values);
+  const SumOrder order =
+      ChooseSumOrder(options_.linear_solver_type, s.num_columns(), s.num_blocks(),
+                     static_cast<int64_t>(s.row_block.size()), /*has_maps=*/false);
+  if (order != SumOrder::kSections) return values;
+  for (int j = 0; j < s.num_blocks(); ++j) {
+    for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) {
+      values += static_cast<double>(s.block_size(j)) * s.block_size(s.row_block[e]);
+    }
+  }
+  return values;
 }
 
 void FusedSolver::SummarizeFactor() {
@@ -187,14 +203,18 @@ void FusedSolver::SummarizeFactor() {
   Warn(WarningKind::kFactorLargerThanPredicted, FindSwollenFactor(statistics), &warnings_);
 }
 
-/// Only the factorisations round by their number of threads, which are OpenBLAS'.
+/// Only the factorisations round by their number of threads, where these are OpenBLAS'. Doglegs,
+/// which hardly damp, would make the most of it.
 std::unique_ptr<LinearSolver> FusedSolver::MakeSolver() {
-  const int factorisation_threads = options_.deterministic ? 1 : options_.num_threads;
+  const bool is_dogleg =
+      options_.trust_region_strategy_type != TrustRegionStrategy::kLevenbergMarquardt;
   switch (options_.linear_solver_type) {
     case LinearSolverType::kDenseSchur:
-      return MakeDenseSolver(structure_, factorisation_threads);
+      return MakeDenseSolver(structure_, options_.num_threads,
+                             /*same_bits=*/options_.deterministic || is_dogleg);
     case LinearSolverType::kSparseSchur:
-      return MakeSparseSolver(ordering_, factorisation_threads, &structure_);
+      return MakeSparseSolver(ordering_, options_.deterministic ? 1 : options_.num_threads,
+                              &structure_);
     default:
       return MakeIterativeSolver(structure_, options_.preconditioner_type, options_.num_threads);
   }

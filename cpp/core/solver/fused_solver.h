@@ -55,6 +55,7 @@ class FusedSolver {
   void FindSparseStructure();
   FillOrdering FindOrdering() const;
   void BuildProblem();
+  double NumSystemValues() const;
   void SummarizeFactor();
   std::unique_ptr<LinearSolver> MakeSolver();
   ProgressCallback AddFixedCost(const ProgressCallback& progress) const;

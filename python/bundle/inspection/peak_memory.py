@@ -88,6 +88,13 @@ def fused_memory(
         terms["reduced system"] = DOUBLE * counted.panel_values
         widest = max(counted.factor.profile, default=0)
         terms["BLAS"] = _BLAS_PAGES + DOUBLE * float(_PACKED_COLUMNS) * widest
+    if pattern.reduced.sums_are_twofold(linear_solver_type):
+        # What rounding takes from each number of S, without the fill of its factor.
+        is_dense = linear_solver_type == "DENSE_SCHUR"
+        values = (
+            float(pattern.reduced.num_columns) ** 2 / 2 if is_dense else pattern.num_reduced_values
+        )
+        terms["rounding of S"] = DOUBLE * values
     return terms
 
 

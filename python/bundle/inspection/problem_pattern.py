@@ -69,6 +69,12 @@ class BlockPattern(NamedTuple):
         columns = np.repeat(sizes, np.diff(self.column_begin))
         return int(2 * (columns * sizes[self.rows]).sum() - (sizes**2).sum())
 
+    def sums_are_twofold(self, linear_solver_type: str) -> bool:
+        """Whether the fused backend sums S up with twice the digits of a double."""
+        return _core.sums_are_twofold(
+            linear_solver_type.lower(), self.num_columns, len(self.sizes), len(self.rows)
+        )
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FactorCount:

@@ -2,20 +2,24 @@
 
 A step of N processes takes
 
-    t(N) = w t_points + t_first + b / bandwidth + m ceil(log2 N) latency,
+    t(N) = w t_points + t_first + (b + (ceil(log2 N) - 1) b_2) / bandwidth + m ceil(log2 N) latency,
 
 t_points the terms of one process that are sums over points, w the share of the fullest part (of
 ``ranks.partition``, by pairs of observations), t_first what the first process does alone while the
 others wait: the linear solver and what does not depend on the size. b are the bytes of a step's
-messages as `bundle refine` tallies them, m their number. They go through trees in pipelines: large
-ones take the time of their bytes once, however many processes there are. Efficiency is
-t(1) / (N t(N)).
+messages as `bundle refine` tallies them, m their number. Those of MPI go through trees in
+pipelines: large ones take the time of their bytes once, however many processes there are. Of
+twofold sums, b_2 of the bytes, the first process receives one at each level of a binary tree.
+Efficiency is t(1) / (N t(N)).
 
 Bytes of a step with blocks (i, j) of S of h x w numbers, n columns:
 
     normal equations   8 (sum of h w over the lower triangle, diagonal blocks whole, + n)
     gradient, norms    8 * 4 n   (two vectors, each summed and sent back)
     step               8 n
+
+Twofold sums (cpp/core/parallel/twofold_sum.h) have two numbers each on the way to the first:
+8 (2 sum of h w + 9 n) in all.
 
 With conjugate gradients the block diagonal of J_c^T J_c may come on top. Memory is that of a
 process without a problem, of a part and of S, without fill; the first process has the factor
@@ -50,8 +54,9 @@ PROCESS = 62e6
 COLMAP = 85.0
 """Bytes per observation that the files of a COLMAP model and their index take."""
 
-POINT_IDS = 28.0
-"""Bytes per point of a COLMAP model in slices that each process has: ids, their index, owners."""
+POINT_IDS = 30.0
+"""Bytes per point of a COLMAP model in slices that each process has: ids, their index, owners and
+sections."""
 
 # Of a step: S in one or more portions, its right-hand side, sums with their way back, the step.
 _MESSAGES = 24
@@ -122,8 +127,12 @@ def predict_ranks(
     method = _method(inspection)
     chosen = resolve_defaults(problem, SolveOptions.of(options, {}, "inspect"))
     reduced = find_pattern(problem, chosen).reduced
-    size = step_bytes(reduced, is_dense=method.linear_solver_type == "DENSE_SCHUR")
-    values = size - 8 * 6 * reduced.num_columns
+    twofold = reduced.sums_are_twofold(method.linear_solver_type)
+    is_dense = method.linear_solver_type == "DENSE_SCHUR"
+    size = step_bytes(reduced, is_dense=is_dense, twofold=twofold)
+    num_vectors = 9 if twofold else 6
+    values = size - 8 * num_vectors * reduced.num_columns
+    sent_twofold = values + 8 * 6 * reduced.num_columns if twofold else 0
     tracks = np.bincount(problem.observation_point, minlength=problem.num_points)
     work = tracks * (tracks + 1.0)
     whole = _bytes_of(problem)
@@ -139,12 +148,13 @@ def predict_ranks(
     other = method.memory_in_bytes - part - factor
     rows = []
     for count in counts:
-        parts = divide(problem, count)
+        parts = divide(problem, count).parts
         share = max(work[points].sum() for points in parts) / max(work.sum(), 1.0)
         sent = 0.0
         if count > 1:
-            latency = _MESSAGES * math.ceil(math.log2(count)) * network[1] * 1e-6
-            sent = latency + size * 8 / (network[0] * 1e9)
+            levels = math.ceil(math.log2(count))
+            received = size + (levels - 1) * sent_twofold
+            sent = _MESSAGES * levels * network[1] * 1e-6 + received * 8 / (network[0] * 1e9)
         time = share * of_points + of_first + sent
         most = max(int(tracks[points].sum()) for points in parts)
         own = most / max(int(tracks.sum()), 1)
@@ -171,7 +181,7 @@ def predict_ranks(
     return tuple(rows)
 
 
-def step_bytes(reduced: BlockPattern, *, is_dense: bool) -> int:
+def step_bytes(reduced: BlockPattern, *, is_dense: bool, twofold: bool) -> int:
     """Return the bytes of a step's messages; without a few scalars."""
     sizes = reduced.sizes.astype(np.int64)
     if is_dense:
@@ -179,6 +189,8 @@ def step_bytes(reduced: BlockPattern, *, is_dense: bool) -> int:
     else:
         columns = np.repeat(sizes, np.diff(reduced.column_begin))
         values = int((columns * sizes[reduced.rows]).sum())
+    if twofold:
+        return 8 * (2 * values + 9 * reduced.num_columns)
     return 8 * (values + 6 * reduced.num_columns)
 
 

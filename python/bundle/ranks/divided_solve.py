@@ -94,7 +94,8 @@ def solve_divided(
     Raises:
         InputError: there are fewer points than processes, or as ``_core.solve``.
     """
-    points_of = divide(problem, crew.num_ranks)
+    division = divide(problem, crew.num_ranks)
+    points_of = division.parts
     factors = [factors_of(core_factors, points) for points in points_of]
     observed = np.zeros(problem.num_images, np.uint8)
     observed[problem.observation_image] = 1
@@ -105,7 +106,7 @@ def solve_divided(
         raise _core.InputError(f"fixed_point_ids: expected ids in the problem, found {unknown[0]}")
 
     def job(rank: int) -> Job:
-        part = part_of(problem, points_of[rank])
+        part = part_of(problem, points_of[rank], division.section)
         own = {"fixed_point_ids": np.intersect1d(fixed, part.point_ids).tolist()}
         return Job(part, options | own, restrictions, factors[rank][0], observed)
 

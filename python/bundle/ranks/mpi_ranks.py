@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from bundle import _core
+
 __all__ = ["MpiRanks"]
 
 MOST_AT_ONCE = 1 << 24
@@ -18,7 +20,8 @@ class MpiRanks:
     """What ``_core.solve_part`` calls, and a tally of it: {what: [messages, bytes, seconds]}.
 
     Sums are those of MPI_Reduce, whose order of summation Open MPI chooses by the number of
-    processes and the length of the message, not by who comes first.
+    processes and the length of the message, not by who comes first. MPI knows no twofold sums:
+    they go up a binary tree here.
     """
 
     def __init__(self, comm: Any) -> None:
@@ -39,6 +42,27 @@ class MpiRanks:
 
         self._for_pieces(what, values, reduce)
 
+    def sum_twofold_to_first(self, what: str, sums: memoryview, rests: memoryview) -> None:
+        """Replace those of rank 0 by the twofold sums over all ranks."""
+        begun = perf_counter()
+        mine = np.frombuffer(sums, np.float64), np.frombuffer(rests, np.float64)
+        for begin in range(0, len(mine[0]), MOST_AT_ONCE):
+            self._sum_piece(*(array[begin : begin + MOST_AT_ONCE] for array in mine))
+        self._count(what, mine[0].nbytes + mine[1].nbytes, begun)
+
+    def _sum_piece(self, sums: Any, rests: Any) -> None:
+        step = 1
+        while step < self.num_ranks and self.rank % (2 * step) == 0:
+            if self.rank + step < self.num_ranks:
+                given = np.empty_like(sums), np.empty_like(rests)
+                for array in given:
+                    self._comm.Recv(array, self.rank + step)
+                _core.add_twofold(*given, sums, rests)
+            step *= 2
+        if self.rank > 0:
+            for array in (sums, rests):
+                self._comm.Send(array, self.rank - step)
+
     def broadcast(self, what: str, values: memoryview, root: int) -> None:
         """Replace the values by those of rank ``root``."""
         self._for_pieces(what, values, lambda piece: self._comm.Bcast(piece, root=root))
@@ -48,7 +72,10 @@ class MpiRanks:
         array = np.frombuffer(values, np.float64)
         for begin in range(0, len(array), MOST_AT_ONCE):
             send(array[begin : begin + MOST_AT_ONCE])
+        self._count(what, array.nbytes, begun)
+
+    def _count(self, what: str, num_bytes: int, begun: float) -> None:
         tally = self.traffic.setdefault(what, [0, 0, 0.0])
         tally[0] += 1
-        tally[1] += array.nbytes
+        tally[1] += num_bytes
         tally[2] += perf_counter() - begun

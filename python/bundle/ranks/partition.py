@@ -7,6 +7,10 @@ is cut where the observations so far are k/N of all. So
 - the points of a process are seen by images that follow each other, as far as points are at all:
   its part of the reduced camera system has few blocks that others have, too,
 - the division depends on the problem and N alone: runs with as many processes are equal.
+
+The same order is cut in K parts for the core (cpp/core/schur/point_sections.h), which sums up one
+such section after the other: where N divides K, a process has whole sections, and sums have the
+bits of one process.
 """
 
 from __future__ import annotations
@@ -17,10 +21,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle import _core
 from bundle.errors import InputError
 from bundle.problem import Problem
 
-__all__ = ["ProblemPart", "divide", "divide_tracks", "factors_of", "part_of", "shared_of"]
+__all__ = [
+    "Division",
+    "ProblemPart",
+    "divide",
+    "divide_tracks",
+    "factors_of",
+    "part_of",
+    "shared_of",
+]
 
 # What a part has of the whole problem as it is; rigs only where there are some.
 _SHARED = (
@@ -31,8 +44,21 @@ _SHARED = (
 )
 
 
-def divide(problem: Problem, num_parts: int) -> list[NDArray[np.int64]]:
-    """Return the indices of the points of each part, ascending.
+@dataclass(frozen=True)
+class Division:
+    """Points divided among processes.
+
+    Attributes:
+        parts: indices of the points of each process, ascending.
+        section: (num_points,) of each point.
+    """
+
+    parts: list[NDArray[np.int64]]
+    section: NDArray[np.uint16]
+
+
+def divide(problem: Problem, num_parts: int) -> Division:
+    """Return the points of each part.
 
     Raises:
         InputError: there are fewer points than parts.
@@ -48,7 +74,7 @@ def divide(problem: Problem, num_parts: int) -> list[NDArray[np.int64]]:
 
 def divide_tracks(
     first: NDArray[Any], last: NDArray[Any], seen: NDArray[Any], num_parts: int
-) -> list[NDArray[np.int64]]:
+) -> Division:
     """Return the same from the first and the last image and the observations of each point.
 
     Raises:
@@ -61,13 +87,20 @@ def divide_tracks(
             f"found {num_parts}"
         )
     order = np.lexsort((last, first))
-    seen = np.cumsum(seen[order], dtype=np.int64)
-    wanted = np.arange(1, num_parts) * (seen[-1] / num_parts)
-    cuts = np.searchsorted(seen, wanted) + 1
+    of_each = np.asarray(seen, np.int64)[order]
+    before = np.cumsum(of_each) - of_each
+    total = max(int(of_each.sum()), 1)
+
+    def place(count: int) -> NDArray[np.int64]:
+        return np.asarray(np.minimum(before * count // total, count - 1), np.int64)
+
+    section = np.empty(num_points, np.uint16)
+    section[order] = place(_core.num_point_sections(total))
+    cuts = np.searchsorted(place(num_parts), np.arange(1, num_parts))
     at_least = np.arange(1, num_parts)  # a point for each
     cuts = np.clip(cuts, at_least, num_points - num_parts + at_least)
     cuts = np.maximum.accumulate(cuts - at_least) + at_least
-    return [np.sort(part) for part in np.split(order, cuts)]
+    return Division([np.sort(part) for part in np.split(order, cuts)], section)
 
 
 @dataclass
@@ -76,6 +109,7 @@ class ProblemPart:
 
     points: NDArray[np.float64]
     point_ids: NDArray[np.int64]
+    point_section: NDArray[np.uint16]
     observation_image: NDArray[np.int32]
     observation_point: NDArray[np.int32]
     observation_xy: NDArray[np.float64]
@@ -94,8 +128,10 @@ def shared_of(problem: Problem) -> dict[str, Any]:
     return {name: getattr(problem, name) for name in _SHARED}
 
 
-def part_of(problem: Problem, points: NDArray[np.int64]) -> ProblemPart:
-    """Return the part of a problem that has these points, ascending indices."""
+def part_of(
+    problem: Problem, points: NDArray[np.int64], section: NDArray[np.uint16]
+) -> ProblemPart:
+    """Return the part of a problem that has these points, ascending indices; sections of all."""
     place = np.full(problem.num_points, -1, np.int32)
     place[points] = np.arange(len(points), dtype=np.int32)
     mine = np.flatnonzero(place[problem.observation_point] >= 0)
@@ -103,6 +139,7 @@ def part_of(problem: Problem, points: NDArray[np.int64]) -> ProblemPart:
     return ProblemPart(
         points=problem.points[points],
         point_ids=problem.point_ids[points],
+        point_section=section[points],
         observation_image=problem.observation_image[mine],
         observation_point=place[problem.observation_point[mine]],
         observation_xy=problem.observation_xy[mine],

@@ -44,6 +44,7 @@ class Survey:
         num_images: of the model.
         num_observations: of the model.
         owner: (num_points,) the process that has a point.
+        section: (num_points,) of each point; see ``ranks.partition``.
         point_ids: (num_points,) of a COLMAP model, ascending; None of a BAL file, whose points have
             their positions for ids.
     """
@@ -51,6 +52,7 @@ class Survey:
     num_images: int
     num_observations: int
     owner: NDArray[np.uint16]
+    section: NDArray[np.uint16]
     point_ids: NDArray[np.int64] | None = None
 
     def unknown(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -92,10 +94,13 @@ def survey(path: Path, num_parts: int) -> Survey:
     else:
         num_images, num_observations, first, last, seen = _core.survey_bal(path)
     owner = np.zeros(len(seen), np.uint16)
+    section = np.zeros(len(seen), np.uint16)
     if num_observations:
-        for number, points in enumerate(divide_tracks(first, last, seen, num_parts)):
+        division = divide_tracks(first, last, seen, num_parts)
+        section = division.section
+        for number, points in enumerate(division.parts):
             owner[points] = number
-    return Survey(num_images, num_observations, owner, ids)
+    return Survey(num_images, num_observations, owner, section, ids)
 
 
 def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
@@ -111,9 +116,10 @@ def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
     place = np.full(len(whole.owner), -1, np.int32)
     place[mine] = np.arange(len(mine), dtype=np.int32)
     if whole.point_ids is None:
-        cameras, part = _bal_slice(path, mine, place)
+        cameras, part = _bal_slice(path, mine, place, whole.section)
     else:
-        cameras, part, failure = _colmap_slice(path, whole.point_ids, mine, place)
+        given = _colmap_slice(path, whole.point_ids, mine, place, whole.section)
+        cameras, part, failure = given
         failures = sorted(filter(None, meeting.gather(failure) or ()))
         if failures:
             raise InputError(failures[0][-1])
@@ -131,30 +137,35 @@ def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
 
 
 def _bal_slice(
-    path: Path, mine: NDArray[np.int64], place: NDArray[np.int32]
+    path: Path, mine: NDArray[np.int64], place: NDArray[np.int32], section: NDArray[np.uint16]
 ) -> tuple[Problem, ProblemPart]:
     poses, rotations, params, points, image, point, xy = _core.read_bal_part(path, place)
     none, nowhere = np.zeros(0, np.int32), np.zeros((0, 2))
     cameras = bal.problem_of(poses, rotations, params, points[:0], none, none, nowhere)
     keypoint = np.full(len(xy), -1, np.int32)
-    return cameras, _part(cameras, points, mine, image, point, xy, keypoint)
+    return cameras, _part(cameras, points, mine, section[mine], image, point, xy, keypoint)
 
 
 def _colmap_slice(
-    path: Path, ids: NDArray[np.int64], mine: NDArray[np.int64], place: NDArray[np.int32]
+    path: Path,
+    ids: NDArray[np.int64],
+    mine: NDArray[np.int64],
+    place: NDArray[np.int32],
+    section: NDArray[np.uint16],
 ) -> tuple[Problem, ProblemPart, tuple[int, int, str] | None]:
     model, fields, failure = _core.read_colmap_part(os.fsencode(path), ids, place)
     names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
     points, *observations = (fields[name] for name in ("points", *names))
     nothing = {name: fields[name][:0] for name in ("points", *names)}
     cameras = colmap_files.problem_of(path, model, fields | nothing | {"point_ids": ids[:0]})
-    return cameras, _part(cameras, points, ids[mine], *observations), failure
+    return cameras, _part(cameras, points, ids[mine], section[mine], *observations), failure
 
 
 def _part(
     cameras: Problem,
     points: NDArray[np.float64],
     point_ids: NDArray[np.int64],
+    point_section: NDArray[np.uint16],
     image: NDArray[np.int32],
     point: NDArray[np.int32],
     xy: NDArray[np.float64],
@@ -163,6 +174,7 @@ def _part(
     return ProblemPart(
         points=points,
         point_ids=point_ids,
+        point_section=point_section,
         observation_image=image,
         observation_point=point,
         observation_xy=xy,

@@ -10,6 +10,7 @@
 
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
+#include "core/schur/point_sections.h"
 #include "support/scene.h"
 
 namespace bundle {
@@ -38,6 +39,9 @@ class PointPlanTest : public ::testing::Test {
     layout_ = std::make_unique<ParameterLayout>(PrepareSolve(problem_, solve_options).layout);
   }
 
+  void ExpectSamePlans(bool in_sections) const;
+  void ExpectSorted(bool in_sections) const;
+
   testing::Scene scene_;
   ProblemView problem_;
   std::unique_ptr<ParameterLayout> layout_;
@@ -57,8 +61,14 @@ void ExpectSame(const Chunk& a, const Chunk& b) {
 }
 
 TEST_F(PointPlanTest, IsTheSameForAnyNumberOfThreads) {
-  const EliminationPlan one = PlanPoints(problem_, *layout_, kBlockBytes, 1);
-  const EliminationPlan four = PlanPoints(problem_, *layout_, kBlockBytes, 4);
+  for (const bool in_sections : {false, true}) ExpectSamePlans(in_sections);
+}
+
+void PointPlanTest::ExpectSamePlans(bool in_sections) const {
+  const EliminationPlan one =
+      PlanPoints(problem_, *layout_, kBlockBytes, 1, /*keep_order=*/false, in_sections);
+  const EliminationPlan four =
+      PlanPoints(problem_, *layout_, kBlockBytes, 4, /*keep_order=*/false, in_sections);
   EXPECT_EQ(one.point, four.point);
   EXPECT_EQ(one.num_free_points, four.num_free_points);
   EXPECT_EQ(one.first, four.first);
@@ -97,18 +107,34 @@ TEST_F(PointPlanTest, HasEveryObservationThatSomethingRefines) {
 }
 
 TEST_F(PointPlanTest, IsSortedByTheImagesOfEachPoint) {
+  for (const bool in_sections : {false, true}) ExpectSorted(in_sections);
+}
+
+void PointPlanTest::ExpectSorted(bool in_sections) const {
+  const std::vector<uint16_t> section = FindPointSections(problem_, 2);
+  const auto section_of = [&](const EliminationPlan& plan, int p) {
+    return in_sections ? int{section[plan.point[p]]} : 0;
+  };
   const auto rank = [&](int image) {
     const int block = layout_->image_block(image);
     return block >= 0 ? block : problem_.num_images;
   };
-  const EliminationPlan plan = PlanPoints(problem_, *layout_, kBlockBytes, 4);
+  const EliminationPlan plan =
+      PlanPoints(problem_, *layout_, kBlockBytes, 4, /*keep_order=*/false, in_sections);
+  for (const Chunk& chunk : plan.chunks) {
+    EXPECT_EQ(section_of(plan, chunk.first_point), section_of(plan, chunk.last_point - 1));
+  }
   std::vector<int> before;
   for (int p = 0; p < plan.num_points(); ++p) {
     std::vector<int> ranks;
     for (int64_t k = plan.first[p]; k < plan.first[p + 1]; ++k)
       ranks.push_back(rank(plan.image[k]));
     EXPECT_TRUE(std::is_sorted(ranks.begin(), ranks.end()));
-    if (p != 0 && p != plan.num_free_points) {
+    const bool is_first_of_section = p != 0 && section_of(plan, p) != section_of(plan, p - 1);
+    if (is_first_of_section && p != plan.num_free_points) {
+      EXPECT_LT(section_of(plan, p - 1), section_of(plan, p));
+    }
+    if (p != 0 && p != plan.num_free_points && !is_first_of_section) {
       EXPECT_LE(before, ranks);
       if (before == ranks) {
         EXPECT_LT(plan.point[p - 1], plan.point[p]);

@@ -1,0 +1,66 @@
+#include "core/schur/point_sections.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <numeric>
+
+#include "core/parallel/thread_pool.h"
+
+namespace bundle {
+namespace {
+
+constexpr int kFewestSections = 12;
+constexpr int kMostSections = 12 << 6;
+// Fewer observations make chunks whose sums cost more to add than to compute.
+constexpr int64_t kFewestObservations = 16384;
+
+}  // namespace
+
+int NumPointSections(int64_t num_observations) {
+  int sections = kFewestSections;
+  while (sections < kMostSections && num_observations / (2 * sections) >= kFewestObservations) {
+    sections *= 2;
+  }
+  return sections;
+}
+
+std::vector<uint16_t> FindPointSections(const ProblemView& problem, int num_threads) {
+  const auto num_points = static_cast<size_t>(problem.num_points);
+  const int num_images = problem.num_images;
+  // Points that no image sees are last.
+  std::vector<int> first(num_points, num_images), seen(num_points);
+  std::vector<int> last(num_points, -1);
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    const int point = problem.observation_point[i], image = problem.observation_image[i];
+    first[point] = std::min(first[point], image);
+    last[point] = std::max(last[point], image);
+    ++seen[point];
+  }
+  std::vector<size_t> begin(static_cast<size_t>(num_images) + 2);  // of the points of each image
+  for (const int image : first) ++begin[image + 1];
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  std::vector<uint64_t> order(num_points);  // last image and index
+  std::vector<size_t> next(begin.begin(), begin.end() - 1);
+  for (size_t p = 0; p < num_points; ++p) {
+    order[next[first[p]]++] = static_cast<uint64_t>(last[p] + 1) << 32 | p;
+  }
+  ParallelFor(num_images, num_threads, [&](int64_t from, int64_t to) {
+    for (int64_t i = from; i < to; ++i) {
+      std::sort(order.begin() + static_cast<int64_t>(begin[i]),
+                order.begin() + static_cast<int64_t>(begin[i + 1]));
+    }
+  });
+  std::vector<uint16_t> section(num_points);
+  const int64_t total = problem.num_observations, sections = NumPointSections(total);
+  int64_t before = 0;
+  for (const uint64_t key : order) {
+    const auto point = static_cast<uint32_t>(key);
+    // Points without observations at the end would be one section too far.
+    const int64_t at = total == 0 ? 0 : std::min(before * sections / total, sections - 1);
+    section[point] = static_cast<uint16_t>(at);
+    before += seen[point];
+  }
+  return section;
+}
+
+}  // namespace bundle
