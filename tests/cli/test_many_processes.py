@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 
 import numpy as np
@@ -88,6 +89,20 @@ def test_a_colmap_model_in_slices_and_without_pycolmap(model, tmp_path):
     parts = given["summary"]["processes"]["parts"]
     assert sum(part["num_points"] for part in parts) == alone.problem.num_points
     np.testing.assert_allclose(bundle.load(output).points, alone.problem.points, atol=1e-6)
+
+
+@pytest.mark.parametrize("num_processes", [2, 3, 4])
+@pytest.mark.parametrize("strategy", ["levenberg-marquardt", "dogleg"])
+def test_files_are_those_of_one_process(model, tmp_path, num_processes, strategy):
+    """Twofold sums go up a tree, which has two levels from three processes on."""
+    words = ("refine", model, "--solver", "sparse-schur", "--trust-region", strategy)
+    alone, divided = tmp_path / "alone.txt", tmp_path / "divided.txt"
+    subprocess.run(
+        [sys.executable, "-m", "bundle", *words, "-o", alone], check=True, capture_output=True
+    )
+    code, _, err = mpirun(num_processes, *words, "-o", divided)
+    assert (code, error_lines(err)) == (0, [])
+    assert divided.read_bytes() == alone.read_bytes()
 
 
 @pytest.mark.parametrize(
