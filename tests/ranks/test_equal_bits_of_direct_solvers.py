@@ -85,6 +85,23 @@ def test_with_refined_sensors(solver):
     assert_same_bits(alone, divided)
 
 
+def test_a_system_in_several_messages():
+    """And, with 1,170 columns, factorised in tiles by two threads and by one."""
+    problem = street(num_images=130, num_points=1500, cameras="individual")
+    alone, divided = solves(
+        problem,
+        3,
+        linear_solver_type="dense_schur",
+        trust_region_strategy_type="dogleg",
+        max_num_iterations=3,
+    )
+    (sent,) = (
+        kind for kind in divided.summary.processes.traffic if kind.what == "normal equations"
+    )
+    assert sent.num_messages > 2 * divided.summary.num_jacobian_evaluations
+    assert_same_bits(alone, divided)
+
+
 def test_a_rejected_try_far_away():
     """Its cost is a thousand times the last one, and shows each digit of its step."""
     problem = street(rotation_noise=3.0, translation_noise=0.5, point_noise=1.0)

@@ -35,7 +35,6 @@ Assembler::Assembler(const ProblemView& problem, const ParameterLayout& layout,
     : problem_(problem),
       layout_(layout),
       structure_(structure),
-      compact_(CompactStructure(structure)),
       images_(problem.num_images),
       diagonal_begin_(DiagonalBlockOffsets(structure)) {
   for (int i = 0; i < problem.num_images; ++i) {

@@ -60,6 +60,9 @@ class Assembler {
   Assembler(const Assembler&) = delete;
   Assembler& operator=(const Assembler&) = delete;
 
+  /// Makes room to tell where rests of S are, before any are kept.
+  void PlaceRests() { compact_ = CompactStructure(structure_); }
+
   /// Sets the maps at a state, before its chunks are added.
   void SetMaps(const CameraStates& cameras);
   /// True if there are any; chunks then need the camera_diagonal of the images that have them.
@@ -151,7 +154,7 @@ class Assembler {
   const ProblemView& problem_;
   const ParameterLayout& layout_;
   const BlockStructure& structure_;
-  const BlockStructure compact_;  ///< CompactStructure
+  BlockStructure compact_;  ///< CompactStructure, where rests are kept
   std::vector<ImageBlocks> images_;
   std::vector<int64_t> diagonal_begin_;
   bool has_shared_blocks_ = false;

@@ -45,7 +45,9 @@ SchurSetup::SchurSetup(const ProblemView& of_problem, const ParameterLayout& of_
       plan(PlanPoints(problem, layout, groups.block_size() * static_cast<int>(sizeof(double)),
                       options.num_threads, is_reused, sums == SumOrder::kSections)),
       input(MakeInput(options, plan)),
-      is_reused_(is_reused) {}
+      is_reused_(is_reused) {
+  if (sums == SumOrder::kSections) assembler.PlaceRests();
+}
 
 EliminationInput SchurSetup::MakeInput(const SolveOptions& options,
                                        const EliminationPlan& points) const {
