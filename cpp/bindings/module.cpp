@@ -1,6 +1,7 @@
 #include <pybind11/pybind11.h>
 
 #include "core/error.h"
+#include "core/prepare/prepare.h"
 
 namespace py = pybind11;
 
@@ -30,6 +31,7 @@ PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of bundle. Private: use the Python package.";
   m.attr("__version__") = BUNDLE_VERSION;
   py::register_exception<bundle::InputError>(m, "InputError", PyExc_ValueError);
+  py::register_exception<bundle::MemoryRefused>(m, "MemoryRefused", m.attr("InputError"));
   BindCameras(m);
   BindProblem(m);
   BindBal(m);

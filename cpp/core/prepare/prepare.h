@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "core/error.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/linear/block_structure.h"
@@ -86,10 +87,16 @@ double PredictCeresWorkingBytes(const ProblemShape& shape);
 /// "1.4 GB": powers of 1000 and three digits, as python/bundle/memory_sizes.py writes them.
 std::string FormatBytes(double bytes);
 
+/// A solve that needs more memory than there is, said before it begins.
+class MemoryRefused : public InputError {
+ public:
+  using InputError::InputError;
+};
+
 /// True if `bytes` leave a tenth of the available memory to everything else.
 bool FitsIntoMemory(double bytes, double available);
 
-/// Throws InputError if the dense matrices of a solver do not fit into the free memory.
+/// Throws MemoryRefused if the dense matrices of a solver do not fit into the free memory.
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape, bool cameras_eliminated);
 
 /// The same for matrices of so many bytes: `what` they are, and which solver to use `instead`.

@@ -21,6 +21,7 @@ import time
 from pathlib import Path
 from typing import Any, TextIO
 
+from bundle import _core
 from bundle.comparison import process_memory
 from bundle.comparison.hand_over import restore
 from bundle.errors import InputError
@@ -67,7 +68,9 @@ def main() -> None:
         try:
             reporter.send(_run(folder, options, request["memory_cap"], reporter))
         except InputError as error:
-            reporter.send({"refused": str(error)})
+            # What the cap leaves is no news; what the machine has is.
+            is_beyond = isinstance(error, _core.MemoryRefused) and request["memory_cap"] > 0
+            reporter.send({"out_of_memory": True} if is_beyond else {"refused": str(error)})
         except MemoryError:
             reporter.send({"out_of_memory": True})
 
