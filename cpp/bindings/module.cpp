@@ -31,7 +31,8 @@ PYBIND11_MODULE(_core, m) {
   m.doc() = "C++ core of bundle. Private: use the Python package.";
   m.attr("__version__") = BUNDLE_VERSION;
   py::register_exception<bundle::InputError>(m, "InputError", PyExc_ValueError);
-  py::register_exception<bundle::MemoryRefused>(m, "MemoryRefused", m.attr("InputError"));
+  py::register_exception<bundle::NotEnoughMemoryError>(m, "NotEnoughMemoryError",
+                                                       m.attr("InputError"));
   BindCameras(m);
   BindProblem(m);
   BindBal(m);

@@ -117,9 +117,10 @@ void RefuseTooMuchMemory(LinearSolverType type, double bytes, const char* what,
                          const char* instead) {
   const double available = AvailableIfTooLittle(bytes);
   if (available < 0) return;
-  throw MemoryRefused("linear_solver_type: " + UpperName(type, kLinearSolverTypes) + " needs " +
-                      FormatBytes(bytes) + " for its " + what + ", of which this machine has " +
-                      FormatBytes(available) + " free; use " + instead);
+  throw NotEnoughMemoryError("linear_solver_type: " + UpperName(type, kLinearSolverTypes) +
+                             " needs " + FormatBytes(bytes) + " for its " + what +
+                             ", of which this machine has " + FormatBytes(available) +
+                             " free; use " + instead);
 }
 
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape,
@@ -153,9 +154,9 @@ void RefuseTooLarge(const ProblemView& problem) {
 void RefuseTooMuchMemory(double working_bytes) {
   const double available = AvailableIfTooLittle(working_bytes);
   if (available < 0) return;
-  throw MemoryRefused("not enough memory: the observations and points take " +
-                      FormatBytes(working_bytes) + " within a solve, of which this machine has " +
-                      FormatBytes(available) + " free");
+  throw NotEnoughMemoryError(
+      "not enough memory: the observations and points take " + FormatBytes(working_bytes) +
+      " within a solve, of which this machine has " + FormatBytes(available) + " free");
 }
 
 void RefuseTooMuchMemory(LinearSolverType type, double factor_bytes, double working_bytes) {

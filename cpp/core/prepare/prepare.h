@@ -88,7 +88,7 @@ double PredictCeresWorkingBytes(const ProblemShape& shape);
 std::string FormatBytes(double bytes);
 
 /// A solve that needs more memory than there is, said before it begins.
-class MemoryRefused : public InputError {
+class NotEnoughMemoryError : public InputError {
  public:
   using InputError::InputError;
 };
@@ -96,7 +96,7 @@ class MemoryRefused : public InputError {
 /// True if `bytes` leave a tenth of the available memory to everything else.
 bool FitsIntoMemory(double bytes, double available);
 
-/// Throws MemoryRefused if the dense matrices of a solver do not fit into the free memory.
+/// Throws NotEnoughMemoryError if the dense matrices of a solver do not fit into the free memory.
 void RefuseTooMuchMemory(LinearSolverType type, const ProblemShape& shape, bool cameras_eliminated);
 
 /// The same for matrices of so many bytes: `what` they are, and which solver to use `instead`.

@@ -69,7 +69,7 @@ def main() -> None:
             reporter.send(_run(folder, options, request["memory_cap"], reporter))
         except InputError as error:
             # What the cap leaves is no news; what the machine has is.
-            is_beyond = isinstance(error, _core.MemoryRefused) and request["memory_cap"] > 0
+            is_beyond = isinstance(error, _core.NotEnoughMemoryError) and request["memory_cap"] > 0
             reporter.send({"out_of_memory": True} if is_beyond else {"refused": str(error)})
         except MemoryError:
             reporter.send({"out_of_memory": True})

@@ -131,8 +131,10 @@ def predict_ranks(
     is_dense = method.linear_solver_type == "DENSE_SCHUR"
     size = step_bytes(reduced, is_dense=is_dense, twofold=twofold)
     num_vectors = 9 if twofold else 6
-    values = size - 8 * num_vectors * reduced.num_columns
-    sent_twofold = values + 8 * 6 * reduced.num_columns if twofold else 0
+    sent_values = size - 8 * num_vectors * reduced.num_columns
+    sent_twofold = sent_values + 8 * 6 * reduced.num_columns if twofold else 0
+    # Of S alone: what rounding takes from it is a term of the method.
+    values = sent_values / 2 if twofold else sent_values
     tracks = np.bincount(problem.observation_point, minlength=problem.num_points)
     work = tracks * (tracks + 1.0)
     whole = _bytes_of(problem)
