@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bundle
-from tests.ranks.thread_crew import processes
+from tests.ranks.thread_crew import alone_and_divided
 from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem
 
@@ -25,10 +25,7 @@ def street(**changes):
 
 
 def solves(problem, num_ranks, **options):
-    alone = bundle.solve(problem, num_threads=2, **(OPTIONS | options))
-    with processes(num_ranks):
-        divided = bundle.solve(problem, num_threads=1, **(OPTIONS | options))
-    return alone, divided
+    return alone_and_divided(problem, num_ranks, **(OPTIONS | options))
 
 
 def assert_same_bits(alone, divided):

@@ -7,17 +7,14 @@ import bundle
 from bundle import _core
 from bundle.ranks.partition import divide
 from tests.ranks.test_equal_bits import CASES, mixed_widths, positions, street
-from tests.ranks.thread_crew import processes
+from tests.ranks.thread_crew import alone_and_divided
 from tests.rig_scenes import rig_problem
 
 OPTIONS = {"linear_solver_type": "sparse_schur", "max_num_iterations": 8}
 
 
 def solves(problem, num_ranks, **options):
-    alone = bundle.solve(problem, num_threads=2, **(OPTIONS | options))
-    with processes(num_ranks):
-        divided = bundle.solve(problem, num_threads=1, **(OPTIONS | options))
-    return alone, divided
+    return alone_and_divided(problem, num_ranks, **(OPTIONS | options))
 
 
 def assert_same_bits(alone, divided):

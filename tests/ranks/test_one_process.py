@@ -18,8 +18,13 @@ def same_as_alone(factors=(), **options):
     alone = bundle.solve(scene(), factors=factors, **(QUICK | options))
     with processes(3):
         result = bundle.solve(scene(), factors=factors, **(QUICK | options))
-    assert result.iterations["cost"].tolist() == alone.iterations["cost"].tolist()
-    assert np.array_equal(result.problem.points, alone.problem.points)
+    # With points that a factor couples, Ceres orders blocks by their addresses: one process, run
+    # twice, differs from itself in the last digits.
+    rtol = 1e-9 if factors else 0
+    np.testing.assert_allclose(
+        result.iterations["cost"], alone.iterations["cost"], rtol=rtol, atol=0
+    )
+    np.testing.assert_allclose(result.problem.points, alone.problem.points, rtol=rtol, atol=rtol)
     return alone.summary, result.summary
 
 

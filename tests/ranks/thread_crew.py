@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import bundle
 from bundle import InputError, _core
 from bundle.ranks.divided_solve import Job, PartOfOutput, work_on
 from bundle.ranks.launch import use
@@ -139,3 +140,11 @@ def processes(num_ranks: int) -> Iterator[ThreadCrew]:
     crew = ThreadCrew(num_ranks)
     with use(crew):
         yield crew
+
+
+def alone_and_divided(problem: Any, num_ranks: int, **options: Any) -> tuple[Any, Any]:
+    """Solve by one process with two threads, and by several with one each."""
+    alone = bundle.solve(problem, num_threads=2, **options)
+    with processes(num_ranks):
+        divided = bundle.solve(problem, num_threads=1, **options)
+    return alone, divided
