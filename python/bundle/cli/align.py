@@ -8,7 +8,8 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.gcp_flags import GCP_FLAGS, add_gcp_flags, check_point_names
 from bundle.cli.gps_flags import GPS_FLAGS, add_loss_flags, add_position_flags
 from bundle.cli.option_flags import naming_flags
-from bundle.cli.parser import a_path, add_input, add_output
+from bundle.cli.parser import add_input, add_output
+from bundle.cli.paths import reconstruction
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--reference",
         metavar="MODEL",
-        type=a_path,
+        type=reconstruction,
         help="a model with images of the same names, into whose frame INPUT goes (default: none)",
     )
     add_loss_flags(parser.add_argument_group("robustness"), "control points and positions")
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Align INPUT into OUTPUT."""
     from bundle.cli.gps_flags import antenna, check_georeference, write_georeference
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.georeference import align
@@ -52,7 +53,6 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.align import alignment, as_json
 
     source, target = arguments.input, arguments.output
-    check_json(arguments.json, source, target)
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
         progress.stage(f"reading {shown(source)}")
         problem = load(source, progress.text)
@@ -61,7 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
             "format": output_format(problem, target, arguments.format, source),
         }
         check_target(problem, **output)
-        check_georeference(**output, json=arguments.json)
+        check_replaced(target, [source], arguments.overwrite, same_images(problem))
+        check_georeference(**output)
         progress.stage("aligning")
         settings = {
             "gcps": arguments.gcp,

@@ -53,14 +53,13 @@ def run(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.checking import check_jacobians
     from bundle.checking.gradient_report import outcome
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
     from bundle.io import load
     from bundle.reports.check import as_json, checked
 
-    check_json(arguments.json, arguments.input)
     for flag, value, least in (("--samples", arguments.samples, 1), ("--seed", arguments.seed, 0)):
         if value < least:
             raise InputError(f"{flag}: expected at least {least}, found {value}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from bundle import compare_defaults as defaults
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, naming_flags, options_given
-from bundle.cli.parser import a_path
+from bundle.cli.paths import page_path, reconstruction
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
 from bundle.errors import InputError
 from bundle.io.recognition import is_pose_graph_file
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "inputs",
         metavar="INPUT",
-        type=a_path,
+        type=reconstruction,
         nargs="+",
         help="BAL files (plain, .gz or .bz2) and folders of COLMAP models; several give "
         "performance profiles as well; or one pose graph (g2o)",
@@ -95,12 +95,14 @@ def _add_limits(group: argparse._ArgumentGroup) -> None:
         "1 MB is 1,000,000 bytes "
         f"(default: {100 * defaults.SHARE_OF_FREE_MEMORY:g} %% of what is free at the start)",
     )
-    group.add_argument("--html", metavar="FILE", type=a_path, help="also write a page with plots")
+    group.add_argument(
+        "--html", metavar="FILE", type=page_path(), help="also write a page with plots"
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare methods on INPUT: 0 if one can be recommended."""
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.comparison import compare
     from bundle.reports.compare import compared
@@ -117,8 +119,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"--repeat: expected at least 1, found {arguments.repeat}")
     if not arguments.timeout > 0:
         raise InputError(f"--timeout: expected more than 0 seconds, found {arguments.timeout:g}")
-    check_json(arguments.json, *arguments.inputs)
-    check_json(arguments.html, *arguments.inputs, *filter(None, [arguments.json]))
     flags = {name: _flag(name) for name in defaults.COMPARED}
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**flags):
         comparison = compare(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from bundle.cli.parser import a_path
+from bundle.cli.paths import a_path
 
 if TYPE_CHECKING:
     from bundle.constraints import Constraints

@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
         from bundle.cli.sequence_commands import convert_sequence
 
         return convert_sequence(arguments)
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io import check_target, load, output_format, save
@@ -41,7 +41,6 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.convert import conversion
 
     path = arguments.output
-    check_json(arguments.json, arguments.input, path)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = load(arguments.input, progress.text)
@@ -53,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
             "format": output_format(edited, path, arguments.format, arguments.input),
         }
         check_target(edited, **output)
+        check_replaced(path, [arguments.input], arguments.overwrite, same_images(edited))
         progress.stage(f"writing {shown(path)}")
         lost = save(edited, **output, progress=progress.text)
     if arguments.json != "-":

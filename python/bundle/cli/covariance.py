@@ -15,7 +15,8 @@ from bundle.cli.option_flags import (
     options_given,
     with_named_images,
 )
-from bundle.cli.parser import a_path, add_input
+from bundle.cli.parser import add_input
+from bundle.cli.paths import PathArgument
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
 from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
@@ -61,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o",
         "--output",
         metavar="FILE.npz",
-        type=a_path,
+        type=PathArgument("file", format="arrays for NumPy (.npz)", own=".npz"),
         required=True,
         help="arrays for NumPy: pose_ids, pose_covariance (n, 6, 6; rotation in radians, left "
         "perturbation of cam_from_world, then translation), point_ids, point_covariance, "
@@ -130,7 +131,7 @@ def run(arguments: argparse.Namespace) -> int:
         return covariance_of_graph_file(arguments)
     refuse_flags_of_graphs(arguments)
     from bundle.cli.gps_flags import priors_given
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io import load
@@ -138,8 +139,6 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.uncertainty import covariance
 
     source, target = arguments.input, arguments.output
-    check_json(target, source, what="file")
-    check_json(arguments.json, source, target)
     options = options_given(arguments, SolveOptions, names_follow=True)
     check_gps_flags(arguments, options)
     rules = constraints_given(arguments)

@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         return diagnose_graph_file(arguments)
     refuse_flags_of_graphs(arguments)
     from bundle.cli.gps_flags import priors_given
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.diagnosis import diagnose
     from bundle.errors import shown
@@ -68,7 +68,6 @@ def run(arguments: argparse.Namespace) -> int:
     options = options_given(arguments, SolveOptions, names_follow=True)
     check_gps_flags(arguments, options)
     constraints = constraints_given(arguments)
-    check_json(arguments.json, arguments.input, *filter(None, [arguments.constraints]))
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         problem = with_rigs(load(arguments.input, progress.text), arguments.rig_config)

@@ -50,7 +50,7 @@ def refuse_flight_flags(arguments: argparse.Namespace) -> None:
 
 def run_flight(arguments: argparse.Namespace) -> int:
     """Make a flight and write it, its truth beside its measurements."""
-    from bundle.cli.output import check_json, check_new, show, write_json
+    from bundle.cli.output import check_new, show, write_json
     from bundle.cli.progress import Progress
     from bundle.reports.json import plain
     from bundle.reports.sequence_tables import heading_of_sequence, made_flight
@@ -64,7 +64,6 @@ def run_flight(arguments: argparse.Namespace) -> int:
             raise InputError(f"{flag}: expected with other scenes, found with --scene {FLIGHT}")
     options = options_given(arguments, FlightOptions)
     path = arguments.output
-    check_json(arguments.json, path)
     if not arguments.overwrite:
         check_new(path, "--overwrite")
     check_sequence_target(path)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.cli.gcp_flags import GCP_FLAGS, add_gcp_flags, check_point_names
 from bundle.cli.option_flags import choice_word, naming_flags
-from bundle.cli.parser import a_path
+from bundle.cli.paths import GEOREFERENCE, PathArgument, a_path
 from bundle.errors import InputError, brief, shown
 from bundle.options import LOSSES, SolveOptions
 
@@ -26,8 +26,6 @@ __all__ = [
     "priors_given",
     "write_georeference",
 ]
-
-FILE = "georeference.json"
 
 GPS_FLAGS = {
     "gps": "--gps",
@@ -48,7 +46,7 @@ NAMED = {**GCP_FLAGS, **GPS_FLAGS}
 MOVED = (
     "The model is first moved into metres east, north, up about the middle of the control points, "
     "or of the positions where there are none, and stays there. "
-    f"{FILE} in OUTPUT, or beside it if it is a file, says where that is."
+    f"{GEOREFERENCE} in OUTPUT, or beside it if it is a file, says where that is."
 )
 
 
@@ -75,7 +73,7 @@ def add_position_flags(group: argparse._ArgumentGroup, images_are_for: str = "--
     group.add_argument(
         "--gps",
         metavar="exif|FILE",
-        type=a_path,
+        type=PathArgument(words=("exif",)),
         help="measured positions; exif: what the images themselves say; FILE: "
         "OpenDroneMap's geo.txt (default: none)",
     )
@@ -189,22 +187,19 @@ def priors_given(arguments: argparse.Namespace, problem: Problem) -> GcpPriors |
 
 def georeference_path(path: str, format: str) -> Path:
     """Return where the file stands: in an output folder, beside an output file."""
-    return (Path(path).parent if format == "bal" else Path(path)) / FILE
+    return (Path(path).parent if format == "bal" else Path(path)) / GEOREFERENCE
 
 
-def check_georeference(path: str, format: str, json: str | None) -> None:
+def check_georeference(path: str, format: str) -> None:
     """Refuse now what could not be written later.
 
     Raises:
-        InputError: something that is no file stands there, or the report would.
+        InputError: something that is no file stands there.
         OSError: there is no permission.
     """
-    from bundle.cli.output import check_json
     from bundle.io import atomic
 
     beside = georeference_path(path, format)
-    if json not in (None, "-"):
-        check_json(json, str(beside))
     if beside.parent.is_dir():
         atomic.check_file(beside)
 

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Describe every INPUT."""
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.pose_graph_commands import describe_graph
     from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
     from bundle.cli.progress import Progress
@@ -37,7 +37,6 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports import info, json
     from bundle.statistics import describe
 
-    check_json(arguments.json, *arguments.inputs)
     tables: list[RenderableType] = []
     reports = []
     with Progress(quiet=arguments.quiet) as progress:

@@ -15,7 +15,7 @@ from bundle.cli.option_flags import (
     options_given,
     with_named_images,
 )
-from bundle.cli.parser import a_path
+from bundle.cli.paths import a_path, page_path, reconstruction
 from bundle.io.recognition import is_pose_graph_file
 from bundle.options import GRAPH_ORDERINGS, SolveOptions
 
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "input",
         metavar="INPUT",
-        type=a_path,
+        type=reconstruction,
         nargs="?",
         help="a BAL file (plain, .gz or .bz2) or the folder of a COLMAP model (binary or text) or "
         "a pose graph (g2o); told by its content",
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--html",
         metavar="FILE",
-        type=a_path,
+        type=page_path("report"),
         help="also write a page with pictures, which needs no network",
     )
     parser.add_argument(
@@ -98,15 +98,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Inspect INPUT or a graph."""
-    from bundle.cli.output import check_json
     from bundle.errors import InputError
 
     if (arguments.input is None) == (arguments.graph is None):
         found = "neither" if arguments.input is None else "both"
         raise InputError(f"expected INPUT or --graph FILE, found {found}")
-    source = arguments.input or arguments.graph
-    check_json(arguments.json, source)
-    check_json(arguments.html, source, *([arguments.json] if arguments.json else []))
     if arguments.network is not None and arguments.ranks is None:
         raise InputError("--network: expected with --ranks only")
     if arguments.ranks is not None and arguments.graph is not None:

@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from bundle.cli.option_flags import choice_word, naming_flags
-from bundle.cli.parser import a_path
+from bundle.cli.paths import a_path
 from bundle.errors import InputError
 from bundle.loop_losses import LOOP_LOSSES
 

@@ -6,7 +6,8 @@ import argparse
 
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import naming_flags
-from bundle.cli.parser import a_path, add_output
+from bundle.cli.parser import add_output
+from bundle.cli.paths import reconstruction
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -21,12 +22,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
     parser.usage = "bundle merge A B -o OUTPUT [options]"
     parser.add_argument(
-        "a", metavar="A", type=a_path, help="a COLMAP model, whose frame, poses and ids stay"
+        "a",
+        metavar="A",
+        type=reconstruction,
+        help="a COLMAP model, whose frame, poses and ids stay",
     )
     parser.add_argument(
-        "b", metavar="B", type=a_path, help="a COLMAP model with some images of the same names"
+        "b",
+        metavar="B",
+        type=reconstruction,
+        help="a COLMAP model with some images of the same names",
     )
-    add_output(parser, "-o", "--output", required=True)
+    add_output(parser, "-o", "--output", required=True, replaces=("a", "b"))
     parser.add_argument(
         "--max-error",
         metavar="PX",
@@ -39,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Merge A and B into OUTPUT."""
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.io import check_target, load, output_format, save
@@ -47,8 +54,6 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.merge import as_json, merged_table
 
     paths, target = (arguments.a, arguments.b), arguments.output
-    for path in paths:
-        check_json(arguments.json, path, target)
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):
         problems = []
         for path in paths:
@@ -57,6 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         a, b = problems
         output = {"path": target, "format": output_format(a, target, arguments.format, paths[0])}
         check_target(a, **output)
+        check_replaced(target, paths, arguments.overwrite, same_images(a, b))
         progress.stage("merging")
         merged = merge(a, b, max_error=arguments.max_error)
         progress.stage(f"writing {shown(target)}")

@@ -1,52 +1,77 @@
-"""Where reports go: checks before the work starts, and writing that leaves no halves."""
+"""Output: what it must not replace, and writing that leaves no halves."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import RenderableType
 
 from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
 from bundle.io import atomic
-from bundle.io.model_files import MODEL_FILES
-from bundle.io.recognition import SEQUENCE_FILES, reconstruction_at
-from bundle.io.streams import is_stream
+from bundle.io.recognition import reconstruction_at, sequence_at
 from bundle.reports import json
 from bundle.tables import console, render
 
-__all__ = ["check_json", "check_new", "show", "write_json"]
+if TYPE_CHECKING:
+    from bundle.problem import Problem
 
-_READ_FROM_FOLDERS = (*MODEL_FILES, *SEQUENCE_FILES)
+__all__ = ["check_new", "check_replaced", "same_images", "show", "write_json"]
 
 
-def check_json(path: str | None, *others: str, what: str = "report") -> None:
-    """Refuse now a path that a report could not be written to later, or must not be.
+def check_replaced(
+    path: str, sources: Iterable[str], overwrite: bool, is_same: Callable[[Path], bool]
+) -> None:
+    """Refuse to replace another model, pose graph or sequence than what is worked on.
 
     Args:
-        path: the argument of --json or --html.
-        *others: what the command reads and writes besides, which a report must not replace.
-        what: a report, or what else is written there.
+        path: of the output.
+        sources: what the command reads, which it may replace.
+        overwrite: whether --overwrite was given.
+        is_same: tells whether a model, graph or sequence holds the same images or poses.
 
     Raises:
-        InputError: the path is a folder, has no folder to be in, is one of the others or a file of
-            a model or sequence in one of them, or a reconstruction stands there.
-        OSError: there is no permission to write.
-
+        InputError: there is one of other images, or one that cannot be read.
     """
-    if path is None or path == "-" or is_stream(path):
+    target = Path(path)
+    if overwrite or not target.exists() or any(_is_same_file(target, source) for source in sources):
         return
-    target = Path(os.path.realpath(path))
-    for other in (Path(os.path.realpath(other)) for other in others):
-        if target == other or (target.parent == other and target.name in _READ_FROM_FOLDERS):
-            raise InputError(f"{shown(path)}: the {what} would replace what the command works on")
-    atomic.check_file(Path(path))
-    found = reconstruction_at(target)
-    if found is not None:
-        raise InputError(f"{shown(path)}: the {what} would replace {found}")
+    found = reconstruction_at(target) or ("a sequence" if sequence_at(target) else None)
+    if found is None:
+        return
+    try:
+        if is_same(target):
+            return
+    except (InputError, OSError):
+        found = f"{found} that cannot be read"
+    else:
+        parts = "poses" if found == "a pose graph" else "images"
+        found = f"{found} of other {parts}"
+    raise InputError(
+        f"{shown(path)}: expected nothing there or what INPUT holds, found {found} "
+        "(--overwrite replaces it)"
+    )
+
+
+def same_images(*problems: Problem) -> Callable[[Path], bool]:
+    """Return a function that tells whether a model at a path has the images of some problems."""
+    from bundle.io.image_names import has_same_images
+
+    names = [name for problem in problems for name in problem.image_names]
+    if len(problems) > 1:  # of shared images once
+        names = list(dict.fromkeys(names))
+    return lambda path: has_same_images(path, names)
+
+
+def _is_same_file(one: Path, other: str) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:
+        return False
 
 
 def check_new(path: str, flag: str) -> None:

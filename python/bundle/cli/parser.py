@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from bundle.cli.paths import PathArgument, a_path, check_paths, reconstruction, report_path
 from bundle.cli.standard_streams import print_out
 from bundle.cli.suggestions import unknown_command, unknown_value
 from bundle.errors import InputError, shown
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Parser",
-    "a_path",
     "add_common_arguments",
     "add_input",
     "add_output",
@@ -73,6 +73,7 @@ class Parser(argparse.ArgumentParser):
         parsed, rest = super().parse_known_args(args, namespace)
         if rest:
             self.error(self.explain(rest[0]))
+        check_paths(self._actions, parsed)
         return parsed, rest
 
     def flags(self) -> tuple[str, ...]:
@@ -95,23 +96,12 @@ class Parser(argparse.ArgumentParser):
         raise argparse.ArgumentError(action, unknown_value(str(value), map(str, action.choices)))
 
 
-def a_path(text: str) -> str:
-    """Return the path; the type of every argument that is one.
-
-    Raises:
-        argparse.ArgumentTypeError: it is empty.
-    """
-    if not text.strip():
-        raise argparse.ArgumentTypeError("expected a path, found an empty one")
-    return text
-
-
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags that every command has."""
     parser.add_argument(
         "--json",
         metavar="FILE",
-        type=a_path,
+        type=report_path,
         help="also write a report for programs; -: to standard output, and nothing else there",
     )
     parser.add_argument(
@@ -127,7 +117,7 @@ def add_input(
         name,
         metavar="INPUT",
         nargs=nargs,
-        type=a_path,
+        type=reconstruction,
         help="a BAL file (plain, .gz or .bz2), the folder of a COLMAP model (binary or text) or, "
         "for info, refine, compare, inspect, diagnose, covariance and convert, a pose graph (g2o, "
         "plain, .gz or .bz2), or, for info and convert, the folder of a visual-inertial sequence; "
@@ -156,16 +146,33 @@ def with_rigs(problem: Problem, path: str | None) -> Problem:
     return apply_rig_config(problem, path)
 
 
-def add_output(parser: argparse.ArgumentParser, *names: str, **settings: Any) -> None:
-    """Add OUTPUT under the given names, and --format."""
+def add_output(
+    parser: argparse.ArgumentParser,
+    *names: str,
+    replaces: tuple[str, ...] = ("input",),
+    **settings: Any,
+) -> None:
+    """Add OUTPUT under the given names, --format and --overwrite.
+
+    Args:
+        parser: of the command.
+        *names: of the argument.
+        replaces: destinations of the arguments that may name the same model.
+        **settings: of ``add_argument``.
+    """
     parser.add_argument(
         *names,
         metavar="OUTPUT",
-        type=a_path,
+        type=PathArgument("output", is_data=True, replaces=replaces),
         help="what to write, which may be INPUT; NAME.txt, .txt.gz and .txt.bz2 are BAL files, "
         "NAME/ and folders that exist COLMAP models, other names take INPUT's format",
         **settings,
     )
     parser.add_argument(
         "--format", choices=FORMATS, help="format of OUTPUT (default: what its name says)"
+    )
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace a model of other images at OUTPUT (default: stop if there is one)",
     )

@@ -19,7 +19,7 @@ LINEARIZATION = ("error", "information", "loss", "loss_scale", "loss_on")
 def diagnose_graph_file(arguments: argparse.Namespace) -> int:
     """Diagnose the pose graph INPUT."""
     started = perf_counter()
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.diagnosis.diagnose_graph import diagnose_graph
     from bundle.errors import shown
@@ -29,7 +29,6 @@ def diagnose_graph_file(arguments: argparse.Namespace) -> int:
     refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, "num_threads"))
     options = options_given(arguments, PoseGraphOptions)
     source = arguments.input
-    check_json(arguments.json, source)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         graph = load_g2o(source)
@@ -47,7 +46,7 @@ def diagnose_graph_file(arguments: argparse.Namespace) -> int:
 def covariance_of_graph_file(arguments: argparse.Namespace) -> int:
     """Compute the covariances of the poses of the pose graph INPUT."""
     started = perf_counter()
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.pose_graph.g2o_files import load_g2o
@@ -58,8 +57,6 @@ def covariance_of_graph_file(arguments: argparse.Namespace) -> int:
     refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, *own))
     options = options_given(arguments, PoseGraphOptions)
     source, target = arguments.input, arguments.output
-    check_json(target, source, what="file")
-    check_json(arguments.json, source, target)
     flags = {name: f"--{name}" for name in ("relative", "gauge", "scale")}
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")

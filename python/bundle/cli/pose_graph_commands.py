@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+from functools import partial
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +17,8 @@ from bundle.pose_graph_options import PoseGraphOptions
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from bundle.pose_graph import PoseGraph
+
 __all__ = ["convert_graph", "describe_graph", "refine_graph"]
 
 _OPTIONS = {field.name for field in dataclasses.fields(PoseGraphOptions)}
@@ -23,7 +27,7 @@ _OPTIONS = {field.name for field in dataclasses.fields(PoseGraphOptions)}
 def refine_graph(arguments: argparse.Namespace) -> int:
     """Refine the pose graph INPUT into OUTPUT."""
     started = perf_counter()
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import check_replaced, show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
     from bundle.errors import shown
@@ -36,13 +40,13 @@ def refine_graph(arguments: argparse.Namespace) -> int:
     refuse_flags_of_reconstructions(arguments, _OPTIONS)
     options = options_given(arguments, PoseGraphOptions)
     source, target = arguments.input, arguments.output
-    check_json(arguments.json, source, target)
     check_g2o_target(target)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         begun = perf_counter()
         graph = load_g2o(source)
         load_time = perf_counter() - begun
+        check_replaced(target, [source], arguments.overwrite, partial(_has_same_poses, graph))
         progress.stage("building the problem")
         with naming_flags(PoseGraphOptions):
             solved = solve_pose_graph(graph, options, progress=progress.iteration)
@@ -83,7 +87,7 @@ def describe_graph(path: str) -> tuple[list[RenderableType], dict[str, Any]]:
 
 def convert_graph(arguments: argparse.Namespace) -> int:
     """Write the pose graph INPUT anew: compressed or not, with poses where it had none."""
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import check_replaced, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.pose_graph.g2o_files import check_g2o_target, load_g2o, save_g2o
@@ -92,11 +96,12 @@ def convert_graph(arguments: argparse.Namespace) -> int:
 
     refuse_flags_of_reconstructions(arguments)
     path = arguments.output
-    check_json(arguments.json, arguments.input, path)
     check_g2o_target(path)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(arguments.input)}")
         graph = load_g2o(arguments.input)
+        same = partial(_has_same_poses, graph)
+        check_replaced(path, [arguments.input], arguments.overwrite, same)
         progress.stage(f"writing {shown(path)}")
         lost = save_g2o(graph, path)
     output = {"path": path, "format": "g2o"}
@@ -104,3 +109,11 @@ def convert_graph(arguments: argparse.Namespace) -> int:
         show(*converted_graph(arguments.input, graph, output))
     write_json(arguments.json, conversion_of_graph(arguments.input, graph, output, lost))
     return EXIT_DONE
+
+
+def _has_same_poses(graph: PoseGraph, path: Path) -> bool:
+    """Tell whether the file of a pose graph has poses of the same ids."""
+    from bundle.pose_graph.g2o_files import load_g2o
+
+    there = load_g2o(path)
+    return there.poses.shape == graph.poses.shape and sorted(there.ids) == sorted(graph.ids)

@@ -25,7 +25,7 @@ OPTIONS = (
 def inspect_graph_file(arguments: argparse.Namespace) -> int:
     """Inspect the pose graph INPUT."""
     started = perf_counter()
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.inspection import inspect
@@ -34,7 +34,6 @@ def inspect_graph_file(arguments: argparse.Namespace) -> int:
 
     refuse_flags_of_reconstructions(arguments, ("num_threads",))
     source = arguments.input
-    check_json(arguments.json, source)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         graph = load_g2o(source)
@@ -50,7 +49,7 @@ def inspect_graph_file(arguments: argparse.Namespace) -> int:
 def compare_graph_file(arguments: argparse.Namespace) -> int:
     """Compare methods on the pose graph INPUT: 0 if one can be recommended."""
     started = perf_counter()
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.comparison import compare
     from bundle.errors import shown
@@ -63,7 +62,6 @@ def compare_graph_file(arguments: argparse.Namespace) -> int:
     refuse_flags_of_reconstructions(_without_defaults(arguments), (*OPTIONS, *own))
     options = options_given(arguments, PoseGraphOptions)
     source = arguments.inputs[0]
-    check_json(arguments.json, source)
     flags = {name: f"--{name}" for name in ("backends", "threads", "repeat", "timeout")}
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")

@@ -14,7 +14,7 @@ from bundle.pose_graph_options import PoseGraphOptions
 
 __all__ = ["add_pose_graph_flags", "refuse_flags_of_graphs", "refuse_flags_of_reconstructions"]
 
-_OF_ALL = ("input", "inputs", "output", "json", "quiet", "run")
+_OF_ALL = ("input", "inputs", "output", "json", "quiet", "overwrite", "run")
 _SHARED = {field.name for field in dataclasses.fields(SolveOptions)}
 _ONLY_GRAPHS = [
     field for field in dataclasses.fields(PoseGraphOptions) if field.name not in _SHARED

@@ -20,7 +20,8 @@ from bundle.cli.option_flags import (
     options_given,
     with_named_images,
 )
-from bundle.cli.parser import a_path, add_input, add_output, add_rig_config, with_rigs
+from bundle.cli.parser import add_input, add_output, add_rig_config, with_rigs
+from bundle.cli.paths import PathArgument, page_path
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
 from bundle.io.recognition import is_pose_graph_file
 from bundle.options import SolveOptions
@@ -80,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--checkpoint",
         metavar="FILE",
-        type=a_path,
+        type=PathArgument("checkpoint", replaces=("resume",)),
         help="write FILE after each round and every few iterations, for --resume (default: none)",
     )
     group.add_argument(
@@ -94,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--resume",
         metavar="FILE",
-        type=a_path,
+        type=PathArgument("checkpoint", replaces=("checkpoint",)),
         help="go on from this checkpoint, with the same INPUT and options (--threads may differ), "
         "and go on writing it; from the start if there is no such file. With --deterministic the "
         "result is that of a run with --checkpoint that was not killed, bit for bit",
@@ -102,7 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--html",
         metavar="FILE",
-        type=a_path,
+        type=page_path(),
         help="also write a report page, as `bundle report` does, with residuals before and after; "
         "--images DIR has its photographs (default: none)",
     )
@@ -128,7 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
         priors_given,
         write_georeference,
     )
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.sliced_input import sliced_input
     from bundle.cli.standard_streams import complain
@@ -147,10 +148,6 @@ def run(arguments: argparse.Namespace) -> int:
     check_loop_flags(arguments)
     constraints = constraints_given(arguments)
     source, target = arguments.input, arguments.output
-    read = [*filter(None, [arguments.constraints, arguments.loops])]
-    check_json(arguments.json, source, target, *read)
-    others = [arguments.json if arguments.json != "-" else None, *read]
-    check_json(arguments.html, source, target, *filter(None, others), what="page")
     checkpoints = _checkpoints_given(arguments)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
@@ -171,9 +168,10 @@ def run(arguments: argparse.Namespace) -> int:
         check_target(
             problem, **output, refined=options.refine, fixed_camera_ids=options.fixed_camera_ids
         )
+        check_replaced(target, [source], arguments.overwrite, same_images(problem))
         for what, path in (("control points", arguments.gcp), ("positions", arguments.gps)):
             if path is not None:
-                check_georeference(**output, json=arguments.json)
+                check_georeference(**output)
                 progress.stage(f"reading {what}: {shown(path)}")
         known = priors_given(arguments, problem)
         if arguments.check_gradients:
@@ -285,16 +283,12 @@ def _checkpoints_given(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return what was said about checkpoints, and say where a run starts over.
 
     Raises:
-        InputError: a file is one of the others, or there is an interval but no checkpoint.
+        InputError: there is an interval but no checkpoint.
     """
-    from bundle.cli.output import check_json
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
 
-    others = [arguments.input, arguments.output, *filter(None, [arguments.json])]
     files = {name: getattr(arguments, name) for name in ("checkpoint", "resume")}
-    for path in files.values():
-        check_json(path, *others, what="checkpoint")
     if arguments.checkpoint_interval is None:
         given = {}
     elif not any(files.values()):

@@ -12,7 +12,8 @@ from bundle.cli.constraint_flags import add_constraint_flags, constraints_given
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
 from bundle.cli.option_flags import naming_flags
-from bundle.cli.parser import a_path, add_input, add_rig_config, with_rigs
+from bundle.cli.parser import add_input, add_rig_config, with_rigs
+from bundle.cli.paths import page_path
 from bundle.options import SolveOptions
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
@@ -29,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o",
         "--output",
         metavar="FILE.html",
-        type=a_path,
+        type=page_path(),
         required=True,
         help="the page to write, a single file",
     )
@@ -69,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Write the page on INPUT."""
     started = perf_counter()
     from bundle.cli.gps_flags import priors_given
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import InputError, shown
     from bundle.html import write_report
@@ -81,9 +82,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError("--output: expected a file for the page, found -")
     check_gps_flags(arguments, SolveOptions())
     constraints = constraints_given(arguments)
-    read = [*filter(None, [arguments.constraints])]
-    check_json(page, source, *read, what="page")
-    check_json(arguments.json, source, page, *read)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         problem = with_rigs(load(source, progress.text), arguments.rig_config)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bundle.cli.error_lines import EXIT_DONE
@@ -31,7 +32,9 @@ def describe_sequence(path: str) -> tuple[list[RenderableType], dict[str, Any]]:
 
 def convert_sequence(arguments: argparse.Namespace) -> int:
     """Write a sequence as a folder."""
-    from bundle.cli.output import check_json, show, write_json
+    import numpy as np
+
+    from bundle.cli.output import check_replaced, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
     from bundle.reports.sequence_tables import conversion_of_sequence, converted_sequence
@@ -39,11 +42,16 @@ def convert_sequence(arguments: argparse.Namespace) -> int:
 
     refuse_flags_of_reconstructions(arguments)
     source, target = arguments.input, arguments.output
-    check_json(arguments.json, source, target)
     check_sequence_target(target)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         sequence = read_sequence(source)[0]
+
+        def is_same(path: Path) -> bool:
+            there = read_sequence(path)[0]
+            return np.array_equal(there.frames()[0], sequence.frames()[0])
+
+        check_replaced(target, [source], arguments.overwrite, is_same)
         progress.stage(f"writing {shown(target)}")
         save_sequence(sequence, target)
     if arguments.json != "-":

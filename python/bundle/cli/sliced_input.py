@@ -22,7 +22,17 @@ COMPRESSED = (".gz", ".bz2")
 
 # Flags beside the options of a solve that have nothing to do with the observations.
 _HARMLESS = {
-    *("command", "run", "input", "output", "json", "quiet", "format", "fixed_image_ids"),
+    *(
+        "command",
+        "run",
+        "input",
+        "output",
+        "json",
+        "quiet",
+        "format",
+        "overwrite",
+        "fixed_image_ids",
+    ),
     *("checkpoint", "checkpoint_interval", "resume"),
 }
 

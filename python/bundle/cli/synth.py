@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,8 +16,8 @@ from bundle.cli.flight_synthesis import (
     run_flight,
 )
 from bundle.cli.option_flags import add_options, naming_flags, options_given
-from bundle.cli.parser import a_path
-from bundle.errors import InputError, shown
+from bundle.cli.paths import PathArgument
+from bundle.errors import shown
 from bundle.io import FORMATS
 from bundle.reprojection import reprojection_error
 from bundle.synthetic import SceneOptions
@@ -41,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "output",
         metavar="OUTPUT",
-        type=a_path,
+        type=PathArgument("output", is_data=True),
         help="where the start goes: NAME.txt, .txt.gz and .txt.bz2 are BAL files, other names "
         "folders of COLMAP models; of a flight the folder of a sequence",
     )
@@ -51,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--ground-truth",
         metavar="PATH",
-        type=a_path,
+        type=PathArgument("ground truth", is_data=True, otherwise=_truth_path),
         help="where the true solution goes, with the same observations (default: beside OUTPUT, "
         "OUTPUT_ground_truth)",
     )
@@ -69,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.scene == FLIGHT:
         return run_flight(arguments)
     refuse_flight_flags(arguments)
-    from bundle.cli.output import check_json, check_new, show, write_json
+    from bundle.cli.output import check_new, show, write_json
     from bundle.cli.progress import Progress
     from bundle.io import check_target, output_format, save
     from bundle.synthetic.blocks import SceneInBlocks
@@ -77,10 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     options = options_given(arguments, SceneOptions)
     path = arguments.output
-    truth_path = arguments.ground_truth or _beside(path)
-    if os.path.realpath(path) == os.path.realpath(truth_path):
-        raise InputError(f"{shown(truth_path)}: the ground truth would replace the start")
-    check_json(arguments.json, path, truth_path)
+    truth_path = _truth_path(arguments)
+    assert truth_path is not None
     if not arguments.overwrite:
         for target in (path, truth_path):
             check_new(target, "--overwrite")
@@ -109,6 +106,14 @@ def run(arguments: argparse.Namespace) -> int:
         show(*_tables(report))
     write_json(arguments.json, report)
     return EXIT_DONE
+
+
+def _truth_path(arguments: argparse.Namespace) -> str | None:
+    """Return where the true solution goes; None of a flight, whose folder has it."""
+    if arguments.scene == FLIGHT:
+        return None
+    truth: str | None = arguments.ground_truth
+    return truth or _beside(arguments.output)
 
 
 def _beside(path: str) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, naming_flags, options_given
-from bundle.cli.parser import a_path
+from bundle.cli.paths import a_path, page_path, reconstruction, telemetry_path, trajectory_path
 from bundle.vio.window_options import WindowOptions
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "sequence",
         metavar="SEQUENCE",
-        type=a_path,
+        type=reconstruction,
         help="a folder with imu.csv, tracks.csv and calibration.yaml, or a table of both that "
         "bundle convert reads",
     )
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o",
         "--output",
         metavar="FILE.tum",
-        type=a_path,
+        type=trajectory_path,
         required=True,
         help="poses world_from_imu of the images that were solved for, a line each: timestamp in "
         "seconds, tx ty tz, qx qy qz qw; z is up",
@@ -51,20 +51,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--telemetry",
         metavar="FILE.jsonl",
-        type=a_path,
+        type=telemetry_path,
         help="one line of JSON per keyframe, as it is settled",
     )
     parser.add_argument(
         "--html",
         metavar="PAGE",
-        type=a_path,
+        type=page_path(),
         help="a page with the curves of the telemetry and the path, a single file",
     )
     loops = parser.add_argument_group("two loops")
     loops.add_argument(
         "--publish",
         metavar="FILE.tum",
-        type=a_path,
+        type=trajectory_path,
         help="a pose per IMU sample: the window's last solution, propagated, and moved by what "
         "closures correct",
     )
@@ -87,7 +87,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the odometry over SEQUENCE."""
     started = perf_counter()
-    from bundle.cli.output import check_json, show, write_json
+    from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
@@ -107,16 +107,6 @@ def run(arguments: argparse.Namespace) -> int:
         flag = "--real-time" if arguments.loops is None else "--loops"
         raise InputError(f"{flag}: expected --publish FILE.tum with it, found none")
     options = options_given(arguments, WindowOptions)
-    others = [source, *filter(None, [arguments.ground_truth, arguments.loops])]
-    for path, what in (
-        (target, "file"),
-        (arguments.json, "report"),
-        (arguments.telemetry, "telemetry"),
-        (arguments.html, "page"),
-        (arguments.publish, "trajectory"),
-    ):
-        check_json(path, *others, what=what)
-        others += [path] if path is not None else []
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
         sequence = load_sequence(source)

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from bundle.io import atomic
+from bundle.io.file_names import PAGE, check_name
+from bundle.io.streams import is_stream
 
 __all__ = ["as_json", "asset", "tag", "write_page"]
 
@@ -69,9 +71,11 @@ def write_page(
         style: rules beside those of every page.
 
     Raises:
-        InputError: the path is a folder, or its parent is none.
+        InputError: the path is a folder, its parent is none, or its name says another format.
         OSError: the file cannot be written.
     """
+    if not is_stream(path):
+        check_name(path, *PAGE)
     scripts = ""
     if data is not None:
         scripts = tag("script", as_json(data), type="application/json", id="data")

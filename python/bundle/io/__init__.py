@@ -14,6 +14,7 @@ from pathlib import Path
 from bundle import address_space
 from bundle.errors import InputError, brief, shown
 from bundle.io import atomic, bal, colmap_files
+from bundle.io.file_names import check_name
 from bundle.io.interrupts import interrupts_deferred
 from bundle.io.model_files import (
     MODEL_FILES,
@@ -151,7 +152,7 @@ def output_format(
     for one from memory: as text if it was read from a model in text at ``source``, else in binary.
 
     Raises:
-        InputError: the explicit format is none of these.
+        InputError: the explicit format is none of these, or the name is that of another one.
     """
     folder = as_path(path)
     if format is not None:
@@ -164,7 +165,13 @@ def output_format(
         return colmap
     if name.lower().endswith(_BAL_SUFFIXES):
         return "bal"
-    return "bal" if problem.format == "bal" else colmap
+    packed = problem.format == "bal"
+    check_name(
+        path,
+        "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)",
+        compressed=".txt" if packed else "",
+    )
+    return "bal" if packed else colmap
 
 
 def check_target(

@@ -6,8 +6,9 @@ import os
 from pathlib import Path
 
 from bundle import _core
-from bundle.errors import InputError, shown
+from bundle.errors import shown
 from bundle.io import as_path, atomic
+from bundle.io.file_names import check_name
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph.starts import start_without_poses
 
@@ -65,12 +66,7 @@ def check_g2o_target(path: str | os.PathLike[str]) -> None:
         OSError: there is no permission to write.
     """
     path = as_path(path)
-    name = str(path).lower()
-    if name.endswith((".txt", ".txt.gz", ".txt.bz2")):
-        raise InputError(
-            f"{shown(path)}: expected a name such as {', '.join(_SUFFIXES)} for a pose graph, "
-            "found that of a BAL file"
-        )
+    check_name(path, f"a pose graph ({', '.join(_SUFFIXES)})", own=".g2o", compressed=".g2o")
     atomic.check_file(path)
 
 

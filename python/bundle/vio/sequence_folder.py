@@ -18,6 +18,7 @@ import numpy as np
 
 from bundle.errors import InputError, shown
 from bundle.io import as_path, atomic
+from bundle.io.file_names import check_name
 from bundle.io.recognition import SEQUENCE_FILES as FILES
 from bundle.io.recognition import sequence_at
 from bundle.vio.calibration import calibration_text, load_calibration
@@ -102,7 +103,7 @@ def save_sequence(sequence: Sequence, path: str | os.PathLike[str]) -> None:
         OSError: the system refuses.
     """
     folder = as_path(path)
-    check_sequence_target(folder)
+    check_sequence_target(path)
     folder.mkdir(exist_ok=True)
     rates, forces = sequence.gyro, sequence.accel
     atomic.write_text(
@@ -120,10 +121,12 @@ def check_sequence_target(path: str | os.PathLike[str]) -> None:
     """Refuse now what :func:`save_sequence` would refuse later.
 
     Raises:
-        InputError: the path is a file or a folder with other content, or its parent does not exist.
+        InputError: the path is a file or a folder with other content, its name is that of a file,
+            or its parent does not exist.
     """
     folder = Path(os.path.realpath(as_path(path)))
     if not folder.exists():
+        check_name(path, "a folder")
         if not folder.parent.is_dir():
             raise InputError(
                 f"{shown(path)}: expected a folder to write to, found no {shown(folder.parent)}"

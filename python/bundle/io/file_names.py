@@ -1,0 +1,74 @@
+"""Names of files: which suffixes an output may have, and which belong to another format.
+
+A name without a suffix, or with one that no format claims (``run.v2``), is free.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import PurePath
+
+from bundle.errors import InputError, shown
+
+__all__ = ["PAGE", "check_name"]
+
+PAGE = ("a page (.html)", ".html .htm .xhtml")
+"""What a page is, and the suffixes of its name."""
+
+_COMPRESSIONS = (".gz", ".bz2")
+
+_FORMATS = {
+    "a Bundler model": ".out",
+    "an NVM model": ".nvm",
+    "a Meshroom project": ".sfm .mg",
+    "a file of a COLMAP model": ".bin",
+    "a database": ".db .sqlite .sqlite3",
+    "a scene of another program": ".mvs .abc .p4d .psx .psz .rcproj .blend .fbx .dae",
+    "a point cloud or mesh": ".ply .pcd .las .laz .e57 .obj .stl .off .glb .gltf .splat .pts",
+    "a page": ".html .htm .xhtml",
+    "a document": ".pdf .md .rst .tex .ps .eps .docx .doc .odt .xlsx .xls .ods",
+    "a picture": ".png .jpg .jpeg .tif .tiff .svg .webp .bmp .gif .heic .dng .exr",
+    "a video or bag": ".mp4 .avi .mov .mkv .bag .mcap",
+    "JSON": ".json .jsonl .ndjson",
+    "XML": ".xml .kml .xmp .rdf",
+    "YAML": ".yaml .yml",
+    "a BAL or text file": ".txt",
+    "a table": ".csv .tsv .parquet",
+    "a file of coordinates": ".geojson .kmz .gpx .shp .gpkg",
+    "a file of arrays": ".npz .npy .mat .h5 .hdf5 .pkl .pickle .pt .safetensors",
+    "a pose graph": ".g2o",
+    "a trajectory": ".tum .kitti",
+    "an archive": ".zip .tar .tgz .7z .rar .xz .zst .lz4",
+    "a program": ".py .ipynb .sh .m .cpp .h .js .css",
+}
+_OWNERS = {suffix: format for format, names in _FORMATS.items() for suffix in names.split()}
+
+
+def check_name(
+    path: str | os.PathLike[str], what: str, own: str = "", compressed: str = ""
+) -> None:
+    """Refuse a name that says another format.
+
+    Args:
+        path: of the output; a slash at its end says that it is a folder, whatever its name is.
+        what: what is going to stand there, such as "a page (.html)".
+        own: suffixes that it may have, blanks between them.
+        compressed: those that it may have before ".gz" or ".bz2".
+
+    Raises:
+        InputError: the suffix is that of another format, or of a compression that is not done.
+    """
+    name = os.fspath(path)
+    if name.endswith("/"):
+        return
+    base = PurePath(name.lower())
+    suffix = base.suffix
+    packed = suffix in _COMPRESSIONS
+    if packed:
+        allowed, suffix = compressed.split(), PurePath(base.stem).suffix
+    else:
+        allowed = own.split()
+    if suffix in allowed or (suffix not in _OWNERS and (not packed or compressed)):
+        return
+    found = _OWNERS.get(suffix, "a compressed file")
+    raise InputError(f"{shown(path)}: expected a name of {what}, found that of {found}")

@@ -1,0 +1,75 @@
+"""Images of a reconstruction on the disk, read without its keypoints and points."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import struct
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from bundle.errors import InputError, shown
+from bundle.io.model_files import is_text_model
+
+__all__ = ["has_same_images"]
+
+_HEAD = struct.Struct("<I7dI")  # id, pose, camera
+_COUNT = struct.Struct("<Q")
+_KEYPOINT = 24  # bytes: x, y, point
+
+
+def has_same_images(path: Path, names: Sequence[str]) -> bool:
+    """Tell whether a COLMAP model has images of these names, or a BAL file as many.
+
+    Where names are empty, and of BAL files, which have none, the number counts.
+
+    Raises:
+        InputError, OSError: what stands there cannot be read.
+    """
+    if path.is_file():
+        return _bal_images(path) == len(names)
+    found = list(_text_names(path) if is_text_model(path) else _binary_names(path))
+    return Counter(found) == Counter(names) if all(names) else len(found) == len(names)
+
+
+def _binary_names(folder: Path) -> Iterator[str]:
+    path = folder / "images.bin"
+    data = path.read_bytes()
+    try:
+        place = _COUNT.size
+        for _ in range(_COUNT.unpack_from(data)[0]):
+            begin = place + _HEAD.size
+            end = data.index(b"\0", begin)
+            yield data[begin:end].decode(errors="surrogateescape")
+            place = end + 1 + _COUNT.size + _KEYPOINT * _COUNT.unpack_from(data, end + 1)[0]
+    except (struct.error, ValueError):
+        raise InputError(f"{shown(path)}: expected images, found the end of the file") from None
+
+
+def _text_names(folder: Path) -> Iterator[str]:
+    is_image = True
+    with (folder / "images.txt").open(encoding="utf-8", errors="surrogateescape") as lines:
+        for line in lines:
+            if line.startswith("#"):
+                continue
+            if is_image:
+                words = line.strip().split(" ", 9)
+                if len(words) < 10:
+                    continue
+                yield words[9]
+            is_image = not is_image
+
+
+def _bal_images(path: Path) -> int:
+    with path.open("rb") as file:
+        start = file.read(64)
+        file.seek(0)
+        if start.startswith(b"\x1f\x8b"):
+            start = gzip.GzipFile(fileobj=file).read(64)
+        elif start.startswith(b"BZh"):
+            start = bz2.BZ2File(file).read(64)
+    try:
+        return int(start.split()[0])
+    except (IndexError, ValueError):
+        raise InputError(f"{shown(path)}: expected counts, found something else") from None
