@@ -50,14 +50,14 @@ py::dict SolveGraph(const py::list& variables, const py::list& factors, const py
   return result;
 }
 
-/// (largest, least singular value, columns, rank)
+/// (largest, least singular value, columns, variables of dependent columns)
 py::tuple GraphConditioning(const py::list& variables, const py::list& factors) {
   const bundle::FactorGraph graph = GraphFromPython(variables, factors);
   PythonProgress report(py::none{});
   const bundle::JacobianConditioning found =
       RunWatched(&report, [&] { return bundle::EstimateConditioning(graph); });
   return py::make_tuple(found.max_singular_value, found.min_singular_value, found.num_columns,
-                        found.rank);
+                        found.dependent);
 }
 
 bundle::LinearizedGraph Linearize(const bundle::FactorGraph& graph, int num_threads) {

@@ -27,8 +27,8 @@ namespace py = pybind11;
 
 namespace {
 
-std::string WatchConvergence(const py::dict& iterations) {
-  return bundle::WatchConvergence(RecordsFromPython(iterations));
+std::string WatchConvergence(const py::dict& iterations, const std::string& advice) {
+  return bundle::WatchConvergence(RecordsFromPython(iterations), advice);
 }
 
 py::dict ToPython(const bundle::ProblemView& view, bundle::SolveOutput output) {
@@ -178,7 +178,7 @@ void BindSolve(py::module_& m) {
       "reason_for_ceres",
       [](const py::dict& options) { return bundle::ReasonForCeres(OptionsFromPython(options)); },
       py::arg("options"));
-  m.def("watch_convergence", &WatchConvergence, py::arg("iterations"));
+  m.def("watch_convergence", &WatchConvergence, py::arg("iterations"), py::arg("advice"));
   m.def("solve", &Solve, py::arg("problem"), py::arg("options"), py::arg("progress"),
         py::arg("restrictions") = py::none(), py::arg("factors") = py::none());
   m.def("solve_part", &SolvePart, py::arg("problem"), py::arg("options"), py::arg("progress"),

@@ -190,16 +190,66 @@ def test_a_residual_without_value_on_one_side_is_undecided():
 
 def test_a_few_undecided_samples_are_counted_and_no_error():
     """A pole or a fold at one of the samples; a lie in the others is found all the same."""
+    visited = []
 
-    def function(blocks, factor=1.0):
+    def function(blocks, factor=1.0, fold=-1.0):
         (x,) = blocks
-        return np.abs(x - 0.3), [factor * np.atleast_2d(np.sign(x[0] - 0.3))]
+        visited.append(x[0])
+        return np.abs(x - fold), [factor * np.atleast_2d(np.sign(x[0] - fold))]
 
-    report = bundle.check_gradients(function, [[0.3]], num_samples=8)
+    bundle.check_gradients(function, [[0.3]], num_samples=8)
+    samples = list(dict.fromkeys(visited[:9]))  # in this order, before any difference
+    report = bundle.check_gradients(lambda b: function(b, fold=samples[3]), [[0.3]], num_samples=8)
     assert report
     assert report.num_undecided == 1
     assert in_order(" ".join(str(report).split()), "7", "1", "undecided")
-    assert "factor" in bundle.check_gradients(lambda b: function(b, 1.5), [[0.3]]).kinds
+    for fold in samples[0], samples[3]:
+        lie = bundle.check_gradients(lambda b, fold=fold: function(b, 1.5, fold), [[0.3]])
+        assert "factor" in lie.kinds
+        assert lie.verdict == "wrong"
+
+
+@pytest.mark.parametrize("num_samples", [1, 3, 10])
+def test_a_start_on_a_kink_is_undecided(num_samples):
+    def function(blocks, factor=1.0):
+        return np.abs(blocks[0]), [factor * np.diag(np.sign(blocks[0]))]
+
+    report = bundle.check_gradients(function, [[0.0, 2.0]], num_samples=num_samples)
+    assert (report.verdict, report.ok, report.kinds) == ("undecided", False, {"undecided"})
+    assert report.num_undecided == 1
+    assert report.findings[0].columns == ("block 0 [0]",)
+    assert bundle.check_gradients(function, [[0.1, 2.0]], radius=0.01).verdict == "correct"
+    wrong = bundle.check_gradients(lambda b: function(b, 1.1), [[0.0, 2.0]])
+    assert wrong.verdict == "wrong"
+
+
+def test_single_precision_is_undecided_as_far_as_it_goes():
+    """The zeros beside the diagonal are certain, and say nothing of it."""
+
+    def linear(blocks, error=0.0):
+        return blocks[0].astype("f4"), [np.diag([1 + error, 1.0])]
+
+    def curved(blocks, error=0.0):
+        a, b = blocks[0].astype("f4")
+        value = np.array([np.sin(a) * np.exp(b)], "f4")
+        by_a, by_b = np.cos(a) * np.exp(b), np.sin(a) * np.exp(b)
+        return value, [np.array([[by_a * np.float32(1 + error), by_b]], "f4")]
+
+    for function in (linear, curved):
+        report = bundle.check_gradients(function, [[1.234567, 2.345678]])
+        assert (report.verdict, bool(report)) == ("undecided", False)
+        assert {verdict.verdict for verdict in report.groups} == {"undecided"}
+        off = bundle.check_gradients(lambda b, f=function: f(b, 1e-3), [[1.234567, 2.345678]])
+        assert off.verdict == "wrong"
+
+
+def test_a_function_without_a_value_or_with_several_is_undecided():
+    nothing = bundle.check_gradients(lambda b: (b[0] * np.nan, [np.eye(1)]), [[1.0]])
+    rng = np.random.default_rng(0)
+    several = bundle.check_gradients(changing(lambda: 1e-3 * rng.random(2)), [[1.0, 2.0]])
+    assert {nothing.verdict, several.verdict} == {"undecided"}
+    infinite = bundle.check_gradients(lambda b: (b[0], [np.array([[np.inf]])]), [[1.0]])
+    assert infinite.verdict == "wrong"
 
 
 def test_single_precision_is_no_derivative_of_zero():

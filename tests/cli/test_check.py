@@ -123,6 +123,30 @@ def test_json(run, named, spoil, tmp_path):
     assert "WRONG" in told.err
 
 
+def test_what_cannot_be_decided_has_an_exit_code_of_its_own(run, named, monkeypatch, tmp_path):
+    original = _core.check_reprojections
+
+    def rough(*arguments):
+        analytic, reference, uncertainty, *others = original(*arguments)
+        uncertainty[..., 9:11] = 1e-3 * np.abs(reference[..., 9:11]).max()  # RADIAL k1, k2
+        return (analytic, reference, uncertainty, *others)
+
+    monkeypatch.setattr(_core, "check_reprojections", rough)
+    code, out, _ = run("check", named, "--json", tmp_path / "r.json")
+    assert code == 3
+    assert table(out)["extra"][0] == "undecided"
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert (report["ok"], report["verdict"]) == (False, "undecided")
+    assert [(f["kind"], f["columns"]) for f in report["findings"]] == [("undecided", ["extra"])]
+    told = run("check", named, "--json", "-", "--quiet")
+    assert told.code == 3
+    assert "UNDECIDED" in told.err
+    # Nothing is known to be wrong: refine goes on, and says so.
+    goes_on = run("refine", named, "-o", f"{tmp_path}/out/", "--check-gradients", "--quiet")
+    assert goes_on.code == 0
+    assert "UNDECIDED" in goes_on.err
+
+
 def test_the_sample_is_seeded(run, named, tmp_path):
     reports = []
     for seed in (1, 1, 2):
@@ -171,6 +195,7 @@ def test_nothing_to_check_is_no_failure(run, tmp_path):
     )
     report = bundle.check_jacobians(empty)
     assert report.num_checked == 0
+    assert (report.verdict, report.ok) == ("undecided", False)
     assert "Nothing to check" in str(report)
 
 

@@ -23,7 +23,7 @@ ORIGINS = [
 @pytest.mark.parametrize(("manifold", "value", "origin"), ORIGINS)
 def test_the_origin_has_the_size_of_the_variable(manifold, value, origin):
     variable = Variable.make("x", value, manifold, fixed=False, lower=None, upper=None)
-    np.testing.assert_array_equal(_origin(variable), origin)
+    np.testing.assert_array_equal(_origin(variable, variable.value), origin)
 
 
 def test_rounding_of_a_rotated_point_far_from_the_origin_is_no_wrong_jacobian():

@@ -20,8 +20,12 @@ def lying_trace(scene, lie, **options):
     return levenberg_marquardt.solve(problem, LIES[lie], columns=columns, **options).iterations
 
 
+def convergence(iterations):
+    return _core.watch_convergence(iterations, "`bundle check` finds out")
+
+
 def watch(trace):
-    return _core.watch_convergence({name: [step[name] for step in trace] for name in trace[0]})
+    return convergence({name: [step[name] for step in trace] for name in trace[0]})
 
 
 @pytest.mark.parametrize("loss, loss_scale", [("trivial", 1.0), ("cauchy", 0.5), ("tukey", 4.0)])
@@ -222,7 +226,7 @@ RADII = np.array([1.0, 1 / 2, 1 / 8, 1 / 64, 1 / 1024, 1 / 2**15])
     ],
 )
 def test_rejected_steps(predicted, quality, suspicious):
-    assert bool(_core.watch_convergence(steps(RADII, False, predicted, quality))) == suspicious
+    assert bool(convergence(steps(RADII, False, predicted, quality))) == suspicious
 
 
 ACCEPTED = 0.6 ** np.arange(12)
@@ -241,7 +245,7 @@ ACCEPTED = 0.6 ** np.arange(12)
 )
 def test_accepted_steps_that_get_shorter(quality, gradient, suspicious):
     trace = steps(ACCEPTED, True, ACCEPTED, quality, gradient=gradient)
-    assert bool(_core.watch_convergence(trace)) == suspicious
+    assert bool(convergence(trace)) == suspicious
 
 
 def linear_tail(rate, quality, radius_growth, num_steps=12):
@@ -275,14 +279,14 @@ def linear_tail(rate, quality, radius_growth, num_steps=12):
 )
 def test_linear_convergence(rate, quality, radius_growth, suspicious):
     trace = linear_tail(rate, quality, radius_growth)
-    assert bool(_core.watch_convergence(trace)) == suspicious
+    assert bool(convergence(trace)) == suspicious
 
 
 def test_steps_that_do_not_shrink_as_the_error_does_are_no_tail():
     # Points that go to infinity double their depth: r = 1 / z has q = 3/4 at l = 1/2, honestly.
     trace = linear_tail(1 / 2, 3 / 4, 1.14)
     trace["step_norm"] = [2.0**k for k in range(len(trace["cost"]))]
-    assert _core.watch_convergence(trace) == ""
+    assert convergence(trace) == ""
 
 
 def test_oscillating_damping_is_not_suspected():
@@ -292,18 +296,18 @@ def test_oscillating_damping_is_not_suspected():
         quality = np.where(accepted, rng.uniform(0.002, 2, 40), rng.uniform(-5, 0, 40))
         radii = 1e4 * np.cumprod(np.where(accepted, rng.uniform(1, 3, 40), rng.choice([0.5, 0.25])))
         predicted = 10.0 ** rng.uniform(-3, 3, 40)
-        assert _core.watch_convergence(steps(radii, accepted, predicted, quality)) == ""
+        assert convergence(steps(radii, accepted, predicted, quality)) == ""
 
 
 def test_nothing_is_said_of_nothing():
     trace = steps(RADII, False, RADII, -0.4)
-    assert _core.watch_convergence({name: [] for name in trace}) == ""
-    assert _core.watch_convergence({name: values[:1] for name, values in trace.items()}) == ""
+    assert convergence({name: [] for name in trace}) == ""
+    assert convergence({name: values[:1] for name, values in trace.items()}) == ""
     broken = {**trace, "cost_change": [float("nan")] * 7, "relative_decrease": [float("inf")] * 7}
-    assert _core.watch_convergence(broken) == ""
+    assert convergence(broken) == ""
 
 
 def test_arrays_of_different_lengths_are_refused():
     trace = steps(RADII, False, RADII, -0.4)
     with pytest.raises(bundle.InputError, match="cost: expected 7 values, found 6"):
-        _core.watch_convergence({**trace, "cost": trace["cost"][1:]})
+        convergence({**trace, "cost": trace["cost"][1:]})

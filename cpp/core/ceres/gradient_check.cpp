@@ -24,7 +24,8 @@ double FirstStep(double parameter) { return std::max(std::abs(parameter) / 16, k
 /// their last place. A residual is often small beside the numbers that it is the difference of, so
 /// that its own size says nothing.
 std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
-                                  const std::vector<const double*>& parameters) {
+                                  const std::vector<const double*>& parameters,
+                                  const KnownScales& known) {
   // A residual whose last digit is coarse moves in some of them only.
   constexpr int kTrials = 16;
   constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
@@ -49,6 +50,25 @@ std::vector<double> RoundingNoise(const ceres::CostFunction& cost,
     for (int i = 0; i < n; ++i) noise[i] = std::max(noise[i], std::abs(values[i] - at_start[i]));
   }
   for (int i = 0; i < n; ++i) noise[i] += kEpsilon * std::abs(at_start[i]);
+  if (!known.largest_steps.empty()) return noise;  // a short step may be too long
+  // A parameter that is zero has no last place; what it is added to has one.
+  constexpr double kShortStep = 1e-9;
+  std::vector<std::vector<double>> directions = moved;
+  for (size_t b = 0; b < moved.size(); ++b) {
+    for (size_t j = 0; j < moved[b].size(); ++j) {
+      const double share = (2 * static_cast<int>(random() % 8) - 7) / 7.0;
+      directions[b][j] = share * FirstStep(parameters[b][j]);
+    }
+  }
+  const LineFunction along = [&](double step, double* at_step) {
+    for (size_t b = 0; b < moved.size(); ++b) {
+      for (size_t j = 0; j < moved[b].size(); ++j) {
+        moved[b][j] = parameters[b][j] + step * directions[b][j];
+      }
+    }
+    return cost.Evaluate(pointers.data(), at_step, nullptr);
+  };
+  RaiseToScatter(along, n, kShortStep, noise.data());
   return noise;
 }
 
@@ -159,7 +179,7 @@ ReferenceJacobians DifferentiateByRichardson(const ceres::CostFunction& cost,
   ReferenceJacobians jacobians;
   const bool curved = std::any_of(manifolds.begin(), manifolds.end(),
                                   [](const ceres::Manifold* m) { return m != nullptr; });
-  std::vector<double> noise = RoundingNoise(cost, parameters);
+  std::vector<double> noise = RoundingNoise(cost, parameters, known);
   constexpr double kEpsilon = std::numeric_limits<double>::epsilon();
   for (double& value : noise) value += kEpsilon * known.minuend;
   ColumnWriter ambient(noise, AmbientSize(cost), &jacobians.ambient);

@@ -242,7 +242,11 @@ void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
   if (options.check_solution) {
     // A projected step misses what its model promised as one by a wrong Jacobian does.
     if (layout.Bounds(problem).empty()) {
-      warn(WarningKind::kSuspiciousSteps, WatchConvergence(output->iterations));
+      warn(WarningKind::kSuspiciousSteps,
+           problem.factors == nullptr
+               ? WatchConvergence(output->iterations)
+               : WatchConvergence(output->iterations,
+                                  "`bundle check` and bundle.check_factors find out"));
     }
     warn(WarningKind::kSuspiciousJacobian,
          FirstOverRanks(problem.ranks, CheckSolution(problem, layout, states, output->points,

@@ -102,8 +102,10 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
                            const SolveOptions& options, int64_t num_held, SolveOutput* output);
 
 /// Looks for the signature of a wrong Jacobian in the iterations (convergence_watch.cpp). One
-/// sentence that says what was seen and names `bundle check`; "" if nothing was.
-std::string WatchConvergence(const std::vector<IterationRecord>& iterations);
+/// sentence that says what was seen and ends with `advice`, what finds the mistake; "" if nothing
+/// was.
+std::string WatchConvergence(const std::vector<IterationRecord>& iterations,
+                             const std::string& advice = "`bundle check` finds out");
 
 /// What every backend ends with: looks at the iterations and the solution that a backend left in
 /// `output`, says in its warnings, after `warnings`, what is wrong with them, and drops a solution

@@ -255,13 +255,14 @@ std::string FindTail(const std::vector<Step>& steps, size_t length, bool (*is_li
 
 }  // namespace
 
-std::string WatchConvergence(const std::vector<IterationRecord>& iterations) {
+std::string WatchConvergence(const std::vector<IterationRecord>& iterations,
+                             const std::string& advice) {
   const std::vector<Step> steps = StepsOf(iterations);
   std::string seen = FindLadder(steps);
   if (seen.empty()) seen = FindTail(steps, kQuickTail, IsQuickLie);
   if (seen.empty()) seen = FindTail(steps, kSlowTail, IsSlowLie);
   if (seen.empty()) return "";
-  return "A Jacobian may be wrong: " + seen + "; `bundle check` finds out.";
+  return "A Jacobian may be wrong: " + seen + "; " + advice + ".";
 }
 
 }  // namespace bundle

@@ -295,4 +295,27 @@ void RichardsonDerivative(const LineFunction& f, int num_values, double first_st
   std::copy_n(search.best().uncertainty.begin(), num_values, uncertainty);
 }
 
+void RaiseToScatter(const LineFunction& f, int num_values, double step, double* noise) {
+  constexpr int kOrder = 6, kDifferences = 10;
+  constexpr double kVariance = 924, kLargest = 3;  // of a few errors, in standard deviations
+  constexpr int kValues = kOrder + kDifferences;
+  std::vector<double> values(static_cast<size_t>(kValues) * num_values);
+  for (int k = 0; k < kValues; ++k) {
+    if (!f((k - kValues / 2) * step, &values[k * num_values])) return;
+  }
+  for (int order = 1; order <= kOrder; ++order) {
+    for (int k = 0; k < (kValues - order) * num_values; ++k) {
+      values[k] = values[k + num_values] - values[k];
+    }
+  }
+  for (int i = 0; i < num_values; ++i) {
+    double sum = 0;
+    for (int k = 0; k < kDifferences; ++k) {
+      sum += values[k * num_values + i] * values[k * num_values + i];
+    }
+    const double scatter = kLargest * std::sqrt(sum / (kDifferences * kVariance));
+    if (std::isfinite(scatter)) noise[i] = std::max(noise[i], scatter);
+  }
+}
+
 }  // namespace bundle

@@ -40,4 +40,11 @@ using LineFunction = std::function<bool(double step, double* values)>;
 void RichardsonDerivative(const LineFunction& f, int num_values, double first_step,
                           const double* noise, double* derivative, double* uncertainty);
 
+/// Raises the noise of each value to what its sixth differences at multiples of `step` show: a
+/// smooth f leaves them nothing but its rounding errors, each of which enters with a variance of
+/// 924 = sum_k binomial(6, k)^2 (J. J. More, S. M. Wild: Estimating computational noise, SIAM J.
+/// Sci. Comput. 33, 2011). The step is far above the resolution of the parameters and far below
+/// their scale.
+void RaiseToScatter(const LineFunction& f, int num_values, double step, double* noise);
+
 }  // namespace bundle

@@ -40,7 +40,7 @@ class BlockQr {
   Eigen::VectorXd Solve() const;
   /// (R^T R)^-1 y
   Eigen::VectorXd SolveNormal(const Eigen::VectorXd& y) const;
-  /// |R_cc| of all columns, in any order.
+  /// |R_cc| of each column.
   Eigen::VectorXd Pivots() const;
 
  private:

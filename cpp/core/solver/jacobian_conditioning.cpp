@@ -62,10 +62,17 @@ JacobianConditioning EstimateConditioning(const FactorGraph& graph) {
   JacobianConditioning result;
   result.num_columns = n;
   const double rounding = 16 * n * std::numeric_limits<double>::epsilon();
-  result.rank = static_cast<int>((qr.Pivots().array() > rounding).count());
+  const VectorXd pivots = qr.Pivots();
+  const std::vector<int> sizes = evaluation.sizes();
+  int column = 0;
+  for (size_t v = 0; v < sizes.size(); ++v) {
+    for (int c = 0; c < sizes[v]; ++c) {
+      if (!(pivots[column++] > rounding)) result.dependent.push_back(static_cast<int>(v));
+    }
+  }
   result.max_singular_value = std::sqrt(LargestEigenvalue(
       n, [&](const VectorXd& x) { return VectorXd(jacobian.transpose() * (jacobian * x)); }));
-  if (result.rank < n) return result;
+  if (!result.dependent.empty()) return result;
   const double inverse = LargestEigenvalue(n, [&](const VectorXd& x) { return qr.SolveNormal(x); });
   result.min_singular_value = std::isfinite(inverse) && inverse > 0 ? 1 / std::sqrt(inverse) : 0;
   return result;

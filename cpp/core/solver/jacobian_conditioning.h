@@ -2,6 +2,8 @@
 
 /// How many digits normal equations would lose of a factor graph: the condition of its Jacobian.
 
+#include <vector>
+
 #include "core/graph/factor_graph.h"
 
 namespace bundle {
@@ -12,7 +14,8 @@ struct JacobianConditioning {
   double max_singular_value = 0;
   double min_singular_value = 0;  ///< 0 where the columns depend on each other
   int num_columns = 0;
-  int rank = 0;
+  /// The variable of each column that depends on others: num_columns less the rank of them.
+  std::vector<int> dependent;
 };
 
 /// By QR factorisation, power iteration on J^T J and inverse iteration with R^T R: both singular

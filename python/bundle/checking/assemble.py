@@ -27,6 +27,9 @@ REASONS = {
     "no_value": "the residual has no finite value on both sides",
 }
 
+SAYS_NOTHING = ("undecided", "unstable")
+"""Kinds of findings after which nothing can be said of the Jacobians."""
+
 NAMED = 3
 """Places that a sentence names."""
 
@@ -50,15 +53,24 @@ def make_report(
     """Return the report.
 
     Groups of parameters that the reference cannot decide become findings of their own, as does a
-    check in which no point could be decided.
+    check in which no point could be decided. A residual without a value, a finding without columns,
+    decides nothing either.
     """
     groups, parameters = verdicts(tallies)
     found = [*findings, *_undecided(groups)]
     if not found and num_checked and sum(entry.count for entry in undecided) >= num_checked:
         found.append(Finding("undecided", (), f"no {noun} could be decided"))
+    says_nothing = all(
+        finding.kind in SAYS_NOTHING or (finding.kind == "not_finite" and not finding.columns)
+        for finding in found
+    )
+    verdict = "wrong" if not says_nothing else "undecided"
+    if not found and num_checked:
+        verdict = "correct"
     histogram = sum((tally.histogram for tally in tallies), np.zeros(len(EDGES) - 1, np.int64))
     return GradientReport(
-        ok=not found,
+        ok=verdict == "correct",
+        verdict=verdict,
         subject=subject,
         noun=noun,
         tolerance=tallies[0].tolerance if tallies else tolerance,

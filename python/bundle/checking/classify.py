@@ -12,6 +12,8 @@ import numpy as np
 
 from bundle.checking import block_signatures as block
 from bundle.checking import column_signatures as column
+from bundle.checking import rotation_signatures as rotation
+from bundle.checking import row_signatures as row
 from bundle.checking.evidence import Evidence, Finding
 from bundle.checking.jacobian_deviation import JacobianDeviation
 
@@ -29,7 +31,11 @@ KINDS = (
     "transposed",
     "swapped",
     "shifted",
+    "swapped_rows",
     "order",
+    "padded",
+    "whitening",
+    "logarithm",
     "perturbation",
     "frame",
     "missing_term",
@@ -43,13 +49,17 @@ KINDS = (
 """What a finding can be, from "a stale cache" to "wrong in a large part"."""
 
 SIGNATURES: tuple[Callable[[Evidence], None], ...] = (
+    rotation.conventions,
     block.swapped,
     block.shifted,
+    row.rows,
     column.zeros,
+    row.whitening,
     column.factors,
     block.transposed,
-    block.rotation_vectors,
-    block.turned,
+    rotation.rotation_vectors,
+    row.logarithm,
+    rotation.turned,
     block.order,
     column.parameter_factors,
     column.terms_of_a_parameter,

@@ -49,6 +49,9 @@ def factors(evidence: Evidence) -> None:
         if len(set(ratios)) == 1:
             kind, words = _factor_in_words(ratios[0])
             note = where.get(columns[0], "")
+            if kind == "factor" and len(columns) > 1 and len(columns) == _num_used(evidence):
+                alone = "residual" if abs(ratios[0]) < 1 else "Jacobians"
+                note += f"; every column is, as if the weights multiplied the {alone} alone"
             sentence = f"{evidence.names(columns)}: {words}{note}"
             evidence.found(kind, columns, sentence, ratios[0])
             continue
@@ -126,6 +129,11 @@ def zero_entries(evidence: Evidence) -> None:
                 [j],
                 f"{evidence.columns[j].name}: zero in residual {rows}, although that depends on it",
             )
+
+
+def _num_used(evidence: Evidence) -> int:
+    """Return the number of columns that the residual depends on."""
+    return int(evidence.reference.any(axis=(0, 1)).sum())
 
 
 def _ratios(analytic: Array, reference: Array, axis: int | None) -> Array:

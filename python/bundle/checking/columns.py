@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from bundle.checking.jacobian_deviation import Array
 
 __all__ = ["Block", "Column"]
 
@@ -15,18 +18,21 @@ class Column:
     group: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Block:
     """Columns that lie side by side in memory, `start` to `stop`.
 
     ``rotation`` is "" or says how the columns turn: "tangent" (a manifold's increment), "vector"
     (the numbers of a rotation vector, whose values the points hold) or "quaternion".
+    ``conventions`` are other tangent coordinates that one may have differentiated by: words, and
+    for each sample the matrix by which the right columns become those (samples, size, size).
     """
 
     name: str
     start: int
     stop: int
     rotation: str = ""
+    conventions: Mapping[tuple[str, str], Array] = field(default_factory=dict)
 
     @property
     def size(self) -> int:

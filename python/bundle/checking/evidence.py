@@ -50,6 +50,8 @@ class Evidence:
         reference_at: (k, j) gives the reference at point k with parameter j set to zero, or None.
         wrong: indices of the columns that are wrong and not explained; signatures remove theirs.
         tolerance: relative error from which on an entry is wrong.
+        numbers: (K,) of the points among the samples, where blocks know something of these.
+        residuals: (K, R) the residuals there, where a signature may look at them.
     """
 
     deviations: JacobianDeviation
@@ -60,6 +62,8 @@ class Evidence:
     wrong: list[int]
     tolerance: float = 0.0
     findings: list[Finding] = field(default_factory=list)
+    numbers: NDArray[np.intp] | None = None
+    residuals: Array | None = None
 
     def __post_init__(self) -> None:
         scale = self.deviations.scale

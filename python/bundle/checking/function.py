@@ -17,12 +17,17 @@ ResidualFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
 
 
 class UserFunction:
-    """A function of parameter blocks that answers with residual and Jacobians."""
+    """A function of parameter blocks that answers with residual and Jacobians.
 
-    def __init__(self, function: ResidualFunction, blocks: Sequence[Array]) -> None:
+    It is called once at the blocks for the number of residuals, unless that is known.
+    """
+
+    def __init__(
+        self, function: ResidualFunction, blocks: Sequence[Array], num_residuals: int = 0
+    ) -> None:
         self.function = function
         self.sizes = [len(block) for block in blocks]
-        self.num_residuals = len(self._residual(self._call(blocks)[0]))
+        self.num_residuals = num_residuals or len(self._residual(self._call(blocks)[0]))
 
     def evaluate(self, blocks: Sequence[Array]) -> tuple[Array, Array]:
         """Return the residual (R,) and all Jacobians side by side (R, N).

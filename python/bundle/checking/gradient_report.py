@@ -25,6 +25,8 @@ __all__ = [
 ]
 
 
+STYLES = {"correct": "green", "wrong": "red", "undecided": "yellow"}
+
 SHOWN = 5
 """Findings that the repr names; printing a report shows all."""
 
@@ -35,8 +37,8 @@ class Verdict:
 
     Attributes:
         name: "camera RADIAL k1", "rotation".
-        verdict: "correct", "wrong", or "undecided" where the reference is not good enough for half
-            of the entries.
+        verdict: "correct", "wrong", or "undecided" where the reference is not good enough for most
+            entries, of most parameters; those that are certain to be zero do not count.
         num_entries: entries of the Jacobians compared.
         num_wrong: those beyond the tolerance.
         num_undecided: entries whose reference is less certain than the tolerance.
@@ -116,17 +118,19 @@ class GradientCheckerSummary:
 
 @dataclass(frozen=True, eq=False)
 class GradientReport:
-    """What a check found. True if nothing is wrong; printing it explains.
+    """What a check found. True if all is correct; printing it explains.
 
     Attributes:
-        ok: nothing is wrong, and not everything is undecided.
+        ok: the verdict is "correct".
+        verdict: "correct", "wrong", or "undecided" where nothing is wrong and nothing certain: some
+            parameter has no good reference at most points, or the point that was given has none.
         subject: what was checked, in words.
         noun: what a point is: "sample", "observation".
         tolerance: relative error from which on an entry is wrong.
         num_checked: points (observations) checked.
         num_skipped: points left out: no finite residual there, or one that does not count.
         undecided: points, out of those checked, of which nothing can be said, by reason.
-        findings: what is wrong, worst first.
+        findings: what is wrong or undecided, worst first.
         groups: a verdict on each group of parameters.
         parameters: a verdict on each parameter.
         worst: the entries with the largest errors, worst first.
@@ -135,6 +139,7 @@ class GradientReport:
     """
 
     ok: bool
+    verdict: str
     subject: str
     noun: str
     tolerance: float
@@ -186,14 +191,16 @@ class GradientReport:
 
 def outcome(report: GradientReport) -> str:
     """Return the verdict in one sentence."""
-    if report.ok and report.num_checked:
+    if report.ok:
         undecided = f"; {report.num_undecided} undecided" if report.num_undecided else ""
         return (
             f"Correct: all Jacobians agree with the reference to {report.tolerance:g} "
             f"at {plural(report.num_checked - report.num_undecided, report.noun)}{undecided}."
         )
-    if report.ok:
+    if not report.num_checked and not report.findings:
         return "Nothing to check."
+    if report.verdict == "undecided":
+        return "UNDECIDED: nothing is wrong as far as can be seen, and that is not far enough."
     return f"WRONG: {plural(len(report.findings), 'finding')}, the worst first."
 
 
@@ -204,7 +211,7 @@ def explanation(report: GradientReport) -> list[RenderableType]:
     parts: list[RenderableType] = [
         facts([("checked", f"{report.subject}, {count}{skipped}")]),
         facts([("verdict", outcome(report))]),
-        *notes((finding.sentence for finding in report.findings), style="red"),
+        *notes((finding.sentence for finding in report.findings), style=STYLES[report.verdict]),
         *notes((entry.sentence for entry in report.undecided), style="yellow"),
     ]
     if not report.num_checked:
@@ -212,7 +219,8 @@ def explanation(report: GradientReport) -> list[RenderableType]:
     parts += ["", _verdicts(report.groups)]
     if not report.ok:
         wrong = [verdict for verdict in report.parameters if verdict.verdict != "correct"]
-        parts += ["", _verdicts(wrong, "parameter"), "", _worst(report.worst)]
+        parts += ["", _verdicts(wrong, "parameter")] if wrong else []
+        parts += ["", _worst(report.worst)] if report.verdict == "wrong" else []
     parts += ["", _histogram(report.histogram)]
     parts += ["", facts([("GradientChecker", _checker(report.gradient_checker))])]
     return parts

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bundle.checking.columns import Block, Column
 from bundle.checking.jacobian_deviation import Array
@@ -26,6 +27,8 @@ class Layout:
     tangent_columns: list[Column]
     blocks: list[Block]
     tangent_blocks: list[Block]
+    is_step: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    """(N,) the columns whose numbers are steps from a value, not the value itself; () for none."""
 
     @staticmethod
     def make(

@@ -56,9 +56,10 @@ class Tally:
 
     def __post_init__(self) -> None:
         count = len(self.columns)
-        self.num_entries = np.zeros(count, np.int64)
         self.num_wrong = np.zeros(count, np.int64)
+        self.num_entries = np.zeros(count, np.int64)
         self.num_undecided = np.zeros(count, np.int64)
+        self.num_telling = np.zeros(count, np.int64)
         self.max_error = np.zeros(count)
         self._kept: list[Kept] = []
 
@@ -70,9 +71,12 @@ class Tally:
         wrong = error > self.tolerance
         undecided = (deviations.doubt > self.tolerance) & ~wrong
         self.num_points += len(deviations)
-        self.num_entries += error.shape[0] * error.shape[1]
         self.num_wrong += wrong.sum(axis=(0, 1))
+        self.num_entries += error.shape[0] * error.shape[1]
         self.num_undecided += undecided.sum(axis=(0, 1))
+        # That a derivative is zero can be certain where no other is.
+        is_something = np.abs(deviations.reference) > deviations.uncertainty
+        self.num_telling += (undecided | is_something).sum(axis=(0, 1))
         clear = np.where(deviations.doubt <= self.tolerance, deviations.deviation, error)
         self.max_error = np.maximum(self.max_error, clear.max(axis=(0, 1)))
         self.histogram += np.histogram(np.minimum(deviations.deviation, 1e300), EDGES)[0]
@@ -83,6 +87,10 @@ class Tally:
         if len(chosen):
             self._kept.append(Kept(points[chosen], deviations.take(chosen)))
         return wrong_points
+
+    def is_undecided(self, column: int) -> bool:
+        """Return whether most of a column is undecided, but for what is certain to be zero."""
+        return bool(2 * self.num_undecided[column] > self.num_telling[column])
 
     @property
     def kept(self) -> Kept | None:
@@ -142,7 +150,8 @@ def _verdicts(entries: Sequence[tuple[str, Tally, int]]) -> tuple[Verdict, ...]:
             sum(int(getattr(tally, field)[j]) for tally, j in own)
             for field in ("num_entries", "num_wrong", "num_undecided")
         )
-        verdict = "wrong" if wrong else "undecided" if 2 * undecided > count else "correct"
+        unknown = sum(tally.is_undecided(j) for tally, j in own)
+        verdict = "wrong" if wrong else "undecided" if 2 * unknown > len(own) else "correct"
         largest = max((float(tally.max_error[j]) for tally, j in own), default=0.0)
         result.append(Verdict(name, verdict, count, wrong, undecided, largest))
     return tuple(result)

@@ -6,7 +6,7 @@ import argparse
 from time import perf_counter
 
 from bundle import check_defaults as defaults
-from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
+from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION, EXIT_UNDECIDED
 from bundle.cli.parser import add_input
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Check INPUT: 0 if all is correct, 1 if anything is wrong."""
+    """Check INPUT: 0 if all is correct, 1 if anything is wrong, 3 if that cannot be decided."""
     started = perf_counter()
     from bundle.checking import check_jacobians
     from bundle.checking.gradient_report import outcome
@@ -91,4 +91,4 @@ def run(arguments: argparse.Namespace) -> int:
         return EXIT_DONE
     if arguments.json == "-":  # the report that people read was not printed
         complain(outcome(report))
-    return EXIT_NO_SOLUTION
+    return EXIT_UNDECIDED if report.verdict == "undecided" else EXIT_NO_SOLUTION

@@ -24,6 +24,7 @@ __all__ = [
     "EXIT_DONE",
     "EXIT_INTERRUPTED",
     "EXIT_NO_SOLUTION",
+    "EXIT_UNDECIDED",
     "describe_error",
     "is_interruption",
 ]
@@ -34,6 +35,7 @@ _LACKS_MEMORY = re.compile("failed to map segment|cannot allocate memory", re.IG
 EXIT_DONE = 0
 EXIT_NO_SOLUTION = 1
 EXIT_BAD_INPUT = 2
+EXIT_UNDECIDED = 3
 EXIT_INTERRUPTED = startup.EXIT_INTERRUPTED
 
 

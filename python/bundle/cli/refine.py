@@ -314,7 +314,9 @@ def _wrong_jacobians(
     report = check_jacobians(
         problem, cheirality=options.cheirality, num_threads=options.num_threads
     )
-    if report.ok:
+    if report.verdict != "wrong":
+        if not report.ok:
+            complain(f"note: {outcome(report)} `bundle check` shows where.")
         return False
     if arguments.json == "-":
         complain(outcome(report))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from bundle.display import Display, Displayed
@@ -33,8 +34,9 @@ class DigitsLeft(Displayed):
     num_columns: int
 
     @staticmethod
-    def of(largest: float, least: float, num_columns: int, rank: int) -> DigitsLeft:
-        """Return what two singular values say."""
+    def of(largest: float, least: float, num_columns: int, dependent: Sequence[int]) -> DigitsLeft:
+        """Return what two singular values say, and the columns that depend on others."""
+        rank = num_columns - len(dependent)
         condition = largest / least if least > 0 and rank == num_columns else math.inf
         return DigitsLeft(max(condition, 1.0), rank, num_columns)
 

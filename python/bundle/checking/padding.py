@@ -1,0 +1,79 @@
+"""Tangent Jacobians that were filled up with a column of zeros to the size of the block.
+
+Solvers of old take a Jacobian by the numbers of a block, 4 of a quaternion, and multiply it by that
+of the manifold's Plus. A manifold whose Jacobian is (I, 0)^T lets one hand in the Jacobian by the
+tangent coordinates with a zero column beside it; with any other manifold that is wrong.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bundle.checking.evidence import EXPLAINED, Finding, join_names
+from bundle.checking.jacobian_deviation import Array, JacobianDeviation
+from bundle.checking.residual_blocks import Layout
+
+__all__ = ["padded"]
+
+SCALES = (1.0, 2.0, 0.5)
+"""Of the tangent coordinates: a rotation vector, or the vector part of a quaternion."""
+
+
+def padded(
+    layout: Layout, space: JacobianDeviation, tangent: JacobianDeviation, tolerance: float
+) -> list[Finding]:
+    """Return a finding a padded block, if these blocks are all that is wrong.
+
+    Args:
+        layout: of the blocks.
+        space: the Jacobians by the numbers of the blocks.
+        tangent: those by the tangent coordinates, at the same points.
+        tolerance: relative error from which on an entry is wrong.
+    """
+    wrong = set(np.flatnonzero((space.error > tolerance).any(axis=(0, 1))).tolist())
+    findings = []
+    first = first_tangent = 0
+    for manifold in layout.manifolds:
+        columns = list(range(first, first + manifold.size))
+        moves = slice(first_tangent, first_tangent + manifold.tangent_size)
+        first, first_tangent = first + manifold.size, first_tangent + manifold.tangent_size
+        if manifold.tangent_size != manifold.size - 1 or not wrong & set(columns):
+            continue
+        given = space.analytic[..., columns]
+        names = [layout.columns[j].name for j in columns]
+        for place in np.flatnonzero(~given.any(axis=(0, 1))):
+            if not _is_tangent(np.delete(given, place, axis=2), tangent.reference[..., moves]):
+                continue
+            wrong -= set(columns)
+            findings.append(
+                Finding(
+                    "padded",
+                    tuple(names),
+                    f"{join_names(names)}: the Jacobian by the {manifold.tangent_size} tangent "
+                    f"coordinates, padded with a zero column ({names[place]}), where that by the "
+                    f"{manifold.size} numbers of the block belongs",
+                    float(space.error[..., columns].max()),
+                )
+            )
+            break
+    return [] if wrong else findings
+
+
+def _is_tangent(given: Array, reference: Array) -> bool:
+    """Return whether columns are by tangent coordinates, scaled or turned as one may take them.
+
+    Rotations and translations come in threes, each perhaps from the other side: A Q has the
+    products A A^T of A.
+    """
+    parts = [slice(j, j + 3) for j in range(0, given.shape[2], 3)]
+    for part in parts:
+        right = reference[..., part]
+        size = np.linalg.norm(right)
+        products = right @ right.transpose(0, 2, 1)
+        found = given[..., part] @ given[..., part].transpose(0, 2, 1)
+        if not any(
+            np.linalg.norm(found - scale**2 * products) <= EXPLAINED * size**2 * scale**2
+            for scale in SCALES
+        ):
+            return False
+    return True

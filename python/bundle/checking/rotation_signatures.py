@@ -1,0 +1,154 @@
+"""Signatures of rotations: another perturbation, another frame, another order of the tangent space.
+
+The numbers w of a rotation vector move by d as Exp(w + d) = Exp(J_l(w) d) Exp(w): a derivative by a
+perturbation from the left times J_l, or by one from the right times J_r(w) = J_l(-w), is that by w.
+Of any Lie algebra J_l = sum ad^k / (k + 1)!, with ad the matrix of the bracket with w. A block of
+six numbers is a rotation vector and a translation, in either order, or an element of se(3): all
+layouts are tried, and at any place of a longer block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from bundle.checking.columns import Block
+from bundle.checking.evidence import EXPLAINED, Evidence
+from bundle.checking.jacobian_deviation import Array
+
+__all__ = ["conventions", "rotation_vectors", "turned"]
+
+BY_LEFT = "the derivative by d of Exp(d) Exp(w), not by w: J_l is missing"
+BY_RIGHT = "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing"
+
+
+def conventions(evidence: Evidence) -> None:
+    """Columns by other tangent coordinates of the manifold than those that are asked for."""
+    for block in evidence.blocks:
+        columns = list(block.columns)
+        for (kind, words), changes in block.conventions.items():
+            if not set(columns) & set(evidence.wrong) or evidence.numbers is None:
+                break
+            right = evidence.deviations.reference[..., columns] @ changes[evidence.numbers]
+            if evidence.explains(right / evidence.deviations.scale[..., columns], columns):
+                evidence.found(kind, columns, f"{evidence.names(columns)}: {words}")
+
+
+def rotation_vectors(evidence: Evidence) -> None:
+    """Columns of a rotation vector that belong to another perturbation of the rotation."""
+    for columns, left, what in _algebras(evidence):
+        if not set(columns) & set(evidence.wrong):
+            continue
+        right = np.array([_left_jacobian(-ad) for ad in left])
+        left = np.array([_left_jacobian(ad) for ad in left])
+        raw = evidence.deviations.reference[..., columns]
+        for change, words in (
+            (np.linalg.inv(left), BY_LEFT),
+            (
+                np.linalg.inv(right),
+                "the derivative by d of Exp(w) Exp(d), not by w: J_r is missing",
+            ),
+            (np.linalg.solve(left, right), f"the right Jacobian of {what} where the left belongs"),
+            (np.linalg.solve(right, left), f"the left Jacobian of {what} where the right belongs"),
+        ):
+            guess = raw @ change / evidence.deviations.scale[..., columns]
+            if set(columns) & set(evidence.wrong) and evidence.explains(guess, columns):
+                names = evidence.names(columns)
+                evidence.found(
+                    "perturbation", columns, f"{names}: left for right perturbation; it is {words}"
+                )
+
+
+def turned(evidence: Evidence) -> None:
+    """Three columns that are a rotation of what they should be.
+
+    A' = A Q with a rotation Q keeps A A^T, whatever Q is. Three of four columns of a quaternion are
+    nothing that turns.
+    """
+    quaternions = {j for b in evidence.blocks if b.rotation == "quaternion" for j in b.columns}
+    for block in evidence.blocks:
+        for start in range(block.start, block.stop - 2):
+            columns = list(range(start, start + 3))
+            if len(set(columns) & set(evidence.wrong)) < 2 or set(columns) & quaternions:
+                continue
+            if not _same_gram(evidence, columns):
+                continue
+            names = evidence.names(columns)
+            if block.rotation:
+                evidence.found(
+                    "perturbation",
+                    columns,
+                    f"{names}: right in size, turned by the rotation: "
+                    "left for right perturbation, R Exp(d) for Exp(d) R",
+                )
+            else:
+                evidence.found(
+                    "frame",
+                    columns,
+                    f"{names}: right in size, turned by a rotation: in the wrong frame, "
+                    "R (or its transpose) is missing or applied once too often",
+                )
+
+
+def _algebras(evidence: Evidence) -> Iterator[tuple[list[int], Array, str]]:
+    """Yield columns that may be a Lie algebra's, and ad (K, n, n) of the values there."""
+    for block in evidence.blocks:
+        if block.rotation == "vector":
+            columns = list(block.columns)
+            yield columns, _skew(evidence.points[:, columns]), "SO(3)"
+    for block in evidence.blocks:
+        if block.rotation:
+            continue
+        for columns in _windows(block, 3):
+            w = evidence.points[:, columns]
+            if _turns(w):
+                yield columns, _skew(w), "SO(3)"
+        for columns in _windows(block, 6):
+            for turn, move in ((slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3))):
+                twist = evidence.points[:, columns]
+                if not _turns(twist[:, turn]):
+                    continue
+                ad = np.zeros((len(twist), 6, 6))
+                ad[:, turn, turn] = ad[:, move, move] = _skew(twist[:, turn])
+                ad[:, move, turn] = _skew(twist[:, move])
+                yield columns, ad, "SE(3)"
+
+
+def _turns(w: Array) -> bool:
+    """Return whether vectors (K, 3) may be rotations, less than a turn, that differ from zero."""
+    return bool(w.any() and np.linalg.norm(w, axis=1).max() < 6)
+
+
+def _windows(block: Block, size: int) -> list[list[int]]:
+    return [list(range(j, j + size)) for j in range(block.start, block.stop - size + 1)]
+
+
+def _skew(w: Array) -> Array:
+    """Return [w]x (K, 3, 3)."""
+    matrices: Array = np.cross(w[:, None, :], np.eye(3)).transpose(0, 2, 1)
+    return matrices
+
+
+def _same_gram(evidence: Evidence, columns: list[int]) -> bool:
+    analytic = evidence.deviations.analytic[..., columns]
+    reference = evidence.deviations.reference[..., columns]
+    size = np.linalg.norm(reference, axis=(1, 2), keepdims=True)
+    size = np.where(size > 0, size, 1.0)
+    analytic, reference = analytic / size, reference / size
+    left = np.linalg.norm(_gram(analytic) - _gram(reference))
+    return bool(left <= EXPLAINED * np.linalg.norm(analytic - reference))
+
+
+def _gram(matrices: Array) -> Array:
+    gram: Array = matrices @ matrices.transpose(0, 2, 1)
+    return gram
+
+
+def _left_jacobian(ad: Array) -> Array:
+    """Return the power series, sum of ad^k / (k + 1)!."""
+    term, total = np.eye(len(ad)), np.eye(len(ad))
+    for k in range(1, 60):
+        term = term @ ad / (k + 1)
+        total = total + term
+    return total

@@ -1,0 +1,158 @@
+"""Signatures of rows: what is there is the right Jacobian multiplied from the left, A = M J.
+
+- Rows in a wrong order: M is a permutation.
+- The square root L^T of the information applied to the residual alone, or to the Jacobian alone: M
+  is one matrix at all points, in all columns.
+- The residual is a logarithm, r = W Log(E), whose derivative is W J_r^-1(e) times that of E. Where
+  J_r^-1 was left out, M = W J_r(e) W^-1, and as J_r(e) e = e, M r = r for any W.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.checking.evidence import EXPLAINED, Evidence
+from bundle.checking.jacobian_deviation import Array
+
+__all__ = ["logarithm", "rows", "whitening"]
+
+
+def rows(evidence: Evidence) -> None:
+    """Rows that stand in each other's place: of all columns, or of a block."""
+    num_residuals = evidence.analytic.shape[1]
+    if num_residuals < 2:
+        return
+    every = list(range(len(evidence.columns)))
+    for columns in [every, *(list(block.columns) for block in evidence.blocks)]:
+        wrong = [j for j in columns if j in evidence.wrong]
+        if len(wrong) < 2:
+            continue
+        source = _sources(
+            evidence.deviations.analytic[..., wrong], evidence.deviations.reference[..., wrong]
+        )
+        moved = np.flatnonzero(source != np.arange(num_residuals))
+        if not len(moved) or len(set(source.tolist())) < num_residuals:
+            continue
+        if evidence.explains(evidence.reference[:, source][..., wrong], wrong):
+            places = ", ".join(f"{row} holds that of {source[row]}" for row in moved)
+            what = "swapped" if len(moved) == 2 else "in a wrong order"
+            evidence.found(
+                "swapped_rows", wrong, f"{evidence.names(wrong)}: the rows are {what}: {places}"
+            )
+
+
+def whitening(evidence: Evidence) -> None:
+    """All columns multiplied by one matrix that is not a number: weights of one side alone."""
+    analytic, reference = evidence.deviations.analytic, evidence.deviations.reference
+    used = [j for j in range(analytic.shape[2]) if reference[..., j].any()]
+    if analytic.shape[1] < 2 or len(used) < 2 or not set(used) <= set(evidence.wrong):
+        return
+    ratios = _row_ratios(analytic[..., used], reference[..., used])
+    if _is_number(np.diag(ratios)):
+        return  # a factor, which has a name of its own
+    everything = np.linalg.norm(analytic[..., used] - reference[..., used])
+    off = np.abs(ratios - 1) > EXPLAINED
+    left = np.linalg.norm(analytic[..., used] - ratios[:, None] * reference[..., used])
+    if left > EXPLAINED * everything or off.sum() < 2:
+        if not _is_one_matrix(analytic[..., used], reference[..., used]):
+            return
+        by = "by one matrix from the left"
+    else:
+        by = "by " + ", ".join(f"{ratio:.4g}" for ratio in ratios) + " row by row"
+    evidence.found(
+        "whitening",
+        used,
+        f"every column is multiplied {by}: the square root of the information, the weights of the "
+        "residual, is applied to the residual alone or to the Jacobians alone",
+    )
+
+
+def logarithm(evidence: Evidence) -> None:
+    """Columns without the inverse Jacobian of the logarithm that the residual is."""
+    num_residuals = evidence.analytic.shape[1]
+    if num_residuals < 2 or evidence.residuals is None:
+        return
+    every = list(range(len(evidence.columns)))
+    for columns in [every, *(list(block.columns) for block in evidence.blocks)]:
+        wrong = [j for j in columns if j in evidence.wrong]
+        if len(wrong) < num_residuals:
+            continue
+        for size in (num_residuals, 3):
+            if num_residuals % size == 0 and _keeps_residual(evidence, wrong, size):
+                evidence.found(
+                    "logarithm",
+                    wrong,
+                    f"{evidence.names(wrong)}: as if the residual were no logarithm: its inverse "
+                    "right Jacobian J_r^-1 is missing, or another one is there",
+                )
+                break
+
+
+def _keeps_residual(evidence: Evidence, columns: list[int], size: int) -> bool:
+    """Return whether A = M J with M r = r, in blocks of `size` rows, at all points."""
+    raw = evidence.deviations
+    left, deviation = 0.0, 0.0
+    assert evidence.residuals is not None
+    for k, residual in enumerate(evidence.residuals):
+        for first in range(0, len(residual), size):
+            part = slice(first, first + size)
+            given, right = raw.analytic[k, part][:, columns], raw.reference[k, part][:, columns]
+            change, _, rank, _ = np.linalg.lstsq(right.T, given.T, rcond=1e-9)
+            if rank < size:
+                return False
+            length = np.linalg.norm(residual[part])
+            if length == 0:
+                continue
+            matrix = change.T
+            axis = residual[part] / length
+            left += float(np.linalg.norm(matrix @ axis - axis) ** 2)
+            left += float((np.linalg.norm(matrix @ right - given) / np.linalg.norm(right)) ** 2)
+            deviation += float(np.linalg.norm(matrix - np.eye(size)) ** 2)
+    return bool(deviation > 0 and left <= EXPLAINED**2 * deviation)
+
+
+def _sources(given: Array, right: Array) -> NDArray[np.intp]:
+    """Return the row of the right Jacobian that each row of the given one is nearest to.
+
+    A row that is right stays.
+    """
+    distance = np.linalg.norm(given[:, :, None] - right[:, None], axis=(0, 3))
+    own = np.diag(distance)
+    nearest = distance.argmin(axis=1)
+    size = np.linalg.norm(right, axis=(0, 2))
+    stays = own <= EXPLAINED * size
+    return np.where(stays, np.arange(len(own)), nearest)
+
+
+def _row_ratios(given: Array, right: Array) -> Array:
+    square = (right * right).sum(axis=(0, 2))
+    ratios: Array = (given * right).sum(axis=(0, 2)) / np.where(square > 0, square, 1.0)
+    return np.where(square > 0, ratios, 1.0)
+
+
+def _is_number(matrix: Array) -> bool:
+    mean = np.trace(matrix) / len(matrix)
+    return bool(np.linalg.norm(matrix - mean * np.eye(len(matrix))) <= EXPLAINED * abs(mean))
+
+
+def _is_one_matrix(given: Array, right: Array) -> bool:
+    """Return whether A = M J with one M, found without a column, in that column too."""
+    num_residuals, num_columns = given.shape[1:]
+
+    def stacked(matrices: Array, columns: list[int]) -> Array:
+        rows: Array = matrices[..., columns].transpose(1, 0, 2).reshape(num_residuals, -1)
+        return rows
+
+    left = deviation = 0.0
+    for column in range(num_columns):
+        others = [j for j in range(num_columns) if j != column]
+        change, _, rank, _ = np.linalg.lstsq(
+            stacked(right, others).T, stacked(given, others).T, rcond=1e-9
+        )
+        if rank < num_residuals:
+            return False
+        own = stacked(right, [column])
+        left += float(np.linalg.norm(change.T @ own - stacked(given, [column])) ** 2)
+        deviation += float(np.linalg.norm(own - stacked(given, [column])) ** 2)
+    return left <= EXPLAINED**2 * deviation

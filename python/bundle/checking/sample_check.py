@@ -1,0 +1,323 @@
+"""The check of a function at points: both references, verdicts, findings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.check_defaults import TOLERANCE
+from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
+from bundle.checking.classify import classify, float_precision, stale
+from bundle.checking.columns import Block, Column
+from bundle.checking.evidence import Evidence, Finding, join_names
+from bundle.checking.function import UserFunction
+from bundle.checking.gradient_report import GradientCheckerSummary, GradientReport, Offender
+from bundle.checking.jacobian_deviation import Array, JacobianDeviation
+from bundle.checking.padding import padded
+from bundle.checking.residual_blocks import Layout
+from bundle.checking.tally import Tally
+
+__all__ = ["SamplePoint", "check_samples"]
+
+SAME_RESIDUAL = 1e-9
+"""By how much of its largest entry a residual may differ between two calls at the same point."""
+
+ROUGH = 1e-3
+"""Relative uncertainty of the reference at the given point that no rounding explains."""
+
+_Probe = tuple[bool, Array | None, Array | None, str]
+
+
+@dataclass(frozen=True, eq=False)
+class SamplePoint:
+    """The blocks at which a function is checked; each point may have a function of its own."""
+
+    user: UserFunction
+    blocks: list[Array]
+
+    def evaluate(self) -> tuple[Array, Array]:
+        """Return the residual (R,) and all Jacobians side by side (R, N)."""
+        return self.user.evaluate(self.blocks)
+
+    def reference(self, manifolds: list[tuple[str, list[int]]]) -> Any:
+        """Return what Richardson extrapolation finds."""
+        return _core.richardson_jacobian(
+            self.user.core, self.user.num_residuals, self.blocks, manifolds
+        )
+
+    def probe(self, manifolds: list[tuple[str, list[int]]]) -> _Probe:
+        """Return what ceres::GradientChecker finds."""
+        return _core.gradient_checker(
+            self.user.core, self.user.num_residuals, self.blocks, manifolds, CHECKER_PRECISION
+        )
+
+    def without(self, parameter: int) -> SamplePoint | None:
+        """Return the point with a parameter of value zero; None if there is no residual."""
+        flat = np.concatenate(self.blocks)
+        flat[parameter] = 0.0
+        blocks = np.split(flat, np.cumsum(self.user.sizes)[:-1])
+        return None if self.user.core(blocks, False) is None else SamplePoint(self.user, blocks)
+
+
+def check_samples(
+    samples: Sequence[SamplePoint], layout: Layout, *, tolerance: float, ambient: bool = True
+) -> GradientReport:
+    """Check Jacobians at points; the first is the one that was given."""
+    return _Check(samples, layout, tolerance, ambient).run()
+
+
+class _Check:
+    """One check, in the order of its methods."""
+
+    def __init__(
+        self, samples: Sequence[SamplePoint], layout: Layout, tolerance: float, ambient: bool
+    ) -> None:
+        self.layout, self.tolerance = layout, tolerance
+        self.user = samples[0].user
+        self.ambient = ambient or not layout.is_curved
+        # One after the other, so that a cache that lags behind shows, and before anything else.
+        first = [at.evaluate() for at in samples]
+        finite = [bool(np.isfinite(residual).all()) for residual, _ in first]
+        self.num_skipped = finite.count(False)
+        self.has_start = finite[0]
+        self.samples = [at for at, valid in zip(samples, finite, strict=True) if valid]
+        self.residuals = [r for (r, _), valid in zip(first, finite, strict=True) if valid]
+        self.jacobians = [j for (_, j), valid in zip(first, finite, strict=True) if valid]
+
+    def run(self) -> GradientReport:
+        """Compare with both references and report."""
+        if not self.samples:
+            return self._report([], [_no_value()], GradientCheckerSummary())
+        repeated_calls = [at.evaluate() for at in self.samples]
+        unstable = _unstable(self.residuals, [residual for residual, _ in repeated_calls])
+        if unstable is not None:
+            return self._report([], [unstable], GradientCheckerSummary())
+        again = [jacobian for _, jacobian in repeated_calls]
+        references = [at.reference(self.layout.core) for at in self.samples]
+        checker = [at.probe(self.layout.core) for at in self.samples]
+        values, doubts, tangents, tangent_doubts = map(np.array, zip(*references, strict=True))
+        space = JacobianDeviation(np.array(self.jacobians), values, doubts)
+        repeated = JacobianDeviation(np.array(again), values, doubts)
+        tangent, projected = space, list(range(len(space)))
+        if self.layout.is_curved:
+            projected = [k for k, probe in enumerate(checker) if probe[1] is not None]
+            local = [probe[1] for probe in checker if probe[1] is not None]
+            shape = (0, *tangents.shape[1:])
+            tangent = JacobianDeviation(
+                np.array(local) if local else np.zeros(shape),
+                tangents[projected],
+                tangent_doubts[projected],
+            )
+        tallies, findings = self._findings(space, repeated, tangent, np.array(projected, np.intp))
+        watched = space if self.ambient else tangent
+        numbers = range(len(space)) if self.ambient else projected
+        if not findings:
+            findings = self._undecided_start(watched, numbers)
+        undecided = self._undecided(watched, numbers)
+        return self._report(tallies, findings, self._summary(space, checker), undecided)
+
+    def _undecided_start(
+        self, deviations: JacobianDeviation, samples: Sequence[int]
+    ) -> list[Finding]:
+        """Return a finding if the given point itself, the first, is on a kink or a jump."""
+        if not self.has_start or not len(samples) or samples[0] != 0:
+            return []
+        doubt = self._roughness(deviations)
+        columns = self.layout.columns if self.ambient else self.layout.tangent_columns
+        rough = [columns[j].name for j in np.flatnonzero((doubt > ROUGH).any(axis=0))]
+        if not rough:
+            return []
+        return [
+            Finding(
+                "undecided",
+                tuple(rough),
+                f"{join_names(rough)}: the point given is on a kink, a jump or the border of where "
+                "the residual has a value: nothing can be said of the derivative there",
+            )
+        ]
+
+    @staticmethod
+    def _roughness(deviations: JacobianDeviation) -> Array:
+        """Return the doubt (R, N) at the first point, beside the row where that is larger."""
+        row = np.abs(deviations.reference[0]).max(axis=1, keepdims=True)
+        rough: Array = deviations.uncertainty[0] / np.maximum(deviations.scale[0], row)
+        return rough
+
+    def _undecided(
+        self, deviations: JacobianDeviation, samples: Sequence[int]
+    ) -> dict[str, list[int]]:
+        """Return the samples at which most entries have no good reference and none is wrong."""
+        found: dict[str, list[int]] = {"no_value": [], "rough": []}
+        for k, index in enumerate(samples):
+            doubt = deviations.doubt[k]
+            is_start = index == 0 and self.has_start
+            is_rough = is_start and bool((self._roughness(deviations) > ROUGH).any())
+            known = (doubt <= self.tolerance).mean() >= 0.5 and not is_rough
+            if known or (deviations.error[k] > self.tolerance).any():
+                continue
+            found["no_value" if np.isinf(doubt).any() else "rough"].append(index)
+        return found
+
+    def _findings(
+        self,
+        space: JacobianDeviation,
+        repeated: JacobianDeviation,
+        tangent: JacobianDeviation,
+        projected: NDArray[np.intp],
+    ) -> tuple[list[Tally], list[Finding]]:
+        layout, tolerance = self.layout, self.tolerance
+        along = Tally(layout.tangent_columns, tolerance)
+        along.add(tangent, projected)
+        tallies = [along]
+        outer = Tally(layout.columns, tolerance)
+        outer.add(space, np.arange(len(space)))
+        if layout.is_curved and self.ambient:
+            tallies.append(outer)
+        watched = outer if self.ambient else along
+        if not watched.wrong_columns and not along.wrong_columns:
+            rounded = float_precision(space, tuple(c.name for c in layout.columns))
+            single = rounded is not None and tolerance <= TOLERANCE
+            return tallies, [rounded] if rounded is not None and single else []
+        whole = stale(space, repeated, tolerance)
+        if whole is None:
+            whole = float_precision(space, tuple(c.name for c in layout.columns))
+        if whole is not None:
+            return tallies, [whole]
+        if layout.is_curved and self.ambient and not along.wrong_columns:
+            return tallies, [self._normal(outer)]
+        if layout.is_curved and self.ambient and len(projected) == len(space):
+            found = padded(layout, space, tangent, tolerance)
+            if found:
+                return tallies, found
+        findings = self._classify(outer, layout.columns, layout.blocks, ambient=True)
+        if layout.is_curved and along.wrong_columns:
+            inner = self._classify(
+                along, layout.tangent_columns, layout.tangent_blocks, ambient=False
+            )
+            if not self.ambient or _vagueness(inner) < _vagueness(findings):
+                findings = inner
+        return tallies, findings
+
+    def _classify(
+        self, tally: Tally, columns: Sequence[Column], blocks: Sequence[Block], *, ambient: bool
+    ) -> list[Finding]:
+        kept = tally.kept
+        if kept is None:
+            return []
+        points = np.array([np.concatenate(self.samples[int(k)].blocks) for k in kept.points])
+        if len(self.layout.is_step):
+            points[:, self.layout.is_step] = 0.0
+        if not ambient and self.layout.is_curved:
+            points = np.zeros((len(points), len(columns)))
+
+        def reference_at(k: int, parameter: int) -> Array | None:
+            at = self.samples[int(kept.points[k])].without(parameter)
+            if at is None:
+                return None
+            found = at.reference(self.layout.core)
+            return found[0] if np.isfinite(found[1]).all() else None
+
+        evidence = Evidence(
+            kept.deviations,
+            columns,
+            blocks,
+            points,
+            reference_at,
+            tally.wrong_columns,
+            self.tolerance,
+            numbers=kept.points,
+            residuals=np.array([self.residuals[int(k)] for k in kept.points]),
+        )
+        return classify(evidence)
+
+    def _normal(self, outer: Tally) -> Finding:
+        names = tuple(outer.columns[j].name for j in outer.wrong_columns)
+        return Finding(
+            "normal",
+            names,
+            f"{join_names(names)}: right along the manifold, wrong along its normal, where "
+            "ceres::GradientChecker does not look; a solve does not feel it "
+            "(ambient=False accepts it)",
+            float(outer.max_error.max()),
+        )
+
+    def _summary(
+        self, space: JacobianDeviation, checker: Sequence[_Probe]
+    ) -> GradientCheckerSummary:
+        wrong = (space.error > self.tolerance).any(axis=(1, 2))
+        agreed = np.array([bool(probe[0]) for probe in checker])
+        gave_up = np.array([probe[1] is None for probe in checker])
+        return GradientCheckerSummary(
+            num_probes=len(checker),
+            num_agreed=int(agreed.sum()),
+            num_false_alarms=int((~agreed & ~gave_up & ~wrong).sum()),
+            num_gave_up=int(gave_up.sum()),
+            num_overlooked=int((agreed & wrong).sum()),
+        )
+
+    def _report(
+        self,
+        tallies: Sequence[Tally],
+        findings: Sequence[Finding],
+        summary: GradientCheckerSummary,
+        undecided: Mapping[str, Sequence[int]] = MappingProxyType({}),
+    ) -> GradientReport:
+        worst = [
+            Offender(
+                f"sample {entry.point}",
+                tally.columns[entry.column].name,
+                entry.residual,
+                entry.analytic,
+                entry.reference,
+                entry.error,
+                {"sample": entry.point},
+            )
+            for tally in tallies
+            for entry in tally.worst
+        ]
+        sizes = " + ".join(map(str, self.user.sizes))
+        return make_report(
+            subject=f"a function of {sizes} parameters with {self.user.num_residuals} residuals",
+            noun="sample",
+            tallies=tallies,
+            findings=findings,
+            worst=worst,
+            num_checked=len(self.samples),
+            num_skipped=self.num_skipped,
+            gradient_checker=summary,
+            tolerance=self.tolerance,
+            undecided=undecided_points("sample", undecided, lambda k: f"sample {k}"),
+        )
+
+
+def _no_value() -> Finding:
+    return Finding("not_finite", (), "the residual is not a finite number at any sample")
+
+
+def _unstable(first: Sequence[Array], again: Sequence[Array]) -> Finding | None:
+    """Return a finding if two calls at one point differ by more than a sum's order explains."""
+    for k, (one, other) in enumerate(zip(first, again, strict=True)):
+        with np.errstate(invalid="ignore"):
+            same = np.abs(one - other) <= SAME_RESIDUAL * np.abs(one).max()
+        if not same.all():
+            row = int(np.flatnonzero(~same)[0])
+            return Finding(
+                "unstable",
+                (),
+                f"the function is not deterministic: two calls at sample {k} give residual {row} "
+                f"as {one[row]:.9g} and {other[row]:.9g}; nothing can be said of its Jacobians",
+            )
+    return None
+
+
+def _vagueness(findings: Sequence[Finding]) -> int:
+    """Return how many findings say no more than that something is wrong."""
+    if not findings:
+        return 100
+    return sum(f.kind in ("small_part", "large_part", "order", "missing_term") for f in findings)
