@@ -75,6 +75,45 @@ def test_a_bad_line_is_named(tmp_path: Path, name: str, line: int, text: str, fo
     assert "\n" not in message
 
 
+@pytest.mark.parametrize("unit", [10**3, 10**6, 10**9])
+@pytest.mark.parametrize("names", [("imu",), ("tracks",), ("imu", "tracks")])
+def test_stamps_in_another_unit_are_refused(
+    tmp_path: Path, unit: int, names: tuple[str, ...]
+) -> None:
+    """In whole seconds stamps repeat, which counts once."""
+    save_sequence(sequence(), tmp_path)
+    for name in names:
+        head, *rows = (tmp_path / f"{name}.csv").read_text().splitlines()
+        cells = [row.split(",", 1) for row in rows]
+        whole = [f"{int(stamp) // unit},{rest}" for stamp, rest in cells]
+        (tmp_path / f"{name}.csv").write_text("\n".join([head, *whole]))
+    if unit == 10**9:  # one stamp, or two
+        with pytest.raises(bundle.InputError):
+            read_sequence(tmp_path)
+        return
+    word = {10**3: "microseconds", 10**6: "milliseconds"}[unit]
+    with pytest.raises(bundle.InputError, match=f"{names[0]}.csv: line 2: .*{word}"):
+        read_sequence(tmp_path)
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.2, 3.0, 100.0])
+def test_rates_that_are_off_tell_no_unit(factor: float) -> None:
+    rates = {"imu_rate": 200 * factor, "camera_rate": 20 * factor}
+    assert sequence(calibration=calibration(**rates)).num_frames > 1
+
+
+@pytest.mark.parametrize("unit", [10**3, 10**6])
+def test_arrays_in_another_unit_are_refused(unit: int) -> None:
+    given = sequence()
+    stamps = {
+        name: getattr(given, name) // unit for name in ("imu_timestamps_ns", "track_timestamps_ns")
+    }
+    with pytest.raises(bundle.InputError, match="IMU sample 0: expected stamps in nanoseconds"):
+        sequence(**stamps)
+    with pytest.raises(bundle.InputError, match="observation 0: expected stamps in nanoseconds"):
+        sequence(**stamps, calibration=calibration(imu_rate=200 * unit))
+
+
 @pytest.mark.parametrize(
     ("key", "value", "found"),
     [

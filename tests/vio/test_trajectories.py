@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -125,3 +126,54 @@ def test_an_estimate_that_stands_still_has_no_scale() -> None:
     error = compare_trajectories(Trajectory(truth.timestamps_ns, states), truth)
     assert np.isnan(error.scale)
     assert error.ate == error.ate_yaw > 0
+
+
+@pytest.mark.parametrize(
+    ("stamp", "hint"),
+    [
+        ("1403715273262142976.000000", "nanoseconds"),
+        ("1403715273262142976", "nanoseconds"),
+        ("1.403715273262142976e+18", "nanoseconds"),
+        ("1403715273262143.5", "microseconds"),
+        ("1403715273262.1", "milliseconds"),
+        ("+inf", "Inf|inf"),
+        ("-inf", "inf"),
+        ("inf", "inf"),
+        ("nan", "nan"),
+        ("-nan", "nan"),
+        ("+Infinity", "Infinity"),
+        ("9223372036.854775808", "seconds"),
+        ("1e300", "1e300"),
+    ],
+)
+@pytest.mark.parametrize("line", [2, 3])
+def test_a_stamp_that_is_none_is_named(tmp_path: Path, stamp: str, hint: str, line: int) -> None:
+    rows = ["# head", "1.0 0 0 0 0 0 0 1", "2.0 0 0 0 0 0 0 1", "3.0 0 0 0 0 0 0 1"]
+    rows[line - 1] = f"{stamp} 0 0 0 0 0 0 1"
+    path = tmp_path / "t.txt"
+    path.write_text("\n".join(rows))
+    with pytest.raises(bundle.InputError) as caught:
+        load_tum(path)
+    message = str(caught.value)
+    assert f"{path}: line {line}: " in message and "\n" not in message
+    if not (line == 2 and stamp in ("nan", "inf")):
+        assert any(word in message for word in hint.split("|"))
+
+
+def test_the_last_stamp_of_64_bits(tmp_path: Path) -> None:
+    rows = [f"{stamp} 0 0 0 0 0 0 1" for stamp in ("9223372036.8", "9223372036.854775")]
+    (tmp_path / "t.txt").write_text("\n".join(rows))
+    stamps = load_tum(tmp_path / "t.txt").timestamps_ns
+    np.testing.assert_array_equal(stamps, [9223372036800000000, 9223372036854775000])
+
+
+@pytest.mark.parametrize("power", [-9, -6, -3, 3])
+def test_a_truth_in_another_unit_is_named(power: int) -> None:
+    given = trajectory()
+    start = START if power < 0 else 10**14
+    estimate = Trajectory(given.timestamps_ns - START + start, given.states)
+    seconds = np.linspace(-2, 4, 40)
+    stamps = np.rint((start + 1e9 * seconds) * 10.0**power) + np.arange(40)
+    truth = Trajectory(stamps.astype(np.int64), given.states)
+    with pytest.raises(bundle.InputError, match=re.escape(f"{10.0**-power:g} times")):
+        compare_trajectories(estimate, truth)

@@ -87,6 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the odometry over SEQUENCE."""
     started = perf_counter()
+    import numpy as np
+
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
@@ -101,6 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
         run_odometry,
         save_tum,
     )
+    from bundle.vio.trajectory_comparison import covered_by
 
     source, target = arguments.sequence, arguments.output
     if arguments.publish is None and (arguments.loops is not None or arguments.real_time):
@@ -113,6 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
         truth = None
         if arguments.ground_truth is not None:
             truth = load_trajectory(arguments.ground_truth)
+            covered_by(truth, np.unique(sequence.image_timestamps_ns))
         progress.stage("following the motion")
 
         def shown_keyframe(done: int, count: int, record: KeyframeRecord | None) -> bool:

@@ -15,6 +15,7 @@ from bundle.display import Display, Displayed
 from bundle.errors import InputError
 from bundle.inertial.imu_samples import suspected_units
 from bundle.vio.calibration import Calibration
+from bundle.vio.stamp_units import check_stamp_unit
 
 __all__ = ["Sequence", "check_imu", "check_overlap", "check_tracks"]
 
@@ -65,10 +66,14 @@ class Sequence(Displayed):
             if array.shape != expected:
                 raise InputError(f"{field.name}: expected shape {expected}, found {array.shape}")
             object.__setattr__(self, field.name, array)
-        check_imu(self.imu_timestamps_ns, self.gyro, self.accel, lambda row: f"IMU sample {row}")
+        sample: Place = lambda row: f"IMU sample {row}"  # noqa: E731
         place: Place = lambda row: f"observation {row}"  # noqa: E731
+        check_imu(self.imu_timestamps_ns, self.gyro, self.accel, sample)
         check_tracks(self.track_timestamps_ns, self.track_ids, self.xy, place)
         check_overlap(self.imu_timestamps_ns, self.image_timestamps_ns, "sequence")
+        check_stamp_units(
+            self.imu_timestamps_ns, self.track_timestamps_ns, self.calibration, sample, place
+        )
 
     @property
     def image_timestamps_ns(self) -> NDArray[np.int64]:
@@ -121,6 +126,18 @@ class Sequence(Displayed):
                 ("camera", self.calibration.camera_model or "normalised coordinates"),
             ),
         )
+
+
+def check_stamp_units(
+    imu_stamps: Any, track_stamps: Any, calibration: Calibration, imu_place: Place, place: Place
+) -> None:
+    """Refuse stamps that are not nanoseconds; ``imu_place`` and ``place`` name rows.
+
+    Raises:
+        InputError: as :func:`bundle.vio.stamp_units.check_stamp_unit`.
+    """
+    check_stamp_unit(imu_stamps, calibration.imu_rate, "imu_rate", imu_place)
+    check_stamp_unit(track_stamps, calibration.camera_rate, "camera_rate", place)
 
 
 def check_imu(stamps: Any, gyro: Any, accel: Any, place: Place) -> None:

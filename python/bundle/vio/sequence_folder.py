@@ -23,7 +23,7 @@ from bundle.io.recognition import SEQUENCE_FILES as FILES
 from bundle.io.recognition import sequence_at
 from bundle.vio.calibration import calibration_text, load_calibration
 from bundle.vio.csv_tables import CsvTable, csv_lines, read_csv
-from bundle.vio.sequence import Sequence, check_imu, check_overlap, check_tracks
+from bundle.vio.sequence import Sequence, check_imu, check_overlap, check_stamp_units, check_tracks
 from bundle.vio.sequence_findings import SequenceFinding, sequence_findings
 from bundle.vio.track_csv import read_track_csv
 
@@ -79,6 +79,7 @@ def read_sequence(
     imu = read_csv(folder / "imu.csv", ["timestamp"], ["wx", "wy", "wz", "ax", "ay", "az"])
     tracks = read_csv(folder / "tracks.csv", ["timestamp_ns", "track_id"], ["x", "y"])
     tracks = _by_time(tracks)
+    check_stamp_units(imu.whole[:, 0], tracks.whole[:, 0], calibration, imu.place, tracks.place)
     check_imu(imu.whole[:, 0], imu.numbers[:, :3], imu.numbers[:, 3:], imu.place)
     check_tracks(tracks.whole[:, 0], tracks.whole[:, 1], tracks.numbers, tracks.place)
     offset = round(1e9 * calibration.time_offset)

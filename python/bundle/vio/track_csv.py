@@ -23,6 +23,7 @@ from bundle.rigid_motions import inverse_poses, unit_poses
 from bundle.text_lines import numbered_lines
 from bundle.vio.calibration import Calibration
 from bundle.vio.sequence import Sequence
+from bundle.vio.stamp_units import LATEST
 
 __all__ = ["read_track_csv"]
 
@@ -129,6 +130,6 @@ def _rate(stamps: np.ndarray) -> float:
 
 
 def _nanoseconds(seconds: np.ndarray) -> np.ndarray:
-    if not np.isfinite(seconds).all():
-        raise InputError("t_abs: expected finite times, found others")
+    if not (np.abs(seconds) < LATEST).all():
+        raise InputError("t_abs: expected finite times in seconds, found others")
     return np.rint(1e9 * seconds).astype(np.int64)

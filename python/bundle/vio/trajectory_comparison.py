@@ -26,9 +26,16 @@ from bundle.rotations import (
     quaternion_rotate,
     vector_from_quaternion,
 )
+from bundle.vio.stamp_units import other_unit
 from bundle.vio.trajectory_files import Trajectory
 
-__all__ = ["TrajectoryError", "aligned_in_yaw", "compare_trajectories", "states_at"]
+__all__ = [
+    "TrajectoryError",
+    "aligned_in_yaw",
+    "compare_trajectories",
+    "covered_by",
+    "states_at",
+]
 
 Array = NDArray[np.float64]
 
@@ -78,7 +85,7 @@ def compare_trajectories(estimate: Trajectory, truth: Trajectory) -> TrajectoryE
         from evo.core.trajectory import PosePath3D
     except ImportError:
         raise InputError("comparing trajectories needs evo: pip install evo") from None
-    inside = _inside(estimate, truth)
+    inside = covered_by(truth, estimate.timestamps_ns)
     found = estimate.states[inside, :7]
     wanted = states_at(truth, estimate.timestamps_ns[inside])[:, :7]
 
@@ -119,7 +126,7 @@ def aligned_in_yaw(
     Raises:
         InputError: fewer than three poses of the estimate lie between stamps of the truth.
     """
-    inside = _inside(estimate, truth)
+    inside = covered_by(truth, estimate.timestamps_ns)
     stamps = estimate.timestamps_ns[inside]
     wanted = states_at(truth, stamps)[:, :7]
     return stamps, _yaw_aligned(estimate.states[inside, :7], wanted), wanted
@@ -139,15 +146,19 @@ def states_at(trajectory: Trajectory, stamps: NDArray[np.int64]) -> Array:
     return result
 
 
-def _inside(estimate: Trajectory, truth: Trajectory) -> NDArray[np.bool_]:
-    """Return which poses of the estimate lie between stamps of the truth."""
-    stamps = estimate.timestamps_ns
+def covered_by(truth: Trajectory, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which stamps of an estimate lie between those of the truth.
+
+    Raises:
+        InputError: fewer than three do.
+    """
     inside: NDArray[np.bool_] = stamps >= truth.timestamps_ns[0]
     inside = inside & (stamps <= truth.timestamps_ns[-1])
     if inside.sum() < LEAST_POSES:
         raise InputError(
             f"ground truth: expected at least {LEAST_POSES} poses of the estimate between "
             f"{truth.timestamps_ns[0]} and {truth.timestamps_ns[-1]} ns, found {int(inside.sum())}"
+            f"{other_unit(truth.timestamps_ns, stamps)}"
         )
     return inside
 

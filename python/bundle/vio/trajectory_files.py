@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from decimal import Decimal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +19,7 @@ from bundle.errors import InputError, shown
 from bundle.io import as_path, atomic
 from bundle.text_lines import numbered_lines
 from bundle.vio.csv_tables import csv_lines, read_csv
+from bundle.vio.stamp_units import stamp_of_seconds
 
 __all__ = [
     "Trajectory",
@@ -97,15 +97,20 @@ def load_tum(path: str | os.PathLike[str]) -> Trajectory:
     """Read a TUM trajectory; stamps keep their nanoseconds.
 
     Raises:
-        InputError: a line has too few columns, a word in place of a number, or no quaternion, or
-            time does not go on.
+        InputError: a line has too few columns, a word in place of a number, or no quaternion, a
+            stamp is not finite or in another unit, or time does not go on.
         OSError: the file cannot be read.
     """
     names = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
     path = as_path(path)
     table = read_csv(path, [], names, delimiter=None)
-    words = [line.split(None, 1)[0] for _, line in numbered_lines(path) if line.strip()]
-    stamps = [int(Decimal(word).scaleb(9)) for word in words if word[0] in "+-.0123456789"]
+    words = {
+        number: line.split(None, 1)[0] for number, line in numbered_lines(path) if line.strip()
+    }
+    stamps = [
+        stamp_of_seconds(words[line], table.place(row))
+        for row, line in enumerate(table.lines.tolist())
+    ]
     states = np.full((len(table), 16), np.nan)
     states[:, :4], states[:, 4:7] = table.numbers[:, 4:], table.numbers[:, 1:4]
     return _checked(np.array(stamps, np.int64), states, table.place)
