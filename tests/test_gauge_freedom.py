@@ -200,6 +200,7 @@ CASES = {
     "the same, refined": (sensors_apart(rigs(STEREO, num_points=32)), {"arms": True}, 7),
     "no frame with two images": (alternating(), {}, 7),
     "the same, sensors refined": (alternating(), {"arms": True}, 13),
+    "the same, three positions on sensors": (alternating(), {"arms": True, "priors": (0, 2, 4)}, 6),
     "no reference images": (without_reference(FIVE[:2]), {}, 6),
     "no reference images, one sensor": (without_reference(STEREO), {}, 7),
 }  # fmt: skip

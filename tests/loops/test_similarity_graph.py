@@ -114,6 +114,19 @@ def test_minimum_is_that_of_dense_least_squares(free, mounted):
     assert free or (found.scales == 1).all()
 
 
+def test_held_nodes_keep_their_bits():
+    """Also where a normalised quaternion is none to the last bit."""
+    graph, nodes = some_graph()
+    rng = np.random.default_rng(0)
+    turns = rng.normal(size=(200, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    again = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    nodes.poses[graph.held, :4] = turns[(turns != again).any(axis=1)][0]
+    before = nodes.poses[graph.held].copy()
+    found = graph.solve(nodes, trivial, 1e-14)
+    np.testing.assert_array_equal(found.poses[graph.held], before)
+
+
 def test_the_step_is_quadratic_near_the_minimum():
     """Wrong Jacobians would still find minima of this kind, slowly."""
     graph, nodes = some_graph(2)

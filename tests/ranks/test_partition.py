@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.ranks.partition import divide, factors_of, part_of
+from bundle.ranks.partition import divide, divide_tracks, factors_of, part_of
 from tests.scenes import scene
 
 
@@ -51,6 +51,17 @@ def test_parts_are_local():
 def test_every_part_has_a_point(num_points):
     parts = divide(scene(num_points=num_points), 4).parts
     assert all(len(part) > 0 for part in parts)
+
+
+@pytest.mark.parametrize("place", [0, 4, 9])
+def test_every_part_has_a_point_beside_one_that_all_images_see(place):
+    seen = np.ones(10, np.int64)
+    seen[place] = 1000
+    first = np.arange(10)
+    for num_parts in range(1, 11):
+        parts = divide_tracks(first, first, seen, num_parts).parts
+        assert [len(part) > 0 for part in parts] == [True] * num_parts
+        assert np.concatenate(parts).tolist() == list(range(10))
 
 
 def test_points_without_observations_have_a_home():

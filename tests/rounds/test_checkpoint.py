@@ -7,6 +7,7 @@ import pytest
 
 import bundle
 from bundle.rounds import segments
+from bundle.rounds.checkpoint import fingerprint_of_options
 from bundle.rounds.input_digest import digest
 from tests.campaigns import resumes
 
@@ -199,6 +200,7 @@ def stopped(scene, tmp_path):
         ({"loss_scale": 2.0}, "loss_scale: "),
         ({"only_images": [1]}, "only_images: "),
         ({"fixed_image_ids": [1]}, "fixed_image_ids: "),
+        ({"cheirality": "algebraic"}, "cheirality: "),
     ],
 )
 def test_other_options_are_refused(scene, stopped, changes, named):
@@ -207,6 +209,11 @@ def test_other_options_are_refused(scene, stopped, changes, named):
     with pytest.raises(bundle.InputError, match=rf"^{named}"):
         bundle.solve_rounds(scene, OPTIONS, resume=stopped, **settings)
     assert stopped.read_bytes() == before
+
+
+def test_all_options_but_two_decide():
+    decisive = fingerprint_of_options(OPTIONS)
+    assert OPTIONS.asdict().keys() - decisive.keys() == {"num_threads", "check_solution"}
 
 
 def test_another_number_of_threads_is_not(scene, stopped, tmp_path):

@@ -81,6 +81,30 @@ def test_a_killed_run_ends_where_the_others_do(source, tmp_path):
     np.testing.assert_array_equal(kept.iterations["cost"], first.iterations["cost"])
 
 
+def test_an_interrupted_run_goes_on(source, tmp_path):
+    """Ctrl-C keeps the best state, but the run has not ended: resumed, it ends where others do."""
+    name, file = source.name, tmp_path / "run.npz"
+    for folder in ("whole", "again"):
+        (tmp_path / folder).mkdir()
+    expected = refined(source, tmp_path / "whole" / name, 2, checkpoint=tmp_path / "whole.npz")
+
+    def stop(record):
+        if record["iteration"] == 4:
+            raise KeyboardInterrupt
+
+    crew = ThreadCrew(2)
+    sliced = SlicedRefinement(crew, source)
+    options = bundle.SolveOptions(**OPTIONS)
+    stopped = sliced.solve(options, stop, checkpoint=file, checkpoint_interval=2)
+    assert stopped.summary.interrupted and stopped.summary.is_solution_usable
+    crew.barrier.abort()
+    with np.load(file) as archive:
+        assert not json.loads(archive["meta"].tobytes())["has_ended"]
+    result = refined(source, tmp_path / "again" / name, 2, resume=file)
+    np.testing.assert_array_equal(result.iterations["cost"], expected.iterations["cost"])
+    assert contents(tmp_path / "again" / name) == contents(tmp_path / "whole" / name)
+
+
 def test_any_number_of_processes_goes_on(source, tmp_path, monkeypatch):
     name = source.name
     file, copy = tmp_path / "run.npz", tmp_path / "copy.npz"

@@ -161,6 +161,25 @@ def test_slices_are_the_parts_of_the_whole(path):
     crew.barrier.abort()
 
 
+def test_images_that_only_another_slice_sees_are_refined(tmp_path):
+    """Points of the first slice are in no image of the second half."""
+    problem = scene(num_images=6, num_points=60)
+    late = problem.observation_image >= 3
+    keep = late == (problem.observation_point >= 30)
+    names = [f"observation_{name}" for name in ("image", "point", "xy", "keypoint")]
+    path = tmp_path / "model.txt"
+    bundle.save(problem.replace(**{name: getattr(problem, name)[keep] for name in names}), path)
+    result, sliced = refined(path, tmp_path / "sliced.txt", 2)
+    assert len(np.unique(sliced._slice.part.observation_image)) == 3
+    assert sliced._slice.image_is_observed.tolist() == [1] * 6
+    with processes(2):
+        whole = bundle.solve(path, num_threads=1)
+    bundle.save(whole.problem, tmp_path / "whole.txt")
+    assert (tmp_path / "sliced.txt").read_bytes() == (tmp_path / "whole.txt").read_bytes()
+    moved = result.problem.cam_from_world != result.initial_problem.cam_from_world
+    assert moved.any(axis=1).all()
+
+
 def test_fixed_points_of_any_slice_stay(path, tmp_path):
     before = bundle.load(path).points
     fixed = (0, 7, len(before) - 1)
