@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.georeference.similar_problem import moved
+from bundle.georeference.similarity import Similarity
 from bundle.rotations import rotation_matrices
 from bundle.rounds.local_part import LocalPart
 from bundle.rounds.rest_prior import marginalize_rest
@@ -368,6 +370,35 @@ def test_points_without_parallax_and_components_apart_have_no_influence():
     off = (prior.factor.Lambda - expected.factor.Lambda) / scale / scale[:, None]
     assert np.abs(off).max() < 1e-9
     np.testing.assert_allclose(prior.factor.eta / scale, expected.factor.eta / scale, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_eta_is_none_where_lambda_is_none(seed):
+    """Rounding along what the rest does not know would be a pull of its own."""
+    at = Similarity(1.0, np.eye(3), np.array([100.0, 0, 0]))
+    _, prior = prior_of(moved(chain(seed=seed), at), [5])
+    information, eta = np.asarray(prior.factor.Lambda), np.asarray(prior.factor.eta)
+    known = np.diag(information) > 0
+    root = np.sqrt(np.diag(information)[known])
+    values, vectors = np.linalg.eigh(information[np.ix_(known, known)] / root / root[:, None])
+    unknown = vectors[:, values < 1e-11 * values[-1]]
+    assert unknown.shape[1] >= 6
+    eta = eta[known] / root
+    assert np.linalg.norm(unknown.T @ eta) < 1e-12 * np.linalg.norm(eta)
+
+
+def test_points_that_one_image_sees_once_are_no_part_of_the_rest():
+    problem = chain()
+    image, point = problem.observation_image, problem.observation_point
+    single = point < 30
+    left = ~single | (np.diff(point, prepend=-1) != 0)
+    names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
+    fewer = problem.replace(**{name: getattr(problem, name)[left] for name in names})
+    _, prior = prior_of(fewer, [5])
+    seen_by_five = np.unique(point[(image == 4) & ~single])
+    others = np.setdiff1d(np.arange(30, problem.num_points), seen_by_five)
+    assert prior.record.num_points == len(others)
+    assert prior.record.num_points_without_parallax == 0
 
 
 def test_factors_of_the_rest_go_into_the_prior():

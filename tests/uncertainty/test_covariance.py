@@ -8,6 +8,7 @@ import pytest
 
 import bundle
 from bundle.rotations import rotation_matrices
+from tests.georeference.flights import flight
 from tests.scenes import make_problem
 from tests.uncertainty.dense import Dense
 from tests.uncertainty.random_problems import Case, random_case
@@ -306,6 +307,60 @@ def test_sigma0_scales_observations_but_no_priors():
         **others,
     )
     assert cov.point(1) == pytest.approx(unscaled.point(1), rel=1e-9)
+
+
+def test_sigma0_beside_factors_leaves_the_weights_of_a_loss():
+    """Oracle: no loss, but each observation with the sigma that its weight gives it."""
+    problem, _ = relative_case()
+    centers = problem.projection_centers
+    factors = [
+        bundle.PositionFactor(("image", i + 1), centers[i], np.eye(3) / 0.02**2) for i in range(3)
+    ]
+    loss = {"loss": "huber", "loss_scale": 0.2}
+    result = bundle.solve(problem, factors=factors, function_tolerance=1e-14, **loss)
+    cov = bundle.covariance(result, scale="sigma0", factors=factors, gauge="none")
+    errors, _ = bundle.reprojection_errors(result.problem)
+    weights = np.minimum(1, 0.2 / errors)
+    assert 0.2 < (weights < 1).mean() < 0.9 and abs(cov.sigma0 - 1) > 0.2
+    weighed = result.problem.replace(observation_sigma=cov.sigma0 / np.sqrt(weights))
+    # The second derivative of a loss does not count in Huber's weights.
+    expected = bundle.covariance(weighed, factors=factors, gauge="none")
+    np.testing.assert_allclose(cov.pose_covariance, expected.pose_covariance, rtol=1e-7)
+    np.testing.assert_allclose(cov.point_covariance, expected.point_covariance, rtol=1e-7)
+
+
+def test_priors_do_not_move_the_problem():
+    """Positions in another frame: they say as much as positions in the problem's own."""
+    _, result = relative_case()
+    centers = result.problem.projection_centers
+
+    def sigmas_with(scale):
+        priors = [bundle.PositionPrior(i + 1, scale * centers[i] + 3, 0.01) for i in range(4)]
+        return bundle.covariance(result.problem, result.options, priors=priors, gauge="none")
+
+    own, other = sigmas_with(1.0), sigmas_with(5.0)
+    np.testing.assert_allclose(other.pose_covariance, own.pose_covariance, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("move", "is_said"), [(6e-5, True), (1e-6, False)])
+def test_what_is_no_minimum_is_said(move, is_said):
+    _, result = relative_case()
+    solved = result.problem
+    rng = np.random.default_rng(0)
+    off = solved.replace(points=solved.points + move * rng.standard_normal(solved.points.shape))
+    cost = bundle.solve(off, result.options, max_num_iterations=0).summary.initial_cost
+    if is_said:  # between the limit and a hundred times the limit
+        share = cost / result.summary.final_cost - 1
+        assert 1e-4 < share < 1e-2
+    assert bool(bundle.covariance(off, result.options).notes) == is_said
+
+
+def test_control_points_that_start_where_their_rays_meet_are_no_missing_minimum():
+    """A rough pixel of a target: its rays meet elsewhere than where a solve has put it."""
+    made = flight([(-20, -10, 0.5), (15, 20, -0.5), (25, -25, 0.0)], target_noise=4.0)
+    options = {"function_tolerance": 1e-14, "refine": ("poses", "points")}
+    result = bundle.solve(made.problem, priors=made.gcps, **options)
+    assert bundle.covariance(result, priors=made.gcps).notes == ()
 
 
 def test_a_bound_that_holds_a_parameter_takes_its_covariance():
