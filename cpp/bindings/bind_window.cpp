@@ -280,6 +280,7 @@ py::dict MarginalizeWindowFromPython(const py::dict& window, const py::dict& req
   py::dict result;
   result["prior"] = PriorToPython(std::move(output.prior));
   result["asymmetry"] = output.asymmetry;
+  result["least_cost"] = output.least_cost;
   result["num_landmarks"] = output.num_landmarks;
   result["num_landmarks_without_depth"] = output.num_landmarks_without_depth;
   result["is_regular"] = output.is_regular;

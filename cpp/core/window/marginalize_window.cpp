@@ -127,6 +127,32 @@ Eigen::MatrixXd InformationOf(const WindowPrior& prior) {
   return prior.is_square_root ? MultiplyTransposed(m, m) : m;
 }
 
+/// What makes a diagonal 1, where it is positive.
+Eigen::VectorXd InverseRoots(Eigen::VectorXd diagonal) {
+  for (double& x : diagonal) x = x > 0 ? 1 / std::sqrt(x) : 1;
+  return diagonal;
+}
+
+double LeastCost(const WindowPrior& prior) {
+  if (prior.num_rows == 0) return prior.constant;
+  constexpr double kUnknown = 1e-11;  // of a unit diagonal: what is free costs nothing
+  Eigen::MatrixXd lambda = InformationOf(prior);
+  const Eigen::Map<const Eigen::VectorXd> v(prior.vector.data(), prior.num_rows);
+  Eigen::VectorXd eta = v;
+  double cost = prior.constant;
+  if (prior.is_square_root) {
+    eta = -MultiplyTransposed(MatrixOf(prior), v);
+    cost += 0.5 * v.squaredNorm();
+  }
+  const Eigen::VectorXd scale = InverseRoots(lambda.diagonal());
+  lambda = scale.asDiagonal() * lambda * scale.asDiagonal();
+  lambda.diagonal().array() += kUnknown;
+  eta = scale.cwiseProduct(eta);
+  Eigen::MatrixXd d;
+  if (!SolveByCholesky(lambda, eta, &d)) d = SolveSemidefinite(lambda, eta, kUnknown);
+  return cost - 0.5 * eta.dot(d.col(0));
+}
+
 }  // namespace
 
 MarginalizedWindow MarginalizeWindow(const WindowView& view, const Marginalization& request) {
@@ -151,6 +177,7 @@ MarginalizedWindow MarginalizeWindow(const WindowView& view, const Marginalizati
   }
   MoveToPoints(view, request, at, &result.prior);
   if (request.single_precision) Round(&result.prior);
+  result.least_cost = LeastCost(result.prior);
   return result;
 }
 
@@ -161,8 +188,7 @@ std::vector<double> SpectrumOfPrior(const WindowPrior& prior) {
 
 std::vector<double> ScaledSpectrumOfPrior(const WindowPrior& prior) {
   Eigen::MatrixXd lambda = InformationOf(prior);
-  Eigen::VectorXd scale = lambda.diagonal();
-  for (double& x : scale) x = x > 0 ? 1 / std::sqrt(x) : 1;
+  const Eigen::VectorXd scale = InverseRoots(lambda.diagonal());
   lambda = scale.asDiagonal() * lambda * scale.asDiagonal();
   const Eigen::VectorXd values = EigenvaluesOfSymmetric(lambda);
   return {values.data(), values.data() + values.size()};

@@ -20,6 +20,10 @@
 /// the points and T = d(state)/d(d), which is J_r(d0) for rotations that are not anchored,
 ///
 ///   Lambda <- T^T Lambda T,   eta <- T^T eta + Lambda d0,   M <- M T,   v <- v - M d0.
+///
+/// Its constant is what the absorbed factors cost, and those of all priors before. A window that
+/// measures its steps by its cost leaves out the least of it, which no step changes: constants add
+/// up as the window goes on, and steps would count for less and less.
 
 #include <cstdint>
 #include <vector>
@@ -41,6 +45,7 @@ struct MarginalizedWindow {
   WindowPrior prior;
   /// Largest |Lambda - Lambda^T| beside the largest |Lambda|, before it is made symmetric.
   double asymmetry = 0;
+  double least_cost = 0;                ///< of the prior, at its own minimum
   int num_landmarks = 0;                ///< that went with their information
   int num_landmarks_without_depth = 0;  ///< no row depends on their depth: they went without
   bool is_regular = true;  ///< false where H_aa had to be inverted on part of its space

@@ -8,6 +8,7 @@
 #include "core/linear/newton_result.h"
 #include "core/minimize/damping.h"
 #include "core/window/block_products.h"
+#include "core/window/window_gauge.h"
 
 namespace bundle {
 
@@ -112,7 +113,7 @@ void WindowProblem::AddPrior(const WindowPrior& prior, const PriorForm& form) {
 }
 
 Linearization WindowProblem::Linearize(double damping) {
-  damping_ = damping;
+  damping_ = damping > 0 ? std::max(damping, WindowGauge::kLeastDamping) : 0;
   Linearization result;
   LinearizeWindow(view_, x_, FactorSelection{}, &rows_);
   costs_ = rows_.costs;
@@ -123,7 +124,7 @@ Linearization WindowProblem::Linearize(double damping) {
   for (const InertialRows& row : rows_.inertial) AddInertial(row);
   for (size_t k = 0; k < rows_.priors.size(); ++k) AddPrior(view_.priors[k], rows_.priors[k]);
   for (const VisualRows& row : rows_.visual) AddVisual(row);
-  Damp(damping);
+  Damp(damping_);
 
   w_.clear();
   w_blocks_.clear();
@@ -177,6 +178,7 @@ void WindowProblem::Damp(double damping) {
 NewtonResult WindowProblem::SolveNewton(double eta) {
   NewtonResult result = AsNewtonResult(solver_->Solve(&system_, scale_, eta, newton_.data()));
   if (result.status != NewtonResult::Status::kSuccess) return result;
+  TakeOutFreeDirections();
   for (size_t l = 0; l < landmarks_.size(); ++l) {
     Landmark& landmark = landmarks_[l];
     std::fill_n(landmark.newton, 3, 0.0);
@@ -198,6 +200,24 @@ NewtonResult WindowProblem::SolveNewton(double eta) {
     step[0] = (-sum[0] - h[1] * step[1] - h[2] * step[2]) / h[0];
   }
   return result;
+}
+
+void WindowProblem::TakeOutFreeDirections() {
+  const WindowGauge gauge(view_, x_);
+  const auto columns = static_cast<int>(newton_.size());
+  WindowGauge::Rows moves = WindowGauge::Rows::Zero(columns, WindowGauge::kDegrees);
+  for (int block = 0; block < view_.camera_block(); ++block) {
+    moves.middleRows(Column(block), view_.BlockSize(block)) = gauge.OfBlock(block);
+  }
+  Eigen::Matrix4d information = Eigen::Matrix4d::Zero();
+  for (size_t k = 0; k < rows_.priors.size(); ++k) {
+    information += gauge.Information(view_.priors[k], rows_.priors[k]);
+  }
+  const Eigen::Map<const Eigen::VectorXd> d_squared(d_squared_.data(), columns);
+  Eigen::Map<Eigen::VectorXd> q(newton_.data(), columns);
+  const WindowGauge::Rows weighted = d_squared.asDiagonal() * moves;
+  const auto free = WindowGauge::Free(moves.transpose() * weighted, information);
+  q -= moves * (free * (free.transpose() * (weighted.transpose() * q)));
 }
 
 double WindowProblem::Weighted() const {

@@ -10,7 +10,8 @@
 /// sparse and supernodal for a long batch, in AMD's or METIS' order.
 ///
 /// As in pose graphs (pose_graph/pose_graph_problem.h) a Newton step q of (H + l D^2) q = -g
-/// promises 1/2 (l q^T D^2 q - g^T q), so that no row is kept.
+/// promises 1/2 (l q^T D^2 q - g^T q), so that no row is kept. It has no part along the directions
+/// of which nothing is known (window_gauge.h).
 
 #include <memory>
 #include <vector>
@@ -82,6 +83,7 @@ class WindowProblem final : public LeastSquares {
   void Damp(double damping);
   int Column(int block) const { return structure_.offset[place_[block]]; }
   void FixGauge();
+  void TakeOutFreeDirections();
   bool FactorizeUndamped(bool fix_gauge);
   double Weighted() const;
   double NormOf(const WindowState& state) const;

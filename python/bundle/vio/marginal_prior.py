@@ -67,7 +67,10 @@ class MarginalPrior:
 
     @classmethod
     def of(cls, found: dict[str, Any], stamps: list[int]) -> MarginalPrior:
-        """Return what the core's marginalize_window found, for the frames of these stamps."""
+        """Return what the core's marginalize_window found, for the frames of these stamps.
+
+        It costs nothing at its own minimum.
+        """
         prior = found["prior"]
         keys: list[tuple[int | str, int]] = []
         for block in prior["blocks"]:
@@ -81,7 +84,7 @@ class MarginalPrior:
             prior["square_root"],
             prior["matrix"],
             prior["vector"],
-            prior["constant"],
+            prior["constant"] - found["least_cost"],
             found["asymmetry"],
         )
 
