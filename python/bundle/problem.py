@@ -74,7 +74,8 @@ class Problem(Displayed):
 
     Only registered images are in a problem: what a reconstruction holds besides stays in ``source``
     and is written back by ``bundle.save``. To edit a problem, make another one with
-    ``dataclasses.replace`` or :meth:`replace`: ``bundle.save`` writes every edit or refuses it.
+    ``dataclasses.replace`` or :meth:`replace`. ``bundle.save`` writes every edit, refuses it, or
+    returns a sentence for what the format cannot hold.
 
     Attributes:
         cam_from_world: (num_images, 7) pose of each image, qx qy qz qw tx ty tz, translation in the

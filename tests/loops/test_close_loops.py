@@ -51,6 +51,12 @@ def test_wrong_closures_are_rejected(street):
     assert all(c.translation_after < 0.2 and c.rotation_after < 1 for c in closed.closures[:6])
 
 
+def test_one_of_two_closures_may_be_wrong(street):
+    truth, model, scales = street
+    closed = bundle.close_loops(model, closures_of(truth, scales, 2, wrong=1))
+    assert [closure.used for closure in closed.closures] == [True, False]
+
+
 def test_where_no_points_hold_the_loop_its_closures_are_factors(street):
     """Tracks are split between the passes, as where the loop had not been seen."""
     truth, model, scales = street

@@ -60,6 +60,18 @@ def test_points_that_do_not_fit_count_where_their_rays_meet():
     np.testing.assert_allclose(edges.information, true.information, rtol=1e-6)
 
 
+@pytest.mark.parametrize(("sine", "num_edges"), [(0.03, 1), (0.01, 0)])
+def test_rays_that_are_nearly_parallel_tell_no_place(sine, num_edges):
+    """Both cameras look at points far away; nothing of the model explains the pixels."""
+    problem = pair(8)
+    poses = np.tile([0, 0, 0, 1.0, 0, 0, 0], (2, 1))
+    poses[1, 4] = -1.0
+    points = np.column_stack([problem.points[:, :2], np.full(8, 1 / sine)])
+    at = _projected(problem.replace(cam_from_world=poses, points=points))
+    edges = covisibility_edges(at, np.zeros(16, bool))
+    assert len(edges.pairs) == num_edges
+
+
 def test_information_is_the_curvature_of_what_both_images_see():
     """W by numerical differentiation of the pixels, in the middle of the image."""
     problem = pair(9)

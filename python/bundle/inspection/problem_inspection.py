@@ -200,7 +200,7 @@ class _Inspector:
     def _note(self, method: Method, counted: FactorizedSystem | None) -> str:
         if counted is None:
             products = products_per_step(method.preconditioner)
-            return f"assumes {products} products with S per step, where 2 to 500 are usual"
+            return f"assumes {products} products with S per step; the number depends on the values"
         if not method.backend:
             return "for comparison: neither backend takes this order"
         if not self._is_taken(method):
