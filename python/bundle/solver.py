@@ -225,9 +225,9 @@ class Solver(Displayed):
     is solved, with its factors and bounds. All that follows from it is laid out once: threads,
     unknowns, the order of the elimination, the analysed linear solver, buffers. A solve then starts
     at the values of a problem: poses, camera parameters, points, observed pixels. It takes the
-    steps of :func:`bundle.solve`, bit for bit, and spends nearly all of its time in them. Exceptions:
-    Ceres on several threads sums in any order, and relative priors of ``constraints`` stay relative
-    to the problem of the constructor.
+    steps of :func:`bundle.solve`, bit for bit, and spends nearly all of its time in them.
+    Exceptions: Ceres on several threads sums in any order; relative priors of ``constraints`` stay
+    relative to the problem of the constructor.
 
     Ceres has no such solver: where ``options.backend`` or ``auto`` means Ceres, each solve starts
     from scratch. Values that make the gauge hold other numbers lay out everything anew; the
