@@ -125,3 +125,20 @@ def test_two_images_in_one_place_of_either_model_leave_the_scale_open(model, whi
     problems[which] = problems[which].replace(cam_from_world=poses)
     with pytest.raises(InputError, match="2 shared images in one place"):
         find_similarity(*problems, np.array([[3, 3], [4, 4]]), np.zeros((0, 3), np.int64))
+
+
+def test_a_point_that_meets_two_others_counts_with_each(model):
+    """Two of three meetings are right; the wrong one comes first."""
+    a, b = model, moved(model, TO_B)
+    images = np.array([[0, 0]])
+    seen = np.unique(model.observation_point[model.observation_image == 0])
+    far = int(
+        seen[np.argmax(np.linalg.norm(model.points[seen] - model.projection_centers[0], axis=1))]
+    )
+    one, two = (int(p) for p in seen[seen != far][:2])
+    spread = a.replace(
+        points=np.where(np.arange(a.num_points)[:, None] == far, 9.0, 1.0) * a.points
+    )
+    meetings = np.array([[0, far, one], [0, one, one], [0, two, two]])
+    found = find_similarity(spread, b, images, meetings)
+    assert found.scale == pytest.approx(1 / TO_B.scale, rel=1e-9)
