@@ -12,6 +12,7 @@
 #include "core/ceres/active_bounds.h"
 #include "core/ceres/ceres_version.h"
 #include "core/ceres/reference_checks.h"
+#include "core/ceres/step_lengths.h"
 #include "core/graph/factor_graph.h"
 #include "core/interface/summary.h"
 #include "core/model/parameter_layout.h"
@@ -76,6 +77,7 @@ class CeresGraph {
   ceres::Problem& problem() { return *problem_; }
   /// Those that Ceres works on, which begin as the graph's.
   const std::vector<std::vector<double>>& values() const { return values_; }
+  StepLengths& step_lengths() { return step_lengths_; }
   bool IsThreadSafe() const;
   /// nnz(J^T J) over the free coordinates, blocks full.
   int64_t CountInformationNonzeros() const;
@@ -101,6 +103,7 @@ class CeresGraph {
   std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
   std::vector<std::unique_ptr<ceres::LossFunction>> losses_;
   ActiveBounds active_bounds_;
+  StepLengths step_lengths_;
   std::unique_ptr<ceres::EvaluationCallback> watch_;
   std::unique_ptr<ceres::Problem> problem_;
   mutable Abandonment abandonment_;

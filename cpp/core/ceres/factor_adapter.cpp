@@ -152,7 +152,10 @@ class CeresGraph::Watch final : public ceres::EvaluationCallback {
  public:
   explicit Watch(CeresGraph* graph) : graph_(graph) {}
 
-  void PrepareForEvaluation(bool evaluate_jacobians, bool /*new_evaluation_point*/) override {
+  void PrepareForEvaluation(bool evaluate_jacobians, bool new_evaluation_point) override {
+    // As in a solve of a problem: only the start is a new point where derivatives are asked for.
+    graph_->step_lengths_.Evaluate(evaluate_jacobians && !(new_evaluation_point && has_start_));
+    has_start_ = has_start_ || evaluate_jacobians;
     if (evaluate_jacobians) {
       graph_->active_bounds_.Find();
     } else if (InterruptionRequested()) {
@@ -162,6 +165,7 @@ class CeresGraph::Watch final : public ceres::EvaluationCallback {
 
  private:
   CeresGraph* graph_;
+  bool has_start_ = false;
 };
 
 class CeresGraph::BlockManifold final : public ceres::Manifold {
@@ -219,6 +223,7 @@ CeresGraph::CeresGraph(const FactorGraph& graph, bool all_free)
     values_.push_back(CheckedValue(block.name, block.retraction, block.value));
     double* data = values_.back().data();
     const int size = block.retraction.ambient_size();
+    step_lengths_.Add(data, size);
     const bool moves_as_it_is = block.retraction.manifold() == Manifold::kEuclidean &&
                                 (all_free || block.NumFree() == size);
     if (moves_as_it_is) {

@@ -143,7 +143,8 @@ GraphOutput SolveGraph(const FactorGraph& graph, const SolveOptions& given,
   ceres_options.update_state_every_iteration = true;
   KeepBestState best(adapted);
   ceres_options.callbacks.push_back(&best);
-  ReportProgress report(progress, 0, adapted.abandoned());
+  ceres_options.callbacks.push_back(&adapted.step_lengths());
+  ReportProgress report(progress, 0, adapted.step_lengths(), adapted.abandoned());
   ceres_options.callbacks.push_back(&report);
 
   const bool large =
@@ -171,7 +172,7 @@ GraphOutput SolveGraph(const FactorGraph& graph, const SolveOptions& given,
   output.summary.num_information_nonzeros = adapted.CountInformationNonzeros();
   output.summary.warnings = FindFallbacks(summary);
   for (const ceres::IterationSummary& iteration : summary.iterations) {
-    output.iterations.push_back(ToRecord(iteration, 0));
+    output.iterations.push_back(ToRecord(iteration, 0, adapted.step_lengths()));
   }
   output.build_time_in_seconds = time.seconds() - output.solve_time_in_seconds;
   return output;

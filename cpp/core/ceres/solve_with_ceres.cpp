@@ -29,8 +29,13 @@ namespace {
 class UpdateCameraStates final : public ceres::EvaluationCallback {
  public:
   UpdateCameraStates(const double* state, CameraStates* states, HoldingWatch* watch,
-                     ActiveBounds* bounds, Abandonment* abandonment)
-      : state_(state), states_(states), watch_(watch), bounds_(bounds), abandonment_(abandonment) {}
+                     ActiveBounds* bounds, StepLengths* lengths, Abandonment* abandonment)
+      : state_(state),
+        states_(states),
+        watch_(watch),
+        bounds_(bounds),
+        lengths_(lengths),
+        abandonment_(abandonment) {}
 
   void PrepareForEvaluation(bool evaluate_jacobians, bool new_evaluation_point) override {
     if (!evaluate_jacobians && InterruptionRequested())
@@ -39,6 +44,7 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
     // Ceres has evaluated the cost at every state but the first when it asks for derivatives there.
     const bool is_at_state = evaluate_jacobians && !(new_evaluation_point && has_start_);
     has_start_ = has_start_ || evaluate_jacobians;
+    lengths_->Evaluate(is_at_state);
     watch_->is_at_candidate.store(true);  // no evaluation of ours is one at a state
     if (is_at_state) {
       states_->MoveAnchors();
@@ -52,6 +58,7 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
   CameraStates* states_;
   HoldingWatch* watch_;
   ActiveBounds* bounds_;
+  StepLengths* lengths_;
   Abandonment* abandonment_;
   bool has_start_ = false;  ///< the derivatives at the start
 };
@@ -107,7 +114,7 @@ class CeresSolve {
         states_(problem, layout_),
         points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
         state_(layout_.InitialState(problem)),
-        update_states_(state_.data(), &states_, &watch_, &active_bounds_, &abandonment_),
+        update_states_(state_.data(), &states_, &watch_, &active_bounds_, &lengths_, &abandonment_),
         context_{problem_, layout_, states_, options.cheirality, &watch_, &abandonment_.happened},
         loss_(MakeLoss(options.loss, options.loss_scale)) {}
 
@@ -121,10 +128,13 @@ class CeresSolve {
     ceres_options.num_threads =
         UseOneThread() ? 1 : CountStartableThreads(ceres_options.num_threads);
     ThrowIfInterrupted();
-    ReportProgress report(progress, fixed_cost_, abandonment_.happened);
+    lengths_.Add(points_.data(), points_.size());
+    lengths_.Add(state_.data(), state_.size());
+    ReportProgress report(progress, fixed_cost_, lengths_, abandonment_.happened);
     RememberAnchors remember_anchors(states_);
     ceres_options.callbacks.push_back(&remember_anchors);
     ceres_options.callbacks.push_back(&record_changes_);
+    ceres_options.callbacks.push_back(&lengths_);
     ceres_options.callbacks.push_back(&report);
 
     const ProcessSettings settings(BlasThreads(ceres_options));
@@ -286,7 +296,7 @@ class CeresSolve {
     output->summary.factor = CountCeresFactor(problem_, layout_, options_.linear_solver_ordering,
                                               summary.linear_solver_type_used);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
-      output->iterations.push_back(ToRecord(iteration, fixed_cost_));
+      output->iterations.push_back(ToRecord(iteration, fixed_cost_, lengths_));
       output->iterations.back().changes_what_counts =
           record_changes_.iterations().count(iteration.iteration) > 0;
     }
@@ -317,6 +327,7 @@ class CeresSolve {
   std::vector<double> state_;
   Abandonment abandonment_;
   ActiveBounds active_bounds_;
+  StepLengths lengths_;
   UpdateCameraStates update_states_;
   ReprojectionContext context_;
   std::unique_ptr<ceres::LossFunction> loss_;

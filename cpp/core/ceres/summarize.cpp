@@ -158,13 +158,14 @@ std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary) {
   return result;
 }
 
-IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost) {
+IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost,
+                         const StepLengths& lengths) {
   IterationRecord record;
   record.iteration = iteration.iteration;
   record.cost = iteration.cost + fixed_cost;
   record.cost_change = iteration.cost_change;
   record.gradient_max_norm = iteration.gradient_max_norm;
-  record.step_norm = iteration.step_norm;
+  record.step_norm = lengths.Of(iteration);
   record.relative_decrease = iteration.relative_decrease;
   record.trust_region_radius = iteration.trust_region_radius;
   record.linear_solver_iterations = iteration.linear_solver_iterations;
@@ -177,7 +178,7 @@ IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_
 ceres::CallbackReturnType ReportProgress::operator()(const ceres::IterationSummary& iteration) {
   // An abandoned step is none to tell of.
   if (abandoned_) return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
-  const bool goes_on = !progress_ || progress_(ToRecord(iteration, fixed_cost_));
+  const bool goes_on = !progress_ || progress_(ToRecord(iteration, fixed_cost_, lengths_));
   if (goes_on && !InterruptionRequested()) return ceres::SOLVER_CONTINUE;
   interrupted_ = true;
   return ceres::SOLVER_TERMINATE_SUCCESSFULLY;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/ceres/ceres_version.h"
+#include "core/ceres/step_lengths.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
 #include "core/model/parameter_layout.h"
@@ -76,15 +77,16 @@ SolveSummary Summarize(const ceres::Solver::Summary& summary, double fixed_cost)
 /// A warning for each choice of a linear solver or of its preconditioner that Ceres did not keep.
 std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary);
 
-IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost);
+IterationRecord ToRecord(const ceres::IterationSummary& iteration, double fixed_cost,
+                         const StepLengths& lengths);
 
 /// Reports each iteration and looks for an interruption. `abandoned` is set where a candidate could
 /// not be evaluated because the user ended the solve: such a step is not reported.
 class ReportProgress final : public ceres::IterationCallback {
  public:
-  ReportProgress(const ProgressCallback& progress, double fixed_cost,
+  ReportProgress(const ProgressCallback& progress, double fixed_cost, const StepLengths& lengths,
                  const std::atomic<bool>& abandoned)
-      : progress_(progress), fixed_cost_(fixed_cost), abandoned_(abandoned) {}
+      : progress_(progress), fixed_cost_(fixed_cost), lengths_(lengths), abandoned_(abandoned) {}
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override;
 
@@ -93,6 +95,7 @@ class ReportProgress final : public ceres::IterationCallback {
  private:
   const ProgressCallback& progress_;
   const double fixed_cost_;
+  const StepLengths& lengths_;
   const std::atomic<bool>& abandoned_;
   bool interrupted_ = false;
 };

@@ -1,0 +1,69 @@
+#pragma once
+
+/// Lengths of steps, as Ceres 2.1 reports them. Ceres 2.2 reports 0 for each step up to the first
+/// one that it accepts: it looks at the parameter tolerance only after that, and takes the length
+/// there. Until then lengths are measured here, between the numbers at the last state and at a
+/// candidate, which stand in the user's memory when Ceres asks an EvaluationCallback.
+
+#include <ceres/iteration_callback.h>
+
+#include <cmath>
+#include <cstddef>
+#include <map>
+#include <vector>
+
+namespace bundle {
+
+class StepLengths final : public ceres::IterationCallback {
+ public:
+  /// Numbers that a solve changes. They stay where they are.
+  void Add(const double* values, size_t size) { values_.push_back({values, size}); }
+
+  /// Call before each evaluation, with the values of the state or of a candidate in place.
+  void Evaluate(bool is_at_state) {
+    if (has_accepted_) return;
+    if (is_at_state) {
+      state_.clear();
+      for (const Values& part : values_)
+        state_.insert(state_.end(), part.data, part.data + part.size);
+      return;
+    }
+    double squared = 0;
+    size_t k = 0;
+    for (const Values& part : values_) {
+      for (size_t i = 0; i < part.size; ++i, ++k) {
+        const double change = part.data[i] - state_[k];
+        squared += change * change;
+      }
+    }
+    length_ = std::sqrt(squared);
+  }
+
+  ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
+    if (!has_accepted_) measured_[iteration.iteration] = length_;
+    has_accepted_ = has_accepted_ || (iteration.iteration > 0 && iteration.step_is_successful);
+    length_ = 0;  // of a step that is not valid there is no candidate
+    return ceres::SOLVER_CONTINUE;
+  }
+
+  /// The length of a step, reported or measured.
+  double Of(const ceres::IterationSummary& iteration) const {
+    const auto found = measured_.find(iteration.iteration);
+    return iteration.step_norm != 0 || found == measured_.end() ? iteration.step_norm
+                                                                : found->second;
+  }
+
+ private:
+  struct Values {
+    const double* data;
+    size_t size;
+  };
+
+  std::vector<Values> values_;
+  std::vector<double> state_;
+  std::map<int, double> measured_;
+  double length_ = 0;
+  bool has_accepted_ = false;
+};
+
+}  // namespace bundle
