@@ -9,6 +9,7 @@ __all__ = [
     "Counts",
     "change",
     "contents",
+    "distinct",
     "duration",
     "format_name",
     "number",
@@ -25,6 +26,15 @@ def number(value: float) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e6:
         return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
     return f"{value:.3e}"
+
+
+def distinct(one: float, other: float) -> tuple[str, str]:
+    """Return two numbers with as many digits, six or more, as it takes to tell them apart."""
+    for digits in range(6, 18):
+        texts = f"{one:.{digits}g}", f"{other:.{digits}g}"
+        if texts[0] != texts[1]:
+            break
+    return texts
 
 
 def pixels(value: float) -> str:

@@ -1,5 +1,7 @@
 """Every argument of a factor graph with every kind of wrong value: one line names its place."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -356,3 +358,30 @@ def test_a_wrong_entry_of_a_jacobian_is_named_with_factor_and_variable():
     assert name.startswith("factor 1, FunctionFactor('a', 'b')")
     assert "'b' [1]: 3.000 times too large" in str(check.wrong[name])
     assert name in str(check)
+
+
+@pytest.mark.parametrize("apart", [1e-12, 1e-8, 1e-4])
+def test_numbers_across_a_diagonal_are_told_apart(apart):
+    """Or taken for equal, where they differ by rounding."""
+    matrix = np.array([[3.0, -2.0], [-2.0 + apart, 2.0]])
+    graph = bundle.FactorGraph()
+    graph.add_variable("x", [0.0, 0.0])
+    factor = bundle.PriorFactor("x", [0.0, 0.0], matrix)
+    if apart < 1e-9:
+        graph.add_factor(factor)
+        return
+    with pytest.raises(bundle.InputError) as caught:
+        graph.add_factor(factor)
+    found = str(caught.value).split("found ")[1]
+    one, other = re.findall(r"-[\d.]+", found)
+    assert float(one) != float(other)
+    edge = bundle.PoseGraph(
+        poses=np.zeros((2, 3)),
+        edges=[[0, 1]],
+        measurements=[[1.0, 0, 0]],
+        information=[np.block([[matrix, np.zeros((2, 1))], [np.zeros((1, 2)), 1.0]])],
+    )
+    with pytest.raises(bundle.InputError, match="symmetric") as caught:
+        bundle.solve(edge)
+    one, other = re.findall(r"-[\d.]+", str(caught.value).split("found ")[1])
+    assert float(one) != float(other)

@@ -34,6 +34,21 @@ std::string ShortNumber(double value) {
   return text;
 }
 
+namespace {
+
+/// Both with as many digits as it takes to tell them apart.
+std::pair<std::string, std::string> DistinctNumbers(double one, double other) {
+  char texts[2][32];
+  for (int digits = 6; digits <= 17; ++digits) {
+    std::snprintf(texts[0], sizeof texts[0], "%.*g", digits, one);
+    std::snprintf(texts[1], sizeof texts[1], "%.*g", digits, other);
+    if (std::string(texts[0]) != texts[1]) break;
+  }
+  return {texts[0], texts[1]};
+}
+
+}  // namespace
+
 void CheckSymmetric(const std::string& subject, const std::vector<double>& matrix, int n) {
   if (static_cast<int>(matrix.size()) != n * n) {
     throw InputError(subject + ": expected " + std::to_string(n) + " x " + std::to_string(n) +
@@ -51,8 +66,9 @@ void CheckSymmetric(const std::string& subject, const std::vector<double>& matri
       if (std::isfinite(other) &&
           !(std::abs(one - other) <=
             kAsymmetry * std::max({scale, std::abs(one), std::abs(other)}))) {
-        throw InputError(subject + ": expected a symmetric matrix, found " + ShortNumber(one) +
-                         " at " + place + " and " + ShortNumber(other) + " across the diagonal");
+        const auto [here, there] = DistinctNumbers(one, other);
+        throw InputError(subject + ": expected a symmetric matrix, found " + here + " at " + place +
+                         " and " + there + " across the diagonal");
       }
     }
   }
