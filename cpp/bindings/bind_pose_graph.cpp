@@ -43,6 +43,10 @@ py::dict ReadG2oFile(const py::object& given_path) {
   std::vector<uint8_t> fixed = std::move(graph.fixed);
   py::dict result;
   result["has_vertices"] = graph.has_vertices;
+  result["is_toro"] = graph.is_toro;
+  result["num_plain_edges"] = graph.num_plain_edges;
+  result["num_equivalences"] = graph.num_equivalences;
+  result["num_sensor_packets"] = graph.num_sensor_packets;
   result["ids"] = ToImmutableNumpy(std::move(graph.ids), {n});
   result["poses"] = ToImmutableNumpy(std::move(graph.poses), {n, ambient});
   result["fixed"] = ToImmutableNumpy(std::move(fixed), {n});

@@ -1,6 +1,7 @@
 """TORO's files: another order of information in the plane, angles in place of quaternions."""
 
 import bz2
+import json
 
 import numpy as np
 import pytest
@@ -62,6 +63,63 @@ def test_a_file_of_edges_compressed_and_what_is_written(tmp_path):
     np.testing.assert_array_equal(again.poses, graph.poses)
 
 
+def test_what_public_files_hold_beside_poses_is_noted(tmp_path):
+    path = write(
+        tmp_path / "a.graph",
+        "VERTEX 0 0 0 0",
+        "ROBOTLASER1 0 -1.57 3.14 0.017 30 0.1 0 3 1.5 1.6 1.7 0 0 0 0 0 0 0 0 0 0 0 1.0 host 1.0",
+        "VERTEX2 1 1 0 0",
+        "EDGE 0 1 1 0 0.1",
+        "EDGE2 0 1 1 0 0.2  4 1 5 6 0 0",
+        "EQUIV 0 1",
+        "EQUIV 1 0",
+    )
+    graph = bundle.load(path)
+    assert graph.num_poses == 2 and graph.format == "toro"
+    assert graph.information.tolist() == [np.eye(3).tolist(), [[4, 1, 0], [1, 5, 0], [0, 0, 6]]]
+    assert graph.edge_lines.tolist() == [4, 5]
+    plain, equal, packets = graph.notes
+    assert plain.startswith("1 edge ") and equal.startswith("2 lines EQUIV")
+    assert packets.startswith("1 packet ")
+    angles = "EDGE3 0 1 4 5 6 0.1 0.2 0.3"
+    space = bundle.load(write(tmp_path / "b.graph", angles, "FLASER 2 1 1"))
+    np.testing.assert_array_equal(space.information, np.eye(6)[None])
+    assert bundle.load(write(tmp_path / "c.g2o", *G2O_LINES)).notes == ()
+
+
+def test_the_notes_reach_the_reports(tmp_path, capsys):
+    from bundle.cli.main import main
+
+    path = write(tmp_path / "a.graph", "EDGE2 0 1 1 0 0.1", "EDGE2 1 2 1 0 0.1", "EQUIV 0 1")
+    for words in (["info"], ["refine", "-o", str(tmp_path / "b.g2o")]):
+        report = tmp_path / "r.json"
+        assert main([*words, str(path), "--json", str(report), "--quiet"]) == 0
+        assert "2 edges without information" in " ".join(capsys.readouterr().out.split())
+        assert len(json.loads(report.read_text())["input"]["notes"]) == 2
+
+
+TORO_ORDER = "EDGE{} 0 1 1 0 0  4 0.5 3 2 0 0"
+G2O_ORDER = "EDGE{} 0 1 1 0 0  4 0.5 0 3 0 2"
+G2O_LINES = ["VERTEX_SE2 0 0 0 0", "VERTEX_SE2 1 1 0 0", G2O_ORDER.format("_SE2")]
+
+
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [(G2O_ORDER.format(2), "EDGE_SE2"), (TORO_ORDER.format("_SE2"), "EDGE2")],
+)
+def test_information_in_the_order_of_the_other_format_is_named(tmp_path, line, hint):
+    graph = bundle.load(write(tmp_path / "a.graph", line))
+    with pytest.raises(bundle.InputError, match=f"order .*{hint}") as caught:
+        bundle.solve(graph)
+    assert "isotropic" not in str(caught.value)
+    fits = bundle.load(write(tmp_path / "b.graph", line.replace(line.split()[0], hint)))
+    bundle.solve(fits)
+    np.testing.assert_array_equal(fits.information, [[[4, 0.5, 0], [0.5, 3, 0], [0, 0, 2]]])
+    bad = bundle.load(write(tmp_path / "c.graph", line, "EDGE" + line[4:-1] + "-9"))
+    with pytest.raises(bundle.InputError, match="isotropic"):
+        bundle.solve(bad)  # in neither order
+
+
 @pytest.mark.parametrize(
     ("lines", "place", "words"),
     [
@@ -71,7 +129,10 @@ def test_a_file_of_edges_compressed_and_what_is_written(tmp_path):
         (["VERTEX2 0 0 0 0", "EDGE2 0 1 1 0 0 1 0 1 1 0"], 2, "the information of edge 0 1"),
         (["VERTEX3 0 0 0 0 0 0 nan"], 1, "yaw of vertex 0"),
         (["EDGE3 0 1 0 0 0 0 0 0 " + UPPER_6 + " 7"], 1, "the end of the line after 29 numbers"),
-        (["VERTEX2 0 0 0 0", "EQUIV 0 1"], 2, "VERTEX2, EDGE2"),
+        (["VERTEX2 0 0 0 0", "EQUIV 0"], 2, "the id of the second vertex"),
+        (["VERTEX2 0 0 0 0", "EQUIV 0 1 2"], 2, "the end of the line after 2 numbers"),
+        (["VERTEX_SE2 0 0 0 0", "EDGE_SE2 0 1 1 0 0"], 2, "the information of edge 0 1 in row 1"),
+        (["VERTEX_SE2 0 0 0 0", "LANDMARK 0 1"], 2, "VERTEX2, EDGE2"),
     ],
 )
 def test_bad_files_are_one_line_with_the_place(tmp_path, lines, place, words):

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <numeric>
@@ -31,6 +32,10 @@ constexpr G2oKind kG2oKinds[] = {
     {2, "VERTEX2", "EDGE2", 3, 3, {0, 1, 2}, {0, 1, 2}, true},
     {3, "VERTEX3", "EDGE3", 7, 6, {4, 5, 6, 0, 1, 2, 3}, {3, 4, 5, 0, 1, 2}, true},
 };
+
+/// Data of sensors, which say nothing of poses.
+constexpr std::string_view kSensorPackets[] = {"ROBOTLASER1", "RAWLASER1", "FLASER", "VERTEX_TAG",
+                                               "VERTEX_ELLIPSE"};
 
 /// Rows and columns of TORO's six numbers of information in the plane.
 constexpr int kToroPlane[6][2] = {{0, 0}, {0, 1}, {1, 1}, {2, 2}, {0, 2}, {1, 2}};
@@ -106,6 +111,7 @@ class G2oReader {
 
  private:
   void ReadRecord(std::string_view tag) {
+    if (tag == "VERTEX" || tag == "EDGE") tag = tag == "EDGE" ? "EDGE2" : "VERTEX2";
     for (const G2oKind& kind : kG2oKinds) {
       if (tag != kind.vertex && tag != kind.edge) continue;
       if (kind_ != nullptr && kind_ != &kind) {
@@ -118,6 +124,12 @@ class G2oReader {
     }
     if (tag == "FIX") return ReadFix();
     if (tag.substr(0, 7) == "PARAMS_") return;
+    if (tag == "EQUIV") return ReadEquivalence();
+    if (std::find(std::begin(kSensorPackets), std::end(kSensorPackets), tag) !=
+        std::end(kSensorPackets)) {
+      ++graph_.num_sensor_packets;
+      return;
+    }
     cursor_.FailWith(
         "VERTEX_SE2, EDGE_SE2, VERTEX_SE3:QUAT, EDGE_SE3:QUAT, FIX or TORO's VERTEX2, EDGE2, "
         "VERTEX3, EDGE3",
@@ -150,6 +162,11 @@ class G2oReader {
     const size_t begin = graph_.information.size();
     graph_.information.resize(begin + n * n);
     double* const matrix = graph_.information.data() + begin;
+    if (kind_->is_toro && cursor_.AtEndOfLine()) {
+      for (int r = 0; r < n; ++r) matrix[r * n + r] = 1;
+      ++graph_.num_plain_edges;
+      return;
+    }
     for (int r = 0, k = 0; r < n; ++r) {
       for (int c = r; c < n; ++c, ++k) {
         double value = 0;
@@ -164,6 +181,13 @@ class G2oReader {
       }
     }
     ExpectEnd(2 + NumPoseNumbers() + n * (n + 1) / 2);
+  }
+
+  void ReadEquivalence() {
+    ReadId("first vertex");
+    ReadId("second vertex");
+    ExpectEnd(2);
+    ++graph_.num_equivalences;
   }
 
   void ReadFix() {
@@ -209,6 +233,7 @@ class G2oReader {
 
   void Resolve() {
     graph_.dimension = kind_->dimension;
+    graph_.is_toro = kind_->is_toro;
     graph_.has_vertices = !graph_.ids.empty();
     if (!graph_.has_vertices) TakeIdsOfEdges();
     const IdTable table(graph_.ids);

@@ -24,10 +24,14 @@
 ///   EDGE3 i j x y z roll pitch yaw  I11 I12 ... I16 I22 ... I66
 ///
 /// R = R_z(yaw) R_y(pitch) R_x(roll); the information in space is over x y z roll pitch yaw, which
-/// near no error are x y z and the rotation vector. Written are g2o's records.
+/// near no error are x y z and the rotation vector. An edge without information has that of the
+/// identity. VERTEX and EDGE, as TORO writes them in the plane, are VERTEX2 and EDGE2. EQUIV i j
+/// names an edge that TORO may collapse, and does not when it reads the file: the edge stays as it
+/// is measured. Written are g2o's records.
 ///
-/// Lines of parameters (PARAMS_...) and comments (#) are passed over. The format is that of g2o's
-/// types slam2d and slam3d (https://github.com/RainerKuemmerle/g2o/wiki/File-Format).
+/// Lines of parameters (PARAMS_...), comments (#) and packets of sensors (ROBOTLASER1 and other
+/// data that g2o hangs on vertices) are passed over; what is passed over is counted. The format is
+/// that of g2o's types slam2d and slam3d (https://github.com/RainerKuemmerle/g2o/wiki/File-Format).
 
 #include <cstdint>
 #include <filesystem>
@@ -48,6 +52,10 @@ struct G2oGraph {
   std::vector<double> measurements;  ///< num_edges x 3 or 7
   std::vector<double> information;   ///< num_edges x d x d with d = 3 or 6, symmetric
   std::vector<int64_t> edge_lines;   ///< num_edges: lines of the file
+  bool is_toro = false;
+  int64_t num_plain_edges = 0;     ///< without information
+  int64_t num_equivalences = 0;    ///< EQUIV
+  int64_t num_sensor_packets = 0;  ///< ROBOTLASER1 and the like
 };
 
 /// Reads a g2o file, plain or compressed by gzip or bzip2, as a stream. `on_block` is called

@@ -13,7 +13,8 @@ __all__ = ["SEQUENCE_FILES", "is_pose_graph_file", "reconstruction_at", "sequenc
 _HEADER = re.compile(rb"\s*\d+\s+\d+\s+\d+\s+\d+\s+\d+\s+[-+.\d]")  # counts, first observation
 _RECORD = re.compile(
     rb"(?:\s*#[^\n]*\n)*\s*"
-    rb"(?:VERTEX_SE[23]|EDGE_SE[23]|FIX\s+\d|PARAMS_SE[23]|(?:VERTEX|EDGE)[23]\s+\d)"
+    rb"(?:VERTEX_SE[23]|EDGE_SE[23]|FIX\s+\d|PARAMS_SE[23]|(?:VERTEX|EDGE)[23]?\s+\d|EQUIV\s+\d|"
+    rb"(?:ROBOT|RAW)LASER1\s)"
 )
 _SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
 _ENOUGH = 512

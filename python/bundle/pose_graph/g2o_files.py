@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 from bundle import _core
 from bundle.errors import shown
@@ -11,6 +12,7 @@ from bundle.io import as_path, atomic
 from bundle.io.file_names import check_name
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph.starts import start_without_poses
+from bundle.words import plural
 
 __all__ = ["check_g2o_target", "load_g2o", "save_g2o"]
 
@@ -38,6 +40,8 @@ def load_g2o(path: str | os.PathLike[str]) -> PoseGraph:
         edge_lines=read["edge_lines"],
         path=shown(path),
         has_poses=read["has_vertices"],
+        format="toro" if read["is_toro"] else "g2o",
+        notes=_notes(read),
     )
     return graph if graph.has_poses else start_without_poses(graph)
 
@@ -68,6 +72,22 @@ def check_g2o_target(path: str | os.PathLike[str]) -> None:
     path = as_path(path)
     check_name(path, f"a pose graph ({', '.join(_SUFFIXES)})", own=".g2o", compressed=".g2o")
     atomic.check_file(path)
+
+
+def _notes(read: dict[str, Any]) -> tuple[str, ...]:
+    plain, equal, packets = (
+        int(read[f"num_{name}"]) for name in ("plain_edges", "equivalences", "sensor_packets")
+    )
+    notes = []
+    if plain:
+        notes.append(f"{plural(plain, 'edge')} without information: the identity is taken.")
+    if equal:
+        notes.append(
+            f"{plural(equal, 'line')} EQUIV passed over: the edges that they name stay as measured."
+        )
+    if packets:
+        notes.append(f"{plural(packets, 'packet')} of sensors (ROBOTLASER1) passed over.")
+    return tuple(notes)
 
 
 def _compression(path: Path) -> str:

@@ -7,9 +7,17 @@ import numpy as np
 from bundle import _core
 from bundle.errors import InputError
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
-from bundle.words import plural
+from bundle.words import distinct, plural
 
 __all__ = ["bad_information", "checked_information", "describe_information", "isotropic"]
+
+ORDERS = {
+    "g2o": ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)),
+    "toro": ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2)),
+}
+"""Of the information of an edge in the plane, in files."""
+
+NAMES = {"g2o": "g2o", "toro": "TORO"}
 
 
 def bad_information(graph: PoseGraph) -> list[int]:
@@ -26,9 +34,10 @@ def describe_information(graph: PoseGraph, edge: int) -> str:
     apart = np.abs(matrix - matrix.T) / np.maximum(np.maximum(scale, np.abs(matrix)), 1e-300)
     if apart.max() > 1e-9:
         row, column = np.unravel_index(int(np.argmax(apart)), apart.shape)
+        one, other = distinct(matrix[row, column], matrix[column, row])
         return (
-            f"expected a symmetric matrix, found {matrix[row, column]:g} and "
-            f"{matrix[column, row]:g} across the diagonal at [{row}][{column}]"
+            f"expected a symmetric matrix, found {one} and {other} across the diagonal at "
+            f"[{row}][{column}]"
         )
     values = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
     return (
@@ -48,11 +57,30 @@ def checked_information(graph: PoseGraph, information: str) -> PoseGraph:
     bad = bad_information(graph)
     if not bad:
         return graph
+    hint = _hint_of_order(graph) or "information=isotropic takes the means of the diagonals"
     more = f"; so are those of {plural(len(bad) - 1, 'more edge')}" if len(bad) > 1 else ""
     raise InputError(
         f"{graph.edge_name(bad[0])}: information: {describe_information(graph, bad[0])}{more} "
-        "(information=isotropic takes the means of the diagonals)"
+        f"({hint})"
     )
+
+
+def _hint_of_order(graph: PoseGraph) -> str:
+    """Return what to do where the numbers of the file are in the order of the other format.
+
+    In the plane g2o writes I11 I12 I13 I22 I23 I33, TORO I11 I12 I22 I33 I13 I23.
+    """
+    other = {"toro": "g2o", "g2o": "toro"}.get(graph.format, "")
+    if graph.dimension != 2 or not other:
+        return ""
+    numbers = [graph.information[:, r, c] for r, c in ORDERS[graph.format]]
+    moved = np.empty_like(graph.information)
+    for (r, c), column in zip(ORDERS[other], numbers, strict=True):
+        moved[:, r, c] = moved[:, c, r] = column
+    if bad_information(graph.replace(information=moved)):
+        return ""
+    edge, vertex = ("EDGE_SE2", "VERTEX_SE2") if other == "g2o" else ("EDGE2", "VERTEX2")
+    return f"all fit in the order of {NAMES[other]}: call the edges {edge} and vertices {vertex}"
 
 
 def isotropic(graph: PoseGraph) -> PoseGraph:

@@ -42,6 +42,8 @@ class PoseGraph(Displayed):
         path: of that file; "" from memory.
         has_poses: False if the file had edges alone, so that the poses are those of odometry, or
             of a spanning tree where the chain of ids is broken.
+        format: of that file, "g2o" or "toro"; "" from memory.
+        notes: sentences on what was read in another way than it stands there.
 
     Raises:
         InputError: shapes or values contradict each other.
@@ -56,6 +58,8 @@ class PoseGraph(Displayed):
     edge_lines: NDArray[np.int64] = None  # type: ignore[assignment]
     path: str = ""
     has_poses: bool = True
+    format: str = ""
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         def put(name: str, value: NDArray[Any]) -> None:

@@ -39,6 +39,7 @@ def heading_of_graph(command: str, path: str, graph: PoseGraph) -> dict[str, Any
             "num_closures": int(graph.is_closure.sum()),
             "num_fixed_poses": int(graph.fixed.sum()),
             "has_poses": graph.has_poses,
+            "notes": list(graph.notes),
         },
     }
 

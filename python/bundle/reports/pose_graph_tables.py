@@ -31,6 +31,7 @@ def refined_graph(
     rows = [
         ("input", f"{shown(path)} (g2o)"),
         ("", contents_of_graph(graph)),
+        *(("", note) for note in graph.notes),
         ("error", _error(solved.options)),
         *((("loss", summary.loss_choice),) if summary.loss_choice else ()),
         ("gauge", _gauge(solved)),
@@ -71,6 +72,7 @@ def described_graph(path: str, graph: PoseGraph, report: dict[str, Any]) -> list
     sizes = [
         ("input", f"{shown(path)} (g2o)"),
         ("", contents_of_graph(graph)),
+        *(("", note) for note in graph.notes),
         ("dimension", str(graph.dimension)),
         ("components", str(report["num_components"])),
         ("poses", "of the file" if graph.has_poses else "composed of edges: the file has none"),
@@ -97,6 +99,7 @@ def converted_graph(path: str, graph: PoseGraph, output: dict[str, str]) -> list
     rows = [
         ("input", f"{shown(path)} (g2o)"),
         ("", contents_of_graph(graph)),
+        *(("", note) for note in graph.notes),
         ("output", f"{shown(output['path'])} (g2o)"),
         ("lost", "nothing"),
     ]
