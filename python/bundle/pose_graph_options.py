@@ -41,8 +41,8 @@ class PoseGraphOptions(Options):
         "file",
         "--init",
         "where the solve starts: the file's poses, a chain or a tree of edges, the chordal "
-        "relaxation (two linear solves), or auto: chordal where it is ten times better than the "
-        "file's poses",
+        "relaxation (two linear solves), or auto: the one of these from which some steps reach "
+        "the least cost",
         choices=("file", "odometry", "spanning_tree", "chordal", "auto"),
     )
     information: str = option(
@@ -56,8 +56,9 @@ class PoseGraphOptions(Options):
         "trivial",
         "--loss",
         "robust loss of an edge's whitened error; geman-mcclure, dcs and switchable constraints "
-        "are for wrong closures, as is gnc-tls, which solves a few times and ends with each edge "
-        "in or out; auto: none where no closure needs one, else the better of dcs and gnc-tls",
+        "are for wrong closures, as is gnc-tls, which solves some tens of times and ends with each "
+        "edge in or out; auto: none where no closure is to be doubted, else the better of dcs and "
+        "gnc-tls, which then looks at the set of --consistency, too",
         choices=GRAPH_LOSSES,
     )
     loss_scale: float = option(

@@ -27,7 +27,14 @@ def outputs(**chi2):
 
 def chosen(**chi2):
     solve, asked = outputs(**chi2)
-    options, output, reason = choose_loss(solve, DOUBTED, PoseGraphOptions(loss="auto"), 10.0)
+
+    def doubts(found):
+        beyond = int((DOUBTED & (found["chi2_after"] > 10)).sum())
+        return f"{beyond} edge has a chi2 above 10" if beyond else ""
+
+    options, output, reason = choose_loss(
+        solve, DOUBTED, PoseGraphOptions(loss="auto"), 10.0, doubts
+    )
     return options.loss, output["chi2_after"].tolist(), asked, reason
 
 

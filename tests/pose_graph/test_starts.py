@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle import _core
+from bundle.pose_graph import starts
 from tests.pose_graph import graphs
 
 KINDS = ["odometry", "spanning_tree", "chordal"]
@@ -84,13 +86,82 @@ def test_odometry_with_gaps_says_where():
 
 
 def test_an_end_above_the_chordal_start_is_said_to_be_a_local_minimum():
-    graph = graphs.loop(2, num_poses=30, num_closures=30, noise=0.01, start_noise=2, seed=7)
-    circle = np.linspace(0, 2 * np.pi, 31)[:-1]
-    twisted = np.stack([np.cos(3 * circle), np.sin(2 * circle), 5 * circle], axis=1)
-    ends = {init: bundle.solve(graph.replace(poses=twisted), init=init).summary for init in
-            ("file", "chordal")}  # fmt: skip
+    graph = twisted()
+    ends = {init: bundle.solve(graph, init=init).summary for init in ("file", "chordal")}
     assert ends["file"].chi2_final > 1.1 * ends["chordal"].chi2_initial
     assert ends["file"].warning_kinds == ("local_minimum",)
     assert ends["chordal"].warning_kinds == ()
     right = bundle.solve(bundle.solve(graph, init="chordal").problem).summary
     assert right.init == "file" and right.warning_kinds == ()
+
+
+def twisted():
+    """A start from which the solve ends in a local minimum."""
+    graph = graphs.loop(2, num_poses=30, num_closures=30, noise=0.01, start_noise=2, seed=7)
+    circle = np.linspace(0, 2 * np.pi, 31)[:-1]
+    poses = np.stack([np.cos(3 * circle), np.sin(2 * circle), 5 * circle], axis=1)
+    return graph.replace(poses=poses)
+
+
+def test_an_end_that_has_not_converged_is_held_against_other_starts():
+    stopped = bundle.solve(twisted(), max_num_iterations=2).summary
+    assert stopped.termination_type == "NO_CONVERGENCE"
+    assert stopped.warning_kinds == ("better_start",)
+    assert "init auto" not in bundle.solve(twisted(), init="auto").summary.warnings
+    robust = bundle.solve(twisted(), max_num_iterations=2, loss="cauchy").summary
+    assert robust.warning_kinds == ("better_start",)
+    assert bundle.solve(twisted(), max_num_iterations=0).summary.warning_kinds == ()
+
+
+def test_after_a_slow_solve_other_starts_take_some_steps(monkeypatch):
+    """Starts that are above the end themselves, and below it after few steps."""
+    graph = twisted()
+    end = bundle.solve(graph).summary.chi2_final
+    far = {
+        init: graph.poses + 1e3 * (np.arange(30) % 7)[:, None] * np.array([1, -1, 0])
+        for init in ("odometry", "spanning_tree")
+    }
+    far["chordal"] = (
+        bundle.solve(graph, init="chordal").problem.poses
+        + np.array([1, 1, 0]) * (np.arange(30) % 2)[:, None]
+    )
+    real = _core.initial_poses
+    monkeypatch.setattr(
+        _core, "initial_poses", lambda g, held, init, n: far.get(init, real(g, held, init, n))
+    )
+    for poses in far.values():
+        assert bundle.pose_graph_chi2(graph.replace(poses=poses)).sum() > end
+    assert bundle.solve(graph).summary.warning_kinds == ()
+    monkeypatch.setattr(starts, "SLOW", 2)
+    slow = bundle.solve(graph).summary
+    assert slow.warning_kinds == ("local_minimum",) and "from the chordal start" in slow.warnings[0]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_auto_ends_at_the_least_of_all_starts(dimension, seed):
+    """Rings with one winding too many, at random: the file's poses are often the worst."""
+    graph = graphs.loop(
+        dimension, num_poses=20, num_closures=4, noise=0.15, start_noise=1.5, seed=seed
+    )
+    ends = {
+        init: bundle.solve(graph, init=init).summary.chi2_final
+        for init in ("file", "odometry", "spanning_tree", "chordal", "auto")
+    }
+    assert ends["auto"] <= (1 + 1e-6) * min(ends.values())
+
+
+def test_auto_without_poses_and_without_a_chain():
+    graph = graphs.loop(2).replace(has_poses=False)
+    assert bundle.solve(graph, init="auto").summary.init in ("chordal", "odometry")
+    apart = graph.replace(ids=2 * graph.ids, has_poses=True)
+    for loss in ("trivial", "cauchy", "gnc_tls"):
+        summary = bundle.solve(apart, init="auto", loss=loss).summary
+        assert summary.init_choice.count("from") == 4  # consecutive among the ids there are
+    cut = apart.replace(
+        edges=apart.edges[5:],
+        measurements=apart.measurements[5:],
+        information=apart.information[5:],
+        edge_lines=apart.edge_lines[5:],
+    )
+    assert "odometry" not in bundle.solve(cut, init="auto").summary.init_choice

@@ -24,10 +24,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["QUANTILES", "graduate", "tls_weights"]
+__all__ = ["QUANTILES", "chi2_quantile", "graduate", "tls_weights"]
 
 QUANTILES = {3: 17.72999622894616, 6: 24.102798994983747}
 """Of chi2 at 0.9995, by degrees of freedom."""
+
+NORMAL_QUANTILE = 3.2905267314918945
+"""At 0.9995."""
 
 GROWTH = 1.4
 """Of mu from one solve to the next, as its authors have it."""
@@ -35,6 +38,17 @@ GROWTH = 1.4
 MOST_SOLVES = 100
 NEARLY = 1e-3
 """Of 0 or 1: a weight that counts as either."""
+
+
+def chi2_quantile(degrees: int) -> float:
+    """Return the 99.95 % quantile of chi2, to a percent (E. Wilson, M. Hilferty, 1931).
+
+    The cube root of chi2 / k is nearly normal, with mean 1 - 2 / (9 k) and variance 2 / (9 k).
+    """
+    if degrees < 1:
+        return 0.0
+    variance = 2 / (9 * degrees)
+    return float(degrees * (1 - variance + NORMAL_QUANTILE * variance**0.5) ** 3)
 
 
 def tls_weights(chi2: NDArray[np.float64], mu: float, c_squared: float) -> NDArray[np.float64]:
@@ -49,21 +63,23 @@ def graduate(
     doubted: NDArray[np.bool_],
     c_squared: float,
     solve: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    largest: float | None = None,
 ) -> tuple[NDArray[np.float64], int]:
     """Find the weights of edges by solves with weights in between.
 
     Args:
-        chi2: (m,) of a solve with all weights 1.
+        chi2: (m,) that the first weights come from.
         doubted: (m,) True where an edge may be wrong.
         c_squared: chi2 beyond which an edge is out.
         solve: of weights (m,) to chi2 (m,) at the poses that a solve with them finds, where the
             next one starts.
+        largest: for which the loss is convex at first; that of ``chi2`` if not given.
 
     Returns:
         Weights (m,), 0 or 1 but where the limit of solves came first, and the number of solves.
     """
     weights = np.ones(len(chi2))
-    worst = float(chi2[doubted].max(initial=0.0))
+    worst = max(largest or 0.0, float(chi2[doubted].max(initial=0.0)))
     if worst <= c_squared:
         return weights, 0
     mu = c_squared / (2 * worst - c_squared)

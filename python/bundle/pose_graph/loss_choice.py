@@ -7,8 +7,11 @@ closures agree with, which the truncated cost measures whatever the loss was:
     1/2 sum over trusted edges x + 1/2 sum over doubted edges min(x, c^2),    x = r^T Omega r,
 
 with c^2 the 99.95 % quantile of chi2 times the square of the scale. A solve without a loss comes
-first: where it leaves every closure below c^2, nothing is to be doubted, and it stands. Else the
-solution of the least truncated cost is taken.
+first, and stands where it leaves nothing to be doubted: every closure below c^2, no more chi2 than
+its degrees of freedom allow, and no closure whose error other edges have taken over
+(``truncated_search``). Else the solution of the least truncated cost is taken. Graduated
+non-convexity also looks at the closures that dynamic covariance scaling leaves in, and at the
+largest set of closures that agree with each other (``consistency``).
 """
 
 from __future__ import annotations
@@ -19,10 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle import _core
 from bundle.pose_graph_options import PoseGraphOptions
-from bundle.words import number, plural
+from bundle.words import number
 
-__all__ = ["TRIED", "choose_loss", "truncated_cost"]
+__all__ = ["TRIED", "choose_loss", "loss_cost", "truncated_cost"]
 
 TRIED = ("dcs", "gnc_tls")
 """Losses for wrong closures that ``auto`` tries."""
@@ -37,8 +41,29 @@ def truncated_cost(
     return 0.5 * float(np.where(doubted, np.minimum(chi2, c_squared), chi2).sum())
 
 
+def loss_cost(
+    chi2: NDArray[np.float64],
+    doubted: NDArray[np.bool_],
+    options: PoseGraphOptions,
+    c_squared: float,
+) -> float:
+    """Return 1/2 sum of rho of chi2 (m,), with the loss of the options on doubted edges."""
+    if options.loss == "trivial":
+        return 0.5 * float(chi2.sum())
+    if options.loss == "gnc_tls":
+        return truncated_cost(chi2, doubted, c_squared)
+    rho = np.array(chi2)
+    for edge in np.flatnonzero(doubted).tolist():
+        rho[edge] = _core.edge_loss(options.loss, options.loss_scale, float(chi2[edge]))[0]
+    return 0.5 * float(rho.sum())
+
+
 def choose_loss(
-    solve: Solve, doubted: NDArray[np.bool_], options: PoseGraphOptions, c_squared: float
+    solve: Solve,
+    doubted: NDArray[np.bool_],
+    options: PoseGraphOptions,
+    c_squared: float,
+    doubts: Callable[[dict[str, Any]], str],
 ) -> tuple[PoseGraphOptions, dict[str, Any], str]:
     """Solve without a loss, then with those that are tried, as far as that is needed.
 
@@ -47,6 +72,8 @@ def choose_loss(
         doubted: (m,) edges that the loss may take weight from.
         options: with loss "auto".
         c_squared: of the truncated cost.
+        doubts: what is to be doubted of what the solve without a loss returned, as words that
+            follow "without a loss"; "" for nothing.
 
     Returns:
         Options with the loss that was taken, what its solve returned, and why, in a sentence.
@@ -55,8 +82,8 @@ def choose_loss(
     output = solve(plain)
     if output["summary"]["interrupted"]:
         return plain, output, "No loss: stopped before one was tried."
-    beyond = int((doubted & (output["chi2_after"] > c_squared)).sum())
-    if not beyond:
+    doubt = doubts(output)
+    if not doubt:
         reason = f"No loss: without one all closures have a chi2 of at most {number(c_squared)}."
         return plain, output, reason
     tried = [(plain, output)]
@@ -72,9 +99,8 @@ def choose_loss(
         for cost, (options, _) in zip(costs, tried, strict=True)
     )
     reason = (
-        f"{_name(tried[best][0])}: without a loss {plural(beyond, 'edge')} "
-        f"{'has' if beyond == 1 else 'have'} a chi2 above {number(c_squared)}, and its truncated "
-        f"cost is the least ({words})."
+        f"{_name(tried[best][0])}: without a loss {doubt}, and its truncated cost is "
+        f"the least ({words})."
     )
     return (*tried[best], reason)
 

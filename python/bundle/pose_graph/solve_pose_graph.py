@@ -9,26 +9,30 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.arguments import check_function, check_type
-from bundle.arrays import freeze
+from bundle.errors import InputError
 from bundle.option_fields import choice
+from bundle.pose_graph.consistency import closure_consistency
 from bundle.pose_graph.consistent_solve import solve_consistent
-from bundle.pose_graph.gnc import QUANTILES, graduate
+from bundle.pose_graph.gnc import QUANTILES
+from bundle.pose_graph.gnc_solve import Proposal, solve_gnc
 from bundle.pose_graph.information import checked_information
-from bundle.pose_graph.loss_choice import choose_loss, truncated_cost
+from bundle.pose_graph.loss_choice import choose_loss, loss_cost
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph.pose_graph_result import PoseGraphResult, PoseGraphSummary
-from bundle.pose_graph.starts import Start, choose_start, chordal_chi2, started
+from bundle.pose_graph.starts import choose_start, lower_start, started
+from bundle.pose_graph.truncated_search import find_doubt
 from bundle.pose_graph_options import POSE_ERRORS, PoseGraphOptions
 from bundle.solve_record import Progress, record_fields
-from bundle.words import number, plural
+from bundle.words import plural
 
 __all__ = ["initial_poses", "pose_graph_chi2", "solve_pose_graph"]
 
 SEVERAL_COMPONENTS = "several_components"
 LOCAL_MINIMUM = "local_minimum"
+BETTER_START = "better_start"
 
-NOT_LOWER = 1e-6
-"""Of chi2: where the solve stopped just short of the minimum, the chordal start may be as near."""
+MOST_CHECKED = 2500
+"""Closures whose consistency ``auto`` looks at: three million pairs, some seconds."""
 
 BEYOND_DOUBT = {3: 30.664849706213598, 6: 38.25833637720969}
 """Of chi2, by degrees of freedom: beyond it is one right edge in a million."""
@@ -74,25 +78,51 @@ def _refined(
     """Return the result of a solve with all edges, and the poses it started from."""
     weighed = checked_information(graph, options.information)
     held, num_components, for_gauge = _core.hold_poses(weighed)
-    start = _start(weighed, held, options)
-    started_graph = weighed.replace(poses=start.poses)
     doubted = _robust_edges(graph, options)
+    if options.init == "auto":
+        start = choose_start(weighed, held, doubted, options)
+    else:
+        start = started(weighed, held, options.init, options.num_threads)
+    started_graph = weighed.replace(poses=start.poses)
+    c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
+    proposals: list[Proposal] = []
 
     def solve(how: PoseGraphOptions) -> dict[str, Any]:
-        by_loss = _solve_gnc if how.loss == "gnc_tls" else _solve_once
-        return by_loss(started_graph, held, doubted, how, progress)
+        if how.loss == "gnc_tls":
+            return solve_gnc(started_graph, held, doubted, how, progress, proposals)
+        found = _core.solve_pose_graph(started_graph, held, doubted, how.asdict(), progress)
+        if options.loss == "auto" and how.loss != "trivial":
+            proposals.append((found["chi2_after"] <= c_squared, found["poses"]))
+            agreed = _consistent_set(weighed, options.num_threads)
+            if agreed is not None:
+                proposals.append((agreed, start.poses))
+        return found
+
+    def doubts(found: dict[str, Any]) -> str:
+        there = weighed.replace(poses=found["poses"])
+        chi2 = found["chi2_after"]
+        return find_doubt(there, options.error, doubted, chi2, c_squared, options.num_threads)
 
     if options.loss == "auto":
-        c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
-        used, output, why = choose_loss(solve, doubted, options, c_squared)
+        used, output, why = choose_loss(solve, doubted, options, c_squared, doubts)
     else:
         used, output, why = options, solve(options), ""
+
+    def cost(chi2: NDArray[np.float64]) -> float:
+        return loss_cost(chi2, doubted, used, c_squared)
+
     record = record_fields(output)
     rejected = _rejected(graph, output, doubted, used)
     warnings = {
         SEVERAL_COMPONENTS: _about_components(num_components),
-        LOCAL_MINIMUM: _about_minimum(weighed, held, start, used, output),
     }
+    if not output["summary"]["interrupted"] and used.max_num_iterations > 0:
+        lower = lower_start(weighed, held, doubted, start, used, output, cost)
+        has_converged = output["summary"]["termination_type"] == "CONVERGENCE"
+        if lower and has_converged:
+            warnings[LOCAL_MINIMUM] = f"This is a local minimum: {lower}"
+        elif lower:
+            warnings[BETTER_START] = f"Not converged: {lower}"
     summary = PoseGraphSummary(
         **_with_warnings(output["summary"], warnings),
         num_rejected_edges=len(rejected),
@@ -150,61 +180,17 @@ def pose_graph_chi2(graph: PoseGraph, error: str = "log") -> NDArray[np.float64]
     return _core.edge_chi2(checked_information(graph, "file"), error)
 
 
-def _start(graph: PoseGraph, held: NDArray[np.bool_], options: PoseGraphOptions) -> Start:
-    if options.init == "auto":
-        return choose_start(graph, held, options.error, options.num_threads)
-    return started(graph, held, options.init, options.num_threads)
-
-
-def _solve_once(
-    graph: PoseGraph,
-    held: NDArray[np.bool_],
-    doubted: NDArray[np.bool_],
-    options: PoseGraphOptions,
-    progress: Progress | None,
-) -> dict[str, Any]:
-    return _core.solve_pose_graph(graph, held, doubted, options.asdict(), progress)
-
-
-def _solve_gnc(
-    graph: PoseGraph,
-    held: NDArray[np.bool_],
-    doubted: NDArray[np.bool_],
-    options: PoseGraphOptions,
-    progress: Progress | None,
-) -> dict[str, Any]:
-    """Solve with weights in between, then once more with edges in or out; see ``gnc``."""
-    c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
-    plain = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
-    rough = plain.replace(function_tolerance=max(plain.function_tolerance, 1e-6))
-    none = np.zeros(graph.num_edges, bool)
-    before = _core.edge_chi2(graph, options.error)
-    output: dict[str, Any] = {}
-    poses = graph.poses
-
-    def solve(weights: NDArray[np.float64], how: PoseGraphOptions) -> NDArray[np.float64]:
-        nonlocal output, poses
-        if output and output["summary"]["interrupted"]:
-            return _core.edge_chi2(graph.replace(poses=poses), options.error)
-        weighed = graph.replace(poses=poses, information=weights[:, None, None] * graph.information)
-        output = _core.solve_pose_graph(weighed, held, none, how.asdict(), progress)
-        poses = output["poses"]
-        return _core.edge_chi2(graph.replace(poses=poses), options.error)
-
-    chi2 = solve(np.ones(graph.num_edges), rough)
-    weights, _ = graduate(chi2, doubted, c_squared, lambda found: solve(found, rough))
-    after = solve(weights, plain)
-
-    costs = {
-        "initial_cost": truncated_cost(before, doubted, c_squared),
-        "final_cost": truncated_cost(after, doubted, c_squared),
-    }
-    return output | {
-        "chi2_before": freeze(before.copy()),
-        "chi2_after": freeze(after.copy()),
-        "weights": freeze(weights),
-        "summary": output["summary"] | costs,
-    }
+def _consistent_set(graph: PoseGraph, num_threads: int) -> NDArray[np.bool_] | None:
+    """Return the edges without closures that contradict the others; None where none can be told."""
+    if int(graph.is_closure.sum()) > MOST_CHECKED:
+        return None
+    try:
+        found = closure_consistency(graph, num_threads)
+    except InputError:
+        return None
+    used = np.ones(graph.num_edges, bool)
+    used[[entry.edge for entry in found.left_out]] = False
+    return used
 
 
 def _rejected(
@@ -241,32 +227,6 @@ def _about_components(num_components: int) -> str:
     return (
         f"The graph has {held} that no edge joins: each floats by itself, about its fixed poses "
         "or its first one; where they are to each other is not known."
-    )
-
-
-def _about_minimum(
-    graph: PoseGraph,
-    held: NDArray[np.bool_],
-    start: Start,
-    options: PoseGraphOptions,
-    output: dict[str, Any],
-) -> str:
-    """Return what to say of an end above a start that was not tried.
-
-    A loss changes what is least; a solve that was stopped may still go there.
-    """
-    has_converged = output["summary"]["termination_type"] == "CONVERGENCE"
-    if start.init == "chordal" or options.loss != "trivial" or not has_converged:
-        return ""
-    end = float(output["chi2_after"].sum())
-    chordal = start.chordal_chi2
-    if chordal is None:
-        chordal = chordal_chi2(graph, held, options.error, options.num_threads)
-    if chordal is None or not end - chordal > NOT_LOWER * end:
-        return ""
-    return (
-        f"This is a local minimum, chi2 {number(end)}: the chordal start has {number(chordal)} "
-        "before any step. Start there: init chordal, or auto."
     )
 
 
