@@ -27,7 +27,7 @@ CORE_MAY_INCLUDE = {
     "cameras": {"geometry"},
     "inertial": {"geometry"},
     "factors": {"cameras", "geometry", "dense", "inertial"},
-    "graph": {"factors", "geometry"},
+    "graph": {"factors", "geometry", "dense"},
     "problem": {"factors", "cameras", "geometry", "parallel"},
     "io": {"cameras"},
     "synthetic": {"cameras", "geometry", "parallel"},

@@ -21,6 +21,8 @@
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
 #include "core/solver/jacobian_conditioning.h"
+#include "core/solver/linear_finish.h"
+#include "core/solver/marginal_by_root.h"
 #include "core/solver/square_root_solver.h"
 
 namespace py = pybind11;
@@ -32,11 +34,14 @@ using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
 py::dict SolveGraph(const py::list& variables, const py::list& factors, const py::dict& options,
                     const py::object& progress, bool square_root) {
   const bundle::FactorGraph graph = GraphFromPython(variables, factors);
-  const bundle::SolveOptions solve_options = OptionsFromPython(options);
+  const bundle::SolveOptions solve_options = GraphOptionsFromPython(options);
   PythonProgress report(progress);
   bundle::GraphOutput output = RunWatched(&report, [&] {
-    return square_root ? bundle::SolveGraphBySquareRoot(graph, solve_options, std::ref(report))
-                       : bundle::SolveGraph(graph, solve_options, std::ref(report));
+    bundle::GraphOutput solved =
+        square_root ? bundle::SolveGraphBySquareRoot(graph, solve_options, std::ref(report))
+                    : bundle::SolveGraph(graph, solve_options, std::ref(report));
+    bundle::FinishLinearGraph(graph, &solved);
+    return solved;
   });
   report.Rethrow();
   py::list values;
@@ -123,7 +128,7 @@ py::tuple MarginalInformation(const py::list& variables, const py::list& factors
   const bundle::LinearizedGraph linear = Linearize(graph, 1);
   bundle::MarginalInformation found = [&] {
     const py::gil_scoped_release release;
-    return bundle::MarginalizeOnto(kept, graph.blocks, linear);
+    return bundle::FindMarginalInformation(kept, graph.blocks, linear);
   }();
   const auto n = static_cast<py::ssize_t>(found.eta.size());
   return py::make_tuple(ToImmutableNumpy(std::move(found.lambda), {n, n}),

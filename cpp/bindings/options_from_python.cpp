@@ -101,6 +101,12 @@ struct ChoiceLister {
   }
 };
 
+constexpr double kLargestRadius = 1e16;  ///< of Levenberg-Marquardt: no damping to speak of
+
+bool IsGaussNewton(const py::dict& options) {
+  return py::cast<std::string>(options["trust_region_strategy_type"]) == "gauss_newton";
+}
+
 }  // namespace
 
 bundle::LossType LossFromName(const std::string& name) {
@@ -124,14 +130,21 @@ void ReadPoseGraphOptions(const py::dict& options, bundle::SolveOptions* result)
   read("gradient_tolerance", result->gradient_tolerance);
   read("parameter_tolerance", result->parameter_tolerance);
   read("num_threads", result->num_threads);
-  const auto strategy = py::cast<std::string>(options["trust_region_strategy_type"]);
-  if (strategy == "gauss_newton") {
-    constexpr double kLargestRadius = 1e16;  // of Levenberg-Marquardt: no damping to speak of
+  if (IsGaussNewton(options)) {
     result->initial_trust_region_radius = kLargestRadius;
   } else {
     read("trust_region_strategy_type", result->trust_region_strategy_type,
          bundle::kTrustRegionStrategies);
   }
+}
+
+bundle::SolveOptions GraphOptionsFromPython(const py::dict& options) {
+  if (!IsGaussNewton(options)) return OptionsFromPython(options);
+  const py::dict damped(options.attr("copy")());
+  damped["trust_region_strategy_type"] = "levenberg_marquardt";
+  bundle::SolveOptions result = OptionsFromPython(damped);
+  result.initial_trust_region_radius = kLargestRadius;
+  return result;
 }
 
 py::dict DefaultOptions() {

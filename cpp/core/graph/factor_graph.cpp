@@ -6,6 +6,7 @@
 #include <limits>
 #include <string>
 
+#include "core/dense/decompositions.h"
 #include "core/error.h"
 #include "core/factors/factor.h"
 
@@ -128,6 +129,10 @@ using Sparse = Eigen::SparseMatrix<double>;
 using RowMajor = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Factorization = Eigen::SimplicialLDLT<Sparse, Eigen::Lower, Eigen::AMDOrdering<int>>;
 
+/// An eigenvalue or a pivot beside the diagonal's 1 below which differences leave fewer than some
+/// ten digits.
+constexpr double kLeastCertain = 1e-6;
+
 /// A pivot beside the diagonal's 1 below which it is rounding.
 double SmallestPivot(Eigen::Index n) {
   return 16 * static_cast<double>(n) * std::numeric_limits<double>::epsilon();
@@ -136,7 +141,6 @@ double SmallestPivot(Eigen::Index n) {
 /// The columns of J that are eliminated and kept, and the rows that touch any.
 struct Split {
   Sparse eliminated, kept;
-  std::vector<int> eliminated_block;  ///< of each eliminated column
 };
 
 Split SplitColumns(const std::vector<int>& kept, const std::vector<Block>& blocks,
@@ -146,7 +150,7 @@ Split SplitColumns(const std::vector<int>& kept, const std::vector<Block>& block
   std::vector<bool> is_kept(blocks.size(), false);
   // Kept columns are numbered from 0 on, eliminated ones from -2 down.
   std::vector<int> place(graph.block_begin.back(), kDropped);
-  int num_kept = 0;
+  int num_kept = 0, num_eliminated = 0;
   for (const int b : kept) {
     is_kept[b] = true;
     for (int c = graph.block_begin[b]; c < graph.block_begin[b + 1]; ++c) place[c] = num_kept++;
@@ -155,8 +159,7 @@ Split SplitColumns(const std::vector<int>& kept, const std::vector<Block>& block
     if (is_kept[b]) continue;
     for (int c = graph.block_begin[b]; c < graph.block_begin[b + 1]; ++c) {
       if (blocks[b].IsHeld(c - graph.block_begin[b])) continue;
-      place[c] = -2 - static_cast<int>(split.eliminated_block.size());
-      split.eliminated_block.push_back(static_cast<int>(b));
+      place[c] = -2 - num_eliminated++;
     }
   }
   std::vector<Eigen::Triplet<double>> to_kept, to_eliminated;
@@ -170,24 +173,35 @@ Split SplitColumns(const std::vector<int>& kept, const std::vector<Block>& block
   }
   split.kept.resize(num_rows, num_kept);
   split.kept.setFromTriplets(to_kept.begin(), to_kept.end());
-  split.eliminated.resize(num_rows, static_cast<int>(split.eliminated_block.size()));
+  split.eliminated.resize(num_rows, num_eliminated);
   split.eliminated.setFromTriplets(to_eliminated.begin(), to_eliminated.end());
   return split;
 }
 
-/// Names a variable in a direction that nothing determines. A shift lets the factorisation finish;
-/// the pivot of such a direction is about as small as the shift.
-[[noreturn]] void RefuseUndetermined(const Sparse& scaled, const std::vector<int>& column_block,
-                                     const std::vector<Block>& blocks) {
-  Factorization shifted;
-  shifted.setShift(1e-8);
-  shifted.compute(scaled);
-  Eigen::Index pivot = 0;
-  shifted.vectorD().minCoeff(&pivot);
-  const int column = shifted.permutationPinv().indices()[pivot];
-  throw InputError(blocks[column_block[column]].name +
-                   ": expected factors that determine what is eliminated, found a direction that "
-                   "none does");
+/// An estimate, from above, of the least eigenvalue of a matrix with a diagonal of ones.
+double SmallestEigenvalue(const Factorization& factorization) {
+  constexpr int kSteps = 4;
+  Eigen::VectorXd x(factorization.rows());
+  for (Eigen::Index i = 0; i < x.size(); ++i) {
+    x[i] = 1 + 0.5 * std::sin(1.7 * static_cast<double>(i) + 0.3);
+  }
+  double inverse = 0;
+  for (int k = 0; k < kSteps; ++k) {
+    x = factorization.solve(x / x.norm());
+    inverse = x.norm();
+  }
+  return 1 / inverse;
+}
+
+/// The least eigenvalue of what is left of a matrix, or its least diagonal entry where eigenvalues
+/// take long, once the diagonal before is scaled to ones.
+double SmallestLeft(const RowMajor& left, const Eigen::VectorXd& diagonal) {
+  constexpr Eigen::Index kMostOfEigenvalues = 300;
+  const Eigen::VectorXd scale =
+      diagonal.unaryExpr([](double value) { return value > 0 ? 1.0 / std::sqrt(value) : 1.0; });
+  const Eigen::MatrixXd scaled = scale.asDiagonal() * left * scale.asDiagonal();
+  if (scaled.rows() > kMostOfEigenvalues) return scaled.diagonal().minCoeff();
+  return EigenvaluesOfSymmetric(scaled)[0];
 }
 
 }  // namespace
@@ -200,6 +214,7 @@ MarginalInformation MarginalizeOnto(const std::vector<int>& kept, const std::vec
   const Eigen::Index n = split.kept.cols(), m = split.eliminated.cols();
   RowMajor lambda = RowMajor(Sparse(split.kept.transpose() * split.kept));
   Eigen::VectorXd eta = -(split.kept.transpose() * residual);
+  MarginalInformation result;
   if (m > 0) {
     Sparse scaled = split.eliminated;
     Eigen::VectorXd scale(m);
@@ -210,10 +225,10 @@ MarginalInformation MarginalizeOnto(const std::vector<int>& kept, const std::vec
     scaled = scaled * scale.asDiagonal();
     const Sparse normal = scaled.transpose() * scaled;
     Factorization factorization(normal);
-    if (factorization.info() != Eigen::Success ||
-        !(factorization.vectorD().minCoeff() > SmallestPivot(m))) {
-      RefuseUndetermined(normal, split.eliminated_block, blocks);
-    }
+    result.is_certain = factorization.info() == Eigen::Success &&
+                        factorization.vectorD().minCoeff() > SmallestPivot(m) &&
+                        SmallestEigenvalue(factorization) > kLeastCertain;
+    if (!result.is_certain) return result;
     // The columns kept and eta side by side: solved by the same triangle.
     Eigen::MatrixXd sides(m, n + 1);
     sides.leftCols(n) = Eigen::MatrixXd(Sparse(scaled.transpose() * split.kept));
@@ -221,10 +236,11 @@ MarginalInformation MarginalizeOnto(const std::vector<int>& kept, const std::vec
     sides = factorization.permutationP() * sides;
     factorization.matrixL().solveInPlace(sides);
     sides = factorization.vectorD().cwiseSqrt().cwiseInverse().asDiagonal() * sides;
+    const Eigen::VectorXd diagonal = lambda.diagonal();
     lambda.noalias() -= sides.leftCols(n).transpose() * sides.leftCols(n);
     eta.noalias() -= sides.leftCols(n).transpose() * sides.col(n);
+    result.is_certain = n == 0 || SmallestLeft(lambda, diagonal) > kLeastCertain;
   }
-  MarginalInformation result;
   result.lambda.resize(static_cast<size_t>(n * n));
   result.eta.assign(eta.data(), eta.data() + n);
   for (Eigen::Index r = 0; r < n; ++r) {

@@ -71,11 +71,13 @@ struct LinearizedGraph {
 struct MarginalInformation {
   std::vector<double> lambda;  ///< n x n, row-major, symmetric
   std::vector<double> eta;     ///< n
+  /// False where the differences above leave too few digits; Lambda' may then be empty, or even
+  /// indefinite. solver/marginal_by_root.h has the way out.
+  bool is_certain = true;
 };
 
 /// Keeps the variables `kept`, in this order, and eliminates the free coordinates of all others:
-/// held ones stay where they are. Throws InputError, naming the variable, if what is to be
-/// eliminated is not determined by its factors.
+/// held ones stay where they are.
 MarginalInformation MarginalizeOnto(const std::vector<int>& kept, const std::vector<Block>& blocks,
                                     const LinearizedGraph& graph);
 

@@ -4,6 +4,7 @@
 #include <Eigen/QR>
 #include <Eigen/SparseCore>
 #include <algorithm>
+#include <limits>
 #include <map>
 #include <utility>
 
@@ -15,15 +16,20 @@ using Eigen::Index;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-BlockQr::BlockQr(std::vector<int> sizes, const std::vector<RowBlock>& rows)
-    : sizes_(std::move(sizes)), begin_{0} {
+BlockQr::BlockQr(std::vector<int> sizes, const std::vector<RowBlock>& rows,
+                 const std::vector<int>& staying)
+    : sizes_(std::move(sizes)), begin_{0}, num_eliminated_(sizes_.size() - staying.size()) {
   const auto n = static_cast<int>(sizes_.size());
   for (const int size : sizes_) begin_.push_back(begin_.back() + size);
+  std::vector<bool> stays(n, false);
+  for (const int v : staying) stays[v] = true;
   std::vector<Eigen::Triplet<double>> pattern;
   for (int v = 0; v < n; ++v) pattern.emplace_back(v, v, 1.0);
   for (const RowBlock& block : rows) {
     for (const int a : block.variables) {
-      for (const int b : block.variables) pattern.emplace_back(a, b, 1.0);
+      for (const int b : block.variables) {
+        if (!stays[a] && !stays[b]) pattern.emplace_back(a, b, 1.0);
+      }
     }
   }
   Eigen::SparseMatrix<double> graph(n, n);
@@ -31,6 +37,7 @@ BlockQr::BlockQr(std::vector<int> sizes, const std::vector<RowBlock>& rows)
   Eigen::PermutationMatrix<Eigen::Dynamic, Eigen::Dynamic, int> permutation;
   Eigen::AMDOrdering<int>()(graph, permutation);
   order_.assign(permutation.indices().data(), permutation.indices().data() + n);
+  std::stable_partition(order_.begin(), order_.end(), [&](int v) { return !stays[v]; });
   position_.resize(n);
   for (int k = 0; k < n; ++k) position_[order_[k]] = k;
 }
@@ -48,12 +55,16 @@ void BlockQr::Factorize(std::vector<RowBlock> rows) {
     if (place < static_cast<int>(order_.size())) pending[place].push_back(std::move(block));
   }
   r_.clear();
-  for (size_t k = 0; k < order_.size(); ++k) {
+  rest_.clear();
+  for (size_t k = 0; k < num_eliminated_; ++k) {
     RowBlock rest;
     r_.push_back(Eliminate(order_[k], std::move(pending[k]), &rest));
     if (rest.matrix.rows() > 0 && !rest.variables.empty()) {
       pending[Place(rest)].push_back(std::move(rest));
     }
+  }
+  for (size_t k = num_eliminated_; k < order_.size(); ++k) {
+    for (RowBlock& block : pending[k]) rest_.push_back(std::move(block));
   }
 }
 
@@ -145,7 +156,7 @@ VectorXd BlockQr::SolveNormal(const VectorXd& y) const {
 }
 
 VectorXd BlockQr::Pivots() const {
-  VectorXd pivots(num_columns());
+  VectorXd pivots = VectorXd::Constant(num_columns(), std::numeric_limits<double>::infinity());
   for (const Row& row : r_) {
     const int v = row.variables[0];
     pivots.segment(begin_[v], sizes_[v]) = row.matrix.diagonal().head(sizes_[v]).cwiseAbs();

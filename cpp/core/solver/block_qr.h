@@ -29,8 +29,9 @@ struct RowBlock {
 class BlockQr {
  public:
   /// `sizes`: columns of each variable, which lie one after the other. Of `rows` the variables
-  /// count.
-  BlockQr(std::vector<int> sizes, const std::vector<RowBlock>& rows);
+  /// count. `staying`: variables that are not eliminated.
+  BlockQr(std::vector<int> sizes, const std::vector<RowBlock>& rows,
+          const std::vector<int>& staying = {});
 
   /// Factorises the rows, of the variables of the constructor.
   void Factorize(std::vector<RowBlock> rows);
@@ -40,8 +41,10 @@ class BlockQr {
   Eigen::VectorXd Solve() const;
   /// (R^T R)^-1 y
   Eigen::VectorXd SolveNormal(const Eigen::VectorXd& y) const;
-  /// |R_cc| of each column.
+  /// |R_cc| of each column; infinite where its variable stays.
   Eigen::VectorXd Pivots() const;
+  /// Rows of the variables that stay.
+  const std::vector<RowBlock>& rest() const { return rest_; }
 
  private:
   struct Row {
@@ -54,7 +57,9 @@ class BlockQr {
 
   std::vector<int> sizes_, begin_;
   std::vector<int> order_, position_;
-  std::vector<Row> r_;  ///< in the order of the elimination
+  size_t num_eliminated_;  ///< variables that come first in the order
+  std::vector<Row> r_;     ///< in the order of the elimination
+  std::vector<RowBlock> rest_;
 };
 
 }  // namespace bundle

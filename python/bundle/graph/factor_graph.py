@@ -14,6 +14,7 @@ from bundle.graph.check_factors import FactorCheck, check_factors
 from bundle.graph.contents import factor_name
 from bundle.graph.digits import DigitsLeft
 from bundle.graph.factors import Factor
+from bundle.graph.graph_options import GraphOptions
 from bundle.graph.graph_result import GraphResult
 from bundle.graph.marginals import GraphMarginals
 from bundle.graph.variables import (
@@ -84,14 +85,16 @@ class FactorGraph(GraphMarginals):
 
         By Ceres and normal equations, or, with ``square_root``, by the same trust region over a
         sparse QR factorisation of the whitened Jacobian: slower, on one thread, with twice the
-        digits (:meth:`digits`), without bounds.
+        digits (:meth:`digits`), without bounds. A graph whose factors are linear ends at its
+        minimum to rounding, whatever the tolerances: a last step by QR takes it there.
 
         The graph keeps its values; :meth:`with_values` takes over those of the result. The GIL is
         released but for factors in Python. Ctrl-C stops the solve and keeps the best state; not
         converging is a result as well.
 
         Args:
-            options: how to solve. Those that concern reconstructions must have their defaults.
+            options: how to solve. Those that concern reconstructions must have their defaults;
+                trust_region_strategy_type may be "gauss_newton", too.
             progress: called after each iteration, as by :func:`bundle.solve`.
             square_root: True for QR, False for normal equations. If not given, QR where normal
                 equations would leave fewer than 4 digits; looked for in graphs of at most 3000 free
@@ -105,7 +108,7 @@ class FactorGraph(GraphMarginals):
                 yours raises comes through.
             KeyboardInterrupt: Ctrl-C before the start was evaluated.
         """
-        options = SolveOptions.of(options, changes, "solve")
+        options = GraphOptions.of(options, changes, "solve")
         check_function("progress", progress)
         defaults = SolveOptions()
         for option in _OF_OTHERS:
