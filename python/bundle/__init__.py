@@ -50,6 +50,7 @@ if TYPE_CHECKING:
         ReprojectionFactor,
         ScalarPriorFactor,
         SquareRootPrior,
+        check_factors,
     )
     from bundle.headers import get_include
     from bundle.html import report
@@ -200,6 +201,7 @@ __all__ = [
     "apply_rig_config",
     "camera_models",
     "change_camera_model",
+    "check_factors",
     "check_gradients",
     "check_imu_samples",
     "check_jacobians",
@@ -279,6 +281,7 @@ _DEFERRED = {
         "ReprojectionFactor",
         "ScalarPriorFactor",
         "SquareRootPrior",
+        "check_factors",
     ),
     "inertial": (
         "BiasWalkFactor",

@@ -14,7 +14,7 @@ from bundle.options import SolveOptions
 from bundle.summary import Summary
 from bundle.termination import sentence
 
-__all__ = ["Progress", "SolveRecord", "record_fields"]
+__all__ = ["Progress", "SolveRecord", "record_fields", "with_warnings"]
 
 Progress = Callable[[dict[str, Any]], None]
 
@@ -43,6 +43,16 @@ class SolveRecord(Displayed):
         # Entry 0 is the evaluation at the start, not a step.
         accepted = np.asarray(self.iterations["step_is_successful"], bool)[1:]
         return sentence(self.summary, len(accepted), int((~accepted).sum()))
+
+
+def with_warnings(fields: Mapping[str, Any], sentences: Mapping[str, str]) -> dict[str, Any]:
+    """Return the fields of a summary with what is worth a warning, by kind; "" is not."""
+    said = {kind: sentence for kind, sentence in sentences.items() if sentence}
+    return {
+        **fields,
+        "warnings": (*fields["warnings"], *said.values()),
+        "warning_kinds": (*fields["warning_kinds"], *said),
+    }
 
 
 def record_fields(output: Mapping[str, Any]) -> dict[str, Any]:

@@ -196,6 +196,8 @@ def solve(
     ready = prepare(problem, options, factors, priors, align, bounds, constraints)
     placed, options, limits = ready.placed, ready.options, ready.limits
     output = _run(ready, progress)
+    if ready.known is not None and options.check_solution:
+        output["summary"] = _checked(ready.start, ready.known.factors, output)
     return with_priors(result_of(placed.problem, options, output, limits), placed, problem)
 
 
@@ -216,6 +218,13 @@ def _run(ready: Prepared, progress: Progress | None) -> dict[str, Any]:
         output = _core.solve(ready.start, options, progress, ready.limits, factors)
         return with_warning(output, reason, crew.num_ranks)
     return solve_divided(crew, ready.start, options, progress, ready.limits, factors)
+
+
+def _checked(start: Problem, factors: Iterable[Factor], output: dict[str, Any]) -> dict[str, Any]:
+    """Return the summary's fields with what a spot check says of factors in Python."""
+    from bundle.graph.problem_factors import checked_solve
+
+    return checked_solve(start, factors, output)
 
 
 class Solver(Displayed):
@@ -344,6 +353,8 @@ class Solver(Displayed):
             self._core.check_structure(problem)
             self._limits.check_start(problem)
         output = self._core.solve(problem, options.asdict() if changes else None, progress)
+        if self._factors and options.check_solution:
+            output["summary"] = _checked(problem, self._factors, output)
         return result_of(problem, options, output, self._limits)
 
     def __copy__(self) -> Solver:

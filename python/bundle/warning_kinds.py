@@ -29,11 +29,14 @@ WARNING_KINDS = {
     "too_many_behind": "more than 1 % of the observations went behind: not usable",
     "observations_left_out": "observations that were behind before are in front at the end",
     "weak_baseline": "focal lengths and baselines of rigs changed together, which is weak",
-    "several_components": "no edge joins parts of a pose graph: each has a gauge of its own",
+    "several_components": "no edge or factor joins parts of a graph: each floats by itself",
     "local_minimum": "a pose graph converged above the cost of another start",
     "better_start": "a pose graph did not converge and ended above the cost of another start",
     "unproven_set": "a larger consistent set of closures may exist: the search ran out of time",
     "one_process": "processes of mpirun waited while one solved what cannot be divided",
+    "wrong_factor": "the Jacobian of a factor in Python differs from differences",
+    "free_directions": "no factor determines some directions: the damping alone holds them",
+    "prior_spectrum": "the information of a marginalised prior has an alarming spectrum",
     "most_left_out": "half of the closures or more contradict the largest consistent set",
 }
 """Each kind with what it means."""

@@ -6,7 +6,17 @@ import sys
 import numpy as np
 import pytest
 
-from tests.campaigns import covariance, degenerate, healthy, jobs, kills, mutants, two_loops
+from bundle.graph import check_solve
+from tests.campaigns import (
+    covariance,
+    degenerate,
+    healthy,
+    jacobians,
+    jobs,
+    kills,
+    mutants,
+    two_loops,
+)
 
 
 def misbehave(job):
@@ -51,6 +61,14 @@ def test_kills_leave_the_old_or_the_new():
 def test_healthy_blocks_are_not_accused():
     verdicts = healthy.campaign(12, seed=3)
     assert [verdict for verdict in verdicts if verdict.accusations] == []
+
+
+def test_right_jacobians_are_not_accused_and_wrong_ones_caught(monkeypatch):
+    monkeypatch.setattr(check_solve, "MOST_SECONDS", 5.0)  # on a busy machine, too
+    rights, wrongs = jacobians.campaign(24, len(jacobians.MISTAKES), seed=7)
+    assert [v for v in rights if v.verdict != "correct" or v.is_caught] == []
+    assert [v for v in wrongs if not v.is_caught or not v.is_named] == []
+    assert {"imu"} < {v.name for v in rights}
 
 
 def test_covariances_are_the_dense_ones():

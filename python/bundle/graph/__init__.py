@@ -1,7 +1,7 @@
 """Factor graphs: variables on manifolds, factors between them, one solve."""
 
-from bundle.graph.check_factors import FactorCheck
 from bundle.graph.digits import DigitsLeft
+from bundle.graph.factor_check import FactorCheck
 from bundle.graph.factor_graph import FactorGraph
 from bundle.graph.factors import (
     BetweenFactor,
@@ -16,6 +16,7 @@ from bundle.graph.function_factor import FunctionFactor
 from bundle.graph.graph_result import GraphResult
 from bundle.graph.incremental_smoother import IncrementalSmoother, IncrementalUpdate
 from bundle.graph.linear_prior import LinearPrior
+from bundle.graph.problem_factors import check_factors
 from bundle.graph.spectrum import PriorSpectrum
 from bundle.graph.square_root_prior import SquareRootPrior
 
@@ -37,4 +38,5 @@ __all__ = [
     "ReprojectionFactor",
     "ScalarPriorFactor",
     "SquareRootPrior",
+    "check_factors",
 ]

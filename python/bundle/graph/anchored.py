@@ -129,6 +129,12 @@ class AnchoredFactor(Factor):
         assert self._spectrum is not None
         return self._spectrum
 
+    def alarm(self, largest: int) -> str:
+        """Return the warning of the spectrum; of more than `largest` columns only where known."""
+        if self._spectrum is None and len(self._matrix()) > largest:
+            return ""
+        return self.spectrum.warning
+
     def _display(self) -> Display:
         shown = super()._display()
         size = len(self._matrix())

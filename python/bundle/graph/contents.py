@@ -103,6 +103,11 @@ class GraphContents(Displayed):
         return self._tuples()[0]
 
     @property
+    def variables(self) -> Mapping[Key, Variable]:
+        """The variables by key."""
+        return dict(self._variables)
+
+    @property
     def factors(self) -> tuple[Factor, ...]:
         """The factors, in the order in which they were added."""
         return self._tuples()[1]

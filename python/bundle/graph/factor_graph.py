@@ -10,9 +10,10 @@ from bundle import _core
 from bundle.arguments import as_flag, check_function
 from bundle.display import Display
 from bundle.errors import InputError, brief
-from bundle.graph.check_factors import FactorCheck, check_factors
+from bundle.graph.check_solve import Conditioning, SolvedGraph, checked
 from bundle.graph.contents import factor_name
 from bundle.graph.digits import DigitsLeft
+from bundle.graph.factor_check import FactorCheck, check_each
 from bundle.graph.factors import Factor
 from bundle.graph.graph_options import GraphOptions
 from bundle.graph.graph_result import GraphResult
@@ -121,12 +122,15 @@ class FactorGraph(GraphMarginals):
         options = options.replace(num_threads=min(options.num_threads or cores, cores))
         as_core = options.asdict() | {"gauge": "none", "cheirality": "algebraic"}
         factors = list(self._factors)  # before the variables: the graph may grow meanwhile
-        keys = list(self._variables)
+        variables = dict(self._variables)
+        keys = list(variables)
         core = self._core(keys, factors=factors)
-        by_root, why = self._choose_square_root(square_root, options, core, factors)
+        by_root, why, conditioning = self._choose_square_root(square_root, options, core, factors)
         output = _core.solve_graph(*core, as_core, progress, by_root)
         if why:
             output["summary"]["linear_solver_choice"] = why
+        if options.check_solution:
+            output["summary"] = checked(output, SolvedGraph(variables, factors, core, conditioning))
         return GraphResult(
             values=dict(zip(keys, output["values"], strict=True)),
             options=options,
@@ -143,8 +147,8 @@ class FactorGraph(GraphMarginals):
 
     def _choose_square_root(
         self, wanted: bool | None, options: SolveOptions, core: Any, factors: list[Factor]
-    ) -> tuple[bool, str]:
-        """Return whether to solve by QR, and a sentence why if that was chosen here."""
+    ) -> tuple[bool, str, Conditioning | None]:
+        """Return whether to solve by QR, a sentence why if that was chosen here, and from what."""
         if wanted is not None:
             by_root = as_flag("square_root", wanted)
             for option in ("backend", "linear_solver_type"):
@@ -153,7 +157,7 @@ class FactorGraph(GraphMarginals):
                         f"{option}: expected auto with square_root, "
                         f"found {getattr(options, option)}"
                     )
-            return by_root, ""
+            return by_root, "", None
         variables = self._variables.values()
         free = sum(len(v.coordinates) - sum(v.held) for v in variables)
         if (
@@ -162,14 +166,16 @@ class FactorGraph(GraphMarginals):
             or any(len(v.lower) for v in variables)
             or any(factor.kind == "function" for factor in factors)
         ):
-            return False, ""
-        digits = DigitsLeft.of(*_core.graph_conditioning(*core))
+            return False, "", None
+        found = _core.graph_conditioning(*core)
+        digits = DigitsLeft.of(*found)
         if not digits.needs_square_root:
-            return False, ""
-        return True, (
+            return False, "", found
+        why = (
             f"Normal equations would leave {plural(digits.normal_equations, 'digit')} of a step, "
             f"a QR factorisation {digits.square_root}."
         )
+        return True, why, found
 
     def cost(self) -> float:
         """Return 1/2 sum rho(||r||^2) at the variables' values."""
@@ -200,7 +206,7 @@ class FactorGraph(GraphMarginals):
                 if id(factor) not in every:
                     raise InputError(f"factors: expected some of the graph, found {brief(factor)}")
             chosen = [every[id(factor)] for factor in wanted]
-        return check_factors(
+        return check_each(
             [(factor_name(i, self._factors[i]), *self._one(i)) for i in chosen], settings
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,9 @@ class FunctionFactor(Factor):
 
     kind = "function"
 
+    seconds_a_call = np.inf
+    """The least of all calls within solves."""
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "keys", as_keys("FunctionFactor: keys", self.keys))
         super().__post_init__()
@@ -77,7 +81,10 @@ class _CheckedFunction:
         self.num_residuals = 0
 
     def __call__(self, values: list[Array], jacobians: bool) -> tuple[Array, Any] | None:
+        began = perf_counter()
         answer = self.factor.function(values)
+        seconds = min(self.factor.seconds_a_call, perf_counter() - began)
+        self.factor._set("seconds_a_call", seconds)
         if not isinstance(answer, tuple | list) or len(answer) != 2:
             raise InputError(
                 f"{self.name}: expected (residual, list of Jacobians), "

@@ -15,20 +15,82 @@ A factor of an image of a rig moves its frame, and its sensor where that is refi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.arguments import check_type
 from bundle.errors import InputError, brief
+from bundle.graph.check_solve import spot_checked, time_for_checks
+from bundle.graph.contents import factor_name
+from bundle.graph.factor_check import FactorCheck
 from bundle.graph.factor_graph import FactorGraph
 from bundle.graph.factors import Factor
 from bundle.graph.variables import Array, Key, as_list
 from bundle.problem import Problem
 from bundle.problem_keys import ProblemKeys, parameter_names
+from bundle.solve_record import with_warnings
 
-__all__ = ["ProblemFactors"]
+__all__ = ["ProblemFactors", "check_factors", "checked_solve"]
 
 KINDS = ("image", "camera", "point", "frame", "sensor")
 _POSES = {"image": "cam_from_world", "frame": "rig_from_world", "sensor": "sensor_from_rig"}
+
+
+ADVICE = "bundle.check_factors(problem, factors)"
+
+
+def check_factors(problem: Problem, factors: Iterable[Factor], **settings: Any) -> FactorCheck:
+    """Check the Jacobians of factors of :func:`bundle.solve` as ``check_gradients`` does.
+
+    Args:
+        problem: checked at its values; left untouched.
+        factors: as :func:`bundle.solve` takes them.
+        **settings: of :meth:`bundle.FactorGraph.check_gradients`.
+
+    Returns:
+        A report that is true if all is well, and explains itself when printed.
+
+    Raises:
+        InputError: these are no factors, a key names nothing of the problem, a factor does not fit
+            its variables, or a function answers with wrong shapes.
+    """
+    check_type("problem", problem, Problem)
+    return ProblemFactors(problem, factors).graph.check_gradients(**settings)
+
+
+def checked_solve(
+    start: Problem, factors: Iterable[Factor], output: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the fields of a solve's summary, with a warning if a function's Jacobian is wrong.
+
+    Args:
+        start: what was solved.
+        factors: all of them.
+        output: what the core's solver returned.
+    """
+    named = [(factor_name(i, f), f) for i, f in enumerate(factors) if f.kind == "function"]
+    if not named:
+        return dict(output["summary"])
+    known = ProblemFactors(start, [factor for _, factor in named])
+    ends = known.values_in(output)
+    variables = {
+        key: variable.holding(_stayed(variable.value, ends[key], variable.manifold))
+        for key, variable in known.graph.variables.items()
+    }
+    if output["summary"]["num_successful_steps"] <= 1:  # the start alone
+        variables = dict(known.graph.variables)
+    seconds = time_for_checks(output)
+    sentence = spot_checked(output, named, variables, ends, seconds, ADVICE)
+    return with_warnings(output["summary"], {"wrong_factor": sentence})
+
+
+def _stayed(start: Array, end: Array, manifold: str) -> NDArray[np.bool_]:
+    """Return the numbers that a solve has held; what is held is for no Jacobian to know."""
+    same = np.abs(end - start) <= 1e-12 * np.abs(start).max(initial=1e-300)
+    return same if manifold == "euclidean" else np.full(6, same.all())
 
 
 class ProblemFactors:
@@ -53,6 +115,21 @@ class ProblemFactors:
             for key in factor.keys:
                 self._add(f"factor {position}, {factor.name}", key)
             self._graph.add_factor(factor)
+
+    @property
+    def graph(self) -> FactorGraph:
+        """The factors and their variables, at the problem's values."""
+        return self._graph
+
+    def values_in(self, output: Mapping[str, Any]) -> dict[Key, Array]:
+        """Return the values of the variables in what the core's solver returned, by key."""
+        arrays = {**_POSES, "camera": "camera_params", "point": "points"}
+        return {
+            key: np.asarray(output[arrays[kind]])[index][: len(value)]
+            for (kind, index), (key, value) in zip(
+                self._places, self._graph.values.items(), strict=True
+            )
+        }
 
     @property
     def factors(self) -> tuple[Factor, ...]:

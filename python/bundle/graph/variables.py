@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -102,6 +102,11 @@ class Variable:
         )
         _core.check_variable((*variable.core()[:-2], *bounds))
         return variable
+
+    def holding(self, held: NDArray[np.bool_]) -> Variable:
+        """Return the variable with these coordinates held beside those that are."""
+        flags = held | np.array(self.held or (False,) * len(held))
+        return replace(self, held=tuple(map(bool, flags)))
 
     def core(self) -> tuple[Any, ...]:
         """Return what ``_core`` takes; Ceres refuses bounds that are equal, which hold instead."""

@@ -22,11 +22,12 @@ from bundle.pose_graph.pose_graph_result import PoseGraphResult, PoseGraphSummar
 from bundle.pose_graph.starts import choose_start, lower_start, started
 from bundle.pose_graph.truncated_search import find_doubt
 from bundle.pose_graph_options import POSE_ERRORS, PoseGraphOptions
-from bundle.solve_record import Progress, record_fields
+from bundle.solve_record import Progress, record_fields, with_warnings
 from bundle.words import plural
 
 __all__ = ["initial_poses", "pose_graph_chi2", "solve_pose_graph"]
 
+SUSPICIOUS_STEPS = "suspicious_steps"
 SEVERAL_COMPONENTS = "several_components"
 LOCAL_MINIMUM = "local_minimum"
 BETTER_START = "better_start"
@@ -113,7 +114,9 @@ def _refined(
 
     record = record_fields(output)
     rejected = _rejected(graph, output, doubted, used)
+    advice = "the edges' Jacobians are bundle's own: please report it"
     warnings = {
+        SUSPICIOUS_STEPS: _core.watch_convergence(output["iterations"], advice),
         SEVERAL_COMPONENTS: _about_components(num_components),
     }
     if not output["summary"]["interrupted"] and used.max_num_iterations > 0:
@@ -124,7 +127,7 @@ def _refined(
         elif lower:
             warnings[BETTER_START] = f"Not converged: {lower}"
     summary = PoseGraphSummary(
-        **_with_warnings(output["summary"], warnings),
+        **with_warnings(output["summary"], warnings),
         num_rejected_edges=len(rejected),
         chi2_initial=float(output["chi2_before"].sum()),
         chi2_final=float(output["chi2_after"].sum()),
@@ -228,12 +231,3 @@ def _about_components(num_components: int) -> str:
         f"The graph has {held} that no edge joins: each floats by itself, about its fixed poses "
         "or its first one; where they are to each other is not known."
     )
-
-
-def _with_warnings(fields: dict[str, Any], sentences: dict[str, str]) -> dict[str, Any]:
-    """Return the fields of a summary with what is worth a warning; "" is not."""
-    said = {kind: sentence for kind, sentence in sentences.items() if sentence}
-    return fields | {
-        "warnings": (*fields["warnings"], *said.values()),
-        "warning_kinds": (*fields["warning_kinds"], *said),
-    }

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
-from bundle.graph.check_factors import _origin
+from bundle.graph.factor_check import _origin
 from bundle.graph.variables import Variable
 
 # Angles have the scale 1, translations that of their length, plain numbers their own.

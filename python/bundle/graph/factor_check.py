@@ -34,7 +34,7 @@ from bundle.graph.variables import Array, Variable
 from bundle.option_fields import number
 from bundle.words import plural
 
-__all__ = ["FactorCheck", "check_factors"]
+__all__ = ["FactorCheck", "check_each"]
 
 _SETTINGS = {"num_samples": 3, "radius": 0.1, "seed": 0, "tolerance": TOLERANCE}
 """What is used where nothing else is given."""
@@ -101,7 +101,7 @@ class FactorCheck(Displayed):
         )
 
 
-def check_factors(
+def check_each(
     factors: Sequence[tuple[str, list[Variable], FactorFunction]], settings: Mapping[str, Any]
 ) -> FactorCheck:
     """Check factors, given by name, variables and function of their values.

@@ -1,0 +1,171 @@
+"""Mistakes that sit in the layout of a block or in the rows are called by their names."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+import bundle
+from bundle import _core
+from tests.checking.reprojection import left_jacobian, skew
+from tests.checking.test_gradients import POINT, UNIT, rotate, transform
+
+
+def six(blocks, change, order):
+    """A point moved by rotation vector and translation, in either order, beside other numbers."""
+    pose, point = blocks
+    w, t = (pose[:3], pose[3:6]) if order == "rotation first" else (pose[3:6], pose[:3])
+    turn = Rotation.from_rotvec(w).as_matrix()
+    by_w = -skew(turn @ point) @ left_jacobian(w) @ change(w)
+    columns = [by_w, np.eye(3)] if order == "rotation first" else [np.eye(3), by_w]
+    residual = pose[6] * (turn @ point + t)
+    jacobian = np.hstack([*(pose[6] * c for c in columns), (residual / pose[6])[:, None]])
+    return residual, [jacobian, pose[6] * turn]
+
+
+CHANGES = {
+    "Exp(d) Exp(w)": lambda w: np.linalg.inv(left_jacobian(w)),
+    "Exp(w) Exp(d)": lambda w: np.linalg.inv(left_jacobian(-w)),
+    "the right Jacobian of SO(3)": lambda w: np.linalg.inv(left_jacobian(w)) @ left_jacobian(-w),
+}
+
+
+@pytest.mark.parametrize("order", ["rotation first", "translation first"])
+@pytest.mark.parametrize("words", CHANGES)
+def test_a_perturbation_is_named_in_a_block_that_is_not_split(words, order):
+    start = [np.array([0.3, -0.2, 0.5, 0.4, 0.7, -0.6, 1.5]), np.array([0.5, -0.4, 2.0])]
+    assert bundle.check_gradients(lambda b: six(b, lambda _: np.eye(3), order), start)
+    report = bundle.check_gradients(lambda b: six(b, CHANGES[words], order), start)
+    first = 0 if order == "rotation first" else 3
+    assert [(f.kind, f.columns) for f in report.findings] == [
+        ("perturbation", tuple(f"block 0 [{first + j}]" for j in range(3)))
+    ]
+    assert words in report.findings[0].sentence
+
+
+def twist_matrix(twist, turn, move):
+    matrix = np.zeros((4, 4))
+    matrix[:3, :3], matrix[:3, 3] = skew(twist[turn]), twist[move]
+    return expm(matrix)
+
+
+@pytest.mark.parametrize(("turn", "move"), [(slice(0, 3), slice(3, 6)), (slice(3, 6), slice(0, 3))])
+def test_a_perturbation_of_a_twist_is_named(turn, move):
+    """By d of Exp(d) Exp(twist), not by the twist's own numbers."""
+
+    def function(blocks):
+        moved = (twist_matrix(blocks[0], turn, move) @ [*POINT, 1])[:3]
+        jacobian = np.zeros((3, 6))
+        jacobian[:, turn], jacobian[:, move] = -skew(moved), np.eye(3)
+        return moved, [jacobian]
+
+    report = bundle.check_gradients(function, [[0.3, -0.2, 0.5, 0.4, 0.7, -0.6]])
+    assert report.kinds == {"perturbation"}
+    assert len(report.findings[0].columns) == 6
+
+
+@pytest.mark.parametrize("place", [0, 3])
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_a_tangent_jacobian_with_a_zero_column_is_named(place, scale):
+    def function(blocks, pad=True):
+        residual, (by_pose, by_point) = transform(blocks)
+        if pad:
+            by_rotation = -skew(residual - blocks[0][4:]) * scale
+            by_pose = np.hstack([np.insert(by_rotation, place, 0, axis=1), np.eye(3)])
+        return residual, [by_pose, by_point]
+
+    start = [np.append(UNIT, [1.0, 2.0, -3.0]), POINT]
+    report = bundle.check_gradients(function, start, ["se3", None])
+    assert [f.kind for f in report.findings] == ["padded"]
+    names = ["qx", "qy", "qz", "qw", "tx", "ty", "tz"]
+    assert report.findings[0].columns == tuple(f"block 0 {name}" for name in names)
+    assert bundle.check_gradients(lambda b: function(b, pad=False), start, ["se3", None])
+
+
+def test_a_padded_quaternion_and_one_that_lacks_a_column_are_told_apart():
+    def function(blocks, pad):
+        residual, (by_q, by_point) = rotate(blocks)
+        padded = np.hstack([-skew(residual), np.zeros((3, 1))])
+        by_q = padded if pad else by_q * [1, 1, 1, 0]
+        return residual, [by_q, by_point]
+
+    manifolds = ["quaternion_wxyz", None]
+    padded = bundle.check_gradients(lambda b: function(b, True), [UNIT, POINT], manifolds)
+    assert padded.kinds == {"padded"}
+    lacking = bundle.check_gradients(lambda b: function(b, False), [UNIT, POINT], manifolds)
+    assert lacking.kinds == {"zero"}
+
+
+def curve(blocks):
+    a, b, c = blocks[0]
+    times = np.array([0.0, 0.5, 1.0, 2.0])
+    e = np.exp(-b * times)
+    return a * e + c, [np.column_stack([e, -a * times * e, np.ones(4)])]
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [([1, 0, 2, 3], "swapped: 0 holds that of 1, 1"), ([1, 2, 0, 3], "in a wrong order")],
+)
+def test_rows_in_a_wrong_order_are_named(order, words):
+    def function(blocks):
+        residual, (jacobian,) = curve(blocks)
+        return residual, [jacobian[order]]
+
+    report = bundle.check_gradients(function, [[1.0, 0.7, 2.0]])
+    assert [f.kind for f in report.findings] == ["swapped_rows"]
+    assert words in report.findings[0].sentence
+
+
+def weighed(weights, of_residual):
+    """The weights on the residual, or on the Jacobian, alone."""
+
+    def function(blocks):
+        residual, (jacobian,) = curve(blocks)
+        if of_residual:
+            return weights @ residual, [jacobian]
+        return residual, [weights @ jacobian]
+
+    return bundle.check_gradients(function, [[1.0, 0.7, 2.0]])
+
+
+@pytest.mark.parametrize("of_residual", [True, False])
+def test_weights_on_one_side_alone_are_named(of_residual):
+    rng = np.random.default_rng(0)
+    diagonal = np.diag([10.0, 2, 3, 0.5])
+    for weights in (diagonal, np.linalg.cholesky(diagonal + 0.3 * np.ones((4, 4))).T):
+        report = weighed(weights, of_residual)
+        assert [f.kind for f in report.findings] == ["whitening"]
+        assert "square root of the information" in report.findings[0].sentence
+    (finding,) = weighed(10 * np.eye(4), of_residual).findings
+    assert finding.kind == "factor"
+    assert ("the residual alone" if of_residual else "the Jacobians alone") in finding.sentence
+    # A matrix that changes from point to point is another mistake.
+
+    def changing(blocks):
+        residual, (jacobian,) = curve(blocks)
+        return residual, [(np.eye(4) + 0.1 * rng.standard_normal((4, 4))) @ jacobian]
+
+    assert "whitening" not in bundle.check_gradients(changing, [[1.0, 0.7, 2.0]]).kinds
+
+
+def test_a_derivative_of_a_logarithm_without_its_jacobian_is_named():
+    measured = Rotation.from_rotvec([0.3, -0.5, 0.2])
+    weights = np.array([[3.0, 0.4, 0.1], [0, 2.0, -0.5], [0, 0, 5.0]])
+
+    def function(blocks, right):
+        b = Rotation.from_quat(blocks[0])
+        error = (measured.inv() * b).as_rotvec()
+        inverse = np.linalg.inv(left_jacobian(-error)) if right else np.eye(3)
+        return weights @ error, [weights @ inverse]
+
+    graph = bundle.FactorGraph()
+    graph.add_variable(
+        "b", _core.retract("so3", measured.as_quat(), np.array([0.2, 0.4, -0.3])), "so3"
+    )
+    for right in (True, False):
+        graph.add_factor(bundle.FunctionFactor(["b"], lambda v, right=right: function(v, right)))
+    report = graph.check_gradients()
+    assert [r.kinds for r in report.reports.values()] == [{"correct"}, {"logarithm"}]
