@@ -71,12 +71,22 @@ class CovarianceComputation {
     FindRigs();
     for (const NullPoint& null : system_.null_points()) output_.null_points.push_back(null.point);
     output_.warnings = system_.warnings();
+    WarnOfTriangle();
     return std::move(output_);
   }
 
  private:
   const ParameterLayout& layout() const { return system_.layout(); }
   const ProblemView& view() const { return centered_.view(); }
+
+  /// Three points that the gauge holds hold the shape of their triangle as well (gauge.cpp).
+  void WarnOfTriangle() {
+    if (SelectFreeParameters(view(), options_).point == layout().free().point) return;
+    Warn(WarningKind::kGaugeNotHeld,
+         "Gauge three_points holds 2 numbers more than are free, the shape of a triangle: all "
+         "covariances are too small. Use inner or two_cameras.",
+         &output_.warnings);
+  }
 
   void CountResiduals() {
     output_.weighted_squares = system_.point_sums().squares;

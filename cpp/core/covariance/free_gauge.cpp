@@ -120,18 +120,28 @@ void FreeGauge::Take(const GaugeSums& sums) {
   of_points_ = combinations_.transpose() * sums.weighted() * combinations_;
 }
 
-FreeGauge::PointRows FreeGauge::OfPoint(int point) const {
-  PointRows rows = moves_.OfPoint(point).lazyProduct(combinations_);
+const NullPoint* FreeGauge::FindNullPoint(int point) const {
   const std::vector<NullPoint>& null = system_.null_points();
   const auto at = std::lower_bound(null.begin(), null.end(), point,
                                    [](const NullPoint& a, int b) { return a.point < b; });
-  if (at != null.end() && at->point == point) {
-    rows -= (Eigen::Map<const Eigen::Matrix3d>(at->projector) * rows).eval();
+  return at != null.end() && at->point == point ? &*at : nullptr;
+}
+
+FreeGauge::PointRows FreeGauge::OfPoint(int point) const {
+  if (FindNullPoint(point) != nullptr) return PointRows::Zero(3, degrees());
+  return moves_.OfPoint(point).lazyProduct(combinations_);
+}
+
+FreeGauge::PointRows FreeGauge::OfAnyPoint(int point) const {
+  PointRows rows = moves_.OfPoint(point).lazyProduct(combinations_);
+  if (const NullPoint* const null = FindNullPoint(point); null != nullptr) {
+    rows -= (Eigen::Map<const Eigen::Matrix3d>(null->projector) * rows).eval();
   }
   return rows;
 }
 
-void FreeGauge::Project(FullVectors* x) const {
+template <typename Left, typename Right>
+void FreeGauge::Remove(const Left& left, const Right& right, FullVectors* x) const {
   const int n = moves_.num_unknowns(), num_points = system_.problem().num_points;
   Eigen::Map<Eigen::MatrixXd> cameras(x->cameras.data(), n, x->num_columns);
   Eigen::Map<Eigen::MatrixXd> points(x->points.data(), 3 * Eigen::Index{num_points},
@@ -142,9 +152,17 @@ void FreeGauge::Project(FullVectors* x) const {
       if (system_.layout().point_is_free(p)) visit(points.middleRows(3 * Eigen::Index{p}, 3), p);
     }
   };
-  for_points([&](auto of_point, int p) { along += OfPoint(p).transpose() * of_point; });
+  for_points([&](auto of_point, int p) { along += right(p).transpose() * of_point; });
   cameras -= Multiply(cameras_, along);
-  for_points([&](auto of_point, int p) { of_point -= OfPoint(p) * along; });
+  for_points([&](auto of_point, int p) { of_point -= left(p) * along; });
+}
+
+void FreeGauge::Project(FullVectors* x) const {
+  Remove([this](int p) { return OfAnyPoint(p); }, [this](int p) { return OfPoint(p); }, x);
+}
+
+void FreeGauge::ProjectTransposed(FullVectors* x) const {
+  Remove([this](int p) { return OfPoint(p); }, [this](int p) { return OfAnyPoint(p); }, x);
 }
 
 Eigen::MatrixXd FreeGauge::HeldDirections() const {

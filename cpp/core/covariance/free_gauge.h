@@ -28,6 +28,16 @@
 /// C' = (H^+)_cc, a point's block is (scatter_gauge.h, where M = H, P = V and E = 0)
 ///
 ///   (H^+)_pp = V_p^-1 + Y_p^T C' Y_p - N_p N_p^T V_p^-1 - V_p^-1 N_p N_p^T.
+///
+/// A point without parallax is anywhere on its ray, 1e7 scenes away perhaps, where a turn of the
+/// world moves it by as much: with it in the trace, the world would be held by the directions of
+/// such points alone. They are left out: with E the identity without their rows,
+///
+///   P = I - N (E N)^T,    (E N)^T N = I,
+///
+/// and all of the above holds for the other points with E N in the place of N where it is summed
+/// up: in N^T N, K, A and, of the sandwich, in what points add. It is the covariance whose trace
+/// over all but these points is the least.
 
 #include <Eigen/Core>
 #include <vector>
@@ -59,13 +69,21 @@ class FreeGauge {
   const SimilarityMoves& moves() const { return moves_; }
   /// Of the seven, 7 x kMoves, padded with zeros: N is what these combinations do.
   const double* combinations() const { return padded_.data(); }
-  /// N_p of a point, without what nothing says of it: 3 x d.
+  /// N_p of a point, 3 x d; of one without parallax zero, (E N)_p.
   using PointRows = Eigen::Matrix<double, 3, Eigen::Dynamic, Eigen::ColMajor, 3, kSimilarities>;
   PointRows OfPoint(int point) const;
-  /// x - N N^T x, of each column.
+  /// P x, of each column.
   void Project(FullVectors* x) const;
+  /// P^T x, of each column.
+  void ProjectTransposed(FullVectors* x) const;
 
  private:
+  const NullPoint* FindNullPoint(int point) const;  ///< nullptr: it has parallax
+  /// N_p of a point, without what nothing says of it: 3 x d.
+  PointRows OfAnyPoint(int point) const;
+  /// x - L R^T x, by the parts of L and R at points; those of cameras are N_c.
+  template <typename Left, typename Right>
+  void Remove(const Left& left, const Right& right, FullVectors* x) const;
   void Take(const GaugeSums& sums);
 
   const ReducedSystem& system_;

@@ -115,7 +115,7 @@ void GaugeSums::AddPoint(int point, const PointBlocks& blocks, const PointAssemb
                          int thread) {
   using Rows3 = Eigen::Matrix<double, 3, kSimilarities>;
   Sums& sums = of_thread_[thread];
-  Rows3 n = moves_.OfPoint(point);
+  const Rows3 n = moves_.OfPoint(point);
   for (int i = 0; i < rows.num_rows(); ++i) {
     const ObservationRows& of = rows.row(i);
     for (int row = 0; row < 2; ++row) {
@@ -123,11 +123,7 @@ void GaugeSums::AddPoint(int point, const PointBlocks& blocks, const PointAssemb
       sums.triangle.Add(ByCameras(of, row), j[0] * n.row(0) + j[1] * n.row(1) + j[2] * n.row(2));
     }
   }
-  // What nothing says of a point is no part of the world's freedom.
-  if (blocks.num_null > 0) {
-    const Rows3 null = Eigen::Map<const Matrix3>(blocks.null_projector) * n;
-    n -= null;
-  }
+  if (blocks.num_null > 0) return;  // no part of the constraints
   const Rows3 weighted = Eigen::Map<const Matrix3>(blocks.inverse) * n;
   sums.weighted += n.transpose() * weighted;
   sums.squares += n.transpose() * n;

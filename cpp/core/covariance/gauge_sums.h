@@ -7,7 +7,9 @@
 /// the scene. Summed up are J N, as the triangle of its QR factorisation, beside the parts of its
 /// rows, and, with Y_p = W_p V_p^-1 (point_blocks.h),
 ///
-///   sum Y_p N_p,     sum N_p^T V_p^-1 N_p,     sum N_p^T N_p.
+///   sum Y_p N_p,     sum N_p^T V_p^-1 N_p,     sum N_p^T N_p,
+///
+/// these three without the points that have no parallax (free_gauge.h).
 ///
 /// Combinations N T of the seven have the same sums, times T.
 
@@ -79,7 +81,7 @@ class GaugeSums {
   GaugeSums(const ProblemView& problem, const ParameterLayout& layout, const CameraStates& states,
             int num_threads);
 
-  /// Adds a free point, on one of the threads.
+  /// Adds a free point, on one of the threads; of one without parallax its rows of J N alone.
   void AddPoint(int point, const PointBlocks& blocks, const PointAssembler& rows, int thread);
   /// Adds what a pass over many points found but its rows of J N, which came by AddRow, and what it
   /// eliminated of the images.

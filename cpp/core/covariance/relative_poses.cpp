@@ -26,16 +26,14 @@ CovarianceComputation::Matrix CovarianceComputation::ColumnsOfImage(int image) {
     with_points.cameras.assign(rhs.data(), rhs.data() + rhs.size());
     with_points.points.assign(18 * size_t(view().num_points), 0.0);
     FullVectors once, twice;
-    const auto without_gauge = [&](FullVectors* of) {
-      if (constraints_ != nullptr) gauge_->Project(of);
+    const auto solve = [&](FullVectors* to) {  // P G P^T
+      if (constraints_ != nullptr) gauge_->ProjectTransposed(&with_points);
+      Check(system_.Solve(with_points, to));
+      if (constraints_ != nullptr) gauge_->Project(to);
     };
-    without_gauge(&with_points);
-    Check(system_.Solve(with_points, &once));
-    without_gauge(&once);
+    solve(&once);
     with_points = MeatTimes(system_, once);
-    without_gauge(&with_points);
-    Check(system_.Solve(with_points, &twice));
-    without_gauge(&twice);
+    solve(&twice);
     x = Eigen::Map<const Eigen::MatrixXd>(twice.cameras.data(), n, 6);
   }
   Matrix columns = x;

@@ -29,6 +29,7 @@ from bundle.uncertainty.covariance_choices import (
     parts_of,
 )
 from bundle.uncertainty.covariance_result import Covariance
+from bundle.uncertainty.far_points import note_on_far_points
 from bundle.uncertainty.graph_covariance import GraphCovariance, graph_covariance
 from bundle.words import number
 
@@ -100,10 +101,12 @@ def covariance(
     of Baarda; Triggs et al. 2000, section 9); what is fixed, priors and metric rigs are found to
     hold what they hold. "two_cameras" and "three_points" hold what the same gauges of a solve do,
     so that these images or points have none. "none": priors and fixed parts hold everything.
-    Angles, ratios of lengths and relative poses, but for the scale, do not depend on it.
+    Angles, ratios of lengths and relative poses, but for the scale, do not depend on it, with one
+    exception: "three_points" holds two numbers more than are free, the shape of a triangle, which
+    makes all covariances smaller than they are. A note says so.
 
     Points without parallax are left out along the direction that nothing sees, exactly and without
-    damping: ``null_point_ids`` names them.
+    damping: ``null_point_ids`` names them. They take no part in the inner constraints.
 
     Of a pose graph, the result of a solve of one, or a g2o file the result is a
     :class:`GraphCovariance`: of each pose, a right perturbation X Exp(d) in the frame of the body,
@@ -252,6 +255,10 @@ class _Recipe:
             )
         sigma0 = float(np.sqrt(out["weighted_squares"] / dof)) if dof > 0 else float("nan")
         notes = list(out["warnings"])
+        if out["gauge_degrees"] > 0 and (
+            far := note_on_far_points(ready.start, out["null_points"])
+        ):
+            notes.append(far)
         cost = 0.5 * out["weighted_squares"]
         # Control points start where the rays of their pixels meet, not where a solve had put them.
         if ready.placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
