@@ -525,3 +525,23 @@ def test_the_command(run, tmp_path):
     code, _, err = run(*line, "--rest", "marginal")
     assert code == 2
     assert err.startswith("error: --rest: ")
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_deterministic_priors_do_not_depend_on_threads(seed):
+    problem = make_problem(num_images=8, num_points=120, seed=seed, track=4)
+    named = problem.image_ids[2:5].tolist()
+    ends = {
+        threads: bundle.solve_rounds(
+            problem,
+            num_rounds=0,
+            only_images=named,
+            rest="marginal",
+            deterministic=True,
+            num_threads=threads,
+            max_num_iterations=5,
+        ).problem
+        for threads in (1, 2)
+    }
+    for name in ("points", "cam_from_world", "camera_params"):
+        assert getattr(ends[1], name).tobytes() == getattr(ends[2], name).tobytes()

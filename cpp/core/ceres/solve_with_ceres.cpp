@@ -112,9 +112,9 @@ class CeresSolve {
         warnings_(std::move(prepared.warnings)),
         layout_(std::move(prepared.layout)),
         states_(problem, layout_),
-        points_(problem.points, problem.points + 3 * static_cast<int64_t>(problem.num_points)),
-        state_(layout_.InitialState(problem)),
-        update_states_(state_.data(), &states_, &watch_, &active_bounds_, &lengths_, &abandonment_),
+        num_coordinates_(3 * static_cast<int64_t>(problem.num_points)),
+        numbers_(StartNumbers(problem, layout_)),
+        update_states_(State(), &states_, &watch_, &active_bounds_, &lengths_, &abandonment_),
         context_{problem_, layout_, states_, options.cheirality, &watch_, &abandonment_.happened},
         loss_(MakeLoss(options.loss, options.loss_scale)) {}
 
@@ -128,8 +128,7 @@ class CeresSolve {
     ceres_options.num_threads =
         UseOneThread() ? 1 : CountStartableThreads(ceres_options.num_threads);
     ThrowIfInterrupted();
-    lengths_.Add(points_.data(), points_.size());
-    lengths_.Add(state_.data(), state_.size());
+    lengths_.Add(numbers_.data(), numbers_.size());
     ReportProgress report(progress, fixed_cost_, lengths_, abandonment_.happened);
     RememberAnchors remember_anchors(states_);
     ceres_options.callbacks.push_back(&remember_anchors);
@@ -167,7 +166,7 @@ class CeresSolve {
       if (layout_.point_is_free(p)) ceres_problem_->AddParameterBlock(PointData(p), 3);
     }
     for (const CameraBlock& block : layout_.blocks()) {
-      ceres_problem_->AddParameterBlock(state_.data() + block.offset, block.size);
+      ceres_problem_->AddParameterBlock(State() + block.offset, block.size);
     }
     AddBounds();
     costs_.reserve(problem_.num_observations);
@@ -199,7 +198,7 @@ class CeresSolve {
     std::vector<double*> blocks;
     for (const int point : charted.unknowns().points) blocks.push_back(PointData(point));
     for (const int block : charted.unknowns().blocks) {
-      blocks.push_back(state_.data() + layout_.blocks()[block].offset);
+      blocks.push_back(State() + layout_.blocks()[block].offset);
     }
     num_residuals_ += charted.num_residuals();
     factor_losses_.push_back(MakeLoss(factor.loss(), factor.loss_scale()));
@@ -217,7 +216,7 @@ class CeresSolve {
         const auto first = of.begin() + block.offset;
         return std::vector<double>(first, first + block.size);
       };
-      active_bounds_.Add(ceres_problem_.get(), state_.data() + block.offset,
+      active_bounds_.Add(ceres_problem_.get(), State() + block.offset,
                          {part(bounds.lower), part(bounds.upper)}, inexact);
     }
   }
@@ -229,7 +228,7 @@ class CeresSolve {
     int num_blocks = 0;
     if (layout_.point_is_free(point)) blocks[num_blocks++] = PointData(point);
     for (const int index : layout_.blocks_of(image)) {
-      if (index >= 0) blocks[num_blocks++] = state_.data() + layout_.blocks()[index].offset;
+      if (index >= 0) blocks[num_blocks++] = State() + layout_.blocks()[index].offset;
     }
     std::unique_ptr<ceres::CostFunction> cost = MakeReprojectionCost(context_, i);
     if (num_blocks == 0) {
@@ -277,8 +276,8 @@ class CeresSolve {
       result.max_linear_solver_iterations = static_cast<int>(
           std::min<int64_t>(result.max_linear_solver_iterations, shape.num_camera_columns));
     }
-    result.linear_solver_ordering = MakeOrdering(options.linear_solver_ordering, problem_, layout_,
-                                                 points_.data(), state_.data());
+    result.linear_solver_ordering =
+        MakeOrdering(options.linear_solver_ordering, problem_, layout_, numbers_.data(), State());
     return result;
   }
 
@@ -300,12 +299,12 @@ class CeresSolve {
       output->iterations.back().changes_what_counts =
           record_changes_.iterations().count(iteration.iteration) > 0;
     }
-    states_.Update(state_.data());
+    states_.Update(State());
     output->cam_from_world = states_.CamFromWorld();
     output->rig_from_world = states_.RigFromWorld();
     output->sensor_from_rig = states_.SensorFromRig();
     output->camera_params = states_.camera_params();
-    output->points = std::move(points_);
+    output->points.assign(numbers_.data(), State());
     if (options_.check_solution) {
       output->summary.num_information_nonzeros = NumInformationNonzeros(problem_, layout_);
     }
@@ -313,7 +312,17 @@ class CeresSolve {
                 output);
   }
 
-  double* PointData(int point) { return points_.data() + 3 * static_cast<int64_t>(point); }
+  static std::vector<double> StartNumbers(const ProblemView& problem,
+                                          const ParameterLayout& layout) {
+    const std::vector<double> state = layout.InitialState(problem);
+    std::vector<double> numbers(problem.points,
+                                problem.points + 3 * static_cast<int64_t>(problem.num_points));
+    numbers.insert(numbers.end(), state.begin(), state.end());
+    return numbers;
+  }
+
+  double* PointData(int point) { return numbers_.data() + 3 * static_cast<int64_t>(point); }
+  double* State() { return numbers_.data() + num_coordinates_; }
 
   const ProblemView& problem_;
   const SolveOptions& options_;
@@ -323,8 +332,10 @@ class CeresSolve {
   CameraStates states_;
   HoldingWatch watch_;
   RecordChanges record_changes_{&watch_};
-  std::vector<double> points_;
-  std::vector<double> state_;
+  const int64_t num_coordinates_;  ///< of points
+  /// Coordinates of the points, then the state. Ceres orders what it eliminates by address: apart,
+  /// the two would stand in either order, and results would end in other digits.
+  std::vector<double> numbers_;
   Abandonment abandonment_;
   ActiveBounds active_bounds_;
   StepLengths lengths_;

@@ -32,11 +32,8 @@ void RefuseBeyondMemory(double numbers, const std::string& what) {
                    " free; name fewer images, or use fixed");
 }
 
-EliminatedPart::EliminatedPart(const ReducedSystem& whole, const std::vector<double>& diagonal,
-                               const SolveOptions& options)
-    : whole_(whole),
-      diagonal_(diagonal),
-      threads_(options.deterministic ? 1 : whole.num_threads()) {}
+EliminatedPart::EliminatedPart(const ReducedSystem& whole, const std::vector<double>& diagonal)
+    : whole_(whole), diagonal_(diagonal), threads_(whole.num_threads()) {}
 
 void EliminatedPart::Take(const std::vector<uint8_t>& is_kept, std::vector<int>* place) {
   const BlockStructure& s = whole_.structure();

@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "core/covariance/reduced_system.h"
-#include "core/interface/options.h"
 #include "core/linear/linear_solver.h"
 
 namespace bundle {
@@ -19,8 +18,7 @@ void RefuseBeyondMemory(double numbers, const std::string& what);
 class EliminatedPart {
  public:
   /// Keeps references to `whole` and to `diagonal`, of its J^T J.
-  EliminatedPart(const ReducedSystem& whole, const std::vector<double>& diagonal,
-                 const SolveOptions& options);
+  EliminatedPart(const ReducedSystem& whole, const std::vector<double>& diagonal);
 
   /// Takes the unknowns with `is_kept` zero; `place` becomes the place of each in this part, or -1.
   void Take(const std::vector<uint8_t>& is_kept, std::vector<int>* place);

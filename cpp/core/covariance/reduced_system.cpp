@@ -44,12 +44,13 @@ ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& opt
 ReducedSystem::ReducedSystem(const ProblemView& problem, const SolveOptions& options,
                              PreparedSolve prepared, bool sums_gauge)
     : problem_(problem),
-      num_threads_(EffectiveNumThreads(options.num_threads)),
+      // Sums over points are one per thread, rounded by which points it has.
+      num_threads_(options.deterministic ? 1 : EffectiveNumThreads(options.num_threads)),
       warnings_(std::move(prepared.warnings)),
       layout_(std::move(prepared.layout)),
       view_(problem) {
   RefuseUnsupported(prepared);
-  Order(options);
+  Order();
   evaluator_ = std::make_unique<ObservationEvaluator>(problem_, layout_, options);
   tracks_ = PointAssembler::FindTracks(problem_, layout_, states());
   OrderPoints();
@@ -73,21 +74,20 @@ ReducedSystem::~ReducedSystem() = default;
 /// elimination tree, and what a level rounds is multiplied by those below it. An order from one end
 /// of a drive to the other makes a path of the tree: of 400 images with a lens each, some variances
 /// come out negative, of 800, 1e36 times too large. Dissected, the tree has the logarithm's depth.
-void ReducedSystem::Order(const SolveOptions& options) {
+void ReducedSystem::Order() {
   if (HasMemoryLimit()) TakeBlasBuffers();
-  const int threads = options.deterministic ? 1 : num_threads_;
   std::vector<int> sizes;
   for (const CameraBlock& block : layout_.blocks()) sizes.push_back(block.size);
   if (layout_.state_size() < kUnknownsWorthALook) {
     structure_ = DenseStructure(sizes);
-    solver_ = MakeDenseSolver(structure_, threads);
+    solver_ = MakeDenseSolver(structure_, num_threads_);
     return;
   }
   structure_ = SparseStructure(sizes, FindCoupledBlocks(problem_, layout_, num_threads_));
   const FillOrdering ordering = FindFillOrdering(structure_, "metis");
   layout_.Reorder(ordering.order);
   structure_ = bundle::Reorder(structure_, ordering.order);
-  solver_ = MakeSparseSolver(ordering, threads, &structure_);
+  solver_ = MakeSparseSolver(ordering, num_threads_, &structure_);
   RefuseTooMuchMemory(LinearSolverType::kSparseSchur,
                       sizeof(double) * static_cast<double>(structure_.num_values));
 }

@@ -172,7 +172,7 @@ class ReducedSystem {
  private:
   ReducedSystem(const ProblemView& problem, const SolveOptions& options, PreparedSolve prepared,
                 bool sums_gauge);
-  void Order(const SolveOptions& options);
+  void Order();
   void OrderPoints();
   void FindNullPoints();
   void AddResiduals(int point, const PointBlocks& blocks, const PointAssembler& rows,

@@ -176,7 +176,7 @@ RestInformation MarginalizeRest(const ProblemView& problem, const SolveOptions& 
     kept_place[rows[k].unknown] = k;
   }
   const std::vector<double> diagonal = JacobianDiagonal(system);
-  EliminatedPart part(system, diagonal, options);
+  EliminatedPart part(system, diagonal);
   part.Take(is_kept, &place);
   part.Factorize();
   result.num_eliminated = part.size();
@@ -195,7 +195,7 @@ RestInformation MarginalizeRest(const ProblemView& problem, const SolveOptions& 
     if (place[u] >= 0) s_ab[num_a * num_b + place[u]] = system.rhs()[u];
     if (kept_place[u] >= 0) s_bb[num_b * num_b + kept_place[u]] = system.rhs()[u];
   }
-  const ScopedBlasThreads blas_threads(options.deterministic ? 1 : system.num_threads());
+  const ScopedBlasThreads blas_threads(system.num_threads());
   std::vector<double> b, x;
   for (size_t first = 0; first < num_b + 1; first += kColumns) {
     const size_t count = std::min<size_t>(kColumns, num_b + 1 - first);
