@@ -52,7 +52,7 @@ def flight(
         settings: of the control points.
     """
     rng = np.random.default_rng(seed)
-    targets = np.array(targets, float)
+    targets = np.array(targets, float).reshape(-1, 3)
     side = int(np.sqrt(num_images))
     grid = 16.0 * (np.indices((side, side)).reshape(2, -1).T - (side - 1) / 2)
     centers = np.column_stack([grid, 60 + rng.normal(size=len(grid))])

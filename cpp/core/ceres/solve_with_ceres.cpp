@@ -10,6 +10,7 @@
 
 #include "core/ceres/active_bounds.h"
 #include "core/ceres/cost_functions.h"
+#include "core/ceres/settle_factors.h"
 #include "core/ceres/translate.h"
 #include "core/checking/check_solution.h"
 #include "core/interface/summary.h"
@@ -52,6 +53,9 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
     }
     watch_->is_at_candidate.store(!is_at_state);
   }
+
+  /// Another solve follows.
+  void Restart() { has_start_ = false; }
 
  private:
   const double* state_;
@@ -141,6 +145,9 @@ class CeresSolve {
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, ceres_problem_.get(), &summary);
     states_.SetAnchors(remember_anchors.AtEnd(summary));
+    if (!factor_costs_.empty() && EndedByTolerance(summary)) {
+      Settle(std::move(ceres_options), &report, &summary);
+    }
     abandonment_.exception.Rethrow();
     if (abandonment_.happened) ForgetAbandonedStep(&summary);
     SolveOutput output;
@@ -176,6 +183,20 @@ class CeresSolve {
     for (const auto& factor : problem_.factors->factors) AddFactor(*factor);
   }
 
+  void Settle(ceres::Solver::Options options, ReportProgress* report,
+              ceres::Solver::Summary* summary) {
+    update_states_.Restart();
+    lengths_.Restart();
+    RememberAnchors remember_anchors(states_);
+    options.linear_solver_ordering = MakeOrdering(options_.linear_solver_ordering, problem_,
+                                                  layout_, points_.data(), state_.data());
+    const auto anchors = states_.anchors();
+    const bool went_on = SettleFactors(factor_costs_, std::move(options),
+                                       {&remember_anchors, &record_changes_, &lengths_, report},
+                                       ceres_problem_.get(), summary);
+    states_.SetAnchors(went_on ? remember_anchors.AtEnd(*summary) : anchors);
+  }
+
   /// Of a factor that is not safe for threads, Ceres would evaluate none at the same time as
   /// others.
   bool UseOneThread() {
@@ -204,6 +225,8 @@ class CeresSolve {
     factor_losses_.push_back(MakeLoss(factor.loss(), factor.loss_scale()));
     costs_.push_back(active_bounds_.Wrap(MakeFactorCost(std::move(charted), states_, &abandonment_),
                                          factor_losses_.back().get(), blocks));
+    factor_costs_.Add(KindOf(factor, problem_), *costs_.back(), factor_losses_.back().get(),
+                      blocks);
     ceres_problem_->AddResidualBlock(costs_.back().get(), factor_losses_.back().get(), blocks);
   }
 
@@ -344,6 +367,7 @@ class CeresSolve {
   std::unique_ptr<ceres::LossFunction> loss_;
   std::vector<std::unique_ptr<ceres::LossFunction>> factor_losses_;
   std::vector<std::unique_ptr<ceres::CostFunction>> costs_;
+  KindCosts factor_costs_;
   int64_t num_residuals_ = 0;
   std::unique_ptr<ceres::Problem> ceres_problem_;
   double fixed_cost_ = 0;

@@ -19,6 +19,9 @@ class StepLengths final : public ceres::IterationCallback {
   /// Numbers that a solve changes. They stay where they are.
   void Add(const double* values, size_t size) { values_.push_back({values, size}); }
 
+  /// Another solve follows.
+  void Restart() { has_accepted_ = false; }
+
   /// Call before each evaluation, with the values of the state or of a candidate in place.
   void Evaluate(bool is_at_state) {
     if (has_accepted_) return;

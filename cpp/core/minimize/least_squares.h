@@ -53,6 +53,9 @@ struct Candidate {
   /// What the order in which costs are summed up may change in their difference, with a margin; 0:
   /// it is the same in all orders that occur.
   double cost_uncertainty = 0;
+  bool has_factors = false;  ///< beside the observations
+  /// Largest change of the cost of one kind of these, relative to its own cost.
+  double factors_change = 0;
 };
 
 /// The step d of the last Newton or dogleg step, not projected.

@@ -22,6 +22,8 @@ namespace bundle {
 namespace {
 
 constexpr double kMaxRadius = 1e16;
+/// Where directions are free, rounding moves them by its 1e-16 times the radius.
+constexpr double kWideRadius = 1e12;
 constexpr double kForcingTerm = 0.1;  // Ceres' eta
 
 }  // namespace
@@ -44,6 +46,13 @@ void LevenbergMarquardt::StepRejected() {
   radius_ /= decrease_factor_;
   decrease_factor_ *= 2;
   damping_has_changed_ = true;
+}
+
+bool LevenbergMarquardt::Widen() {
+  if (radius_ >= kWideRadius) return false;
+  radius_ = kWideRadius;
+  damping_has_changed_ = true;
+  return true;
 }
 
 std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type, double initial_radius) {

@@ -35,6 +35,10 @@ class Strategy {
   virtual void StepIsInvalid() = 0;
 
   virtual double Radius() const = 0;
+
+  /// Takes nearly all damping out of the steps that follow, at this x first; false where there was
+  /// none to speak of.
+  virtual bool Widen() { return false; }
 };
 
 std::unique_ptr<Strategy> MakeStrategy(TrustRegionStrategy type, double initial_radius);
@@ -49,6 +53,7 @@ class LevenbergMarquardt final : public Strategy {
   void StepRejected() override;
   void StepIsInvalid() override { StepRejected(); }
   double Radius() const override { return radius_; }
+  bool Widen() override;
 
  private:
   double radius_;

@@ -12,6 +12,13 @@
 /// * The record of a rejected step has the candidate's cost, its change, and the gradient at x; a
 ///   candidate whose cost is not finite costs DBL_MAX. That of an invalid step has the cost at x,
 ///   and zeros. The radius in a record is that of the next step.
+///
+/// One thing is not Ceres'. Thousands of pixels drown a few factors beside them, such as the
+/// positions that alone say where a model is: what is left to go for these changes the cost by less
+/// than the function tolerance, or is hidden by damping that is small beside the pixels and large
+/// beside them. So a solve with factors that meets a tolerance goes on once more, nearly without
+/// damping, until a step changes the cost of no kind of factors by more than the function tolerance
+/// of its own. That step is taken (ceres/settle_factors.h: Ceres tells of it only then).
 
 #include <algorithm>
 #include <array>
@@ -33,6 +40,8 @@ namespace {
 constexpr double kMinRelativeDecrease = 1e-3;
 constexpr double kMinRadius = 1e-32;
 constexpr int kMaxConsecutiveInvalidSteps = 10;
+/// Of the cost: a smaller change is lost in rounding.
+constexpr double kLostChange = 1e-12;
 
 constexpr double kNoCost = std::numeric_limits<double>::max();
 
@@ -91,8 +100,8 @@ class TrustRegion {
     record_.iteration_time_in_seconds = SecondsSince(iteration_start_);
     record_.cumulative_time_in_seconds = SecondsSince(start_);
     minimum_.iterations.push_back(record_);
-    return !StoppedByUser() && !MaxNumIterationsReached() && !GradientToleranceReached() &&
-           !MinRadiusReached();
+    return !StoppedByUser() && !FactorsHaveSettled() && !MaxNumIterationsReached() &&
+           !GradientToleranceReached() && !MinRadiusReached();
   }
 
   /// Tries a step; true if there is an iteration to record.
@@ -131,10 +140,20 @@ class TrustRegion {
     record_.step_norm = candidate.step_norm;
     record_.changes_what_counts = candidate.changes_what_counts;
     record_.cost_change = x_cost_ - candidate.cost;
+    const bool ends = ParameterToleranceIsMet() || FunctionToleranceIsMet();
+    if (ends && candidate.has_factors && !is_settling_) {
+      is_settling_ = true;
+      has_succeeded_ = false;
+      if (strategy_->Widen()) return TryStep();
+    }
     if (ParameterToleranceReached() || FunctionToleranceReached()) return false;
 
     record_.relative_decrease = RelativeDecrease(candidate);
-    if (record_.relative_decrease > kMinRelativeDecrease) return HandleSuccessfulStep(candidate);
+    if (record_.relative_decrease > kMinRelativeDecrease) {
+      factors_are_settled_ = is_settling_ && FunctionToleranceIsMet() &&
+                             candidate.factors_change <= options_.function_tolerance;
+      return HandleSuccessfulStep(candidate);
+    }
     record_.cost = candidate.cost;
     strategy_->StepRejected();
     return true;
@@ -224,21 +243,33 @@ class TrustRegion {
                     AtMost(record_.trust_region_radius, kMinRadius));
   }
 
+  double StateSize() const { return problem_.StateNorm() + options_.parameter_tolerance; }
+
+  bool ParameterToleranceIsMet() const {
+    return has_succeeded_ && !(record_.step_norm > options_.parameter_tolerance * StateSize());
+  }
+
+  bool FunctionToleranceIsMet() const {
+    return !(std::abs(record_.cost_change) > options_.function_tolerance * x_cost_);
+  }
+
   bool ParameterToleranceReached() {
-    if (!has_succeeded_) return false;
-    const double tolerance = options_.parameter_tolerance;
-    const double size = problem_.StateNorm() + tolerance;
-    if (record_.step_norm > tolerance * size) return false;
+    if (!ParameterToleranceIsMet()) return false;
     return Converge("Parameter tolerance reached. Relative step_norm: " +
-                    AtMost(record_.step_norm / size, tolerance) + ".");
+                    AtMost(record_.step_norm / StateSize(), options_.parameter_tolerance) + ".");
   }
 
   bool FunctionToleranceReached() {
     const double change = std::abs(record_.cost_change);
-    const double tolerance = options_.function_tolerance;
-    if (change > tolerance * x_cost_) return false;
+    if (!FunctionToleranceIsMet() || (is_settling_ && change > kLostChange * x_cost_)) return false;
+    return ConvergeByFunctionTolerance();
+  }
+
+  bool FactorsHaveSettled() { return factors_are_settled_ && ConvergeByFunctionTolerance(); }
+
+  bool ConvergeByFunctionTolerance() {
     return Converge("Function tolerance reached. |cost_change|/cost: " +
-                    AtMost(change / x_cost_, tolerance));
+                    AtMost(std::abs(record_.cost_change) / x_cost_, options_.function_tolerance));
   }
 
   /// True, to be returned by a test of convergence.
@@ -262,6 +293,8 @@ class TrustRegion {
   double x_cost_ = 0;        ///< of the linearisation at x
   double current_cost_ = 0;  ///< at x too, as the candidate's: what a decrease is measured from
   bool has_succeeded_ = false;
+  bool is_settling_ = false;          ///< met a tolerance, with factors beside the observations
+  bool factors_are_settled_ = false;  ///< by the step that was taken last
   int num_consecutive_invalid_steps_ = 0;
 };
 

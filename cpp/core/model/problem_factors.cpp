@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <string>
+#include <typeinfo>
 #include <utility>
 
 #include "core/cameras/camera_model.h"
@@ -144,6 +146,25 @@ double ApplyLoss(const Factor& factor, int columns, double* residual, double* ja
     ApplyTriggs(*correction, rows, columns, residual, jacobian);
   }
   return 0.5 * rho[0];
+}
+
+uint32_t KindOf(const Factor& factor, const ProblemView& problem) {
+  std::string key = typeid(factor).name() + std::to_string(factor.num_residuals());
+  for (const int block : factor.blocks()) {
+    key += static_cast<char>('a' + static_cast<int>(problem.factors->variables[block].kind));
+  }
+  uint32_t hash = 2166136261U;  // Fowler, Noll and Vo's, 1a
+  for (const char letter : key) hash = (hash ^ static_cast<unsigned char>(letter)) * 16777619U;
+  return hash;
+}
+
+double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after) {
+  double largest = 0;
+  for (size_t k = 0; k < before.size(); ++k) {
+    const double change = std::abs(after[k] - before[k]);
+    if (change > 0) largest = std::max(largest, change / std::max(before[k], after[k]));
+  }
+  return largest;
 }
 
 std::vector<double> FactorCosts(const ProblemView& problem) {

@@ -71,6 +71,13 @@ inline bool LeavesPointsApart(const FactorUnknowns& unknowns) {
   return unknowns.points.empty() || (unknowns.points.size() == 1 && unknowns.blocks.empty());
 }
 
+/// A number that factors of one kind share: of the same class, number of residuals and kinds of
+/// variables. Within a run of a program it is the same in all its processes.
+uint32_t KindOf(const Factor& factor, const ProblemView& problem);
+
+/// The largest change of one of the costs, relative to the cost itself; 0 without any.
+double LargestRelativeChange(const std::vector<double>& before, const std::vector<double>& after);
+
 /// True if a factor touches anything but cameras, and so may say where the world is.
 bool MayFixGauge(const ProblemView& problem);
 

@@ -41,7 +41,12 @@ bool TouchesPoint(const Factor& factor, const ProblemView& problem) {
 CameraFactors::CameraFactors(const ProblemView& problem, const ParameterLayout& layout,
                              const BlockStructure& structure, const EliminationPlan& plan)
     : structure_(structure), diagonal_begin_(DiagonalBlockOffsets(structure)) {
-  if (problem.factors == nullptr) return;
+  if (problem.factors != nullptr) AddAll(problem, layout, plan);
+  FindKinds(problem);
+}
+
+void CameraFactors::AddAll(const ProblemView& problem, const ParameterLayout& layout,
+                           const EliminationPlan& plan) {
   std::vector<int> place;  // in the plan, of each point of the problem
   for (const auto& factor : problem.factors->factors) {
     if (!IsFirst(problem.ranks) && !TouchesPoint(*factor, problem)) continue;
@@ -62,6 +67,24 @@ CameraFactors::CameraFactors(const ProblemView& problem, const ParameterLayout& 
     }
     const int point = place[charted.unknowns().points.front()];
     AddPoint(std::move(charted), point);
+  }
+}
+
+void CameraFactors::FindKinds(const ProblemView& problem) {
+  std::vector<double> kinds;
+  for (const OfCameras& of : of_cameras_) kinds.push_back(KindOf(of.factor.factor(), problem));
+  for (const OfPoint& of : of_points_) kinds.push_back(KindOf(of.factor.factor(), problem));
+  const auto sort = [](std::vector<double>* values) {
+    std::sort(values->begin(), values->end());
+    values->erase(std::unique(values->begin(), values->end()), values->end());
+  };
+  std::vector<double> all = kinds;
+  sort(&all);
+  all = ConcatenateOverRanks(problem.ranks, all);
+  sort(&all);
+  num_kinds_ = all.size();
+  for (const double kind : kinds) {
+    kind_.push_back(std::lower_bound(all.begin(), all.end(), kind) - all.begin());
   }
 }
 
@@ -170,14 +193,21 @@ void CameraFactors::AddTo(CameraSums* sums) const {
   }
 }
 
-double CameraFactors::Cost(const CameraStates& cameras, const double* points) const {
-  double cost = 0;
-  for (const OfCameras& of : of_cameras_) cost += of.factor.Cost(cameras, nullptr);
+double CameraFactors::Cost(const CameraStates& cameras, const double* points,
+                           std::vector<TwofoldSum>* kinds) const {
+  double total = 0;
+  kinds->assign(num_kinds_, {});
+  auto kind = kind_.begin();
+  const auto add = [&](double cost) {
+    total += cost;
+    (*kinds)[*kind++].Add(cost);
+  };
+  for (const OfCameras& of : of_cameras_) add(of.factor.Cost(cameras, nullptr));
   for (const OfPoint& of : of_points_) {
     const double* const point = points + 3 * int64_t{of.point};
-    cost += of.factor.Cost(cameras, &point);
+    add(of.factor.Cost(cameras, &point));
   }
-  return cost;
+  return total;
 }
 
 namespace {

@@ -26,6 +26,7 @@
 #include "core/minimize/least_squares.h"
 #include "core/model/parameter_layout.h"
 #include "core/model/problem_factors.h"
+#include "core/parallel/twofold_sum.h"
 #include "core/problem/problem_view.h"
 #include "core/schur/assembler.h"
 #include "core/schur/elimination_plan.h"
@@ -56,7 +57,10 @@ class CameraFactors {
   /// Adds the camera parameters' part of the normal equations.
   void AddTo(CameraSums* sums) const;
 
-  double Cost(const CameraStates& cameras, const double* points) const;
+  /// Also those of each kind of factor (KindOf), of this rank, in an order that is that of all
+  /// ranks; empty where no rank has factors.
+  double Cost(const CameraStates& cameras, const double* points,
+              std::vector<TwofoldSum>* kinds) const;
 
   /// d^T J^T r at a state, of a step of the camera parameters and one of the points.
   double Slope(const CameraStates& cameras, const double* points, const std::vector<double>& step,
@@ -87,6 +91,9 @@ class CameraFactors {
     int point = 0;  ///< in the plan
   };
 
+  void AddAll(const ProblemView& problem, const ParameterLayout& layout,
+              const EliminationPlan& plan);
+  void FindKinds(const ProblemView& problem);
   void AddCameras(ChartedFactor factor, const ParameterLayout& layout);
   void AddPoint(ChartedFactor factor, int point);
 
@@ -95,6 +102,8 @@ class CameraFactors {
   std::vector<OfCameras> of_cameras_;
   std::vector<OfPoint> of_points_;
   std::vector<ChartedFactor> fixed_;  ///< with nothing to refine
+  size_t num_kinds_ = 0;              ///< on all ranks
+  std::vector<int64_t> kind_;         ///< of each of the cameras' factors, then of the points'
   int num_residuals_ = 0;
   bool has_other_rows_ = false;
   std::vector<double> residuals_;  ///< of camera factors, one after the other

@@ -152,6 +152,7 @@ void SchurProblem::Accept() {
   std::swap(x_, candidate_);
   std::swap(state_norm_, candidate_norm_);
   std::swap(x_cost_, candidate_cost_);
+  std::swap(kind_costs_, candidate_kind_costs_);
   x_->MoveAnchors();
 }
 
@@ -168,6 +169,9 @@ void SchurProblem::MeasureStart(const SolveOptions& options) {
   TwofoldSum fixed_cost = setup_.FixedCost(options);
   fixed_cost.Add(factors_.FixedCost(x_->cameras()));
   fixed_cost_ = RoundOverRanks(ranks_, fixed_cost);
+  std::vector<TwofoldSum> kinds;
+  factors_.Cost(x_->cameras(), x_->points.data(), &kinds);
+  kind_costs_ = RoundOverRanks(ranks_, "scalars", kinds);
 }
 
 void SchurProblem::MoveCameras(const std::vector<double>& step) {
@@ -236,9 +240,11 @@ Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateTotal s
   candidate_->held.Merge();
   TwofoldSum changes;
   changes.Add(candidate_->held.HasSameObservations(x_->held) ? 0 : 1);
-  sum.cost.Add(factors_.Cost(candidate_->cameras(), candidate_->points.data()));
+  std::vector<TwofoldSum> kinds;
+  sum.cost.Add(factors_.Cost(candidate_->cameras(), candidate_->points.data(), &kinds));
   RoundOverRanks(
       ranks_, {&changes, &sum.model_cost_change, &sum.cost, &sum.step_squared, &sum.state_squared});
+  candidate_kind_costs_ = RoundOverRanks(ranks_, "scalars", kinds);
   candidate_norm_ =
       std::sqrt(Dot(candidate_->camera_state, candidate_->camera_state) + sum.state_squared.sum);
   Candidate result;
@@ -252,6 +258,8 @@ Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateTotal s
   result.step_norm = std::sqrt(step_squared + sum.step_squared.sum);
   result.cost = candidate_cost_ = sum.cost.sum;
   if (grid_ != nullptr) result.cost_uncertainty = kCostUncertainty * x_cost_;
+  result.has_factors = !kind_costs_.empty();
+  result.factors_change = LargestRelativeChange(kind_costs_, candidate_kind_costs_);
   return result;
 }
 

@@ -200,6 +200,7 @@ class SchurProblem final : public LeastSquares {
   std::vector<double> observed_norms_;  ///< ||J e_j||^2 where the grid was used last
   bool has_camera_factors_ = false;     ///< on any rank
   double x_cost_ = 0, candidate_cost_ = 0;
+  std::vector<double> kind_costs_, candidate_kind_costs_;  ///< of each kind of factors
   std::vector<double> scale_;      ///< Jacobi scaling of the camera parameters' columns
   std::vector<double> d_squared_;  ///< D^2 of the camera parameters
   std::vector<double> newton_;     ///< camera parameters of the Newton direction
