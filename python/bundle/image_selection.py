@@ -91,13 +91,18 @@ def _is_id(text: str) -> bool:
 
 
 def named_images(argument: str, problem: Problem, pattern: str) -> list[int]:
-    """Return the ids of the images with a name, or with names like a pattern.
+    """Return the id of the image with a name, or the ids of those with names like a pattern.
 
     Raises:
-        InputError: there are none; the message begins with the argument.
+        InputError: there are none, or several of the same name; the message begins with the argument.
     """
     names, ids = problem.image_names, problem.image_ids.tolist()
     found = [key for key, name in zip(ids, names, strict=True) if name == pattern]
+    if len(found) > 1:
+        raise InputError(
+            f"{argument}: expected one image named {pattern!r}, found {len(found)} "
+            f"(ids {', '.join(map(str, found))}); its id names one of them"
+        )
     if not found:
         matching = set(fnmatch.filter(set(names), pattern))
         found = [key for key, name in zip(ids, names, strict=True) if name in matching]

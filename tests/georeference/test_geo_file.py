@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from bundle import InputError
-from bundle.georeference import read_geo_file
+from bundle import InputError, align
+from bundle.georeference import GpsPositions, LocalFrame, gps_priors, read_geo_file
+from tests.georeference.flights import flight
 
 FILE = """EPSG:4326
 # a comment
@@ -113,3 +114,95 @@ def test_a_file_that_is_not_there(tmp_path):
         read_geo_file(tmp_path / "geo.txt")
     with pytest.raises(OSError, match="directory"):
         read_geo_file(tmp_path)
+
+
+def test_zero_and_zero_is_no_fix(tmp_path):
+    path = tmp_path / "geo.txt"
+    path.write_text("EPSG:4326\na.jpg 9 48 1\nb.jpg 0 0 0\nc.jpg 0.0 -0 nan\nd.jpg 0 48 3\n")
+    found = read_geo_file(path)
+    assert found.names == ("a.jpg", "d.jpg")
+    assert found.geodetic.tolist() == [[48, 9, 1], [48, 0, 3]]
+    assert len(found.accuracy) == 2
+    assert [note for note in found.notes if "b.jpg, c.jpg" in note]
+    # Of a map it is a place where the area of the map has it, and none where it has not.
+    path.write_text("EPSG:32632\na.jpg 500000 5400000 7\nb.jpg 0 0 0\n")
+    assert read_geo_file(path).names == ("a.jpg",)
+    path.write_text("+proj=tmerc +lat_0=48 +lon_0=9 +datum=WGS84\na.jpg 50 40 7\nb.jpg 0 0 0\n")
+    assert read_geo_file(path).names == ("a.jpg", "b.jpg")
+
+
+def test_positions_given_at_zero_and_zero_do_not_count():
+    problem = flight([]).problem
+    places = LocalFrame(46.8, -91.9, 200).to_geodetic(problem.projection_centers)
+    places[3] = [0, 0, 12]
+    unknown = np.full((16, 2), np.nan)
+    given = GpsPositions(problem.image_names, places, unknown, "EPSG:4326", "x")
+    known = gps_priors(problem, given)
+    assert len(known.priors) == 15
+    assert any("0 0" in note for note in known.notes)
+    aligned = align(problem, gps=given)
+    assert len(aligned.positions) == 15
+    assert aligned.similarity.scale == pytest.approx(1, abs=1e-3)
+
+
+def test_names_with_blanks(tmp_path):
+    path = tmp_path / "geo.txt"
+    path.write_text(
+        'WGS84\n"my photo 1.jpg" 9 48 1\n\'b c.jpg\' 9\t48 2\n"d.jpg" 9 48\n'
+        'my photo 2.jpg\t9.5\t48.5\t3\n "e f.jpg"\t9\t48\t4\no\'neill.jpg 9 48 5\ng.jpg 9\t48\t6\n'
+    )
+    found = read_geo_file(path)
+    assert found.names == (
+        "my photo 1.jpg", "b c.jpg", "d.jpg", "my photo 2.jpg", "e f.jpg", "o'neill.jpg", "g.jpg",
+    )  # fmt: skip
+    np.testing.assert_array_equal(found.geodetic[:, 2], [1, 2, np.nan, 3, 4, 5, 6])
+    path.write_text("EPSG:4326\nmy photo.jpg 9 48 420\n")
+    with pytest.raises(InputError, match="in quotes"):
+        read_geo_file(path)
+
+
+@pytest.mark.parametrize("header", ["WGS84", "WGS 84", "wgs84", "'WGS84'"])
+def test_wgs84_alone_is_longitude_and_latitude(tmp_path, header):
+    path = tmp_path / "geo.txt"
+    path.write_text(f"{header}\na.jpg 9 48 1\n")
+    assert read_geo_file(path).geodetic.tolist() == [[48, 9, 1]]
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("EPSG:4326\na 46.84 -91.99 9\nb 46.85 -91.98 9\n", ["line 2", "columns 1 and 2 fit when"]),
+        ("EPSG:32633\na -91.99 46.84 9\nb -91.98 46.85 9\n", ["line 2", "degrees", "EPSG:4326"]),
+        ("EPSG:32632\na 5400000 500000 9\nb 5400050 500000 9\n", ["columns 1 and 2 fit when"]),
+        ("EPSG:32736\na 706784 411645 9\nb 706777 411650 9\n", ["EPSG:32636", "northern"]),
+        ("EPSG:32636\na 706784 9588355 9\nb 706777 9588350 9\n", ["EPSG:32736", "southern"]),
+        ("WGS84 UTM 36S\na 706784 411645 9\nb 706777 411650 9\n", ["EPSG:32636"]),
+        ("+proj=utm +zone=36 +south +datum=WGS84\na 706784 411645 9\n", ["EPSG:32636"]),
+        (
+            "EPSG:2193\na -2500000 5400000 9\n",
+            ["line 2", "area of EPSG:2193", "166.37 to 178.63 E"],
+        ),
+    ],
+)
+def test_coordinates_out_of_the_area_of_their_system(tmp_path, content, words):
+    path = tmp_path / "geo.txt"
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        read_geo_file(path)
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
+def test_coordinates_that_an_authority_means_so_are_noted(tmp_path):
+    path = tmp_path / "geo.txt"
+    # Norway has one zone for all of it; 8 degrees of longitude are seven beyond its edge.
+    path.write_text("EPSG:25833\na.jpg -98750 6750000 9\nb.jpg -98700 6750000 9\n")
+    found = read_geo_file(path)
+    assert found.geodetic[0, 1] < 6
+    assert any("2 positions of 2 outside" in note for note in found.notes)
+    # Half a degree beyond the edge of a zone is nothing to tell of; one slip among many is a note.
+    path.write_text("EPSG:32632\na.jpg 760000 5400000 9\nb.jpg 760010 5400000 9\n")
+    assert read_geo_file(path).notes == ()
+    path.write_text(
+        "EPSG:32632\na.jpg 500000 5400000 9\nb.jpg 500010 5400000 9\nc.jpg 2500000 5400000 9\n"
+    )
+    assert any("1 position of 3" in note for note in read_geo_file(path).notes)

@@ -110,7 +110,7 @@ def test_unknown_heights_stay_unknown():
     "name",
     [
         "", "EPSG:", "EPSG:99999999", "EPSG:abc", "WGS84 UTM 61N", "WGS84 UTM 0N", "WGS84 UTM 32X",
-        "WGS84", "WGS84 UTM", "+proj=nonsense", "+proj=utm +zone=99", "EPSG:5773", "32632",
+        "WGS 1984", "WGS84 UTM", "+proj=nonsense", "+proj=utm +zone=99", "EPSG:5773", "32632",
         "image.jpg 1 2 3", None, 32632, "+proj=utm\x00",
     ],
 )  # fmt: skip

@@ -32,6 +32,7 @@ from bundle.georeference.given_positions import (
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.gps_priors import GPS_SIGMA
 from bundle.georeference.image_index import ImageIndex
+from bundle.georeference.other_readings import check_readings
 from bundle.georeference.position_prior import ROBUST_SCALE
 from bundle.georeference.similar_problem import moved
 from bundle.georeference.similarity_fit import fit_similarity
@@ -127,6 +128,7 @@ def align(
         antenna=lever,
     )
     decisive, frame = survey.decisive, survey.frame
+    notes = check_readings(survey)
     fit = fit_similarity(
         survey.measured.rows(decisive), loss=loss, loss_scale=loss_scale, what=survey.what
     )
@@ -156,7 +158,7 @@ def align(
             for row, error, share in zip(survey.rows, cameras, weight, strict=True)
         ),
         (),
-        (*survey.notes(), *_sigma_notes(fit.sigma0)),
+        (*notes, *survey.notes(), *_sigma_notes(fit.sigma0)),
         fit.sigma0,
     )
 
@@ -171,11 +173,10 @@ def _sigma_notes(sigma0: float) -> tuple[str, ...]:
 
 
 def _aligned_to(problem: Problem, other: Problem) -> Alignment:
-    index = ImageIndex(other)
-    ImageIndex(problem)
+    index, own = ImageIndex(other, "to: "), ImageIndex(problem, "problem: ")
     pairs = [
-        (row, found)
-        for row, name in enumerate(problem.image_names)
+        (own.find(name), found)
+        for name in problem.image_names
         if (found := index.find(name)) is not None
     ]
     if len(pairs) < FEWEST:
@@ -184,6 +185,10 @@ def _aligned_to(problem: Problem, other: Problem) -> Alignment:
             f"found {len(pairs)}"
         )
     here, there = np.array(pairs).T
+    if len(set(there.tolist())) < len(pairs):
+        raise InputError(
+            "to: expected images with names of their own in both models, found several for one"
+        )
     target = other.projection_centers[there]
     # Weights are equal, so their size is free; that of the scene is above all residuals.
     variance = float(((target - target.mean(axis=0)) ** 2).sum(axis=1).mean()) or 1.0

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from bundle.errors import InputError, brief, shown
-from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions
+from bundle.georeference.image_index import last_part
 from bundle.georeference.reference_system import WGS84
 from bundle.words import plural
 
@@ -45,7 +47,8 @@ def read_exif_gps(folder: str | os.PathLike[str], names: Iterable[str]) -> GpsPo
     Args:
         folder: of the images.
         names: of the images, as in the reconstruction: paths from the folder on. Where there is no
-            such file, one of that name directly in the folder is taken.
+            such file, one of that name directly in the folder is taken, if one image alone could
+            be meant.
 
     Raises:
         InputError: there is no such folder, or no image in it.
@@ -58,9 +61,10 @@ def read_exif_gps(folder: str | os.PathLike[str], names: Iterable[str]) -> GpsPo
     found: dict[str, tuple[float, ...]] = {}
     missing: list[str] = []
     silent: list[str] = []
+    parts = Counter(map(last_part, wanted))
     with _any_size():
         for name in wanted:
-            path = _file(root, name)
+            path = _file(root, name, alone=parts[last_part(name)] == 1)
             if path is None:
                 missing.append(name)
             elif (position := _position(path)) is None:
@@ -78,7 +82,7 @@ def read_exif_gps(folder: str | os.PathLike[str], names: Iterable[str]) -> GpsPo
         geodetic=table[:, :3],
         accuracy=np.column_stack([table[:, 3], np.full(len(table), math.nan)]),
         reference_system=WGS84,
-        source=f"EXIF tags in {shown(folder)}",
+        source=f"{EXIF_TAGS} in {shown(folder)}",
         notes=(
             *_counted(missing, f"not in {shown(folder)}"),
             *_counted(silent, "without a GPS position in the EXIF tags"),
@@ -113,8 +117,8 @@ def _position(path: Path) -> tuple[float, float, float, float] | None:
     return latitude, longitude, height, accuracy if accuracy > 0 else math.nan
 
 
-def _file(root: Path, name: str) -> Path | None:
-    for path in (root / name, root / Path(name).name):
+def _file(root: Path, name: str, *, alone: bool) -> Path | None:
+    for path in (root / name, *([root / last_part(name)] if alone else [])):
         if path.is_file():
             return path
     return None

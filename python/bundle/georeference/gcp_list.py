@@ -4,9 +4,10 @@
     # x y z px py image [label] [extras]
     481367.1 5782936.4 100.25 1820.5 733.0 IMG_0037.jpg gcp02
     481396.0 5782940.7 nan    2210.0 190.5 IMG_0037.jpg gcp03 sigma=0.02/0.05 pixel_sigma=0.3
-    481413.2 5783008.9 99.71  1511.0 904.0 IMG_0041.jpg gcp04 check
+    481413.2 5783008.9 99.71  1511.0 904.0 "my image.jpg" gcp04 check
 
-The first line names the reference system: EPSG:CODE, a PROJ string, or WGS84 UTM ZONE with N or S.
+The first line names the reference system: EPSG:CODE, a PROJ string, WGS84 UTM ZONE with N or S, or
+WGS84 for longitude and latitude.
 Fields are separated by blanks or tabs; a byte order mark, line ends of Windows, empty lines and
 lines that begin with "#" are allowed anywhere. Lines of equal coordinates are one target, as for
 ODM, labelled or not; "nan" is a height that is not known.
@@ -70,7 +71,7 @@ def read_gcp_list(path: str | os.PathLike[str]) -> tuple[GroundControlPoint, ...
         OSError: the file cannot be read.
     """
     path = as_path(path)
-    system, rows = read_lines(path)
+    system, rows = read_lines(path, name_at=5)
     targets: dict[tuple[str, ...], _Target] = {}
     for line, words in rows:
         _read_line(f"{shown(path)}: line {line}", line, words, targets)

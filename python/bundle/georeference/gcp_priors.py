@@ -37,6 +37,7 @@ from bundle.georeference.gps_priors import GPS_SIGMA, GpsPriors, check_settings,
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.other_readings import check_readings
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.georeference.survey import Survey, surveyed
@@ -210,6 +211,7 @@ def gcp_priors(
         gps_sigma=parse_sigma("gps_sigma", gps_sigma),
         antenna=np.asarray(antenna, dtype=np.float64),
     )
+    notes = check_readings(survey)
     fit_similarity(survey.measured.rows(survey.decisive), what=survey.what)  # are they enough?
     left_out, suspect = survey.leave_one_out()
     frame = survey.frame
@@ -245,6 +247,6 @@ def gcp_priors(
         frame.reference_system,
         {point.name: tuple(row) for point, row in zip(points, left_out.tolist(), strict=True)},
         tuple(point.name for point, is_one in zip(points, suspect, strict=True) if is_one),
-        tuple(dict.fromkeys(survey.notes())),
+        tuple(dict.fromkeys((*notes, *survey.notes()))),
         known,
     )

@@ -9,7 +9,8 @@ The first line is the coordinate reference system, every other one an image::
 
 Numbers go by their place, as in OpenDroneMap: accuracies come after the three angles, and what is
 incomplete at the end of a line is no number of this format. x is east or longitude, y north or
-latitude. Names hold no blanks. Angles are checked and not used: they have no effect on a position,
+latitude; 0 and 0 is a receiver without a fix. Names with blanks stand in quotes, or between tabs
+where all fields do. Angles are checked and not used: they have no effect on a position,
 and the images themselves know the attitude better.
 
 Source: https://docs.opendronemap.org/geo/ and ``opendm/geo.py`` of OpenDroneMap.
@@ -22,7 +23,7 @@ import os
 import numpy as np
 
 from bundle.errors import InputError, brief, shown
-from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.gps_positions import GpsPositions, no_fix_notes
 from bundle.georeference.odm_lines import parse_number, read_lines
 from bundle.words import plural
 
@@ -41,7 +42,7 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
             file, line, expected and found.
         OSError: the file cannot be read.
     """
-    system, lines = read_lines(path)
+    system, lines = read_lines(path, name_at=0)
     name = shown(path)
     seen: dict[str, int] = {}
     rows: list[list[float]] = []
@@ -60,17 +61,21 @@ def read_geo_file(path: str | os.PathLike[str]) -> GpsPositions:
     if not rows:
         raise InputError(f"{name}: expected images after the first line, found none")
     table = np.array(rows)
-    notes = list(system.notes)
+    lines_of = np.array(list(seen.values()))
+    fixed = ~system.is_no_fix(table[:, :3])
+    without = [image for image, has_fix in zip(seen, fixed, strict=True) if not has_fix]
+    images = tuple(image for image, has_fix in zip(seen, fixed, strict=True) if has_fix)
+    table, lines_of = table[fixed], lines_of[fixed]
+    geodetic = system.to_geodetic(table[:, :3], [f"{name}: line {line}" for line in lines_of])
+    notes = [*system.notes, *system.area_notes(geodetic), *no_fix_notes(without, name)]
     if odd:
         notes.append(
             f"{plural(odd, 'line')} of {name} have numbers after the height that are neither three "
             "angles nor three angles and two accuracies; they are ignored."
         )
     return GpsPositions(
-        names=tuple(seen),
-        geodetic=system.to_geodetic(
-            table[:, :3], [f"{name}: line {number}" for number in seen.values()]
-        ),
+        names=images,
+        geodetic=geodetic,
         accuracy=table[:, 3:],
         reference_system=system.name.strip("'\" "),
         source=name,

@@ -14,7 +14,7 @@ from bundle.georeference.control_point import GroundControlPoint
 from bundle.georeference.exif_gps import read_exif_gps
 from bundle.georeference.gcp_list import read_gcp_list
 from bundle.georeference.geo_file import read_geo_file
-from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.gps_positions import GpsPositions, with_fix
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.io import is_path
@@ -63,7 +63,8 @@ class Frame:
             system = ReferenceSystem(str(name))
             of_it = [row for row, point in enumerate(points) if point.reference_system == name]
             geodetic[of_it] = system.to_geodetic(self.control_points[of_it])
-            self.notes += tuple(note for note in system.notes if note not in self.notes)
+            notes = (*system.notes, *system.area_notes(geodetic[of_it]))
+            self.notes += tuple(note for note in notes if note not in self.notes)
         decisive = geodetic[[point.role == "control" for point in points]] if points else geodetic
         if not len(decisive):
             decisive = positions.geodetic if positions is not None else geodetic
@@ -140,7 +141,7 @@ def given_gps(
     if images is not None:
         raise InputError(f'images: expected "exif" for gps beside it, found {brief(gps)}')
     if gps is None or isinstance(gps, GpsPositions):
-        return gps
+        return None if gps is None else with_fix(gps)
     if is_path(gps):
         return read_geo_file(gps)
     raise InputError(f'gps: expected "exif", a path or GpsPositions, found {brief(gps)}')

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.display import Display, Displayed
+from bundle.errors import shown
 from bundle.words import plural
 
-__all__ = ["GpsPositions"]
+__all__ = ["EXIF_TAGS", "GpsPositions", "no_fix_notes", "with_fix"]
+
+
+EXIF_TAGS = "EXIF tags"
+"""What the source of positions begins with that images have themselves."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,6 +44,11 @@ class GpsPositions(Displayed):
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def is_exif(self) -> bool:
+        """True where receivers wrote the positions, and nobody a table."""
+        return self.source.startswith(EXIF_TAGS)
+
     def _display(self) -> Display:
         heights = int(np.isfinite(self.geodetic[:, 2]).sum())
         own = int(np.isfinite(self.accuracy).any(axis=1).sum())
@@ -47,3 +58,29 @@ class GpsPositions(Displayed):
             *(("note", note) for note in self.notes),
         )
         return Display(title=f"GPS positions of {plural(len(self), 'image')}", facts=facts)
+
+
+def with_fix(positions: GpsPositions) -> GpsPositions:
+    """Return the positions without those at latitude and longitude 0: receivers without a fix."""
+    fixed = ~(np.asarray(positions.geodetic)[:, :2] == 0).all(axis=1)
+    if fixed.all():
+        return positions
+    without = [name for name, kept in zip(positions.names, fixed, strict=True) if not kept]
+    return replace(
+        positions,
+        names=tuple(name for name, kept in zip(positions.names, fixed, strict=True) if kept),
+        geodetic=positions.geodetic[fixed],
+        accuracy=positions.accuracy[fixed],
+        notes=(*positions.notes, *no_fix_notes(without, positions.source)),
+    )
+
+
+def no_fix_notes(names: Sequence[str], source: str) -> tuple[str, ...]:
+    """Return a sentence on images whose position is 0 0, or none."""
+    if not names:
+        return ()
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return (
+        f"{plural(len(names), 'position')} of {source} at 0 0, as receivers without a fix write: "
+        f"{', '.join(map(shown, names[:3]))}{more}.",
+    )

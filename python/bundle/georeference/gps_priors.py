@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,15 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bundle.display import Display, Displayed
-from bundle.errors import InputError, brief, shown
-from bundle.georeference.control_point import parse_sigma
+from bundle.errors import InputError
+from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, parse_sigma
 from bundle.georeference.georeferenced import Georeference, PositionError, Solved, origin_text
 from bundle.georeference.given_positions import given_gps
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.matched_positions import matched, too_few, unmatched_notes
+from bundle.georeference.other_readings import check_readings
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
-from bundle.georeference.prior_alignment import ProblemPriors
+from bundle.georeference.prior_alignment import ProblemPriors, robust_similarity
+from bundle.georeference.survey import Survey
 from bundle.problem import Problem
 from bundle.words import plural
 
@@ -105,8 +107,9 @@ def gps_priors(
         fewest: how many positions there have to be.
 
     Raises:
-        InputError: a file or an argument is wrong, the images have no names, or fewer than
-            ``fewest`` of them have a position.
+        InputError: a file or an argument is wrong, the images have no names, fewer than ``fewest``
+            of them have a position, or these do not determine the place, the size and the attitude
+            of the problem.
         OSError: a path cannot be read.
     """
     default = parse_sigma("gps_sigma", gps_sigma)
@@ -117,10 +120,23 @@ def gps_priors(
     positions = given_gps(gps, images, problem)
     if positions is None:
         raise InputError('gps: expected "exif", a path or GpsPositions, found None')
-    rows = _rows(index, positions)
+    rows = matched(index, positions)
     chosen = sorted(rows)
     if len(chosen) < fewest:
-        raise InputError(_too_few(problem, positions, len(chosen), fewest))
+        raise too_few(problem, positions, len(chosen), fewest)
+    notes: tuple[str, ...] = ()
+    if fewest >= FEWEST:  # they alone place the model
+        survey = Survey(
+            problem,
+            (),
+            positions,
+            gcp_sigma=GCP_SIGMA,
+            pixel_sigma=GCP_PIXEL_SIGMA,
+            gps_sigma=default,
+            antenna=np.asarray(antenna, dtype=np.float64),
+        )
+        notes = check_readings(survey)
+        robust_similarity(survey.measured, survey.what)  # do they?
     places = positions.geodetic[[rows[row] for row in chosen]]
     frame = LocalFrame.about(places) if origin is None else origin
     priors = []
@@ -136,7 +152,7 @@ def gps_priors(
         tuple(priors),
         frame,
         positions.reference_system,
-        (*positions.notes, *_uncounted(problem, positions, chosen)),
+        (*notes, *positions.notes, *unmatched_notes(problem, index, positions, chosen)),
     )
 
 
@@ -149,48 +165,3 @@ def check_settings(antenna: ArrayLike, settings: dict[str, Any]) -> None:
         _, _, message = str(error).partition(": ")
         name, colon, rest = message.partition(":")
         raise InputError(f"{names.get(name, name)}{colon}{rest}") from None
-
-
-def _rows(index: ImageIndex, positions: GpsPositions) -> dict[int, int]:
-    """Return the position of each image that has one, by their rows."""
-    rows: dict[int, int] = {}
-    for position, name in enumerate(positions.names):
-        row = index.find(name)
-        if row is None:
-            continue
-        if row in rows:
-            raise InputError(
-                f"{positions.source}: expected one position for each image of the model, found "
-                f"{brief(positions.names[rows[row]])} and {brief(name)} for the same one"
-            )
-        rows[row] = position
-    return rows
-
-
-def _too_few(problem: Problem, positions: GpsPositions, found: int, fewest: int) -> str:
-    hint = ""
-    if not found and len(positions):
-        here, there = shown(problem.image_names[0]), shown(positions.names[0])
-        hint = f": the model has images such as {here}, the positions {there}"
-    return (
-        f"gps: expected positions of at least {plural(fewest, 'image')} of the model, "
-        f"found {found} in "
-        f"{positions.source}{hint}"
-    )
-
-
-def _uncounted(problem: Problem, positions: GpsPositions, chosen: Iterable[int]) -> list[str]:
-    """Return a sentence on images without a position, and one on positions without an image."""
-    with_one = set(chosen)
-    without = [name for row, name in enumerate(problem.image_names) if row not in with_one]
-    notes = []
-    if without:
-        more = f" and {len(without) - 3} more" if len(without) > 3 else ""
-        notes.append(
-            f"{plural(len(without), 'image')} of the model without a position: "
-            f"{', '.join(map(shown, without[:3]))}{more}."
-        )
-    extra = len(positions) - len(with_one)
-    if extra:
-        notes.append(f"{plural(extra, 'position')} of images that the model does not have.")
-    return notes

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from bundle.errors import InputError
+from bundle.errors import InputError, brief, shown
 from bundle.problem import Problem
 
-__all__ = ["ImageIndex"]
+__all__ = ["ImageIndex", "last_part"]
 
 
 class ImageIndex:
@@ -24,19 +24,43 @@ class ImageIndex:
             raise InputError(
                 f"{argument}expected images with names, which BAL files do not have, found none"
             )
-        self._whole = {name: index for index, name in enumerate(problem.image_names)}
-        self._last: dict[str, int] = {}
-        for name, index in self._whole.items():
-            last = _last_part(name)
-            self._last[last] = -1 if last in self._last else index
+        self._problem = problem
+        self._argument = argument
+        self._whole: dict[str, list[int]] = {}
+        self._last: dict[str, list[int]] = {}
+        self._folded: dict[str, int] = {}
+        for index, name in enumerate(problem.image_names):
+            self._whole.setdefault(name, []).append(index)
+            self._last.setdefault(last_part(name), []).append(index)
+            self._folded.setdefault(last_part(name).casefold(), index)
 
-    def find(self, name: str) -> int | None:
-        """Return the index of an image, None where the model has none of this name."""
-        if name in self._whole:
-            return self._whole[name]
-        index = self._last.get(_last_part(name), -1)
-        return None if index < 0 else index
+    def find(self, name: str, place: str = "") -> int | None:
+        """Return the index of an image, None where the model has none of this name.
+
+        Args:
+            name: of the image.
+            place: what a message begins with; that of the constructor by default.
+
+        Raises:
+            InputError: it has several.
+        """
+        found = self._whole.get(name) or self._last.get(last_part(name), [])
+        if len(found) > 1:
+            names = [self._problem.image_names[index] for index in found]
+            ids = ", ".join(str(self._problem.image_ids[index]) for index in found)
+            which = f"ids {ids}" if len(set(names)) == 1 else ", ".join(map(shown, names))
+            raise InputError(
+                f"{place or self._argument}expected one image of the model named {brief(name)}, found "
+                f"{len(found)} ({which})"
+            )
+        return found[0] if found else None
+
+    def differing_in_case(self, name: str) -> str | None:
+        """Return the name of an image that differs from one that is not found in its case only."""
+        index = self._folded.get(last_part(name).casefold())
+        return None if index is None else self._problem.image_names[index]
 
 
-def _last_part(name: str) -> str:
+def last_part(name: str) -> str:
+    """Return the name of a file without its folders."""
     return name.replace("\\", "/").rpartition("/")[2]

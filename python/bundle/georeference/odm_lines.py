@@ -1,13 +1,15 @@
 """Lines of OpenDroneMap's text files, whatever editor wrote them.
 
 Tabs, blank lines and ``#`` comments are all found in the wild. The first line that is left names
-the coordinate reference system.
+the coordinate reference system. A name with blanks stands in quotes, or between tabs in a line
+whose other fields have none.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import re
 
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.reference_system import ReferenceSystem
@@ -16,10 +18,20 @@ from bundle.text_lines import numbered_lines
 __all__ = ["parse_number", "read_lines"]
 
 
+_COORDINATES = ("x", "y", "z")
+_QUOTES = "; a name with blanks stands in quotes"
+_ENDS_AS_FILES_DO = re.compile(r"\.[A-Za-z]\w{1,4}$")
+_WORDS = re.compile(r"""(?<!\S)(?:"([^"]+)"|'([^']+)')(?!\S)|(\S+)""")
+
+
 def read_lines(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str], name_at: int
 ) -> tuple[ReferenceSystem, list[tuple[int, list[str]]]]:
     """Return the reference system, and the words of every further line with its number from 1.
+
+    Args:
+        path: of the file.
+        name_at: which of the words is the name of an image.
 
     Raises:
         InputError: the file is no text, or its first line names no reference system.
@@ -39,7 +51,18 @@ def read_lines(
         system = ReferenceSystem(header.strip())
     except InputError as error:
         raise InputError(f"{shown(path)}: line {number}: {error}") from None
-    return system, [(number, line.split()) for number, line in rows]
+    return system, [(number, _words(line, name_at)) for number, line in rows]
+
+
+def _words(line: str, name_at: int) -> list[str]:
+    """Return the words of a line: the fields between tabs where only the name has blanks."""
+    fields = [field.strip() for field in line.split("\t") if field.strip()]
+    if len(fields) > max(name_at, 1) and _ENDS_AS_FILES_DO.search(fields[name_at].strip("'\"")):
+        others = fields[:name_at] + fields[name_at + 1 :]
+        if not any(re.search(r"\s", field) for field in others):
+            fields[name_at] = fields[name_at].strip("'\"")
+            return fields
+    return [next(filter(None, groups)) for groups in _WORDS.findall(line)]
 
 
 def parse_number(place: str, name: str, word: str, *, unknown: bool = False) -> float:
@@ -60,5 +83,6 @@ def parse_number(place: str, name: str, word: str, *, unknown: bool = False) -> 
         value = math.inf
     if math.isinf(value) or (math.isnan(value) and not unknown):
         kind = "a number or nan" if unknown else "a number"
-        raise InputError(f"{place}: {name}: expected {kind}, found {brief(word)}")
+        hint = "" if name not in _COORDINATES or not re.search("[^\\W\\d]", word) else _QUOTES
+        raise InputError(f"{place}: {name}: expected {kind}, found {brief(word)}{hint}")
     return value

@@ -10,6 +10,10 @@ EPSG:7423, EPSG:32632+5773), PROJ transforms it. Where it has none (EPSG:32632, 
 third number of a file is taken for metres above the WGS84 ellipsoid, as it stands: heights above
 sea level are wrong by the geoid's undulation, up to 100 m, which is nearly the same all over a
 survey and shifts it as a whole.
+
+Most coordinates of a file that lie outside of the system's area are another reading of the same
+numbers: columns exchanged, degrees, or the zone of the other hemisphere. Which one is told by
+trying it.
 """
 
 from __future__ import annotations
@@ -25,6 +29,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.errors import InputError, brief, first_line
+from bundle.georeference.area_of_use import FARTHEST, MARGIN, SURE, AreaOfUse
+from bundle.words import plural
 
 if TYPE_CHECKING:
     from pyproj import CRS, Transformer
@@ -41,7 +47,7 @@ class ReferenceSystem:
 
     Attributes:
         name: "EPSG:32632", "EPSG:32632+5773" (with heights), a PROJ string that contains "+proj=",
-            or "WGS84 UTM 32N".
+            "WGS84 UTM 32N", or "WGS84" for longitude and latitude.
 
     Raises:
         InputError: none of these, PROJ does not know it, or it has no place on the map.
@@ -59,8 +65,10 @@ class ReferenceSystem:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is lost on the way to WGS84: a sentence, or nothing."""
-        return () if self._transformer[1] else (_UNKNOWN_SHIFT.format(self.name),)
+        """What is lost or assumed on the way to WGS84: a sentence each."""
+        lost = () if self._transformer[1] else (_UNKNOWN_SHIFT.format(self.name),)
+        feet = self.counts_feet and not self.has_height
+        return (*lost, _METRES.format(self.name)) if feet else lost
 
     def to_geodetic(
         self, coordinates: ArrayLike, places: Sequence[str] | None = None
@@ -74,9 +82,67 @@ class ReferenceSystem:
             places: what messages call each row; "position 0" and so on by default.
 
         Raises:
-            InputError: coordinates out of the system's area.
+            InputError: one has no place on the map, or most are out of the system's area.
         """
-        x, y, z = np.asarray(coordinates, dtype=np.float64).reshape(-1, 3).T
+        given = np.asarray(coordinates, dtype=np.float64).reshape(-1, 3)
+        geodetic = self._transformed(given)
+        wrong = ~_is_on_earth(geodetic)
+        if not wrong.any():
+            beyond = self._beyond(geodetic)
+            if np.mean(beyond > MARGIN) <= 0.5:
+                return geodetic
+            wrong = beyond > MARGIN
+            if np.median(beyond) <= FARTHEST and not self._meant(given[wrong]):
+                return geodetic
+        row = int(np.argmax(wrong))
+        place = f"position {row}" if places is None else places[row]
+        area = "" if self._area is None else f" ({self._area})"
+        raise InputError(
+            f"{place}: expected coordinates within the area of {self.name}{area}, found "
+            f"{given[row, 0]:.10g} {given[row, 1]:.10g}{self._meant(given[wrong])}"
+        )
+
+    def area_notes(self, geodetic: NDArray[np.float64]) -> tuple[str, ...]:
+        """Return a sentence on places outside of the area in which the system is used, or none."""
+        outside = int((self._beyond(geodetic) > MARGIN).sum())
+        if not outside:
+            return ()
+        return (
+            f"{plural(outside, 'position')} of {len(geodetic)} outside of the area in which "
+            f"{self.name} is used ({self._area}).",
+        )
+
+    def is_no_fix(self, coordinates: ArrayLike) -> NDArray[np.bool_]:
+        """Return which of (n, 3) coordinates are 0 0, as receivers without a fix write."""
+        given = np.asarray(coordinates, dtype=np.float64).reshape(-1, 3)
+        zero: NDArray[np.bool_] = (given[:, :2] == 0).all(axis=1)
+        if self._crs.is_projected and zero.any():
+            there = self._transformed(np.zeros((1, 3)))
+            zero &= not _is_on_earth(there).all() or self._beyond(there)[0] > MARGIN
+        return zero
+
+    def exchanged(self, geodetic: ArrayLike) -> NDArray[np.float64] | None:
+        """Return places whose first two coordinates are exchanged; None where there are none."""
+        places = np.asarray(geodetic, dtype=np.float64).reshape(-1, 3)
+        transformer, _ = self._transformer
+        if self._crs.is_geocentric:
+            return None
+        height = np.nan_to_num(places[:, 2])
+        inverse = transformer.transform(places[:, 1], places[:, 0], height, direction="INVERSE")
+        x, y = inverse[:2]
+        return self._readable(np.column_stack([y, x, places[:, 2]]))
+
+    def is_within(self, coordinates: ArrayLike) -> bool:
+        """Return whether most coordinates are within the area in which the system is used."""
+        return self._readable(np.asarray(coordinates, dtype=np.float64).reshape(-1, 3)) is not None
+
+    @property
+    def counts_feet(self) -> bool:
+        """True for a map whose coordinates are feet."""
+        return bool(0.3 < self._crs.axis_info[0].unit_conversion_factor < 0.31)
+
+    def _transformed(self, given: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y, z = given.T
         transformer, _ = self._transformer
         if self.has_height:
             known = np.nan_to_num(z) if not self._crs.is_geocentric else z
@@ -85,16 +151,39 @@ class ReferenceSystem:
         else:
             longitude, latitude = transformer.transform(x, y)
             height = z
-        good = np.isfinite(latitude) & np.isfinite(longitude)
-        good &= (np.abs(latitude) <= 90) & (np.abs(longitude) <= 360) & ~np.isinf(height)
-        if not good.all():
-            row = int(np.argmin(good))
-            place = f"position {row}" if places is None else places[row]
-            raise InputError(
-                f"{place}: expected coordinates within the area of {self.name}, "
-                f"found {x[row]:.10g} {y[row]:.10g}"
-            )
-        return np.column_stack([latitude, (longitude + 180) % 360 - 180, height])
+        within = np.isfinite(longitude) & (np.abs(longitude) <= 360)
+        longitude = np.where(within, (np.where(within, longitude, 0) + 180) % 360 - 180, np.inf)
+        return np.column_stack([latitude, longitude, height])
+
+    def _beyond(self, geodetic: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.zeros(len(geodetic)) if self._area is None else self._area.beyond(geodetic)
+
+    def _readable(self, given: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the places of coordinates; None where most are outside of the area."""
+        geodetic = self._transformed(given)
+        if not _is_on_earth(geodetic).all() or np.median(self._beyond(geodetic)) > MARGIN:
+            return None
+        return geodetic
+
+    def _meant(self, given: NDArray[np.float64]) -> str:
+        """Return how coordinates outside of the area may be read, or ""."""
+        if self._crs.is_geocentric:
+            return ""
+        if self._crs.is_projected and (np.abs(given[:, :2]) <= [180, 180]).all():
+            return "; they look like degrees, as EPSG:4326 has them" if given[:, :2].any() else ""
+        if self._readable(given[:, [1, 0, 2]]) is not None:
+            return "; columns 1 and 2 fit when exchanged"
+        zone = self._crs.utm_zone
+        if zone and not self.has_height and self._crs.to_epsg(min_confidence=SURE):
+            code = {"S": 32600, "N": 32700}[zone[-1]] + int(zone[:-1])
+            if ReferenceSystem(f"EPSG:{code}")._readable(given) is not None:
+                half = {"S": "northern", "N": "southern"}[zone[-1]]
+                return f"; they fit EPSG:{code}, the {half} half of the zone"
+        return ""
+
+    @cached_property
+    def _area(self) -> AreaOfUse | None:
+        return AreaOfUse.of(self._crs)
 
     @cached_property
     def _crs(self) -> CRS:
@@ -147,6 +236,7 @@ _UNKNOWN_SHIFT = (
     "PROJ cannot shift {} to WGS84 exactly (its datum or a geoid grid is missing): positions are "
     "taken as if it needed no shift."
 )
+_METRES = "The map {} counts feet, but has no heights: these are taken for metres."
 
 
 def _definition(name: str) -> str:
@@ -156,6 +246,8 @@ def _definition(name: str) -> str:
         InputError: the name has none of the forms that files use.
     """
     text = name.strip().strip("'\"").strip()
+    if re.fullmatch(r"WGS\s*84", text, re.IGNORECASE):
+        return WGS84
     if match := _UTM.fullmatch(text):
         zone, south = int(match[1]), match[2].upper() == "S"
         if 1 <= zone <= 60:
@@ -167,8 +259,16 @@ def _definition(name: str) -> str:
     raise InputError(_expected(name))
 
 
+def _is_on_earth(geodetic: NDArray[np.float64]) -> NDArray[np.bool_]:
+    latitude, longitude, height = geodetic.T
+    with np.errstate(invalid="ignore"):
+        good: NDArray[np.bool_] = np.isfinite(longitude) & (np.abs(latitude) <= 90)
+        good &= ~np.isinf(height)
+    return good
+
+
 def _expected(name: str) -> str:
     return (
         "coordinate reference system: expected EPSG:CODE, a PROJ string (+proj=...) or "
-        f"WGS84 UTM 32N (zone 1 to 60, N or S), found {brief(name)}"
+        f"WGS84 UTM 32N (zone 1 to 60, N or S) or WGS84, found {brief(name)}"
     )

@@ -42,6 +42,8 @@ THINNEST = 1e-6
 """Width over length of points that count as lying on one line."""
 WIDEST_ANGLE = math.radians(10)
 """Standard deviation of an angle, at least one of three, beyond which it counts as open."""
+LEAST_SIGMA0 = 1e-3
+"""Of their sigmas: no residuals show that positions are better, which rounding hides."""
 LEAST_FREEDOM = 1e-6
 """Degrees of freedom below which rounding alone is left."""
 MAX_STEPS = 200
@@ -185,16 +187,57 @@ def _check_normal(normal: Array, points: Correspondences, weight: Array, what: s
 
 
 def _check_angles(fit: SimilarityFit, points: Correspondences, what: str) -> None:
-    """Refuse points that are on a line as far as their own residuals tell."""
+    """Refuse points that are on a line as far as sigmas and residuals tell."""
     # What the residuals say about the sigmas counts where they are smaller.
-    sigma0 = 1.0 if math.isnan(fit.sigma0) else min(fit.sigma0, 1.0)
-    angle = math.sqrt(np.linalg.eigvalsh(fit.covariance[1:4, 1:4])[-1]) * sigma0
+    sigma0 = 1.0 if math.isnan(fit.sigma0) else min(max(fit.sigma0, LEAST_SIGMA0), 1.0)
+    known = np.linalg.inv(fit.covariance[1:4, 1:4])  # of the rotation, the others being free
+    information = min(
+        np.linalg.eigvalsh(rotation)[0]
+        for rotation in (known, known + _bending(fit, points), _known_of_target(fit, points))
+    )
+    angle = sigma0 / math.sqrt(information) if information > 0 else math.inf
     if angle > WIDEST_ANGLE:
         raise InputError(
             f"the {len(points)} {what} leave a rotation of the model open by "
-            f"{math.degrees(angle):.3g} degrees (one sigma), expected at most "
+            f"{math.degrees(min(angle, math.pi)):.3g} degrees (one sigma), expected at most "
             f"{math.degrees(WIDEST_ANGLE):.0f}: within their sigmas they lie on one line"
         )
+
+
+def _known_of_target(fit: SimilarityFit, points: Correspondences) -> Array:
+    """Return what a rotation of the surveyed points, instead of the model's, would be known by.
+
+    Points of a model that is wide do not fit a line, and stand on their edge beside it where that
+    is the coordinate of the largest sigma: they seem to tell the rotation that the line leaves.
+    """
+    moved = fit.similarity.apply(points.source) + points.offset @ fit.similarity.rotation.T
+    target = np.where(np.isnan(points.target), moved, points.target)
+    middle = np.average(target, axis=0, weights=np.maximum(fit.weight, np.finfo(float).tiny))
+    unmoved = Similarity(1.0, np.eye(3), np.zeros(3))
+    root, _, _ = _whitened(fit.similarity, points, fit.center)
+    turned = root @ _jacobian(unmoved, Correspondences(target, target, root), middle)[:, :, 1:]
+    normal, _ = _normal(turned, np.zeros(target.shape), fit.weight)
+    rotation, both, translation = normal[:3, :3], normal[:3, 3:], normal[3:, 3:]
+    known: Array = rotation - both @ np.linalg.solve(translation, both.T)
+    return known
+
+
+def _bending(fit: SimilarityFit, points: Correspondences) -> Array:
+    """Return what residuals add to the (3, 3) second derivatives by the rotation.
+
+    A rotation w moves y to y + w x y + w x (w x y) / 2, so that the residuals, weighted, add
+
+        (g y^T + y g^T) / 2 - (g . y) I,    g = S^-1 r,
+
+    to J^T S^-1 J, which knows the width of the points of the model alone. Where those to which they
+    go have none, g . y takes all of that away again.
+    """
+    root, whitened, _ = _whitened(fit.similarity, points, fit.center)
+    pull = np.einsum("nij,ni->nj", root, fit.weight[:, None] * whitened)
+    scaled = fit.similarity.scale * (points.source - fit.center) + points.offset
+    product = pull.T @ (scaled @ fit.similarity.rotation.T)
+    bending: Array = (product + product.T) / 2 - np.trace(product) * np.eye(3)
+    return bending
 
 
 def _start(points: Correspondences) -> Similarity:

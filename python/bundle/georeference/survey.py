@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from bundle.georeference.given_positions import Frame
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.leave_one_out import leave_one_out
+from bundle.georeference.matched_positions import case_notes, matched, too_few
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
 from bundle.problem import Problem
 from bundle.rotations import rotation_matrices
@@ -69,18 +71,33 @@ class Survey:
         antenna: Array,
     ) -> None:
         index = ImageIndex(problem)
-        self.problem, self.positions = problem, positions
+        self.problem, self.points, self.positions = problem, points, positions
+        self.index = index
+        found = {} if positions is None else matched(index, positions)
+        if positions is not None and not found:
+            raise too_few(problem, positions, 0, 1 if points else FEWEST)
         self.frame = frame = Frame(points, positions)
         self.targets = triangulate(problem, points, index, pixel_sigma=pixel_sigma)
         self.used = np.array([not target.reason for target in self.targets], dtype=bool)
         roles = np.array([point.role == "control" for point in points], dtype=bool)
         self.control: NDArray[np.bool_] = self.used & roles
         self.surveyed = surveyed(self.targets, frame.control_points, gcp_sigma)
-        self.cameras, self.rows = _cameras(problem, index, positions, frame, gps_sigma, antenna)
+        self.cameras, self.rows = _cameras(problem, found, positions, frame, gps_sigma, antenna)
         _check_count(self.targets, self.control, positions, len(self.cameras))
         self.measured = Correspondences.joined(self.surveyed.rows(self.used), self.cameras)
         some = np.ones(len(self.cameras), dtype=bool)
         self.decisive: NDArray[np.bool_] = np.concatenate([roles[self.used], some])
+
+    def decisive_places(
+        self, points: tuple[GroundControlPoint, ...], positions: GpsPositions | None
+    ) -> Correspondences | None:
+        """Return what may have an influence, at other coordinates; None where these are nowhere."""
+        try:
+            frame = Frame(points, positions)
+        except InputError:
+            return None
+        places = np.concatenate([frame.control_points[self.used], frame.positions[self.rows]])
+        return replace(self.measured, target=places).rows(self.decisive)
 
     @property
     def tested(self) -> NDArray[np.bool_]:
@@ -117,12 +134,16 @@ class Survey:
         """Return sentences on what is inexact, is not used, or looks wrong."""
         found = [*self.frame.notes, *notes_on_targets(self.problem, self.targets)]
         positions, num_cameras = self.positions, len(self.cameras)
+        missing: list[str] = []
         if positions is not None and num_cameras < len(positions):
             found.append(
                 f"{plural(len(positions) - num_cameras, 'position')} of {len(positions)} are of "
                 "images that the model does not have."
             )
-        return tuple(found)
+            missing += positions.names
+        missing += (m.image for target in self.targets for m in target.point.measurements)
+        lost = [name for name in missing if self.index.find(name) is None]
+        return (*found, *case_notes(self.index, lost))
 
 
 def surveyed(targets: tuple[Triangulated, ...], target: Array, sigma: Sigma) -> Correspondences:
@@ -214,19 +235,14 @@ def _outside(problem: Problem, targets: tuple[Triangulated, ...]) -> list[str]:
 
 def _cameras(
     problem: Problem,
-    index: ImageIndex,
+    found: dict[int, int],
     positions: GpsPositions | None,
     frame: Frame,
     sigma: Sigma,
     antenna: Array,
 ) -> tuple[Correspondences, list[int]]:
     """Return the positions of images of the model, and which of those given they are."""
-    names = positions.names if positions is not None else ()
-    found = [
-        (row, image) for row, name in enumerate(names) if (image := index.find(name)) is not None
-    ]
-    rows = [row for row, _ in found]
-    images = np.array([image for _, image in found], dtype=np.int64)
+    images, rows = np.array(list(found), dtype=np.int64), list(found.values())
     sigmas = np.tile(np.array(sigma), (len(rows), 1))
     if positions is not None and rows:
         own = positions.accuracy[rows]
@@ -250,11 +266,6 @@ def _check_count(
     num_cameras: int,
 ) -> None:
     if positions is not None:
-        if num_cameras == 0:
-            raise InputError(
-                f"gps: expected positions of images of the model, found none among "
-                f"{len(positions)} of {positions.source}"
-            )
         if control.sum() + num_cameras >= FEWEST:
             return
         raise InputError(

@@ -84,7 +84,8 @@ def triangulate(
 def _triangulated(
     problem: Problem, point: GroundControlPoint, index: ImageIndex, pixel_sigma: float
 ) -> Triangulated:
-    found = [(index.find(entry.image), entry) for entry in point.measurements]
+    place = f"control point {point.name}: "
+    found = [(index.find(entry.image, place), entry) for entry in point.measurements]
     seen = [(image, entry) for image, entry in found if image is not None]
     measurements = tuple(entry for _, entry in seen)
     images = np.array([image for image, _ in seen], dtype=np.int64)

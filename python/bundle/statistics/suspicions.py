@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -124,6 +125,16 @@ def _images(problem: Problem, graph: Covisibility) -> Iterator[Suspicion]:
             problem.image_ids[few],
             ("image has", "images have"),
             f"fewer than {FEW_OBSERVATIONS} observations",
+        )
+    names = Counter(name for name in problem.image_names if name)
+    twice = np.array([names[name] > 1 for name in problem.image_names], bool)
+    if twice.any():
+        yield _suspicion(
+            "images_of_one_name",
+            "image",
+            problem.image_ids[twice],
+            ("image has", "images have"),
+            "the name of another one: what names an image means neither",
         )
     if len(graph.component_sizes) > 1:
         sizes = ", ".join(map(str, graph.component_sizes[:NAMED]))

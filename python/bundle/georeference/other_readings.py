@@ -1,0 +1,193 @@
+"""Other readings of the numbers in a file: columns exchanged, feet for metres.
+
+x and y exchanged mirror a place. A similarity does not mirror, but over flat ground it turns the
+model upside down instead, and every residual stays small: the cameras are then below the ground
+that they see. Which way is up, images tell: with the mean direction d from a camera to the points
+that it sees and the axis a of its image that points up (minus y),
+
+    uprightness = median of a_up - median of d_up
+
+is about 1 for nadir images (0 and -1), for images of a facade (1 and 0) and more between, and minus
+that upside down. Cameras that look straight up at a ceiling have -1, too, and are right. So
+coordinates are refused only where another reading of them fits no worse and is upright, or where it
+fits many times better and is not upside down instead. That is judged by the residual in sigmas that
+most places do not exceed, the h-th of n with h = n / 2 + 2, about the similarity that most of them
+agree on: some may be anywhere, and three fit anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.georeference.control_point import GroundControlPoint
+from bundle.georeference.correspondences import Correspondences
+from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.prior_alignment import robust_similarity
+from bundle.georeference.reference_system import ReferenceSystem
+from bundle.georeference.similarity import Similarity
+from bundle.problem import Problem
+from bundle.rotations import rotation_matrices
+
+if TYPE_CHECKING:
+    from bundle.georeference.survey import Survey
+
+__all__ = ["check_readings", "uprightness"]
+
+UPRIGHT = 0.5
+"""Beyond it a model stands upright, below minus it upside down."""
+NO_WORSE = 1.2
+"""Times the residuals that another reading may have and fit no worse."""
+BETTER = 3.0
+"""Times smaller residuals of a reading that alone can be meant."""
+TINY = 0.05
+"""Sigmas of residuals that want no explanation."""
+SMALL = 0.5
+"""Sigmas of residuals of which none is worse."""
+FEWEST = 7
+"""Places below which a better fit is chance."""
+FOOT = 0.3048
+EXCHANGED = "columns 1 and 2 fit when exchanged"
+FEET = "heights fit as feet"
+
+Array = NDArray[np.float64]
+Readings = tuple[tuple[GroundControlPoint, ...], GpsPositions | None]
+
+
+def check_readings(survey: Survey) -> tuple[str, ...]:
+    """Return a sentence on a model that is upside down, or none.
+
+    Raises:
+        InputError: another reading of the coordinates is the one that is meant.
+    """
+    if survey.frame.origin is None:
+        return ()
+    given = survey.measured.rows(survey.decisive)
+    num_points = len(given) - len(survey.cameras)
+    rows = {"gcps": slice(num_points), "gps": slice(num_points, None), "gcps and gps": slice(None)}
+    lengths, upright = _judged(survey.problem, given, survey.what)
+    for whose, what, points, positions in _readings(survey):
+        other = survey.decisive_places(points, positions)
+        if other is None:
+            continue
+        its_lengths, its_upright = _judged(survey.problem, other, survey.what)
+        residual, its_residual = _most(lengths[rows[whose]]), _most(its_lengths[rows[whose]])
+        turned = upright < -UPRIGHT and its_upright > UPRIGHT and what == EXCHANGED
+        better = residual > TINY and residual > BETTER * its_residual and len(given) >= FEWEST
+        stands = not its_upright < min(upright, UPRIGHT)
+        if better and what == FEET:
+            # Heights that are noise fit the better the smaller they are made.
+            level = survey.decisive_places(*_scaled(points, positions, 0.0))
+            if level is not None:
+                at_one_height = _judged(survey.problem, level, survey.what)[0]
+                better = _most(at_one_height[rows[whose]]) > BETTER * its_residual
+        if (better and stands) or (turned and its_residual <= NO_WORSE * max(residual, SMALL)):
+            found = f"off by {residual:.3g} sigmas as they are and by {its_residual:.3g} so"
+            if turned:
+                found = "upside down as they are"
+            raise InputError(f"{whose}: {what} ({survey.what}: the model is {found})")
+    if upright < -UPRIGHT:
+        return (
+            "The cameras look up at their points, or their images are upside down: so is the model "
+            "unless that is meant.",
+        )
+    return ()
+
+
+def uprightness(problem: Problem, similarity: Similarity) -> float:
+    """Return how upright the images of a problem stand where a similarity puts it; nan: no points.
+
+    About 1 upright, -1 upside down.
+    """
+    up = similarity.rotation[2]  # in the frame of the problem
+    seen = np.bincount(problem.observation_image, minlength=problem.num_images)
+    if not seen.any():
+        return float("nan")
+    rays = (
+        problem.points[problem.observation_point]
+        - problem.projection_centers[problem.observation_image]
+    )
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.finfo(float).tiny)
+    along = np.bincount(problem.observation_image, rays @ up, problem.num_images)[seen > 0]
+    images_up = -rotation_matrices(problem.cam_from_world[:, :4])[seen > 0, 1] @ up
+    return float(np.median(images_up) - np.median(along / seen[seen > 0]))
+
+
+def _most(lengths: Array) -> float:
+    """Return the length that most of them do not exceed."""
+    rank = min(len(lengths) // 2 + 2, len(lengths)) - 1
+    return float(np.sort(lengths)[rank])
+
+
+def _judged(problem: Problem, places: Correspondences, what: str) -> tuple[Array, float]:
+    """Return the residuals in sigmas, and the uprightness; inf and nan without a fit."""
+    try:
+        similarity = robust_similarity(places, what)
+    except InputError:
+        return np.full(len(places), np.inf), float("nan")
+    offset = places.offset @ similarity.rotation.T
+    residual = np.nan_to_num(similarity.apply(places.source) + offset - places.target)
+    turned = similarity.rotation @ places.source_covariance @ similarity.rotation.T
+    variance = np.diagonal(
+        places.target_covariance + similarity.scale**2 * turned, axis1=1, axis2=2
+    )
+    lengths = np.sqrt((residual**2 / variance).sum(axis=1))
+    return lengths, uprightness(problem, similarity)
+
+
+def _readings(survey: Survey) -> Iterator[tuple[str, str, *Readings]]:
+    """Return what else files may mean: whose coordinates, what, and how they are read so."""
+    points, positions = survey.points, survey.positions
+    by_hand = positions if positions is not None and not positions.is_exif else None
+    for what in (EXCHANGED, FEET):
+        if what == EXCHANGED:
+            others = _exchanged_points(points), _exchanged_positions(by_hand)
+        else:
+            others = _scaled(points, by_hand, FOOT)
+        other_points, other_positions = others
+        if other_points:
+            yield "gcps", what, other_points, positions
+        if other_positions is not None:
+            yield "gps", what, points, other_positions
+        if other_points and other_positions is not None:
+            yield "gcps and gps", what, other_points, other_positions
+
+
+def _exchanged_points(points: tuple[GroundControlPoint, ...]) -> tuple[GroundControlPoint, ...]:
+    """Return points with x for y; none where that is no place of their system."""
+    exchanged = []
+    for point in points:
+        x, y, z = point.position
+        exchanged.append(replace(point, position=(y, x, z)))
+    for name in {str(point.reference_system) for point in points}:
+        places = np.array([p.position for p in exchanged if p.reference_system == name])
+        if not ReferenceSystem(name).is_within(places):
+            return ()
+    return tuple(exchanged)
+
+
+def _exchanged_positions(positions: GpsPositions | None) -> GpsPositions | None:
+    if positions is None:
+        return None
+    geodetic = ReferenceSystem(positions.reference_system).exchanged(positions.geodetic)
+    return None if geodetic is None else replace(positions, geodetic=geodetic)
+
+
+def _scaled(
+    points: tuple[GroundControlPoint, ...], positions: GpsPositions | None, factor: float
+) -> Readings:
+    """Return both with other heights."""
+    of_points = (
+        replace(point, position=(*point.position[:2], factor * point.position[2]))
+        for point in points
+    )
+    of_positions = None
+    if positions is not None:
+        geodetic: NDArray[np.float64] = positions.geodetic * [1, 1, factor]
+        of_positions = replace(positions, geodetic=geodetic)
+    return tuple(of_points), of_positions
