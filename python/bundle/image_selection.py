@@ -94,7 +94,8 @@ def named_images(argument: str, problem: Problem, pattern: str) -> list[int]:
     """Return the id of the image with a name, or the ids of those with names like a pattern.
 
     Raises:
-        InputError: there are none, or several of the same name; the message begins with the argument.
+        InputError: there are none, or several of the same name; the message begins with the
+            argument.
     """
     names, ids = problem.image_names, problem.image_ids.tolist()
     found = [key for key, name in zip(ids, names, strict=True) if name == pattern]

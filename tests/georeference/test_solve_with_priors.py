@@ -1,6 +1,8 @@
 """Priors of positions in a solve: limits, alignment, both backends, the published table."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -151,7 +153,9 @@ def brighton(bundle_data):
     return problem, frame.to_enu(np.array([places[name] for name in problem.image_names]))
 
 
-def refined(brighton, sigma, backend="fused", wrong=False, without=False, **settings):
+def refined(
+    brighton, sigma, backend="fused", wrong=False, without=False, options=TIGHT, **settings
+):
     """The model with these priors, DJI_0025 moved 30 m east, or left out."""
     problem, enu = brighton
     positions = enu.copy()
@@ -162,7 +166,7 @@ def refined(brighton, sigma, backend="fused", wrong=False, without=False, **sett
         for name, position in zip(problem.image_names, positions, strict=True)
         if not (without and name == "DJI_0025.JPG")
     ]
-    return bundle.solve(problem, priors=made, backend=backend, **TIGHT)
+    return bundle.solve(problem, priors=made, backend=backend, **options)
 
 
 CAUCHY = {"loss": "cauchy", "loss_scale": 2.795483482915108}
@@ -208,6 +212,19 @@ def test_a_wrong_position_moves_nothing(brighton, loss):
     assert np.linalg.norm(robust.problem.projection_centers - plain, axis=1).max() < 0.01
     trusting = refined(brighton, 2, wrong=True).problem.projection_centers
     assert np.linalg.norm(trusting - plain, axis=1).max() > 1
+
+
+@pytest.mark.parametrize("loss", ["trivial", "huber", "cauchy", "arctan", "tukey"])
+def test_the_table_of_the_document_holds_at_the_defaults(brighton, backend, loss):
+    table = (Path(__file__).parents[2] / "docs" / "positions.md").read_text()
+    listed = re.search(rf"\| {loss}[^|]*\| ([\d.]+) m \|", table)[1]
+    with_it, without = (
+        refined(brighton, 2, backend, wrong=wrong, without=not wrong, loss=loss, options={})
+        for wrong in (True, False)
+    )
+    away = with_it.problem.projection_centers - without.problem.projection_centers
+    digit = 10.0 ** -len(listed.partition(".")[2])
+    assert np.linalg.norm(away, axis=1).max() == pytest.approx(float(listed), abs=0.6 * digit)
 
 
 def test_rounds_align_before_the_first(backend, monkeypatch):

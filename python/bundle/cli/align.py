@@ -44,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Align INPUT into OUTPUT."""
-    from bundle.cli.gps_flags import antenna, check_georeference, write_georeference
+    from bundle.cli.carried_georeference import check_georeference, write_georeference
+    from bundle.cli.gps_flags import antenna
     from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
@@ -80,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         aligned = align(problem, **{k: v for k, v in settings.items() if v is not None})
         progress.stage(f"writing {shown(target)}")
         lost = save(aligned.problem, **output, progress=progress.text)
-        write_georeference(aligned, **output)
+        write_georeference(aligned, **output, reference=arguments.reference)
     if arguments.json != "-":
         show(*alignment(source, aligned, output, lost))
     write_json(arguments.json, as_json(source, problem, aligned, output))

@@ -33,6 +33,11 @@ def run(arguments: argparse.Namespace) -> int:
         from bundle.cli.sequence_commands import convert_sequence
 
         return convert_sequence(arguments)
+    from bundle.cli.carried_georeference import (
+        carry_georeference,
+        check_georeference,
+        georeference_at,
+    )
     from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
@@ -52,9 +57,13 @@ def run(arguments: argparse.Namespace) -> int:
             "format": output_format(edited, path, arguments.format, arguments.input),
         }
         check_target(edited, **output)
+        place = georeference_at(arguments.input)
+        if place is not None:
+            check_georeference(**output)
         check_replaced(path, [arguments.input], arguments.overwrite, same_images(edited))
         progress.stage(f"writing {shown(path)}")
         lost = save(edited, **output, progress=progress.text)
+        carry_georeference(place, **output)
     if arguments.json != "-":
         show(*conversion(arguments.input, problem, output, lost, edits))
     report = json.conversion(arguments.input, problem, output, lost, edits)

@@ -8,23 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.cli.gcp_flags import GCP_FLAGS, add_gcp_flags, check_point_names
 from bundle.cli.option_flags import choice_word, naming_flags
-from bundle.cli.paths import GEOREFERENCE, PathArgument, a_path
+from bundle.cli.paths import PathArgument, a_path
 from bundle.errors import InputError, brief, shown
+from bundle.io.georeference_file import GEOREFERENCE
 from bundle.options import LOSSES, SolveOptions
 
 if TYPE_CHECKING:
-    from bundle.georeference import Alignment, GcpPriors, Georeference, GpsPriors
+    from bundle.georeference import GcpPriors, GpsPriors
     from bundle.problem import Problem
 
 __all__ = [
     "GPS_FLAGS",
     "add_gps_flags",
     "antenna",
-    "check_georeference",
     "check_gps_flags",
-    "georeference_path",
     "priors_given",
-    "write_georeference",
 ]
 
 GPS_FLAGS = {
@@ -183,34 +181,6 @@ def priors_given(arguments: argparse.Namespace, problem: Problem) -> GcpPriors |
             return gps_priors(problem, arguments.gps, **settings)
         names = check_point_names(arguments.check_points) or []
         return gcp_priors(problem, arguments.gcp, check_points=names, **settings)
-
-
-def georeference_path(path: str, format: str) -> Path:
-    """Return where the file stands: in an output folder, beside an output file."""
-    return (Path(path).parent if format == "bal" else Path(path)) / GEOREFERENCE
-
-
-def check_georeference(path: str, format: str) -> None:
-    """Refuse now what could not be written later.
-
-    Raises:
-        InputError: something that is no file stands there.
-        OSError: there is no permission.
-    """
-    from bundle.io import atomic
-
-    beside = georeference_path(path, format)
-    if beside.parent.is_dir():
-        atomic.check_file(beside)
-
-
-def write_georeference(georeference: Georeference | Alignment, path: str, format: str) -> None:
-    """Write the file, whole or not at all."""
-    from bundle.io import atomic
-    from bundle.reports import json
-
-    text = json.dumps(json.plain(georeference.asdict()))
-    atomic.write_text(georeference_path(path, format), text)
 
 
 def antenna(text: str) -> list[float]:

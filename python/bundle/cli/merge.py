@@ -17,6 +17,8 @@ HELP = "makes two reconstructions of partly the same images one"
 FLAGS = {"a": "A", "b": "B", "max_error": "--max-error"}
 """Of the arguments of ``bundle.merge``."""
 
+MERGED = "Merged with another model, in the frame of the first."
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of this command."""
@@ -46,6 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Merge A and B into OUTPUT."""
+    from bundle.cli.carried_georeference import (
+        carry_georeference,
+        check_georeference,
+        georeference_at,
+    )
     from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
@@ -62,11 +69,15 @@ def run(arguments: argparse.Namespace) -> int:
         a, b = problems
         output = {"path": target, "format": output_format(a, target, arguments.format, paths[0])}
         check_target(a, **output)
+        place = georeference_at(paths[0])
+        if place is not None:
+            check_georeference(**output)
         check_replaced(target, paths, arguments.overwrite, same_images(a, b))
         progress.stage("merging")
         merged = merge(a, b, max_error=arguments.max_error)
         progress.stage(f"writing {shown(target)}")
         lost = save(merged.problem, **output, progress=progress.text)
+        carry_georeference(place, **output, changed=MERGED)
     if arguments.json != "-":
         show(*merged_table(paths, (a, b), merged, output, lost))
     write_json(arguments.json, as_json(paths, (a, b), merged, output))

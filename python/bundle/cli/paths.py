@@ -18,12 +18,12 @@ from typing import Any
 from bundle.errors import InputError, shown
 from bundle.io import atomic
 from bundle.io.file_names import PAGE, check_name
+from bundle.io.georeference_file import GEOREFERENCE
 from bundle.io.model_files import MODEL_FILES
 from bundle.io.recognition import SEQUENCE_FILES, reconstruction_at
 from bundle.io.streams import is_stream
 
 __all__ = [
-    "GEOREFERENCE",
     "PathArgument",
     "a_path",
     "check_paths",
@@ -33,9 +33,6 @@ __all__ = [
     "telemetry_path",
     "trajectory_path",
 ]
-
-GEOREFERENCE = "georeference.json"
-"""File that says where a model is: in its folder, or beside its file."""
 
 _OF_A_FOLDER = (*MODEL_FILES, *SEQUENCE_FILES, "ground_truth.csv", GEOREFERENCE)
 

@@ -38,6 +38,8 @@ HELP = (
     "graph (.g2o) the poses that explain its edges best"
 )
 
+STAYED = "Refined again without positions, from where they had placed it."
+
 # Arguments of bundle.solve_rounds that are no options.
 ARGUMENTS = {
     "only_images": "--only-images",
@@ -124,11 +126,13 @@ def run(arguments: argparse.Namespace) -> int:
         return refine_graph(arguments)
     refuse_flags_of_graphs(arguments)
     started = perf_counter()
-    from bundle.cli.gps_flags import (
+    from bundle.cli.carried_georeference import (
+        carry_georeference,
         check_georeference,
-        priors_given,
+        georeference_at,
         write_georeference,
     )
+    from bundle.cli.gps_flags import priors_given
     from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.sliced_input import sliced_input
@@ -174,6 +178,9 @@ def run(arguments: argparse.Namespace) -> int:
                 check_georeference(**output)
                 progress.stage(f"reading {what}: {shown(path)}")
         known = priors_given(arguments, problem)
+        place = georeference_at(source)
+        if place is not None:
+            check_georeference(**output)
         if arguments.check_gradients:
             progress.stage("checking the Jacobians")
             wrong = _wrong_jacobians(arguments, problem, options)
@@ -215,6 +222,8 @@ def run(arguments: argparse.Namespace) -> int:
                 lost = sliced.save(Path(target))
             if georeference is not None:
                 write_georeference(georeference, **output)
+            else:
+                carry_georeference(place, **output, changed=STAYED)
         save_time = perf_counter() - begun
         progress.stage("measuring reprojection errors")
         begun = perf_counter()

@@ -51,11 +51,13 @@ def placed(source: str) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
     Returns:
         None without one; and a sentence where the file holds something else.
     """
-    from bundle.cli.gps_flags import georeference_path
     from bundle.errors import shown
+    from bundle.io.georeference_file import owner_of, path_beside
 
-    path = georeference_path(source, "colmap" if Path(source).is_dir() else "bal")
-    if not path.is_file():
+    is_folder = Path(source).is_dir()
+    path = path_beside(Path(source), is_folder=is_folder)
+    of_it = owner_of(path) in (None, "" if is_folder else Path(source).name)
+    if not path.is_file() or not of_it:
         return None, ()
     try:
         found = json.loads(path.read_text("utf-8"))

@@ -136,7 +136,10 @@ def gps_priors(
             antenna=np.asarray(antenna, dtype=np.float64),
         )
         notes = check_readings(survey)
-        robust_similarity(survey.measured, survey.what)  # do they?
+        try:  # do they?
+            robust_similarity(survey.measured, survey.what)
+        except InputError as error:
+            raise InputError(f"gps: {error}") from None
     places = positions.geodetic[[rows[row] for row in chosen]]
     frame = LocalFrame.about(places) if origin is None else origin
     priors = []

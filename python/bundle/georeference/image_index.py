@@ -50,8 +50,8 @@ class ImageIndex:
             ids = ", ".join(str(self._problem.image_ids[index]) for index in found)
             which = f"ids {ids}" if len(set(names)) == 1 else ", ".join(map(shown, names))
             raise InputError(
-                f"{place or self._argument}expected one image of the model named {brief(name)}, found "
-                f"{len(found)} ({which})"
+                f"{place or self._argument}expected one image of the model named {brief(name)}, "
+                f"found {len(found)} ({which})"
             )
         return found[0] if found else None
 

@@ -15,6 +15,7 @@ from bundle import address_space
 from bundle.errors import InputError, brief, shown
 from bundle.io import atomic, bal, colmap_files
 from bundle.io.file_names import check_name
+from bundle.io.georeference_file import remove_georeference
 from bundle.io.interrupts import interrupts_deferred
 from bundle.io.model_files import (
     MODEL_FILES,
@@ -87,7 +88,8 @@ def save(
     """Write a problem; return what the format does not keep, one sentence each.
 
     What stood at ``path`` is replaced only when the new content is whole on the disk. Of a folder,
-    which must be empty or a COLMAP model, only the model files are replaced.
+    which must be empty or a COLMAP model, only the model files are replaced; georeference.json of
+    the model that was there goes with it.
 
     Args:
         problem: what to write.
@@ -107,6 +109,7 @@ def save(
         lost = bal.losses(problem)
         with atomic.replace_file(path) as temporary:
             bal.save(problem, temporary, _compression(path), progress)
+            remove_georeference(path, is_folder=False)
         return lost
     binary = chosen == "colmap"
     if colmap_files.can_rewrite(problem, binary=binary):
@@ -135,6 +138,7 @@ def save_model(
     going = _files_of_other_format(path, format)
     with atomic.replace_folder(path) as temporary:
         lost = write(temporary)
+        remove_georeference(path, is_folder=True)
     return lost + going
 
 

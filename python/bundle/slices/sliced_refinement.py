@@ -15,6 +15,7 @@ from bundle import solver
 from bundle.errors import InputError, shown
 from bundle.free_degrees import gauge_freedom
 from bundle.io import as_path, atomic, bal, colmap_files, save_model
+from bundle.io.georeference_file import remove_georeference
 from bundle.option_fields import number
 from bundle.options import SolveOptions
 from bundle.problem import Problem
@@ -159,6 +160,7 @@ class SlicedRefinement:
                 bal.save_like(
                     self._path, found.num_observations, self._now, self._points, temporary
                 )
+                remove_georeference(path, is_folder=False)
             return ()
         errors = np.empty(len(ids))
         for rank, given in enumerate(
