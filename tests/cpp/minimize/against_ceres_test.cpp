@@ -61,7 +61,7 @@ TEST_P(AgainstCeres, SameIterations) {
   ASSERT_EQ(minimum.iterations.size(), ceres.summary.iterations.size());
   bool measures_step = CERES_VERSION_MAJOR == 2 && CERES_VERSION_MINOR == 1;
   for (size_t k = 0; k < minimum.iterations.size(); ++k) {
-    const IterationRecord record = ToRecord(ceres.summary.iterations[k], 0);
+    const IterationRecord record = ToRecord(ceres.summary.iterations[k], 0, StepLengths());
     ExpectSameRecord(minimum.iterations[k], record, ceres.summary.initial_cost, measures_step);
     measures_step = measures_step || (k > 0 && record.step_is_successful);
   }
