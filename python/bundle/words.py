@@ -12,6 +12,7 @@ __all__ = [
     "distinct",
     "duration",
     "format_name",
+    "not_converged",
     "number",
     "pixels",
     "plural",
@@ -35,6 +36,17 @@ def distinct(one: float, other: float) -> tuple[str, str]:
         if texts[0] != texts[1]:
             break
     return texts
+
+
+def not_converged(percent: float, without_loss: bool) -> str:
+    """Return what to do where one more step would lower the cost, by percent of it."""
+    sentence = (
+        f"Not converged under these options: one more step would lower the cost by about "
+        f"{number(percent)} %. "
+    )
+    if without_loss:
+        return sentence + "If the model was refined with a loss (--loss), give it here too."
+    return sentence + "Refine first, with the same options."
 
 
 def pixels(value: float) -> str:

@@ -31,7 +31,7 @@ from bundle.uncertainty.covariance_choices import (
 from bundle.uncertainty.covariance_result import Covariance
 from bundle.uncertainty.far_points import note_on_far_points
 from bundle.uncertainty.graph_covariance import GraphCovariance, graph_covariance
-from bundle.words import number
+from bundle.words import not_converged
 
 if TYPE_CHECKING:
     from bundle.constraints import Constraints, Rule
@@ -42,6 +42,9 @@ __all__ = ["covariance"]
 
 AT_MINIMUM = 1e-4
 """What a further step would take off the cost, beside the cost, at what counts as a minimum."""
+
+LARGEST = 1e50
+"""Coordinates beyond this have fourth powers, which gauges need, near the end of doubles."""
 
 
 @overload
@@ -138,9 +141,10 @@ def covariance(
         **changes: options by name, in place of those in ``options``.
 
     Raises:
-        InputError: an argument is wrong; the gauge leaves something free; something beyond the
-            gauge is not determined; no degrees of freedom for sigma0; a factor couples a point with
-            something else that is free, or is a function in Python.
+        InputError: an argument is wrong; there are no observations; a coordinate exceeds 1e50; the
+            gauge leaves something free; something beyond the gauge is not determined; no degrees of
+            freedom for sigma0; a factor couples a point with something else that is free, or is a
+            function in Python.
         KeyboardInterrupt: Ctrl-C.
         MemoryError: memory or a limit of it does not suffice.
         OSError: the path cannot be read.
@@ -221,6 +225,9 @@ class _Recipe:
     def compute(self, pairs: list[tuple[int, int]]) -> Covariance:
         """Return the covariance, with the relative poses of these pairs of image ids."""
         rows = _rows_of(self.given, pairs)
+        if not self.given.num_observations:
+            raise InputError("problem: expected observations, found none")
+        _refuse_huge(self.given)
         align = False if self.priors else None
         ready = prepare(
             self.given,
@@ -263,10 +270,7 @@ class _Recipe:
         # Control points start where the rays of their pixels meet, not where a solve had put them.
         if ready.placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
             share = 100 * out["predicted_decrease"] / cost if cost > 0 else float("inf")
-            notes.append(
-                f"This is no minimum: a step of a solve would lower the cost by about "
-                f"{number(share)} %. Refine first, with the same options."
-            )
+            notes.append(not_converged(share, self.options.loss == "trivial"))
         factor = 1.0
         if self.scale == "sigma0":
             if not dof > 0:
@@ -290,6 +294,7 @@ class _Recipe:
         notes: tuple[str, ...],
     ) -> Covariance:
         problem = self.given
+        _refuse_rounding(problem, out)
         num_points = problem.num_points  # control points of the start come after them
 
         def some(part: str, ids: NDArray[Any], values: NDArray[Any]) -> tuple[Any, Any]:
@@ -340,6 +345,39 @@ def _rows_of(problem: Problem, pairs: list[Any]) -> list[tuple[int, int]]:
                 )
         rows.append((place[int(a)], place[int(b)]))
     return rows
+
+
+def _refuse_huge(problem: Problem) -> None:
+    """Refuse coordinates whose powers leave the range of doubles, naming the first."""
+    for kind, ids, coordinates in (
+        ("point", problem.point_ids, problem.points),
+        ("image", problem.image_ids, problem.cam_from_world[:, 4:]),
+    ):
+        sizes = np.abs(coordinates).max(axis=1, initial=0.0)
+        for row in np.flatnonzero(sizes > LARGEST)[:1]:
+            raise InputError(
+                f"{kind} {ids[row]}: expected coordinates of at most {LARGEST:g}, found "
+                f"{sizes[row]:g}; covariances need their fourth powers"
+            )
+
+
+def _refuse_rounding(problem: Problem, out: dict[str, Any]) -> None:
+    """Refuse variances that are no variances: negative, or no numbers where something is seen."""
+    seen = np.zeros(problem.num_images, bool)
+    seen[problem.observation_image] = True
+    for kind, ids, blocks, known in (
+        ("image", problem.image_ids, out["poses"], seen),
+        ("camera", problem.camera_ids, out["cameras"], False),
+        ("point", problem.point_ids, out.get("points", np.zeros((0, 3, 3))), False),
+    ):
+        variances = np.diagonal(blocks, axis1=1, axis2=2)[: len(ids)]
+        wrong = (variances < 0) | np.isinf(variances)
+        no_number = np.isnan(variances).any(axis=1) & known
+        for row in np.flatnonzero(wrong.any(axis=1) | no_number[: len(wrong)])[:1]:
+            raise InputError(
+                f"{kind} {ids[row]}: expected variances, found {variances[row].min():g}, which is "
+                "rounding alone: the problem has no digits left; bundle diagnose says why"
+            )
 
 
 def _scaled(problem: Problem, options: SolveOptions, sigma0: float) -> tuple[Problem, SolveOptions]:

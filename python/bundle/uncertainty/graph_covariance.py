@@ -21,7 +21,7 @@ from bundle.pose_graph.joints import find_joints
 from bundle.pose_graph.pose_graph_arrays import PoseGraph
 from bundle.pose_graph_options import PoseGraphOptions
 from bundle.uncertainty.covariance_choices import SCALES, one_of
-from bundle.words import number, plural
+from bundle.words import not_converged, number, plural
 
 __all__ = ["GRAPH_GAUGES", "GraphCovariance", "graph_covariance"]
 
@@ -182,18 +182,15 @@ def graph_covariance(
         gauge=gauge,
         held_pose_ids=tuple(int(used.ids[pose]) for pose in for_gauge),
         scale=scale,
-        notes=_notes(out, chi2, len(for_gauge)),
+        notes=_notes(out, chi2, len(for_gauge), weighted.options.loss),
     )
 
 
-def _notes(out: dict[str, Any], chi2: float, num_floating: int) -> tuple[str, ...]:
+def _notes(out: dict[str, Any], chi2: float, num_floating: int, loss: str) -> tuple[str, ...]:
     notes = []
     decrease = float(out["predicted_decrease"])
     if decrease > AT_MINIMUM * 0.5 * chi2 and decrease > 1e-9:
-        notes.append(
-            f"This is no minimum: a step of a solve would lower the cost by about "
-            f"{number(200 * decrease / chi2)} %. Refine first, with the same options."
-        )
+        notes.append(not_converged(200 * decrease / chi2, loss == "trivial"))
     if num_floating > 1:
         notes.append(
             f"{plural(num_floating, 'component')} without a fixed pose: the covariances of each "
