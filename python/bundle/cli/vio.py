@@ -98,8 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.vio import as_json, odometry_tables, telemetry_lines
     from bundle.vio import (
         compare_trajectories,
-        load_sequence,
         load_trajectory,
+        read_sequence,
+        refuse_fatal,
         run_odometry,
         save_tum,
     )
@@ -112,7 +113,8 @@ def run(arguments: argparse.Namespace) -> int:
     options = options_given(arguments, WindowOptions)
     with Progress(quiet=arguments.quiet) as progress:
         progress.stage(f"reading {shown(source)}")
-        sequence = load_sequence(source)
+        sequence, findings = read_sequence(source)
+        refuse_fatal(findings)
         truth = None
         if arguments.ground_truth is not None:
             truth = load_trajectory(arguments.ground_truth)
@@ -149,8 +151,10 @@ def run(arguments: argparse.Namespace) -> int:
             write_odometry(result, arguments.html, truth=truth, error=error, name=Path(source).name)
     wall = perf_counter() - started
     written = target if result.is_usable else None
-    tables = odometry_tables(source, result, error, written)
-    report = as_json(source, sequence_format(source), sequence, result, error, written, wall)
+    tables = odometry_tables(source, result, error, written, findings)
+    report = as_json(
+        source, sequence_format(source), sequence, result, error, written, wall, findings
+    )
     if loops is not None:
         from bundle.reports.two_loops_tables import loop_tables, loops_as_json
 

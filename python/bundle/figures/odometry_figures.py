@@ -20,7 +20,7 @@ from bundle.vio import (
     Trajectory,
     aligned_in_yaw,
 )
-from bundle.vio.window_telemetry import LARGEST_ASYMMETRY, LARGEST_IMU_EXCESS, SMALLEST_RATIO
+from bundle.vio.window_alarms import LARGEST_ASYMMETRY, LARGEST_IMU_EXCESS, SMALLEST_RATIO
 
 __all__ = ["odometry_figures"]
 

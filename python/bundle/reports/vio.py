@@ -14,8 +14,8 @@ from bundle.errors import shown
 from bundle.reports import json
 from bundle.reports.sequence_tables import heading_of_sequence
 from bundle.tables import columns, facts, notes, plural
-from bundle.vio import Sequence, TrajectoryError
-from bundle.vio.keyframe_record import alarms_by_kind
+from bundle.vio import Sequence, SequenceFinding, TrajectoryError
+from bundle.vio.keyframe_record import KeyframeRecord, alarms_by_kind
 from bundle.vio.odometry import OdometryResult
 from bundle.words import number
 
@@ -23,9 +23,16 @@ __all__ = ["as_json", "odometry_tables", "telemetry_lines"]
 
 
 def odometry_tables(
-    source: str, result: OdometryResult, error: TrajectoryError | None, written: str | None
+    source: str,
+    result: OdometryResult,
+    error: TrajectoryError | None,
+    written: str | None,
+    findings: tuple[SequenceFinding, ...] = (),
 ) -> list[RenderableType]:
-    """Return start, keyframes, times, alarms, and errors where there is a truth."""
+    """Return start, keyframes, times, alarms, and errors where there is a truth.
+
+    What looks wrong in the sequence itself is said before what the window made of it.
+    """
     stamps = result.trajectory.timestamps_ns
     seconds = 1e-9 * float(stamps[-1] - stamps[0])
     records = result.keyframes
@@ -46,6 +53,7 @@ def odometry_tables(
         ),
         ("visual cost", f"{number(float(np.mean(chi2)) if chi2 else 0.0)} per residual (mean)"),
     ]
+    rows += _certainty(records)
     if error is not None:
         rows += [
             (
@@ -70,7 +78,7 @@ def odometry_tables(
             for phase in phases
         ],
     )
-    said = _warnings(result)
+    said = _warnings(result, findings)
     if result.interrupted:
         said.insert(0, "Interrupted: the trajectory goes as far as it came.")
     if not result.is_usable:
@@ -78,10 +86,36 @@ def odometry_tables(
     return [facts(rows), "", table, *([""] if said else []), *notes(said)]
 
 
-def _warnings(result: OdometryResult) -> list[str]:
-    """Return a sentence per kind of alarm, with the numbers of the last one."""
+def _certainty(records: tuple[KeyframeRecord, ...]) -> list[tuple[str, str]]:
+    """Return rows of what was computed on request: nullity, sigma of yaw."""
+    rows = []
+    counted = Counter(r.nullity for r in records if r.nullity is not None)
+    if counted:
+        found = ", ".join(
+            f"{value} at {plural(count, 'keyframe')}" for value, count in sorted(counted.items())
+        )
+        rows.append(("nullity", f"{found}; expected {records[-1].expected_nullity}"))
+    if any(r.gyro_bias_sigma is not None for r in records):
+        known = [r for r in records if r.yaw_sigma is not None]
+        said = "not known: needs --start-yaw-sigma"
+        if known:
+            first, last = (np.degrees(r.yaw_sigma or 0.0) for r in (known[0], known[-1]))
+            turned = np.degrees(known[-1].accumulated_rotation)
+            said = (
+                f"{number(float(first))} degrees at first, {number(float(last))} at last, "
+                f"after turns of {number(float(turned))} degrees in all"
+            )
+        rows.append(("sigma of yaw", said))
+    return rows
+
+
+def _warnings(result: OdometryResult, findings: tuple[SequenceFinding, ...]) -> list[str]:
+    """Return what looks wrong in the sequence, then a sentence per kind of alarm.
+
+    An alarm has the numbers of the last one of its kind.
+    """
     total = plural(len(result.keyframes), "keyframe")
-    return [
+    return [f"{finding.sentence}." for finding in findings] + [
         f"{last[0].upper()}{last[1:]} (in {len(raised)} of {total})."
         for raised in alarms_by_kind(result.keyframes).values()
         for _, last in raised[-1:]
@@ -100,6 +134,7 @@ def as_json(
     error: TrajectoryError | None,
     written: str | None,
     wall: float,
+    findings: tuple[SequenceFinding, ...] = (),
 ) -> dict[str, Any]:
     """Return the report of `bundle vio`."""
     heading = heading_of_sequence("vio", source, format, sequence)
@@ -115,8 +150,9 @@ def as_json(
                 "message": result.message,
                 "num_images": result.num_images,
                 "num_keyframes": len(result.keyframes),
-                "warnings": _warnings(result),
+                "warnings": _warnings(result, findings),
             },
+            "findings": [asdict(finding) for finding in findings],
             "keyframes": [record.asdict() for record in result.keyframes],
             "error": None if error is None else asdict(error),
             "wall_time": {"solve": result.solve_time, "total": wall},

@@ -245,7 +245,7 @@ class _Replay:
         trajectory, failure = run.trajectory(), run.failure()
         odometry = OdometryResult(
             trajectory,
-            tuple(run.window.records),
+            run.records(),
             run.start,
             not failure,
             self.interrupted,

@@ -11,6 +11,7 @@ from bundle.vio.sequence_folder import (
     check_sequence_target,
     load_sequence,
     read_sequence,
+    refuse_fatal,
     save_sequence,
 )
 from bundle.vio.sliding_window import SlidingWindow
@@ -55,6 +56,7 @@ __all__ = [
     "load_tum",
     "read_sequence",
     "read_track_csv",
+    "refuse_fatal",
     "run_odometry",
     "save_ground_truth",
     "save_sequence",

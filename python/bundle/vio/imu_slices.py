@@ -1,4 +1,10 @@
-"""IMU samples between two instants that need not be samples."""
+"""IMU samples between two instants that need not be samples.
+
+Over a gap, 2.5 periods and more without a sample, nothing was measured: rate and force are taken to
+change evenly from one end to the other, and what they may have done besides is doubt. With s the
+larger of their change and of their standard deviation about the gap, twice its length to each side,
+a gap of T leaves a rotation uncertain by s T and a velocity by s T.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +13,14 @@ from typing import Any
 import numpy as np
 
 from bundle.errors import InputError
+from bundle.vio.sequence_findings import GAP
 from bundle.vio.window_frame import ImuInterval
 
 __all__ = ["ImuSlices"]
 
 Array = np.ndarray[Any, Any]
+
+AROUND = 2  # lengths of a gap to each side of it
 
 
 class ImuSlices:
@@ -28,6 +37,8 @@ class ImuSlices:
 
     def __init__(self, stamps: Array, gyro: Array, accel: Array, rule: str) -> None:
         self.stamps, self.gyro, self.accel, self.rule = stamps, gyro, accel, rule
+        steps = np.diff(stamps)
+        self._gaps = np.flatnonzero(steps > GAP * np.median(steps)) if len(steps) else steps
 
     def between(self, begin: int, end: int) -> ImuInterval:
         """Return the samples from one stamp to a later one.
@@ -45,13 +56,37 @@ class ImuSlices:
         edges = self.stamps[first : last + 1].copy()
         edges[0], edges[-1] = begin, end
         dt = 1e-9 * np.diff(edges)
+        gaps = self._gaps[(self._gaps >= first) & (self._gaps < last)]
+        doubt = self._doubt(gaps, dt[gaps - first])
         if self.rule == "zero_order_hold":
-            return ImuInterval(self.gyro[first:last], self.accel[first:last], dt)
+            gyro, accel = self.gyro[first:last], self.accel[first:last]
+            if len(gaps):
+                gyro, accel = gyro.copy(), accel.copy()
+            for gap in gaps.tolist():
+                middle = int(edges[gap - first] + edges[gap - first + 1]) // 2
+                gyro[gap - first] = self._at(self.gyro, middle, gap)
+                accel[gap - first] = self._at(self.accel, middle, gap)
+            return ImuInterval(gyro, accel, dt, doubt)
         gyro, accel = self.gyro[first : last + 1].copy(), self.accel[first : last + 1].copy()
         for values, source in ((gyro, self.gyro), (accel, self.accel)):
             values[0] = self._at(source, begin, first)
             values[-1] = self._at(source, end, last - 1)
-        return ImuInterval(gyro, accel, dt)
+        return ImuInterval(gyro, accel, dt, doubt)
+
+    def _doubt(self, gaps: Array, seconds: Array) -> tuple[float, float]:
+        """Return the variances that gaps leave, of so many seconds each within an interval."""
+        variances = np.zeros(2)
+        for gap, part in zip(gaps.tolist(), seconds.tolist(), strict=True):
+            length = AROUND * (self.stamps[gap + 1] - self.stamps[gap])
+            near = slice(
+                int(np.searchsorted(self.stamps, self.stamps[gap] - length)),
+                int(np.searchsorted(self.stamps, self.stamps[gap + 1] + length, "right")),
+            )
+            for k, values in enumerate((self.gyro, self.accel)):
+                change = values[gap + 1] - values[gap]
+                spread = max(float(change @ change), float(values[near].var(axis=0).sum()))
+                variances[k] += spread / 3 * part**2
+        return float(variances[0]), float(variances[1])
 
     def _at(self, values: Array, stamp: int, before: int) -> Array:
         """Interpolate between a sample and the next one."""

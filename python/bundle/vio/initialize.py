@@ -186,12 +186,12 @@ def _span(images: SequenceImages, first: int, end: int) -> _Span | None:
     _, point, views = np.unique(images.ids[row], return_inverse=True, return_counts=True)
     kept = views[point] >= LEAST_VIEWS
     row, place = row[kept], place[kept]
-    ids, point = np.unique(images.ids[row], return_inverse=True)
+    ids, seen_at, point = np.unique(images.ids[row], return_index=True, return_inverse=True)
     if len(ids) < LEAST_TRACKS:
         return None
     order = np.lexsort((place, point))
     seen = Observations(point[order], place[order], images.xy[row[order]])
-    return _Span(chosen, seen, ids)
+    return _Span(chosen, seen, images.track_ids[row[seen_at]])
 
 
 def _objection(found: LinearStart, span: _Span, calibration: Calibration) -> str:

@@ -103,7 +103,7 @@ def run_odometry(
     failure = run.failure()
     return OdometryResult(
         trajectory,
-        tuple(window.records),
+        run.records(),
         run.start,
         not failure,
         interrupted,

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ __all__ = [
     "check_sequence_target",
     "load_sequence",
     "read_sequence",
+    "refuse_fatal",
     "save_sequence",
 ]
 
@@ -50,10 +52,19 @@ def load_sequence(path: str | os.PathLike[str]) -> Sequence:
         OSError: a file cannot be read.
     """
     sequence, findings = read_sequence(path)
+    refuse_fatal(findings)
+    return sequence
+
+
+def refuse_fatal(findings: Iterable[SequenceFinding]) -> None:
+    """Refuse a sequence over which an odometry would go wrong.
+
+    Raises:
+        InputError: a finding is fatal.
+    """
     for finding in findings:
         if finding.is_fatal:
             raise InputError(finding.sentence)
-    return sequence
 
 
 def read_sequence(

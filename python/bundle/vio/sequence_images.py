@@ -13,6 +13,7 @@ import numpy as np
 from bundle.vio.imu_slices import ImuSlices
 from bundle.vio.landmark_table import FrameTracks
 from bundle.vio.sequence import Sequence
+from bundle.vio.track_numbers import sight_numbers
 from bundle.vio.window_frame import ImuInterval
 
 __all__ = ["SequenceImages"]
@@ -31,7 +32,9 @@ class SequenceImages:
         stamps: (n,) int64 ns on the IMU's clock.
         covered: (n,) whether samples reach the image.
         begin: (n + 1,) first observation of each.
-        ids, xy: of all observations, xy normalised.
+        ids, xy: of all observations, xy normalised; ids are numbers in the order of first sight,
+            ascending within an image.
+        track_ids: the same tracks as the sequence names them.
     """
 
     def __init__(self, sequence: Sequence, rule: str = "zero_order_hold") -> None:
@@ -41,7 +44,11 @@ class SequenceImages:
         _, self.begin = sequence.frames()
         self.stamps = sequence.image_timestamps_ns[self.begin[:-1]]
         self.covered = (self.stamps >= samples[0]) & (self.stamps <= samples[-1])
-        self.ids, self.xy = sequence.track_ids, sequence.normalized()
+        image = np.repeat(np.arange(len(self.stamps)), np.diff(self.begin))
+        numbers = sight_numbers(image, sequence.track_ids, sequence.xy)
+        order = np.lexsort((numbers, image))
+        self.ids, self.track_ids = numbers[order], sequence.track_ids[order]
+        self.xy = sequence.normalized()[order]
 
     def __len__(self) -> int:
         return len(self.stamps)

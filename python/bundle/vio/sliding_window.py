@@ -27,6 +27,7 @@ from bundle.vio.landmark_depths import LandmarkDepths
 from bundle.vio.landmark_table import FrameTracks, LandmarkTable, landmark_table
 from bundle.vio.marginal_prior import MarginalPrior, start_prior
 from bundle.vio.steady_speed import steady_speed
+from bundle.vio.track_numbers import TrackNumbers
 from bundle.vio.window_arrays import window_arrays
 from bundle.vio.window_frame import ImuInterval, WindowFrame
 from bundle.vio.window_options import WindowOptions
@@ -83,6 +84,7 @@ class SlidingWindow:
         self.records: list[KeyframeRecord] = []
         self.was_interrupted = False
         self._depths = LandmarkDepths()
+        self._numbers = TrackNumbers()
         self._telemetry = WindowTelemetry(self)
 
     @property
@@ -139,7 +141,7 @@ class SlidingWindow:
             if k and not int(stamps[k]) > int(stamps[k - 1]):
                 raise InputError(f"stamps[{k}]: expected more than {stamps[k - 1]}")
         self.frames = [
-            WindowFrame(int(stamp), row.copy(), seen, is_keyframe=True)
+            WindowFrame(int(stamp), row.copy(), self._numbers.of(seen), is_keyframe=True)
             for stamp, row, seen in zip(stamps, rows, tracks, strict=True)
         ]
         for before, frame, interval in zip(self.frames, self.frames[1:], intervals, strict=False):
@@ -180,6 +182,7 @@ class SlidingWindow:
         if stamp <= newest.stamp:
             raise InputError(f"stamp: expected more than {newest.stamp}, found {stamp}")
         tracks.check(f"tracks of {stamp}")
+        tracks = self._numbers.of(tracks)
         if not newest.is_keyframe:
             interval = self._drop_newest().then(interval)
             newest = self.frames[-1]
@@ -340,6 +343,7 @@ class SlidingWindow:
 
     def _cut_inertia(self) -> None:
         """The first frame has none before it."""
+        self._numbers.keep(np.unique(np.concatenate([frame.tracks.ids for frame in self.frames])))
         self.frames[0].interval = self.frames[0].inertia = None
 
     def _record(self, reason: str, parallax: float) -> KeyframeRecord:

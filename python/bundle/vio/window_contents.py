@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from bundle.inertial import ImuNoise
 from bundle.vio.marginal_prior import MarginalPrior
 from bundle.vio.window_frame import WindowFrame
 from bundle.vio.window_options import WindowOptions
@@ -24,6 +25,7 @@ class WindowContents(Protocol):
     camera_from_imu: Array
     time_offset: float
     gravity: Array
+    noise: ImuNoise
     sigma: float
 
     @property

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from bundle.errors import InputError
 from bundle.vio.initialize import find_start
-from bundle.vio.keyframe_record import KeyframeRecord
+from bundle.vio.keyframe_record import KeyframeRecord, alarms_by_kind
 from bundle.vio.sequence import Sequence
 from bundle.vio.sequence_images import SequenceImages
 from bundle.vio.sliding_window import SlidingWindow
 from bundle.vio.trajectory_files import Trajectory
+from bundle.vio.trajectory_sanity import PathSanity
+from bundle.vio.window_alarms import INDEFINITE, NO_EXCITATION, QUIET_KEYFRAMES
 from bundle.vio.window_options import WindowOptions
-from bundle.vio.window_telemetry import INDEFINITE
 
 __all__ = ["WindowRun"]
 
 Array = np.ndarray[Any, Any]
 
 START_KEYFRAMES = 4
+MOST_CONTRADICTED = 0.4  # of the keyframes
 
 
 class WindowRun:
@@ -52,6 +55,7 @@ class WindowRun:
         self.start, self.next_image = self._begin()
         self.stamps = [frame.stamp for frame in self.window.frames]
         self.states = [frame.state for frame in self.window.frames]
+        self._sanity = PathSanity(self.stamps[-1], self.states[-1])
 
     def add(self, image: int) -> KeyframeRecord | None:
         """Solve for an image; return the record of a keyframe."""
@@ -64,9 +68,10 @@ class WindowRun:
         newest = window.frames[-1]
         self.stamps.append(newest.stamp)
         self.states.append(newest.state)
-        if not _is_sane(newest.state):
+        objection = self._sanity.objection(newest.stamp, newest.state)
+        if objection:
             seconds = 1e-9 * (newest.stamp - self.stamps[0])
-            self.lost = f"the motion was lost {seconds:.2f} s after the start"
+            self.lost = f"the motion was lost {seconds:.2f} s after the start: {objection}"
         return record
 
     def trajectory(self) -> Trajectory:
@@ -76,6 +81,14 @@ class WindowRun:
     def failure(self) -> str:
         """Return why this is no estimate of the motion, "" where it is one."""
         return self.lost or _lost_reason(self.window.records)
+
+    def records(self) -> tuple[KeyframeRecord, ...]:
+        """Return the telemetry; a run too short for persistence, and quiet throughout, says so."""
+        found = list(self.window.records)
+        is_quiet = all(record.excitation_verdict == "unobservable" for record in found)
+        if 0 < len(found) < QUIET_KEYFRAMES and is_quiet:
+            found[-1] = replace(found[-1], alarms=(*found[-1].alarms, NO_EXCITATION))
+        return tuple(found)
 
     def _begin(self) -> tuple[str, int]:
         window, images, options = self.window, self.images, self.window.options
@@ -110,12 +123,10 @@ def _lost_reason(records: list[KeyframeRecord]) -> str:
         )
     if 2 * indefinite > len(records):
         return f"the prior was not positive at {indefinite} of {len(records)} keyframes"
+    by_kind = alarms_by_kind(records)
+    if "prior costs less than nothing" in by_kind:
+        return f"{by_kind['prior costs less than nothing'][0][1]}"
+    contradicted = len(by_kind.get("prior contradicted", []))
+    if contradicted > MOST_CONTRADICTED * len(records):
+        return f"the prior was contradicted at {contradicted} of {len(records)} keyframes"
     return ""
-
-
-def _is_sane(state: Array) -> bool:
-    """Return whether a state (16,) is one: slower than sound, biases that a sensor can have."""
-    if not np.all(np.isfinite(state)):
-        return False
-    gyro, accel = np.linalg.norm(state[10:13]), np.linalg.norm(state[13:16])
-    return bool(np.linalg.norm(state[7:10]) < 340 and gyro < 1.0 and accel < 5.0)

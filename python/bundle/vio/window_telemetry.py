@@ -16,6 +16,7 @@ from bundle.rotations import (
 )
 from bundle.vio.keyframe_record import KeyframeRecord
 from bundle.vio.landmark_table import LandmarkTable
+from bundle.vio.window_alarms import WindowAlarms
 from bundle.vio.window_contents import WindowContents
 from bundle.vio.window_frame import WindowFrame
 
@@ -24,12 +25,7 @@ __all__ = ["WindowTelemetry"]
 Array = np.ndarray[Any, Any]
 
 FREE_DEGREES = 4  # position and yaw: no camera and no IMU sees them
-LARGEST_ASYMMETRY = 1e-9
-SMALLEST_RATIO = 1e-8
-INDEFINITE = -1e-9  # of a unit diagonal: beyond the rounding of double precision
 IMAGES_PER_CHECK = 10
-LARGEST_IMU_EXCESS = 3.0  # up to 1.6 in flights of the noise that the window takes
-LARGEST_GYRO_BIAS, LARGEST_ACCEL_BIAS = 1.0, 2.5  # rad/s, m/s^2: VINS-Mono's signs of failure
 
 
 class WindowTelemetry:
@@ -48,6 +44,10 @@ class WindowTelemetry:
         self._exit: dict[str, Any] | None = None
         self._num_solves = 0
         self._imu_excess: float | None = None
+        self._is_new_excess = False
+        noise = window.noise
+        walks = noise.gyro_bias_random_walk, noise.accel_bias_random_walk
+        self._alarms = WindowAlarms(options, walks)
         self.num_absorbed = self.num_carried = 0
         self.begin()
 
@@ -72,7 +72,9 @@ class WindowTelemetry:
         self._last = solved
         if solved["expected_imu_cost"] > 0:
             self._imu_excess = solved["costs_after"]["imu"] / solved["expected_imu_cost"]
+            self._is_new_excess = True
         priors = sum(len(prior["vector"]) for prior in window["priors"])
+        self._prior_size = max(priors, 1)
         states = len(window["states"])
         self._sizes = {
             "window_size": states,
@@ -114,13 +116,18 @@ class WindowTelemetry:
         prior = self._prior()
         costs = solved["costs_after"]
         sigmas, yaw = self._sigmas(solved["covariance"], newest.state)
-        alarms = self._alarms(nullity, prior, newest.state, verdict)
-        if self._imu_excess is not None and self._imu_excess > LARGEST_IMU_EXCESS:
-            alarms += (
-                "camera and IMU contradict each other: the IMU costs "
-                f"{self._imu_excess:.1f} times what its noise explains; camera_from_imu, the time "
-                "offset, the focal length or the noise is wrong",
-            )
+        turned = self._rotation_so_far()
+        alarms = self._alarms.of(
+            newest.stamp,
+            newest.state,
+            (nullity, self.expected_nullity),
+            prior,
+            (costs["prior"], self._prior_size),
+            verdict,
+            (yaw, turned),
+        )
+        alarms += self._alarms.of_imu(self._imu_excess, self._is_new_excess)
+        self._is_new_excess = False
         if solved["out_of_time"] and not solved["num_iterations"]:
             alarms += ("no step within the time budget: states are predictions of the IMU",)
         record = KeyframeRecord(
@@ -147,7 +154,7 @@ class WindowTelemetry:
             gyro_bias_sigma=None if sigmas is None else _triple(sigmas[9:12]),
             accel_bias_sigma=None if sigmas is None else _triple(sigmas[12:15]),
             yaw_sigma=yaw,
-            accumulated_rotation=self._rotation_so_far(),
+            accumulated_rotation=turned,
             marginalized=self._exit,
             num_absorbed=self.num_absorbed,
             num_carried=self.num_carried,
@@ -198,33 +205,6 @@ class WindowTelemetry:
         up = rotation_matrices(state[None, :4])[0][2]  # R^T e_z
         yaw = float(np.sqrt(max(up @ covariance[:3, :3] @ up, 0.0)))
         return sigmas, yaw if self.expected_nullity in (0, 3) else None
-
-    def _alarms(
-        self, nullity: int | None, prior: dict[str, float | None], state: Array, verdict: str
-    ) -> tuple[str, ...]:
-        alarms = []
-        if nullity is not None and nullity < self.expected_nullity:
-            alarms.append(
-                f"nullity {nullity} instead of {self.expected_nullity}: the window takes as known "
-                "what no sensor measures (position or yaw)"
-            )
-        asymmetry, ratio = prior["prior_asymmetry"], prior["prior_ratio"]
-        if asymmetry is not None and asymmetry > LARGEST_ASYMMETRY:
-            alarms.append(f"prior asymmetric: by {asymmetry:.1e}, too few digits")
-        definiteness = prior["prior_definiteness"]
-        if definiteness is not None and definiteness < INDEFINITE:
-            alarms.append(f"prior not positive: eigenvalue ratio {definiteness:.1e}")
-        elif ratio is not None and ratio < SMALLEST_RATIO:
-            alarms.append(f"prior close to singular: eigenvalue ratio {ratio:.1e}")
-        if np.linalg.norm(state[10:13]) > LARGEST_GYRO_BIAS:
-            alarms.append("gyroscope bias above 1 rad/s: the window has lost the motion")
-        if np.linalg.norm(state[13:16]) > LARGEST_ACCEL_BIAS:
-            alarms.append("accelerometer bias above 2.5 m/s^2: the window has lost the motion")
-        if verdict == "unobservable":
-            alarms.append(
-                "no excitation: the accelerometer does not tell the scale, which may drift"
-            )
-        return tuple(alarms)
 
 
 def _nullity(spectrum: Any) -> int:
