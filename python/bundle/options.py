@@ -190,7 +190,10 @@ class SolveOptions(Options):
         (), "--fix-cameras", "ids of cameras whose intrinsics are held fixed", metavar="IDS"
     )
     fixed_image_ids: tuple[int, ...] = option(
-        (), "--fix-images", "images whose pose is held fixed", metavar="IMAGES"
+        (),
+        "--fix-images",
+        "images whose pose is held fixed, on a rig with their frame; their sensors are not refined",
+        metavar="IMAGES",
     )
     fixed_point_ids: tuple[int, ...] = option(
         (), "--fix-points", "ids of points that are held fixed", metavar="IDS"
@@ -211,8 +214,10 @@ class SolveOptions(Options):
         "auto",
         "--gauge",
         "how the gauge is fixed: position, rotation and scale of the world (7 degrees of freedom), "
-        "or what is left where a fixed baseline of a rig gives the scale (6); auto: none for BAL "
-        "and beside positions and other factors, else two-cameras, which holds what is free",
+        "or what fixed points, images and baselines of rigs leave of these; auto: none for BAL and "
+        "beside positions and other factors, else two-cameras, which holds exactly what is free; "
+        "three-points holds 9 numbers as COLMAP does, 2 too many: the cost is higher for it, and "
+        "covariances are smaller",
         choices=GAUGES,
     )
     cheirality: str = option(

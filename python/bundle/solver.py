@@ -117,8 +117,8 @@ def solve(
     point with something else that is refined, and functions in Python, are for Ceres. With factors
     of images or points gauge "auto" holds nothing: they say where the world is, as far as they do,
     and the damping of the trust region holds the rest; "two_cameras" and "three_points" hold what
-    they always do, and warn (``gauge_beside_factors``). The world of the factors is that of the
-    problem, also where a far scene is solved about its centre.
+    would be free without the factors, and warn (``gauge_beside_factors``). The world of the factors
+    is that of the problem, also where a far scene is solved about its centre.
 
     Priors of positions are factors, too. As a reconstruction stands in a frame of its own, the
     problem is first moved by the similarity that they determine, robustly (``similarity`` of the

@@ -10,6 +10,7 @@ from bundle.graph import check_solve
 from tests.campaigns import (
     covariance,
     degenerate,
+    gauges,
     healthy,
     jacobians,
     jobs,
@@ -75,6 +76,12 @@ def test_covariances_are_the_dense_ones():
     found = covariance.campaign(8, seed=100)
     assert [entry for entry in found if entry.is_wrong] == []
     assert {entry.kind for entry in found} > {"singular"}  # seed 105 leaves an intrinsic free
+
+
+def test_gauges_leave_minima_where_they_are():
+    found = gauges.campaign(16, seed=1000)
+    assert [entry for entry in found if entry.is_wrong] == []
+    assert {kind for entry in found for kind in entry.kinds} >= {"rigs", "1 points", "2 points"}
 
 
 def test_two_loops(monkeypatch):

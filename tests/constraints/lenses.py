@@ -15,6 +15,8 @@ TO_THE_END = {
     "gauge": "two_cameras",
     "num_threads": 1,
 }
+IN_PLACE = {"gauge": "none", "fixed_image_ids": (1, 2)}
+"""The world is held: what says where something is has nothing to turn it by."""
 
 
 def mixed(num_images=5, num_points=30, *, seed=0, **changes):

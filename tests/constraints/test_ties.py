@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle.constraints.resolve import apply
 from tests import scenes
-from tests.constraints.lenses import BACKENDS, assert_same, mixed, solve
+from tests.constraints.lenses import BACKENDS, IN_PLACE, assert_same, mixed, solve
 
 
 def with_cameras(problem, image_camera, rows):
@@ -210,10 +210,11 @@ def test_both_backends_take_the_same_steps(method, loss):
 def test_a_small_sigma_stays_where_a_fixed_position_ends(backend):
     weak = "cameras 2,4: k2 fixed"
     problem = mixed(num_points=60)
-    fixed = solve(problem, weak, "image 4: position fixed", backend=backend)
-    stiff = solve(fixed.problem, weak, "image 4: position prior sigma 1e-9", backend=backend)
+    options = {"backend": backend, **IN_PLACE}
+    fixed = solve(problem, weak, "image 4: position fixed", **options)
+    stiff = solve(fixed.problem, weak, "image 4: position prior sigma 1e-9", **options)
     assert_same(stiff, fixed)
-    assert fixed.summary.final_cost > solve(problem, weak, backend=backend).summary.final_cost + 1
+    assert fixed.summary.final_cost > solve(problem, weak, **options).summary.final_cost + 1
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -104,6 +104,19 @@ void HoldSensors(const ProblemView& problem, const SolveOptions& options, FreePa
   }
 }
 
+/// An image that is fixed fixes its frame; on a sensor that is refined it would move all the same.
+void HoldImage(const ProblemView& problem, int image, FreeParameters* free) {
+  const int sensor = problem.SensorOf(image);
+  if (sensor >= 0 && free->sensor[sensor] != 0) {
+    throw InputError("fixed_image_ids: expected images that no refined sensor moves, found image " +
+                     std::to_string(problem.image_ids[image]) + " on the sensor of rig " +
+                     std::to_string(problem.sensor_rig_ids[sensor]) + ", camera " +
+                     std::to_string(problem.sensor_camera_ids[sensor]) +
+                     "; fix that too (fixed_sensors), or an image of the reference sensor instead");
+  }
+  free->OfPose(MovingPose(problem, image)) = 0;
+}
+
 /// What factors touch may be seen by no observation.
 void FreeTouched(const ProblemView& problem, const SolveOptions& options, FreeParameters* free) {
   for (const ProblemVariable& variable : problem.factors->variables) {
@@ -207,7 +220,7 @@ FreeParameters SelectFreeParameters(const ProblemView& problem, const SolveOptio
   ForEachIndex("camera", options.fixed_camera_ids, problem.camera_ids, problem.num_cameras,
                [&](int index) { free.camera[index] = 0; });
   ForEachIndex("image", options.fixed_image_ids, problem.image_ids, problem.num_images,
-               [&](int index) { free.OfPose(MovingPose(problem, index)) = 0; });
+               [&](int index) { HoldImage(problem, index, &free); });
   ForEachIndex("point", options.fixed_point_ids, problem.point_ids, problem.num_points,
                [&](int index) { free.point[index] = 0; });
   FreeTied(problem, &free);

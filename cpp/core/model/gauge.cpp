@@ -1,23 +1,16 @@
 /// The gauge.
 ///
-/// Fixed by two cameras: the first pose is fixed (six degrees), and of the second one coordinate of
-/// its translation. Scaling the world by s about the first camera moves a second camera's
-/// translation by t_2 -> t_2 + (s - 1) t_21, where t_21 is the translation of cam2_from_cam1.
-/// Holding the coordinate in which t_21 is largest therefore holds the scale best. (COLMAP takes
-/// the largest coordinate of the inverse motion; both hold the gauge, so both reach the same cost.)
-/// The second camera is the first after it, in the order of images, that stands elsewhere, as in
-/// COLMAP.
+/// Fixed by two cameras: what is free of the world is held by numbers of poses (gauge_hold.cpp). Of
+/// a world of which nothing is held, these are the first pose and a coordinate of the translation
+/// of a second one. (COLMAP takes the largest coordinate of the inverse motion; both hold the
+/// gauge, so both reach the same cost.)
 ///
 /// Fixed by three points: all nine coordinates of three points that are not on a line, as COLMAP
 /// does. That is two more than the gauge has: the shape of their triangle does not change any more.
-/// They are taken far apart but from the bulk of the cloud, so that no stray point becomes the
-/// reference.
-///
-/// Problems with rigs have as many degrees as are counted: six where the baseline of a rig is
-/// fixed, which gives the scale. The first frame (or image with a pose of its own) takes six, and a
-/// coordinate of the second one's translation the scale, if it is left; where there is no second
-/// one, a coordinate of a sensor's translation does. Three points would take more than that, so
-/// they are not taken.
+/// Points that are held anyway are the first of them. The others are taken far apart but from the
+/// bulk of the cloud, so that no stray point becomes the reference. Where rigs or images that are
+/// held take part in holding the world, three points would take even more: the rest is then held as
+/// by two cameras.
 ///
 /// Its directions, in which cameras and points may move together without any image changing: the
 /// world goes to X' = X + a, c + Exp(b) (X - c) or c + (1 + s) (X - c), with c the mean of the
@@ -45,6 +38,7 @@
 
 #include "core/error.h"
 #include "core/geometry/rotation.h"
+#include "core/model/gauge_hold.h"
 #include "core/parallel/reducer.h"
 
 namespace bundle {
@@ -64,47 +58,6 @@ std::vector<int> ObservedPoints(const ProblemView& problem) {
   std::vector<uint8_t> observed(problem.num_points);
   for (int64_t i = 0; i < problem.num_observations; ++i) observed[problem.observation_point[i]] = 1;
   return Marked(observed);
-}
-
-/// Those of `indices` where nothing is free.
-std::vector<int> Fixed(const std::vector<int>& indices, const std::vector<uint8_t>& free) {
-  std::vector<int> fixed;
-  std::copy_if(indices.begin(), indices.end(), std::back_inserter(fixed),
-               [&free](int i) { return free[i] == 0; });
-  return fixed;
-}
-
-/// The translation of pose b * inverse(pose a), that is t_b - R_b R_a^T t_a.
-void RelativeTranslation(const ProblemView& problem, int a, int b, double translation[3]) {
-  const double* pose_a = ValueOfPose(problem, a);
-  const double* pose_b = ValueOfPose(problem, b);
-  double rotation_a[9], rotation_b[9], minus_center_a[3];
-  QuaternionToRotation(pose_a, rotation_a);
-  QuaternionToRotation(pose_b, rotation_b);
-  VectorMatrix3(pose_a + 4, rotation_a, minus_center_a);
-  MatrixVector3(rotation_b, minus_center_a, translation);
-  for (int i = 0; i < 3; ++i) translation[i] = pose_b[4 + i] - translation[i];
-}
-
-std::string FixTwoCameras(const ProblemView& problem, const std::vector<int>& images,
-                          const std::vector<int>& fixed, FreeParameters* free) {
-  const int first = fixed.empty() ? images.front() : fixed.front();
-  free->pose[first] = 0;
-  for (const int second : images) {
-    if (second == first) continue;
-    double baseline[3];
-    RelativeTranslation(problem, first, second, baseline);
-    int largest = 0;
-    for (int i = 1; i < 3; ++i) {
-      if (std::abs(baseline[i]) > std::abs(baseline[largest])) largest = i;
-    }
-    if (std::abs(baseline[largest]) > 1e-9) {
-      free->pose[second] = static_cast<uint8_t>(free->pose[second] & ~(1u << (3 + largest)));
-      return "";
-    }
-  }
-  return "Gauge two_cameras holds only one image: no second image stands elsewhere, so the scale "
-         "is free.";
 }
 
 /// Squared distance of point p from point a, or from the line through a and b if b >= 0.
@@ -147,63 +100,48 @@ std::vector<int> BulkOfThePoints(const ProblemView& problem, const std::vector<i
   return bulk;
 }
 
+/// The point that is furthest from chosen ones, of those that are far from them beside `least`, a
+/// squared distance; -1: there is none.
+int Furthest(const ProblemView& problem, const std::vector<int>& points, const int chosen[3],
+             int count, double* least) {
+  int furthest = -1;
+  for (const int p : points) {
+    const double distance =
+        count == 0 ? 1 : SquaredDistance(problem, p, chosen[0], count == 1 ? -1 : chosen[1]);
+    if (distance > *least) *least = distance, furthest = p;
+  }
+  return furthest;
+}
+
+/// A third point that is held would hold all of the world.
 std::string FixThreePoints(const ProblemView& problem, const std::vector<int>& points,
                            FreeParameters* free) {
-  int chosen[3] = {-1, -1, -1};
+  constexpr double kFar = 1e-12;  // squared, beside the bulk
+  std::vector<int> held;
+  std::copy_if(points.begin(), points.end(), std::back_inserter(held),
+               [free](int p) { return free->point[p] == 0; });
   const std::vector<int> bulk = BulkOfThePoints(problem, points);
-  chosen[0] = bulk.front();
-  for (int k = 1; k < 3 && chosen[k - 1] >= 0; ++k) {
-    double furthest = 0;
-    for (const int p : bulk) {
-      const double distance = SquaredDistance(problem, p, chosen[0], k == 1 ? -1 : chosen[1]);
-      if (distance > furthest) furthest = distance, chosen[k] = p;
-    }
+  int chosen[3] = {-1, -1, -1};
+  for (int k = 0; k < 3; ++k) {
+    double most = 0;
+    chosen[k] = Furthest(problem, bulk, chosen, k, &most);
+    double least = kFar * most;
+    const int of_held = k == 2 ? -1 : Furthest(problem, held, chosen, k, &least);
+    if (of_held >= 0) chosen[k] = of_held;
+    if (chosen[k] < 0) return "Gauge three_points is not held: no three points span a plane.";
   }
-  if (chosen[2] < 0) return "Gauge three_points is not held: no three points span a plane.";
   for (const int p : chosen) free->point[p] = 0;
   return "";
 }
 
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
 
-/// Holds the free coordinate of a pose's translation in which `direction` is largest. False where
-/// it is zero in all of them.
-bool HoldCoordinate(const double* direction, uint8_t* bits) {
-  int largest = -1;
-  for (int j = 0; j < 3; ++j) {
-    if ((*bits >> (3 + j) & 1) == 0 || !(std::abs(direction[j]) > 1e-9)) continue;
-    if (largest < 0 || std::abs(direction[j]) > std::abs(direction[largest])) largest = j;
-  }
-  if (largest < 0) return false;
-  *bits = static_cast<uint8_t>(*bits & ~(1u << (3 + largest)));
-  return true;
-}
-
-std::string FixGaugeOfRigs(const ProblemView& problem, const std::vector<int>& images,
-                           FreeParameters* free) {
-  std::vector<int> poses;  // of frames, and of images that have one
-  for (const int i : images) poses.push_back(MovingPose(problem, i));
-  const auto bits = [&](int pose) -> uint8_t& { return free->OfPose(pose); };
-  int degrees = CountGaugeDegrees(problem, *free);
-  if (degrees == 0) return "";
-  const auto held = std::find_if(poses.begin(), poses.end(), [&](int p) { return bits(p) == 0; });
-  const int first = held != poses.end() ? *held : poses.front();
-  if (degrees > 1) {
-    bits(first) = 0;
-    degrees = CountGaugeDegrees(problem, *free);
-  }
-  if (degrees == 0) return "";
-  for (const int second : poses) {
-    double baseline[3];
-    RelativeTranslation(problem, first, second, baseline);
-    if (second != first && HoldCoordinate(baseline, &bits(second))) return "";
-  }
-  for (int s = 0; s < problem.num_sensors; ++s) {
-    const int pose = PoseOfSensor(problem, s);
-    if (HoldCoordinate(ValueOfPose(problem, pose) + 4, &bits(pose))) return "";
-  }
-  return "The gauge holds only one frame: nothing that is free stands elsewhere, so the scale is "
-         "free.";
+/// True if an image that is observed, or a rig, takes part in holding the world.
+bool PosesHoldSomething(const ProblemView& problem, const std::vector<int>& images,
+                        const FreeParameters& free) {
+  return problem.num_frames > 0 || std::any_of(images.begin(), images.end(), [&](int image) {
+           return free.pose[image] != FreeParameters::kWholePose;
+         });
 }
 
 }  // namespace
@@ -211,28 +149,21 @@ std::string FixGaugeOfRigs(const ProblemView& problem, const std::vector<int>& i
 std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free) {
   if (gauge == Gauge::kNone) return "";
   const std::vector<int> images = Marked(FindObservedImages(problem));
-  if (problem.num_frames > 0) {
-    if (images.empty()) return "";
-    const std::string sentence = FixGaugeOfRigs(problem, images, free);
-    if (gauge == Gauge::kTwoCameras || !sentence.empty()) return sentence;
-    return "Gauge three_points is held as two_cameras, by a frame: three points would hold the "
-           "shape of their triangle as well, which rigs do not leave free.";
+  if (images.empty()) return "";
+  if (gauge == Gauge::kTwoCameras) return HoldFreeMotions(problem, free);
+  if (CountGaugeDegrees(problem, *free) == 0) return "";
+  if (PosesHoldSomething(problem, images, *free)) {
+    const std::string sentence = HoldFreeMotions(problem, free);
+    if (!sentence.empty()) return sentence;
+    return "Gauge three_points is held as two_cameras, by poses: rigs or images that are held give "
+           "part of it, and three points would hold the shape of their triangle as well.";
   }
-  const std::vector<int> points = ObservedPoints(problem);
-  const std::vector<int> fixed_images = Fixed(images, free->pose);
-  const auto num_points = SumOverRanks(problem.ranks, static_cast<int64_t>(points.size()));
-  const auto num_fixed_points =
-      SumOverRanks(problem.ranks, static_cast<int64_t>(Fixed(points, free->point).size()));
-  const bool held = fixed_images.size() >= 2 || fixed_images.size() == images.size() ||
-                    num_fixed_points >= 3 || num_fixed_points == num_points;
-  if (held) return "";
-  if (gauge == Gauge::kTwoCameras) return FixTwoCameras(problem, images, fixed_images, free);
   if (problem.ranks != nullptr) {
     throw InputError(
         "gauge: expected two_cameras or none with several processes, found "
         "three_points");
   }
-  return FixThreePoints(problem, points, free);
+  return FixThreePoints(problem, ObservedPoints(problem), free);
 }
 
 void GaugeRowsOfPose(const PoseState& pose, const double centre[3],

@@ -16,10 +16,9 @@ namespace bundle {
 /// seven, rotation, translation and scale of the world.
 int CountGaugeDegrees(const ProblemView& problem, const FreeParameters& free);
 
-/// Takes the degrees of freedom that no observation sees out of `free`. Without rigs these are
-/// seven, unless two images or three points that are fixed already hold them; with rigs they are
-/// counted. Returns a sentence, to be shown to the user, where that could not be done as asked;
-/// else "".
+/// Takes the degrees of freedom that no observation sees out of `free`: as many as are counted, and
+/// with three points two more. Returns a sentence, to be shown to the user, where that could not be
+/// done as asked; else "".
 std::string FixGauge(const ProblemView& problem, Gauge gauge, FreeParameters* free);
 
 /// Translations, rotations and the scale of the world.

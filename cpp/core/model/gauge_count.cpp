@@ -17,22 +17,26 @@
 ///
 ///   nullity(W) - nullity(W without the columns of d)
 ///
-/// degrees: 7 without rigs and nothing held, 6 where a fixed baseline gives the scale, 0 where two
-/// images are held. Lengths are in units of the scene and columns in those of [delta_i, -M_s], so
-/// that a baseline counts as one down to 1e-10 of the scene. Of W, the triangle of its QR
-/// factorisation is kept.
+/// degrees: 7 without rigs and nothing held, 6 where a fixed baseline gives the scale, 4 where one
+/// point is held, 0 where two images are. Lengths are in units of the scene and columns in those of
+/// [delta_i, -M_s], so that a baseline counts as one down to 1e-10 of the scene. Of W, the triangle
+/// of its QR factorisation is kept. A frame of one image that is wholly free reaches everything and
+/// has no rows. Points that are held need three rows each, in units of their distance where they
+/// are far; but a similarity that leaves two of them leaves their line, and three the world: three
+/// that are far apart stand for all.
+///
+/// A pose is refined by (w, t) with t about the origin of the problem. About the centre c of the
+/// cameras it is t_c = t + R c, which a turn alone, t held, moves by phi x R c. The translation of
+/// an image that turns about its own centre follows it, by phi x t_c.
 
-#include <Eigen/Core>
+#include "core/model/gauge_count.h"
+
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <map>
-#include <vector>
 
 #include "core/dense/decompositions.h"
-#include "core/factors/rig_pose.h"
 #include "core/geometry/rotation.h"
-#include "core/model/gauge.h"
 #include "core/parallel/reducer.h"
 
 namespace bundle {
@@ -41,212 +45,341 @@ namespace {
 using Eigen::MatrixXd;
 using Eigen::Vector3d;
 using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
-using Map6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+using Map6 = Eigen::Matrix<double, 6, 6>;
+using RowMajor6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 
 constexpr double kZeroSingularValue = 1e-10;
 
-class GaugeCount {
- public:
-  GaugeCount(const ProblemView& problem, const FreeParameters& free)
-      : problem_(problem), free_(free), first_column_(problem.num_sensors) {
-    for (int s = 0; s < problem.num_sensors; ++s) {
-      first_column_[s] = num_sensor_columns_;
-      num_sensor_columns_ += __builtin_popcount(free.sensor[s]);
+/// Of points, three numbers each, up to three that span as much as all of them.
+std::vector<double> Spanning(const std::vector<double>& points) {
+  std::vector<double> chosen;
+  const auto at = [](const std::vector<double>& of, size_t k) {
+    return Eigen::Map<const Vector3d>(&of[k]);
+  };
+  for (int count = 0; count < 3; ++count) {
+    double furthest = count == 0 ? -1 : 0;
+    size_t next = points.size();
+    for (size_t k = 0; k < points.size(); k += 3) {
+      double squared = 0;
+      if (count > 0) {
+        Vector3d from_first = at(points, k) - at(chosen, 0);
+        if (count == 2) {
+          const Vector3d along = (at(chosen, 3) - at(chosen, 0)).normalized();
+          from_first -= from_first.dot(along) * along;
+        }
+        squared = from_first.squaredNorm();
+      }
+      if (squared > furthest) furthest = squared, next = k;
     }
-    const int n = kNumGaugeDirections + num_sensor_columns_;
-    // Rows are added until there are so many, and then factorised with the triangle above them.
-    rows_ = MatrixXd::Zero(n + std::max(64, 4 * n), n);
-    num_rows_ = n;
-    squares_ = Eigen::VectorXd::Zero(n);
-    const std::vector<uint8_t> observed = FindObservedImages(problem);
-    for (int i = 0; i < problem.num_images; ++i) {
-      if (observed[i]) images_.push_back(i);
-    }
-    FindScene();
+    if (next == points.size()) break;
+    chosen.insert(chosen.end(), &points[next], &points[next] + 3);
   }
+  return chosen;
+}
 
-  int Degrees() {
-    std::map<int, std::vector<int>> by_pose;  // images of each frame, or an image alone
-    for (const int i : images_) by_pose[MovingPose(problem_, i)].push_back(i);
-    for (const auto& [pose, images] : by_pose) AddImages(pose, images);
+}  // namespace
+
+FreeMotions::FreeMotions(const ProblemView& problem, const FreeParameters& free)
+    : problem_(problem), free_(free), first_column_(problem.num_sensors) {
+  for (int s = 0; s < problem.num_sensors; ++s) {
+    first_column_[s] = num_sensor_columns_;
+    num_sensor_columns_ += __builtin_popcount(free.sensor[s]);
+  }
+  const int n = kNumGaugeDirections + num_sensor_columns_;
+  // Rows are added until there are so many, and then factorised with the triangle above them.
+  rows_ = MatrixXd::Zero(n + std::max(64, 4 * n), n);
+  num_rows_ = n;
+  squares_ = Eigen::VectorXd::Zero(n);
+  const std::vector<uint8_t> observed = FindObservedImages(problem);
+  std::vector<int> place(NumPoses(problem), -1);
+  for (int i = 0; i < problem.num_images; ++i) {
+    if (!observed[i]) continue;
+    images_.push_back(i);
+    int& at = place[MovingPose(problem, i)];
+    if (at < 0) {
+      at = static_cast<int>(poses_.size());
+      poses_.push_back(MovingPose(problem, i));
+      moving_.emplace_back();
+    }
+    moving_[at].push_back(i);
+  }
+  FindScene();
+  for (size_t k = 0; k < poses_.size(); ++k) AddImages(poses_[k], moving_[k]);
+  AddHeldPoints();
+  Factorize();
+}
+
+int FreeMotions::Degrees() const {
+  const auto nullity = [&](int first) {
+    return (SingularValues(Scaled(first)).array() < kZeroSingularValue).count();
+  };
+  return static_cast<int>(nullity(0) -
+                          (num_sensor_columns_ == 0 ? 0 : nullity(kNumGaugeDirections)));
+}
+
+MatrixXd FreeMotions::Basis() const {
+  const RightSingularVectors singular = DecomposeSingular(Scaled(0));
+  const auto nullity = (singular.values.array() < kZeroSingularValue).count();
+  MatrixXd basis = singular.vectors.rightCols(nullity);
+  for (Eigen::Index j = 0; j < squares_.size(); ++j) {
+    if (squares_[j] > 0) basis.row(j) /= std::sqrt(squares_[j]);
+  }
+  return nullity == 0 ? basis : OrthonormalColumns(basis);
+}
+
+std::vector<int> FreeMotions::Poses() const {
+  std::vector<int> poses = poses_;
+  for (int s = 0; s < problem_.num_sensors; ++s) {
+    if (free_.sensor[s] != 0) poses.push_back(PoseOfSensor(problem_, s));
+  }
+  return poses;
+}
+
+FreeMotions::PoseMoves FreeMotions::MovesOf(int pose, const MatrixXd& motions) const {
+  const int sensor = pose - problem_.num_images - problem_.num_frames;
+  PoseMoves moves;
+  if (sensor >= 0) {
+    moves.centered = MatrixXd::Zero(kPoseSize, motions.cols());
+    int column = kNumGaugeDirections + first_column_[sensor];
+    for (int j = 0; j < kPoseSize; ++j) {
+      if (free_.sensor[sensor] >> j & 1u) moves.centered.row(j) = motions.row(column++);
+    }
+    moves.chart = moves.centered;
+    return moves;
+  }
+  // The images of a frame agree: the first of them says how it moves.
+  const auto place = std::find(poses_.begin(), poses_.end(), pose) - poses_.begin();
+  const int image = moving_[place].front();
+  const PoseState own = Centered(pose);
+  const Equations of = EquationsOf(pose, {image});
+  moves.centered = MatrixXd::Zero(kPoseSize, motions.cols());
+  for (size_t k = 0; k < of.columns.size(); ++k) {
+    moves.centered += of.wanted.col(static_cast<Eigen::Index>(k)) * motions.row(of.columns[k]);
+  }
+  if (problem_.SensorOf(image) >= 0 && pose >= problem_.num_images) {
+    const PoseState on_rig = StartOf(PoseOfSensor(problem_, problem_.SensorOf(image)));
+    const Matrix3 back = Eigen::Map<const Matrix3>(on_rig.rotation).transpose();
+    moves.centered.topRows<3>() = (back * moves.centered.topRows<3>()).eval();
+    moves.centered.bottomRows<3>() = (back * moves.centered.bottomRows<3>()).eval();
+  }
+  moves.chart = moves.centered;
+  const Matrix3 by_turn = ChartMap(pose, own).bottomLeftCorner<3, 3>() / size_;
+  moves.chart.bottomRows<3>() -= by_turn * moves.centered.topRows<3>();
+  return moves;
+}
+
+void FreeMotions::FindScene() {
+  std::vector<Vector3d> centres;
+  centre_.setZero();
+  for (const int i : images_) {
+    const PoseState pose = StartOf(i);
+    centres.emplace_back(-Eigen::Map<const Matrix3>(pose.rotation).transpose() *
+                         Eigen::Map<const Vector3d>(pose.translation));
+    centre_ += centres.back() / static_cast<double>(images_.size());
+  }
+  // The root of the mean square, whatever squares do at 1e200.
+  double most = 0, squares = 0;
+  for (const Vector3d& centre : centres) {
+    most = std::max(most, (centre - centre_).cwiseAbs().maxCoeff());
+  }
+  for (const Vector3d& centre : centres) {
+    if (most > 0) squares += ((centre - centre_) / most).squaredNorm();
+  }
+  size_ = most > 0 ? most * std::sqrt(squares / static_cast<double>(images_.size()))
+                   : MaxOverRanks(problem_.ranks, DistanceOfSomePoint());
+  if (!(size_ > 0 && std::isfinite(size_))) size_ = 1;
+}
+
+double FreeMotions::DistanceOfSomePoint() const {
+  double distance = 0;
+  for (int64_t i = 0; i < problem_.num_observations && distance == 0; ++i) {
+    const double* const point = problem_.points + 3 * int64_t{problem_.observation_point[i]};
+    distance = (Eigen::Map<const Vector3d>(point) - centre_).stableNorm();
+  }
+  return distance;
+}
+
+/// A pose at the start, about the origin of the world.
+PoseState FreeMotions::StartOf(int pose) const {
+  const double* const value = ValueOfPose(problem_, pose);
+  PoseState state;
+  QuaternionToRotation(value, state.rotation);
+  std::copy_n(value + 4, 3, state.translation);
+  std::copy_n(kIdentity3, 9, state.left_jacobian);
+  return state;
+}
+
+/// A pose of the world about the centre of the cameras.
+PoseState FreeMotions::Centered(int pose) const {
+  PoseState state = StartOf(pose);
+  double moved[3];
+  MatrixVector3(state.rotation, centre_.data(), moved);
+  for (int j = 0; j < 3; ++j) state.translation[j] += moved[j];
+  return state;
+}
+
+/// From (w, t) of a pose in the world to its local coordinates about the centre.
+Map6 FreeMotions::ChartMap(int pose, const PoseState& centered) const {
+  double arm[3], by_turn[9];
+  const bool turns = pose < problem_.num_images && TurnsAboutCentre(problem_, pose);
+  MatrixVector3(centered.rotation, centre_.data(), arm);
+  MinusCross(turns ? centered.translation : arm, kIdentity3, by_turn);
+  RowMajor6 map;
+  JoinBlocks(kIdentity3, nullptr, by_turn, kIdentity3, map.data());
+  return map;
+}
+
+/// The columns of a map that are free, with lengths in units of the scene.
+MatrixXd FreeMotions::FreeColumns(Map6 map, uint8_t bits) const {
+  map.bottomRows<3>() /= size_;
+  map.rightCols<3>() *= size_;
+  MatrixXd columns(6, __builtin_popcount(bits));
+  int next = 0;
+  for (int j = 0; j < kPoseSize; ++j) {
+    if (bits >> j & 1u) columns.col(next++) = map.col(j);
+  }
+  return columns;
+}
+
+uint8_t FreeMotions::BitsOf(int pose) const {
+  return pose < problem_.num_images ? free_.pose[pose] : free_.frame[pose - problem_.num_images];
+}
+
+/// `own`: of its frame. `on_rig` becomes that of its sensor, where there is one.
+RigPose FreeMotions::OnRig(int image, const PoseState& own, PoseState* on_rig) const {
+  const int sensor = problem_.SensorOf(image);
+  if (sensor < 0) return {&own, nullptr};
+  *on_rig = StartOf(PoseOfSensor(problem_, sensor));
+  return {&own, on_rig};
+}
+
+/// [delta_i, -M_s] of images that move by one pose.
+FreeMotions::Equations FreeMotions::EquationsOf(int pose, const std::vector<int>& images) const {
+  const PoseState own = Centered(pose);
+  Equations equations;
+  std::vector<int>& columns = equations.columns;
+  for (int k = 0; k < kNumGaugeDirections; ++k) columns.push_back(k);
+  std::vector<int> sensors;
+  for (const int i : images) {
+    const int sensor = problem_.SensorOf(i);
+    if (sensor < 0 || std::count(sensors.begin(), sensors.end(), sensor) > 0) continue;
+    sensors.push_back(sensor);
+    for (int k = 0; k < __builtin_popcount(free_.sensor[sensor]); ++k) {
+      columns.push_back(kNumGaugeDirections + first_column_[sensor] + k);
+    }
+  }
+  MatrixXd& wanted = equations.wanted;
+  wanted.setZero(static_cast<Eigen::Index>(6 * images.size()),
+                 static_cast<Eigen::Index>(columns.size()));
+  for (size_t k = 0; k < images.size(); ++k) {
+    const auto row = static_cast<Eigen::Index>(6 * k);
+    PoseState on_rig, image = own;
+    if (pose >= problem_.num_images) {
+      const RigPose rig = OnRig(images[k], own, &on_rig);
+      if (rig.sensor != nullptr) {
+        const int sensor = problem_.SensorOf(images[k]);
+        const uint8_t bits = free_.sensor[sensor];
+        const auto at =
+            std::find(columns.begin(), columns.end(), kNumGaugeDirections + first_column_[sensor]);
+        RowMajor6 map;
+        SensorMap(rig, map.data());
+        if (bits != 0) {
+          wanted.block(row, at - columns.begin(), 6, __builtin_popcount(bits)) =
+              -FreeColumns(map, bits);
+        }
+      }
+      ComposePose(rig, &image);
+    }
+    const Matrix3 rotation = Eigen::Map<const Matrix3>(image.rotation);
+    wanted.block<3, 3>(row + 3, 0) = -rotation;
+    wanted.block<3, 3>(row, 3) = -rotation;
+    wanted.block<3, 1>(row + 3, 6) = Eigen::Map<const Vector3d>(image.translation) / size_;
+  }
+  return equations;
+}
+
+void FreeMotions::AddImages(int pose, const std::vector<int>& images) {
+  const uint8_t bits = BitsOf(pose);
+  Equations of = EquationsOf(pose, images);
+  for (size_t j = 0; j < of.columns.size(); ++j) {
+    squares_[of.columns[j]] += of.wanted.col(static_cast<Eigen::Index>(j)).squaredNorm();
+  }
+  longest_move_ = std::max(longest_move_, of.wanted.topRows<6>().norm());
+  if (images.size() == 1 && bits == FreeParameters::kWholePose) return;
+  const PoseState own = Centered(pose);
+  const Map6 chart = ChartMap(pose, own);
+  MatrixXd reached(of.wanted.rows(), __builtin_popcount(bits));
+  for (size_t k = 0; k < images.size(); ++k) {
+    Map6 map = chart;
+    if (pose >= problem_.num_images) {
+      PoseState on_rig;
+      RowMajor6 by_frame;
+      FrameMap(OnRig(images[k], own, &on_rig), by_frame.data());
+      map = (by_frame * chart).eval();
+    }
+    reached.middleRows<6>(static_cast<Eigen::Index>(6 * k)) = FreeColumns(map, bits);
+  }
+  if (reached.cols() > 0) {
+    const MatrixXd q = OrthonormalColumns(reached);
+    for (int twice = 0; twice < 2; ++twice) {
+      of.wanted -= Multiply(q, MultiplyTransposed(q, of.wanted));
+    }
+  }
+  Add(of.wanted, of.columns);
+}
+
+void FreeMotions::AddHeldPoints() {
+  std::vector<double> held;
+  if (std::count(free_.point.begin(), free_.point.end(), 0) > 0) {
     const std::vector<int64_t> lengths = TrackLengths(problem_);
-    std::vector<double> held;
     for (int point = 0; point < problem_.num_points; ++point) {
       const double* const at = problem_.points + 3 * int64_t{point};
       if (lengths[point] > 0 && free_.point[point] == 0) held.insert(held.end(), at, at + 3);
     }
-    held = ConcatenateOverRanks(problem_.ranks, held);
-    for (size_t k = 0; k < held.size(); k += 3) AddPoint(held.data() + k);
-    Factorize();
-    return Nullity(0) - (num_sensor_columns_ == 0 ? 0 : Nullity(kNumGaugeDirections));
   }
-
- private:
-  void FindScene() {
-    std::vector<Vector3d> centres;
-    centre_.setZero();
-    for (const int i : images_) {
-      const PoseState pose = StartOf(i);
-      centres.emplace_back(-Eigen::Map<const Matrix3>(pose.rotation).transpose() *
-                           Eigen::Map<const Vector3d>(pose.translation));
-      centre_ += centres.back() / static_cast<double>(images_.size());
-    }
-    double squared = 0;
-    for (const Vector3d& centre : centres) squared += (centre - centre_).squaredNorm();
-    if (squared == 0) squared = MaxOverRanks(problem_.ranks, SquaredDistanceOfSomePoint());
-    size_ = squared > 0 ? std::sqrt(squared / static_cast<double>(images_.size())) : 1;
-  }
-
-  double SquaredDistanceOfSomePoint() const {
-    double squared = 0;
-    for (int64_t i = 0; i < problem_.num_observations && squared == 0; ++i) {
-      const double* const point = problem_.points + 3 * int64_t{problem_.observation_point[i]};
-      squared = (Eigen::Map<const Vector3d>(point) - centre_).squaredNorm();
-    }
-    return squared;
-  }
-
-  /// A pose at the start, about the origin of the world.
-  PoseState StartOf(int pose) const {
-    const double* const value = ValueOfPose(problem_, pose);
-    PoseState state;
-    QuaternionToRotation(value, state.rotation);
-    std::copy_n(value + 4, 3, state.translation);
-    std::copy_n(kIdentity3, 9, state.left_jacobian);
-    return state;
-  }
-
-  /// A pose of the world about the centre of the cameras.
-  PoseState Centred(int pose) const {
-    PoseState state = StartOf(pose);
-    double moved[3];
-    MatrixVector3(state.rotation, centre_.data(), moved);
-    for (int j = 0; j < 3; ++j) state.translation[j] += moved[j];
-    return state;
-  }
-
-  /// The columns of a map that are free, with lengths in units of the scene.
-  MatrixXd FreeColumns(Map6 map, uint8_t bits) const {
-    map.bottomRows<3>() /= size_;
-    map.rightCols<3>() *= size_;
-    MatrixXd columns(6, __builtin_popcount(bits));
-    int next = 0;
-    for (int j = 0; j < kPoseSize; ++j) {
-      if (bits >> j & 1u) columns.col(next++) = map.col(j);
-    }
-    return columns;
-  }
-
-  void AddImages(int pose, const std::vector<int>& images) {
-    const bool is_frame = pose >= problem_.num_images;
-    const uint8_t bits = is_frame ? free_.frame[pose - problem_.num_images] : free_.pose[pose];
-    const PoseState own = Centred(pose);
-    std::vector<int> columns;  // of rows_
-    for (int k = 0; k < kNumGaugeDirections; ++k) columns.push_back(k);
-    std::vector<int> sensors;
-    for (const int i : images) {
-      const int sensor = problem_.SensorOf(i);
-      if (sensor < 0 || std::count(sensors.begin(), sensors.end(), sensor) > 0) continue;
-      sensors.push_back(sensor);
-      for (int k = 0; k < __builtin_popcount(free_.sensor[sensor]); ++k) {
-        columns.push_back(kNumGaugeDirections + first_column_[sensor] + k);
-      }
-    }
-    const auto rows = static_cast<Eigen::Index>(6 * images.size());
-    MatrixXd wanted = MatrixXd::Zero(rows, static_cast<Eigen::Index>(columns.size()));
-    MatrixXd reached(rows, __builtin_popcount(bits));
-    for (size_t k = 0; k < images.size(); ++k) {
-      const auto row = static_cast<Eigen::Index>(6 * k);
-      const int sensor = problem_.SensorOf(images[k]);
-      PoseState on_rig, image = own;
-      Map6 map = Map6::Identity();
-      if (is_frame) {
-        RigPose rig = {&own, nullptr};
-        if (sensor >= 0) {
-          on_rig = StartOf(PoseOfSensor(problem_, sensor));
-          rig.sensor = &on_rig;
-          SensorMap(rig, map.data());
-          const uint8_t free = free_.sensor[sensor];
-          const auto at = std::find(columns.begin(), columns.end(),
-                                    kNumGaugeDirections + first_column_[sensor]);
-          if (free != 0) {
-            wanted.block(row, at - columns.begin(), 6, __builtin_popcount(free)) =
-                -FreeColumns(map, free);
-          }
-        }
-        ComposePose(rig, &image);
-        FrameMap(rig, map.data());
-      }
-      reached.middleRows<6>(row) = FreeColumns(map, bits);
-      const Matrix3 rotation = Eigen::Map<const Matrix3>(image.rotation);
-      wanted.block<3, 3>(row + 3, 0) = -rotation;
-      wanted.block<3, 3>(row, 3) = -rotation;
-      wanted.block<3, 1>(row + 3, 6) = Eigen::Map<const Vector3d>(image.translation) / size_;
-    }
-    Add(std::move(wanted), reached, columns);
-  }
-
-  void AddPoint(const double* point) {
-    const Vector3d x = (Eigen::Map<const Vector3d>(point) - centre_) / size_;
+  held = Spanning(ConcatenateOverRanks(problem_.ranks, Spanning(held)));
+  for (size_t k = 0; k < held.size(); k += 3) {
+    Vector3d x = (Eigen::Map<const Vector3d>(&held[k]) - centre_) / size_;
+    const double unit = std::max(1.0, x.stableNorm());
+    x /= unit;
     MatrixXd moves(3, kNumGaugeDirections);
-    moves.leftCols<3>().setIdentity();
-    for (int k = 0; k < 3; ++k) moves.col(3 + k) = Vector3d::Unit(k).cross(x);
+    moves.leftCols<3>() = Matrix3::Identity() / unit;
+    for (int j = 0; j < 3; ++j) moves.col(3 + j) = Vector3d::Unit(j).cross(x);
     moves.col(6) = x;
-    Add(std::move(moves), MatrixXd(3, 0), {0, 1, 2, 3, 4, 5, 6});
+    squares_.head<kNumGaugeDirections>() += moves.colwise().squaredNorm().transpose();
+    Add(moves, {0, 1, 2, 3, 4, 5, 6});
   }
+}
 
-  void Add(MatrixXd wanted, const MatrixXd& reached, const std::vector<int>& columns) {
+void FreeMotions::Add(const MatrixXd& rows, const std::vector<int>& columns) {
+  for (Eigen::Index i = 0; i < rows.rows(); ++i) {
+    if (num_rows_ == rows_.rows()) Factorize();
+    rows_.row(num_rows_).setZero();
     for (size_t j = 0; j < columns.size(); ++j) {
-      squares_[columns[j]] += wanted.col(static_cast<Eigen::Index>(j)).squaredNorm();
+      rows_(num_rows_, columns[j]) = rows(i, static_cast<Eigen::Index>(j));
     }
-    if (reached.cols() > 0) {
-      const MatrixXd q = OrthonormalColumns(reached);
-      for (int twice = 0; twice < 2; ++twice) {
-        wanted -= Multiply(q, MultiplyTransposed(q, wanted));
-      }
-    }
-    for (Eigen::Index i = 0; i < wanted.rows(); ++i) {
-      if (num_rows_ == rows_.rows()) Factorize();
-      rows_.row(num_rows_).setZero();
-      for (size_t j = 0; j < columns.size(); ++j) {
-        rows_(num_rows_, columns[j]) = wanted(i, static_cast<Eigen::Index>(j));
-      }
-      ++num_rows_;
-    }
+    ++num_rows_;
   }
+}
 
-  void Factorize() {
-    const Eigen::Index n = rows_.cols();
-    rows_.topRows(n) = TriangleOfQr(rows_.topRows(num_rows_).eval());
-    num_rows_ = n;
+void FreeMotions::Factorize() {
+  const Eigen::Index n = rows_.cols();
+  rows_.topRows(n) = TriangleOfQr(rows_.topRows(num_rows_).eval());
+  num_rows_ = n;
+}
+
+/// The triangle by columns of norm 1 before the projection, from the column `first` on.
+MatrixXd FreeMotions::Scaled(int first) const {
+  MatrixXd scaled = rows_.topRows(rows_.cols()).rightCols(rows_.cols() - first);
+  for (Eigen::Index j = 0; j < scaled.cols(); ++j) {
+    const double squared = squares_[first + j];
+    if (squared > 0) scaled.col(j) /= std::sqrt(squared);
   }
-
-  /// Of the columns from `first` on.
-  int Nullity(int first) const {
-    MatrixXd scaled = rows_.topRows(rows_.cols()).rightCols(rows_.cols() - first);
-    for (Eigen::Index j = 0; j < scaled.cols(); ++j) {
-      const double squared = squares_[first + j];
-      if (squared > 0) scaled.col(j) /= std::sqrt(squared);
-    }
-    return static_cast<int>((SingularValues(scaled).array() < kZeroSingularValue).count());
-  }
-
-  const ProblemView& problem_;
-  const FreeParameters& free_;
-  std::vector<int> images_;  ///< with observations
-  Vector3d centre_;
-  double size_ = 1;
-  std::vector<int> first_column_;  ///< of each sensor, behind those of d
-  int num_sensor_columns_ = 0;
-  MatrixXd rows_;  ///< W: a triangle, and rows below it up to num_rows_
-  Eigen::Index num_rows_ = 0;
-  Eigen::VectorXd squares_;  ///< of the columns before they are projected
-};
-
-}  // namespace
+  return scaled;
+}
 
 int CountGaugeDegrees(const ProblemView& problem, const FreeParameters& free) {
-  return GaugeCount(problem, free).Degrees();
+  return FreeMotions(problem, free).Degrees();
 }
 
 }  // namespace bundle

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "core/error.h"
 #include "core/model/gauge.h"
 #include "support/scene.h"
 
@@ -53,7 +54,6 @@ int Degrees(const Scene& scene, const SolveOptions& options = {}) {
   const ProblemView problem = scene.View();
   FreeParameters free = SelectFreeParameters(problem, options);
   const int degrees = CountGaugeDegrees(problem, free);
-  if (problem.num_frames == 0) return degrees;
   const int before = NumFree(free);
   EXPECT_EQ(FixGauge(problem, Gauge::kTwoCameras, &free), "");
   EXPECT_EQ(before - NumFree(free), degrees);
@@ -98,8 +98,10 @@ TEST(GaugeCount, RefinedSensorsLeaveTheScale) {
   options.fixed_sensors = {{7, scene.camera_ids[2]}};
   EXPECT_EQ(Degrees(scene, options), 6);
   options.fixed_sensors.clear();
-  options.fixed_image_ids = {scene.image_ids[4]};  // its frame
+  options.fixed_image_ids = {scene.image_ids[3]};  // its frame
   EXPECT_EQ(Degrees(scene, options), 1);
+  options.fixed_image_ids = {scene.image_ids[4]};
+  EXPECT_THROW(SelectFreeParameters(scene.View(), options), InputError);
   options.refine_sensor_from_rig = false;
   EXPECT_EQ(Degrees(scene, options), 0);
 }

@@ -1,0 +1,77 @@
+#pragma once
+
+/// What of the world is free although every image stays as it is (gauge_count.cpp).
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "core/factors/rig_pose.h"
+#include "core/model/gauge.h"
+#include "core/model/parameter_layout.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+class FreeMotions {
+ public:
+  /// Keeps references to both, which do not change while this is in use.
+  FreeMotions(const ProblemView& problem, const FreeParameters& free);
+
+  /// Degrees of freedom of the gauge.
+  int Degrees() const;
+  /// The motions that are possible: similarities of the world with what sensors that are refined
+  /// do, and sensors that move on their rigs alone. A column each, orthonormal, in radians, units
+  /// of the scene and of scale.
+  Eigen::MatrixXd Basis() const;
+  /// Poses that images with observations move by: of images, frames, then sensors that are refined.
+  std::vector<int> Poses() const;
+
+  /// How far a motion of norm 1 moves a number of an image or a frame, at most.
+  double LongestMove() const { return longest_move_; }
+
+  /// What motions do to (w, t) of a pose, a row each, in radians and units of the scene.
+  struct PoseMoves {
+    Eigen::MatrixXd chart;     ///< in the solver's coordinates
+    Eigen::MatrixXd centered;  ///< with t about the centre of the scene
+  };
+  /// `motions`: combinations of the basis, columns as it has.
+  PoseMoves MovesOf(int pose, const Eigen::MatrixXd& motions) const;
+
+ private:
+  /// Equations of the images of a frame, or of an image alone, in columns of W.
+  struct Equations {
+    Eigen::MatrixXd wanted;
+    std::vector<int> columns;
+  };
+
+  void FindScene();
+  double DistanceOfSomePoint() const;
+  PoseState StartOf(int pose) const;
+  PoseState Centered(int pose) const;
+  Eigen::Matrix<double, 6, 6> ChartMap(int pose, const PoseState& centered) const;
+  Eigen::MatrixXd FreeColumns(Eigen::Matrix<double, 6, 6> map, uint8_t bits) const;
+  uint8_t BitsOf(int pose) const;
+  RigPose OnRig(int image, const PoseState& own, PoseState* on_rig) const;
+  Equations EquationsOf(int pose, const std::vector<int>& images) const;
+  void AddImages(int pose, const std::vector<int>& images);
+  void AddHeldPoints();
+  void Add(const Eigen::MatrixXd& rows, const std::vector<int>& columns);
+  void Factorize();
+  Eigen::MatrixXd Scaled(int first) const;
+
+  const ProblemView& problem_;
+  const FreeParameters& free_;
+  std::vector<int> images_;               ///< with observations
+  std::vector<int> poses_;                ///< by which these move, in the order of images
+  std::vector<std::vector<int>> moving_;  ///< the images that move by each of poses_
+  std::vector<int> first_column_;         ///< of each sensor, behind those of d
+  int num_sensor_columns_ = 0;
+  Eigen::Vector3d centre_;
+  double size_ = 1;
+  double longest_move_ = 0;
+  Eigen::MatrixXd rows_;  ///< W: a triangle, and rows below it up to num_rows_
+  Eigen::Index num_rows_ = 0;
+  Eigen::VectorXd squares_;  ///< of the columns before they are projected
+};
+
+}  // namespace bundle

@@ -1,0 +1,151 @@
+/// How the gauge is held: by as many numbers of poses as there are motions that change no image.
+///
+/// Let N be a basis of these motions (gauge_count.h), m columns, and g_j N what they do to a number
+/// j of a pose. Numbers j_1, ..., j_m whose rows g_j N are independent can be held: of all worlds
+/// that are equal up to a motion, one has these numbers as they are at the start (implicit function
+/// theorem), so that nothing is lost, and as G N is regular, nothing is left free. This holds
+/// whatever else is held, a point, an image, a baseline: N knows it.
+///
+/// Numbers are taken one by one, and what a number holds leaves N: it becomes an orthonormal basis
+/// of what the number's row does not see. The poses come in the order of images, and each
+/// gives what it can, unless it moves by less than kShare of what another one does: a baseline
+/// that is short beside others would make the scale a guess, and one of noise alone can end on its
+/// other side. Sensors come last: they have the scale where there is no second frame.
+///
+/// Of a pose, numbers of its rotation come first, as long as it turns by kTurn of what it shifts
+/// (radians beside units of the scene): with the rotation held, its translation is that of its
+/// centre whatever the origin. Where a point far away is held, turns about it are shifts. Of
+/// several, the number goes that moves most. With nothing held these are all six of the first pose.
+/// What is left then scales the world about its centre, and moves a second pose's translation by
+/// t_2 -> t_2 + (s - 1) t_21, with t_21 that of cam2_from_cam1: its largest coordinate is held.
+
+#include "core/model/gauge_hold.h"
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "core/dense/decompositions.h"
+#include "core/model/gauge_count.h"
+
+namespace bundle {
+namespace {
+
+using Eigen::MatrixXd;
+
+constexpr double kShare = 0.01;
+constexpr double kTurn = 0.1;
+/// Of motions of norm 1: what moves less stands still.
+constexpr double kStill = 1e-9;
+/// Numbers that move as much but for this share are equal, in whatever order sums were rounded.
+constexpr double kEqual = 1e-6;
+
+class GaugeHolder {
+ public:
+  /// Keeps references: `before` does not change.
+  GaugeHolder(const ProblemView& problem, const FreeParameters& before, FreeParameters* free)
+      : motions_(problem, before), basis_(motions_.Basis()), free_(free) {
+    left_ = MatrixXd::Identity(basis_.cols(), basis_.cols());
+    if (basis_.cols() == 0) return;
+    poses_ = motions_.Poses();
+    moves_.resize(poses_.size());
+    for (const int pose : poses_) num_of_world_ += pose < problem.num_images + problem.num_frames;
+  }
+
+  /// Holds what the poses can, and returns what is left of the motions.
+  Eigen::Index Hold() {
+    HoldBy(0, num_of_world_);
+    HoldBy(num_of_world_, poses_.size());
+    return left_.cols();
+  }
+
+ private:
+  /// A number of a pose and how far the motions that are left move it.
+  struct Number {
+    int column = -1;
+    double norm = 0;
+  };
+
+  double Norm(const MatrixXd& moves, int column) const {
+    return (moves.row(column) * left_).norm();
+  }
+
+  Number Largest(size_t place, const MatrixXd& moves, int first) const {
+    Number largest;
+    for (int column = first; column < first + 3; ++column) {
+      if ((free_->OfPose(poses_[place]) >> column & 1) == 0) continue;
+      const double norm = Norm(moves, column);
+      if (norm > largest.norm * (1 + kEqual)) largest = {column, norm};
+    }
+    return largest;
+  }
+
+  /// By the basis: of most poses nobody asks for them.
+  const FreeMotions::PoseMoves& MovesOf(size_t place) {
+    std::optional<FreeMotions::PoseMoves>& moves = moves_[place];
+    if (!moves) moves = motions_.MovesOf(poses_[place], basis_);
+    return *moves;
+  }
+
+  /// The number that a pose holds next.
+  Number Next(size_t place) {
+    const FreeMotions::PoseMoves& moves = MovesOf(place);
+    const Number turn = Largest(place, moves.chart, 0);
+    const Number shift = Largest(place, moves.centered, 3);
+    if (turn.norm >= kTurn * shift.norm) return turn;
+    const Number in_chart = Largest(place, moves.chart, 3);
+    return in_chart.norm > kStill ? Number{in_chart.column, shift.norm} : turn;
+  }
+
+  void HoldBy(size_t first, size_t last) {
+    for (size_t place = first; place < last && left_.cols() > 0; ++place) {
+      Number next = Next(place);
+      while (next.norm > kStill && IsLong(next.norm, first, last)) {
+        Take(place, next.column);
+        if (left_.cols() == 0) return;
+        next = Next(place);
+      }
+    }
+  }
+
+  /// True if no pose moves much further.
+  bool IsLong(double norm, size_t first, size_t last) {
+    if (norm >= kShare * motions_.LongestMove()) return true;
+    double most = 0;
+    for (size_t place = first; place < last; ++place) most = std::max(most, Next(place).norm);
+    return norm >= kShare * most;
+  }
+
+  void Take(size_t place, int column) {
+    uint8_t& bits = free_->OfPose(poses_[place]);
+    bits = static_cast<uint8_t>(bits & ~(1u << column));
+    const MatrixXd row = MovesOf(place).chart.row(column) * left_;
+    left_ = Multiply(left_, DecomposeSingular(row).vectors.rightCols(left_.cols() - 1));
+  }
+
+  const FreeMotions motions_;
+  const MatrixXd basis_;
+  FreeParameters* const free_;
+  std::vector<int> poses_;
+  size_t num_of_world_ = 0;  ///< of poses_, before the sensors
+  std::vector<std::optional<FreeMotions::PoseMoves>> moves_;
+  MatrixXd left_;  ///< combinations of the basis that are not held yet
+};
+
+}  // namespace
+
+std::string HoldFreeMotions(const ProblemView& problem, FreeParameters* free) {
+  const FreeParameters before = *free;
+  GaugeHolder holder(problem, before, free);
+  if (holder.Hold() == 0) return "";
+  const auto none = [](const std::vector<uint8_t>& bits) {
+    return std::all_of(bits.begin(), bits.end(), [](uint8_t b) { return b == 0; });
+  };
+  if (none(before.pose) && none(before.frame) && none(before.sensor)) return "";
+  return "Gauge two_cameras holds only one place: nothing that is refined stands elsewhere, so the "
+         "scale is free.";
+}
+
+}  // namespace bundle
