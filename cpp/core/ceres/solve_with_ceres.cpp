@@ -188,8 +188,8 @@ class CeresSolve {
     update_states_.Restart();
     lengths_.Restart();
     RememberAnchors remember_anchors(states_);
-    options.linear_solver_ordering = MakeOrdering(options_.linear_solver_ordering, problem_,
-                                                  layout_, points_.data(), state_.data());
+    options.linear_solver_ordering =
+        MakeOrdering(options_.linear_solver_ordering, problem_, layout_, numbers_.data(), State());
     const auto anchors = states_.anchors();
     const bool went_on = SettleFactors(factor_costs_, std::move(options),
                                        {&remember_anchors, &record_changes_, &lengths_, report},
