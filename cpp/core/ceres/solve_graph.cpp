@@ -6,6 +6,7 @@
 #include "core/ceres/cost_functions.h"
 #include "core/ceres/solve_with_ceres.h"
 #include "core/ceres/translate.h"
+#include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
@@ -174,6 +175,8 @@ GraphOutput SolveGraph(const FactorGraph& graph, const SolveOptions& given,
   for (const ceres::IterationSummary& iteration : summary.iterations) {
     output.iterations.push_back(ToRecord(iteration, 0, adapted.step_lengths()));
   }
+  output.summary.untaken_decrease = UntakenDecrease(summary, &adapted.problem());
+  JudgeEnd(shape.has_bounds, options.function_tolerance, &output);
   output.build_time_in_seconds = time.seconds() - output.solve_time_in_seconds;
   return output;
 }

@@ -154,6 +154,7 @@ class CeresSolve {
     output.solve_time_in_seconds = solve_time.seconds();
     output.summary = Summarize(summary, fixed_cost_);
     output.summary.interrupted = report.interrupted() || abandonment_.happened;
+    output.summary.untaken_decrease = UntakenDecrease(summary, ceres_problem_.get());
     Collect(summary, &output);
     return output;
   }

@@ -74,6 +74,11 @@ FactorSummary CountCeresFactor(const ProblemView& problem, const ParameterLayout
 /// is added to every cost.
 SolveSummary Summarize(const ceres::Solver::Summary& summary, double fixed_cost);
 
+/// A lower bound of what the cost would fall by, by its linearisation, after a step that was
+/// accepted and another that met the parameter tolerance; 0 after any other end. The problem is
+/// where Ceres left it.
+double UntakenDecrease(const ceres::Solver::Summary& summary, ceres::Problem* problem);
+
 /// A warning for each choice of a linear solver or of its preconditioner that Ceres did not keep.
 std::vector<Warning> FindFallbacks(const ceres::Solver::Summary& summary);
 

@@ -208,40 +208,42 @@ std::string CheckSolution(const ProblemView& problem, const ParameterLayout& lay
   return SpotCheck(solution.Sample(), std::cref(solution));
 }
 
-namespace {
-
 /// A gradient that is no number is below every tolerance for Ceres, which then has converged.
-void FailIfNotFinite(SolveOutput* output) {
-  SolveSummary& summary = output->summary;
-  if (summary.termination_type == "FAILURE" || output->iterations.empty()) return;
-  const double gradient = output->iterations.back().gradient_max_norm;
-  const bool is_finite = std::isfinite(summary.final_cost) && std::isfinite(gradient);
-  if (is_finite) return;
-  summary.termination_type = "FAILURE";
-  summary.message = std::isfinite(summary.final_cost)
-                        ? "Residual and Jacobian evaluation failed: the gradient is not finite."
-                        : "Residual and Jacobian evaluation failed: the cost is not finite.";
+void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record) {
+  SolveSummary& summary = record->summary;
+  const bool has_cost = std::isfinite(summary.final_cost);
+  const bool is_finite = record->iterations.empty() ||
+                         (has_cost && std::isfinite(record->iterations.back().gradient_max_norm));
+  if (summary.termination_type != "FAILURE" && !is_finite) {
+    summary.termination_type = "FAILURE";
+    summary.message = std::string("Residual and Jacobian evaluation failed: the ") +
+                      (has_cost ? "gradient" : "cost") + " is not finite.";
+  }
+  if (summary.termination_type == "FAILURE" || !std::isfinite(summary.initial_cost)) {
+    summary.is_solution_usable = false;
+  }
+  if (!has_bounds) {
+    Warn(WarningKind::kSteepEnd, FindSteepEnd(*record, function_tolerance), &summary.warnings);
+  }
 }
-
-}  // namespace
 
 void FinishSolve(const ProblemView& problem, const ParameterLayout& layout,
                  const CameraStates& states, const SolveOptions& options,
                  std::vector<Warning> warnings, int64_t num_held, SolveOutput* output) {
   SolveSummary& summary = output->summary;
   summary.warnings = std::move(warnings);
-  FailIfNotFinite(output);
+  const bool has_bounds = !layout.Bounds(problem).empty();
+  JudgeEnd(has_bounds, options.function_tolerance, output);
   const auto warn = [&summary](WarningKind kind, std::string text) {
     Warn(kind, std::move(text), &summary.warnings);
   };
   if (summary.termination_type == "FAILURE" || !std::isfinite(summary.initial_cost)) {
-    summary.is_solution_usable = false;
     warn(WarningKind::kResidualNotFinite,
          FirstOverRanks(problem.ranks, FindOverflow(problem, options.cheirality)));
   }
   if (options.check_solution) {
     // A projected step misses what its model promised as one by a wrong Jacobian does.
-    if (layout.Bounds(problem).empty()) {
+    if (!has_bounds) {
       warn(WarningKind::kSuspiciousSteps,
            problem.factors == nullptr
                ? WatchConvergence(output->iterations)

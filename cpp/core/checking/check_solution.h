@@ -107,6 +107,15 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
 std::string WatchConvergence(const std::vector<IterationRecord>& iterations,
                              const std::string& advice = "`bundle check` finds out");
 
+/// One sentence about a solve that ended by parameter tolerance or radius where its model still
+/// predicts a decrease (steep_end.cpp); "" about any other.
+std::string FindSteepEnd(const SolveRecord& record, double function_tolerance);
+
+/// Judges the end of a solve of anything by its record: one whose cost or gradient is not finite
+/// fails, one that ended by short steps on a slope has a warning. With bounds a gradient may point
+/// out of them, and no slope is told.
+void JudgeEnd(bool has_bounds, double function_tolerance, SolveRecord* record);
+
 /// What every backend ends with: looks at the iterations and the solution that a backend left in
 /// `output`, says in its warnings, after `warnings`, what is wrong with them, and drops a solution
 /// that is none. Without SolveOptions::check_solution it does not look for signs of a wrong

@@ -88,6 +88,18 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
   const auto warn = [output](WarningKind kind, const std::ostringstream& sentence) {
     Warn(kind, sentence.str(), &output->summary.warnings);
   };
+  if (num_after == num_observations) {
+    output->summary.is_solution_usable = false;
+    output->summary.termination_type = "FAILURE";
+    output->summary.message = "No observation has a projection: there is nothing to fit.";
+    std::ostringstream sentence;
+    sentence << "The solution is not usable: none of the " << num_observations
+             << " observations has a projection, "
+             << (num_before == num_observations ? "and none had one at the start."
+                                                : "though some had one at the start.");
+    warn(WarningKind::kNoProjection, sentence);
+    return;
+  }
   const std::vector<int64_t> images = ImagesWithNoneInFront(problem, after);
   if (num_after > num_before || !images.empty() || unusable) {
     std::ostringstream sentence;

@@ -38,6 +38,10 @@ enum class WarningKind {
   kObservationsBehind,
   kTooManyBehind,
   kObservationsLeftOut,
+  kNoProjection,
+  kSteepEnd,
+  kFormulaJump,
+  kWorldScale,
 };
 
 inline constexpr NamedValue<WarningKind> kWarningKinds[] = {
@@ -60,7 +64,11 @@ inline constexpr NamedValue<WarningKind> kWarningKinds[] = {
     {"invalid_solution", WarningKind::kInvalidSolution},
     {"observations_behind", WarningKind::kObservationsBehind},
     {"too_many_behind", WarningKind::kTooManyBehind},
-    {"observations_left_out", WarningKind::kObservationsLeftOut}};
+    {"observations_left_out", WarningKind::kObservationsLeftOut},
+    {"no_projection", WarningKind::kNoProjection},
+    {"steep_end", WarningKind::kSteepEnd},
+    {"formula_jump", WarningKind::kFormulaJump},
+    {"world_scale", WarningKind::kWorldScale}};
 
 struct Warning {
   WarningKind kind;
@@ -168,6 +176,9 @@ struct SolveSummary {
   int64_t num_information_nonzeros = -1;  ///< of J^T J, all that is free
   FactorSummary factor;
   bool interrupted = false;
+  /// Predicted for the step that met the parameter tolerance, which is not taken and leaves no
+  /// record; 0: unknown. Not reported.
+  double untaken_decrease = 0;
   std::vector<double> origin;  ///< the centre that the scene was solved about; empty: as given
   std::vector<Warning> warnings;
 };

@@ -146,7 +146,9 @@ class TrustRegion {
       has_succeeded_ = false;
       if (strategy_->Widen()) return TryStep();
     }
-    if (ParameterToleranceReached() || FunctionToleranceReached()) return false;
+    if (ParameterToleranceReached(candidate.model_cost_change) || FunctionToleranceReached()) {
+      return false;
+    }
 
     record_.relative_decrease = RelativeDecrease(candidate);
     if (record_.relative_decrease > kMinRelativeDecrease) {
@@ -253,8 +255,9 @@ class TrustRegion {
     return !(std::abs(record_.cost_change) > options_.function_tolerance * x_cost_);
   }
 
-  bool ParameterToleranceReached() {
+  bool ParameterToleranceReached(double model_cost_change) {
     if (!ParameterToleranceIsMet()) return false;
+    minimum_.untaken_decrease = model_cost_change;
     return Converge("Parameter tolerance reached. Relative step_norm: " +
                     AtMost(record_.step_norm / StateSize(), options_.parameter_tolerance) + ".");
   }

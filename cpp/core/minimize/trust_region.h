@@ -15,6 +15,7 @@ struct MinimizerSummary {
   std::string termination_type;  ///< CONVERGENCE, NO_CONVERGENCE, FAILURE or USER_SUCCESS
   std::string message;
   bool interrupted = false;
+  double untaken_decrease = 0;  ///< SolveSummary::untaken_decrease
   int num_successful_steps = 0;
   int num_unsuccessful_steps = 0;
   int num_linear_solves = 0;

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "core/ceres/solve_with_ceres.h"
+#include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/minimize/trust_region.h"
 #include "core/pose_graph/pose_edge_factor.h"
@@ -61,6 +62,7 @@ void SolveByNormalEquations(const PoseGraph& graph, const SolveOptions& options,
   output->solve_time_in_seconds = setup.seconds();
   output->iterations = std::move(minimum.iterations);
   for (IterationRecord& record : output->iterations) record.cost += fixed_cost;
+  JudgeEnd(/*has_bounds=*/false, options.function_tolerance, output);
   output->poses = problem->poses();
 }
 

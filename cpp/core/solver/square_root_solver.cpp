@@ -18,6 +18,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/checking/check_solution.h"
 #include "core/error.h"
 #include "core/minimize/damping.h"
 #include "core/minimize/trust_region.h"
@@ -193,6 +194,7 @@ GraphOutput SolveGraphBySquareRoot(const FactorGraph& graph, const SolveOptions&
   output.summary.postprocessor_time_in_seconds = 0;
   output.summary.total_time_in_seconds = time.seconds();
   output.iterations = std::move(minimum.iterations);
+  JudgeEnd(/*has_bounds=*/false, options.function_tolerance, &output);
   output.values = problem.values();
   output.build_time_in_seconds = time.seconds() - output.solve_time_in_seconds;
   return output;

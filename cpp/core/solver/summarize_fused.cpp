@@ -71,6 +71,7 @@ void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counte
   result->message = minimum.message;
   result->is_solution_usable = minimum.termination_type != "FAILURE";
   result->interrupted = minimum.interrupted;
+  result->untaken_decrease = minimum.untaken_decrease;
   result->num_successful_steps = minimum.num_successful_steps;
   result->num_unsuccessful_steps = minimum.num_unsuccessful_steps;
 }
