@@ -142,8 +142,8 @@ void CenteredProblem::MoveBack(SolveOutput* output) const {
   output->summary.origin.assign(frame_.origin, frame_.origin + 3);
   constexpr double kOrigin[3] = {};
   std::ostringstream sentence;
-  sentence << "The scene lies " << frame_.DistanceTo(kOrigin)
-           << " units from the origin and measures " << frame_.size
+  sentence << "The scene lies " << frame_.DistanceTo(kOrigin) * frame_.unit
+           << " units from the origin and measures " << frame_.size * frame_.unit
            << ": it was solved about its centre.";
   Warn(WarningKind::kFarOrigin, sentence.str(), &output->summary.warnings);
 }
@@ -191,10 +191,11 @@ FarPoints FindFarPoints(const ProblemView& problem, const ParameterLayout& layou
   const std::string worst_id =
       FirstOverRanks(ranks, is_here ? std::to_string(problem.point_ids[worst]) : std::string());
   std::ostringstream sentence;
-  sentence << "Points more than " << kFarPoint << " times the size of the scene (" << frame.size
-           << ") away from its centre: " << count;
+  sentence << "Points more than " << kFarPoint << " times the size of the scene ("
+           << frame.size * frame.unit << ") away from its centre: " << count;
   if (num_free < count) sentence << " (" << count - num_free << " held)";
-  sentence << ", the farthest is point " << worst_id << " (" << farthest_of_all << "). ";
+  sentence << ", the farthest is point " << worst_id << " (" << farthest_of_all * frame.unit
+           << "). ";
   if (num_free > 0) sentence << "The parameter tolerance leaves them out; a few ";
   if (num_free == 0) sentence << "A few ";
   sentence << "wrong points can stop the others from converging, remove them if they are.";

@@ -46,6 +46,7 @@ struct SceneFrame {
   double origin[3] = {};  ///< to solve a scene about that is far from its own
   double size = 0;        ///< 0 without images or points
   double reach = 0;       ///< distance of the farthest point
+  double unit = 1;        ///< in lengths of the problem that users know (world_scale.h)
 
   explicit SceneFrame(const ProblemView& problem);
 

@@ -1,0 +1,51 @@
+#pragma once
+
+/// The unit of length that a scene is solved in.
+///
+/// The scale of the world is free, but a solver's numbers know it: Ceres damps a column j by
+/// clamp(s_j^2 c_j, 1e-6, ...) / s_j^2 with c_j = ||J e_j||^2 and s_j = 1 / (1 + sqrt(c_j)), which
+/// follows c_j until sqrt(c_j) falls below 1e-3. In a scene of 1e6 units a point's column does, the
+/// damping no longer does, and steps come out too short. The parameter tolerance compares a step
+/// with all of x, where large coordinates outweigh rotations and small ones count for nothing.
+///
+/// So a scene whose size is beyond kSmallestWorld and kLargestWorld is solved with all its lengths
+/// times a power of two that makes its size about 1: no bit of a coordinate changes, on the way
+/// there or back. Factors measure in the unit of the problem: a scene that they touch stays in it,
+/// and a warning says so.
+
+#include <string>
+#include <vector>
+
+#include "core/interface/summary.h"
+#include "core/model/scene_frame.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+inline constexpr double kSmallestWorld = 1e-3;
+inline constexpr double kLargestWorld = 1e5;
+
+/// A problem in such a unit, or else itself.
+class ScaledProblem {
+ public:
+  explicit ScaledProblem(const ProblemView& problem);
+  ScaledProblem(const ScaledProblem&) = delete;
+  ScaledProblem& operator=(const ScaledProblem&) = delete;
+
+  const ProblemView& view() const { return scaled_; }
+  /// Of view(); its unit is in lengths of the problem.
+  const SceneFrame& frame() const { return frame_; }
+  /// Why an extreme scene stays as it is; "": it does not, or is none.
+  const std::string& warning() const { return warning_; }
+
+  /// Takes a solution of view() to the unit of the problem.
+  void ScaleBack(SolveOutput* output) const;
+
+ private:
+  std::vector<double> cam_from_world_, rig_from_world_, sensor_from_rig_, points_;
+  ProblemView scaled_;
+  SceneFrame frame_;
+  std::string warning_;
+};
+
+}  // namespace bundle
