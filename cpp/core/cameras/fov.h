@@ -13,9 +13,9 @@
 ///
 /// The second is the series of d in s and leaves out q^2 / 5, relative, with q = 4 t^2 s: 3e-9 at
 /// its border for w = 1, 3e-6 for w = 2.5. The first is the series in w of the inverse mapping;
-/// that of d has the other signs, hence a step of up to 5e-5 at |w| = 0.01. We keep both: the
-/// parameters in a model's files mean the pixels that COLMAP makes of them. Derivatives are those
-/// of the piece. With dt/dw = (1 + t^2) / 2 and A(q) = atan(sqrt(q)) / sqrt(q) of fisheye.h,
+/// that of d has the other signs: d jumps by 2e-4 (s / 3 - 1 / 12) at |w| = 0.01. We keep both, as
+/// parameters mean the pixels that COLMAP makes of them, each with its derivatives; fov_lenses.h
+/// gets solves over it. With dt/dw = (1 + t^2) / 2 and A(q) = atan(sqrt(q)) / sqrt(q) of fisheye.h,
 ///
 ///   d = (2 t / w) A(q),   dd/ds = (2 t / w) 4 t^2 A'(q),   dd/dw = ((1 + t^2) / (1 + q) - d) / w,
 ///

@@ -20,11 +20,14 @@
 #include "core/error.h"
 #include "core/interface/options.h"
 #include "core/interface/summary.h"
+#include "core/model/fov_lenses.h"
 #include "core/model/problem_factors.h"
 #include "core/model/scene_frame.h"
+#include "core/model/world_scale.h"
 #include "core/parallel/blas.h"
 #include "core/prepare/prepare.h"
 #include "core/schur/elimination_plan.h"
+#include "core/solver/fov_jump.h"
 #include "core/solver/fused_solver.h"
 
 namespace bundle {
@@ -183,8 +186,8 @@ class Solver::Impl {
 
   /// Lays out everything for these values.
   void PrepareFor(const ProblemView& given) {
-    const SceneFrame frame(given);
-    const CenteredProblem centered(given, frame);
+    const ScaledProblem scaled(given);
+    const CenteredProblem centered(scaled.view(), scaled.frame());
     TakeValues(centered.view());
     Prepare();
     if (fused_ == nullptr) prepared_.reset();  // Ceres' solves prepare themselves
@@ -195,23 +198,38 @@ class Solver::Impl {
   SolveOutput Solve(const ProblemView& given, const SolveOptions& given_options,
                     const ProgressCallback& progress) {
     const UseGuard guard(&user_);
-    const Stopwatch time;
     if (is_reused_) CheckStructure(given);
-    AbandonAfterFork();
-    const SceneFrame given_frame(given);
-    const CenteredProblem centered(given, given_frame);
-    TakeValues(centered.view());
-    if (!IsPreparedForValues()) Prepare();
     SolveOptions options = options_;
     CopyChangeable(given_options, &options);
-    FarPoints far =
-        FindFarPoints(problem_, layout(), centered.is_moved() ? SceneFrame(problem_) : given_frame);
+    const auto once = [this](const ProblemView& view, const SolveOptions& changed,
+                             const ProgressCallback& report) {
+      return SolveOnce(view, changed, report);
+    };
+    return SolveBeyondFovJump(given, FindFreeFovLenses(problem_, options_), options, progress,
+                              once);
+  }
+
+ private:
+  SolveOutput SolveOnce(const ProblemView& given, SolveOptions options,
+                        const ProgressCallback& progress) {
+    const Stopwatch time;
+    AbandonAfterFork();
+    if (!is_reused_) fused_.reset();
+    const ScaledProblem scaled(given);
+    const CenteredProblem centered(scaled.view(), scaled.frame());
+    TakeValues(centered.view());
+    if (!IsPreparedForValues()) Prepare();
+    SceneFrame frame = centered.is_moved() ? SceneFrame(problem_) : scaled.frame();
+    frame.unit = scaled.frame().unit;
+    FarPoints far = FindFarPoints(problem_, layout(), frame);
     options.parameter_tolerance *= far.norm_without;
     std::vector<Warning> warnings = warnings_;
     Warn(WarningKind::kFarPoints, std::move(far.warning), &warnings);
+    Warn(WarningKind::kWorldScale, scaled.warning(), &warnings);
     SolveOutput output = Run(options, std::move(warnings), progress);
     JudgeFarPoints(problem_, far, options, &output);
     centered.MoveBack(&output);
+    scaled.ScaleBack(&output);
     SetFactorCosts(given, problem_.factors, &output);
     output.summary.backend_given = UpperName(options.backend, kBackends);
     output.summary.backend_used = UpperName(choice_.backend, kBackends);
@@ -220,7 +238,6 @@ class Solver::Impl {
     return output;
   }
 
- private:
   /// One solve at a time.
   class UseGuard {
    public:

@@ -13,8 +13,8 @@ those that do nothing are left out:
 - ``division``, ``omega``, ``alpha`` and ``beta``: of the models that are alone with them.
 
 A model can be this lens if it has the same rays and all of its coefficients. EUCM with alpha = 0
-and the division models with k = 0 are perspective. FOV with omega = 0 is too, but the derivative by
-omega is zero there and no solve would ever leave it: perspective lenses become FOV by a fit.
+and the division models with k = 0 are perspective. FOV with omega = 0 is too, but derivatives by
+omega are zero there, which would stop other solvers: perspective lenses become FOV by a fit.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ _STARTS: dict[str, tuple[tuple[float, ...], ...]] = {
 }
 """Coefficients of the models whose first coefficient has this name, to start from."""
 
-_BOUNDS = {"omega": (0.01, 3.1), "alpha": (0.0, 1.0), "beta": (1e-3, np.inf)}
-"""Of COLMAP's FOV, smaller angles are another function (see ``fov.h``)."""
+_BOUNDS = {"omega": (0.0101, 3.1), "alpha": (0.0, 1.0), "beta": (1e-3, np.inf)}
+"""COLMAP's formula of FOV jumps at 0.01 and has other signs below (see ``fov.h``)."""
 
 
 class LensFit(NamedTuple):

@@ -1,0 +1,31 @@
+#pragma once
+
+/// How a solve gets over the jump of COLMAP's FOV (model/fov_lenses.h).
+///
+/// A lens that starts within kNearJump is not refined through the jump, nor is one that ends a
+/// solve there left at it. Its omega becomes 0, and the solve goes on to the best pinhole; from
+/// there with an omega on the side that lowers the cost. The best of all states on the way is the
+/// solution, no worse than the pinhole.
+///
+/// All this is one solve to the caller: its iterations are those of the way to the solution, its
+/// times and counts those of everything.
+
+#include <functional>
+#include <vector>
+
+#include "core/interface/options.h"
+#include "core/interface/summary.h"
+#include "core/problem/problem_view.h"
+
+namespace bundle {
+
+using SolveOnce =
+    std::function<SolveOutput(const ProblemView&, const SolveOptions&, const ProgressCallback&)>;
+
+/// Solves a problem by `solve`: once where `lenses` (FindFreeFovLenses) is empty, else as often as
+/// it takes.
+SolveOutput SolveBeyondFovJump(const ProblemView& problem, const std::vector<int>& lenses,
+                               const SolveOptions& options, const ProgressCallback& progress,
+                               const SolveOnce& solve);
+
+}  // namespace bundle
