@@ -6,6 +6,7 @@ code  meaning
 0     done
 1     no usable solution, or interrupted with something to show for it; the report is written
 2     bad input or usage, or the system refused to read or write
+3     undecided: `bundle check` can say nothing of some derivatives
 130   interrupted (Ctrl-C) before there was anything to show
 ===== =============================================================================================
 """

@@ -113,7 +113,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--check-gradients",
         action="store_true",
         help="first check the Jacobians on a sample, as `bundle check` does, and stop with its "
-        "report if any is wrong (default: off)",
+        "report if any is wrong, not where that is undecided (default: off)",
     )
 
 

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from bundle.arguments import check_type
 from bundle.errors import InputError, brief
 from bundle.graph.check_solve import spot_checked, time_for_checks
-from bundle.graph.contents import factor_name
 from bundle.graph.factor_check import FactorCheck
 from bundle.graph.factor_graph import FactorGraph
 from bundle.graph.factors import Factor
@@ -71,10 +70,10 @@ def checked_solve(
         factors: all of them.
         output: what the core's solver returned.
     """
-    named = [(factor_name(i, f), f) for i, f in enumerate(factors) if f.kind == "function"]
-    if not named:
+    factors = list(factors)
+    known = ProblemFactors(start, [factor for factor in factors if factor.kind == "function"])
+    if not known.factors:
         return dict(output["summary"])
-    known = ProblemFactors(start, [factor for _, factor in named])
     ends = known.values_in(output)
     variables = {
         key: variable.holding(_stayed(variable.value, ends[key], variable.manifold))
@@ -83,7 +82,7 @@ def checked_solve(
     if output["summary"]["num_successful_steps"] <= 1:  # the start alone
         variables = dict(known.graph.variables)
     seconds = time_for_checks(output)
-    sentence = spot_checked(output, named, variables, ends, seconds, ADVICE)
+    sentence = spot_checked(output, factors, variables, ends, seconds, ADVICE)
     return with_warnings(output["summary"], {"wrong_factor": sentence})
 
 

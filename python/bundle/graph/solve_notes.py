@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from bundle.errors import brief
 from bundle.graph.anchored import AnchoredFactor
+from bundle.graph.contents import factor_name
 from bundle.graph.factors import Factor
 from bundle.graph.variables import Key, Variable
 from bundle.words import plural
@@ -119,11 +120,11 @@ def _floating(
     ]
 
 
-def about_priors(named: Sequence[tuple[str, Factor]]) -> str:
+def about_priors(factors: Sequence[Factor]) -> str:
     """Return a sentence if the spectrum of a prior alarms; "" else."""
     found = [
-        (name, alarm)
-        for name, factor in named
+        (factor_name(position, factor), alarm)
+        for position, factor in enumerate(factors)
         if isinstance(factor, AnchoredFactor) and (alarm := factor.alarm(LARGE))
     ]
     if not found:

@@ -37,7 +37,7 @@ from bundle import _core
 from bundle.graph.variables import Array
 from bundle.words import plural
 
-__all__ = ["Candidate", "spot_check"]
+__all__ = ["Candidate", "Kind", "code_of", "spot_check"]
 
 MOVES = (1e-4, 1e-6, 1e-8, 1e-2)
 CONCLUSIVE = 0.01
@@ -58,7 +58,6 @@ class Candidate:
 
     Attributes:
         name: of the factor.
-        code: what it runs; factors with the same are one kind.
         evaluate: the residual and, if wanted, the Jacobians at values of its variables.
         variables: of each its name, manifold and the names of its tangent coordinates.
         free: of each the coordinates that a solve moves.
@@ -67,7 +66,6 @@ class Candidate:
     """
 
     name: str
-    code: Any
     evaluate: Evaluate
     variables: Sequence[tuple[str, str, Sequence[str]]]
     free: Sequence[Sequence[int]]
@@ -76,16 +74,25 @@ class Candidate:
 
 
 @dataclass(eq=False)
-class _Kind:
-    """The factors that run one code, and what became of their columns."""
+class Kind:
+    """Factors that run one code, and what became of their columns.
 
-    members: list[Candidate]
+    Attributes:
+        members: the factors.
+        candidate: what a member is to the check.
+        decided: how many were, by variable and coordinate.
+        convicted: those that were, with the factor by which they are off.
+    """
+
+    members: Sequence[Any]
+    candidate: Callable[[Any], Candidate]
     decided: dict[tuple[int, int], int] = field(default_factory=dict)
     convicted: dict[tuple[int, int], list[tuple[Candidate, float | None]]] = field(
         default_factory=dict
     )
 
     def is_wrong(self, column: tuple[int, int]) -> bool:
+        """Return whether enough of those decided were convicted."""
         count = len(self.convicted.get(column, ()))
         return count > 0 and count >= CONVICTED_SHARE * self.decided[column]
 
@@ -98,26 +105,21 @@ def code_of(function: Any) -> Any:
     return getattr(function, "__code__", type(function))
 
 
-def spot_check(candidates: Sequence[Candidate], seconds: float, advice: str) -> str:
+def spot_check(kinds: Sequence[Kind], seconds: float, advice: str) -> str:
     """Return a sentence about the first kind of factor with wrong Jacobians; "" if there is none.
 
     Args:
-        candidates: the factors.
+        kinds: the factors.
         seconds: that it may take.
         advice: the call that names the mistake.
     """
     end = perf_counter() + seconds
-    groups: dict[Any, _Kind] = {}
-    for candidate in candidates:
-        manifolds = tuple(manifold for _, manifold, _ in candidate.variables)
-        groups.setdefault((candidate.code, manifolds), _Kind([])).members.append(candidate)
-    kinds = list(groups.values())
     for turn in range(MOST_OF_A_KIND):
         for kind in kinds:
             count = min(len(kind.members), MOST_OF_A_KIND)
             if turn >= count:
                 continue
-            candidate = kind.members[turn * len(kind.members) // count]
+            candidate = kind.candidate(kind.members[turn * len(kind.members) // count])
             for values in candidate.points:
                 try:
                     _check(kind, candidate, values, end - perf_counter())
@@ -130,7 +132,7 @@ def spot_check(candidates: Sequence[Candidate], seconds: float, advice: str) -> 
     return _sentence(kinds, advice)
 
 
-def _check(kind: _Kind, candidate: Candidate, values: list[Array], left: float) -> None:
+def _check(kind: Kind, candidate: Candidate, values: list[Array], left: float) -> None:
     columns = [(b, j) for b, free in enumerate(candidate.free) for j in free]
     if (1 + 4 * len(columns)) * candidate.seconds_a_call > left:
         columns = [_ALL]
@@ -279,7 +281,7 @@ def _factor(claimed: Array, found: Array, convicted: Array) -> float | None:
     return factor if same.all() else None
 
 
-def _sentence(kinds: Sequence[_Kind], advice: str) -> str:
+def _sentence(kinds: Sequence[Kind], advice: str) -> str:
     for kind in kinds:
         wrong = [column for column in kind.convicted if kind.is_wrong(column)]
         columns = [column for column in wrong if column != _ALL] or wrong
@@ -288,7 +290,7 @@ def _sentence(kinds: Sequence[_Kind], advice: str) -> str:
     return ""
 
 
-def _about(kind: _Kind, columns: list[tuple[int, int]], advice: str) -> str:
+def _about(kind: Kind, columns: list[tuple[int, int]], advice: str) -> str:
     convicted = [entry for column in columns for entry in kind.convicted[column]]
     candidate = convicted[0][0]
     factors = {None if factor is None else f"{factor + 0.0:.3g}" for _, factor in convicted}
