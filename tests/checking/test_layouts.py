@@ -169,3 +169,53 @@ def test_a_derivative_of_a_logarithm_without_its_jacobian_is_named():
         graph.add_factor(bundle.FunctionFactor(["b"], lambda v, right=right: function(v, right)))
     report = graph.check_gradients()
     assert [r.kinds for r in report.reports.values()] == [{"correct"}, {"logarithm"}]
+
+
+def relative_pose(mode):
+    """The user's own error between two poses, rotation and translation, whitened."""
+    rng = np.random.default_rng(5)
+    a = np.append(Rotation.random(random_state=rng).as_quat(), rng.normal(size=3))
+    b = np.append(Rotation.random(random_state=rng).as_quat(), rng.normal(size=3))
+    measured = Rotation.from_quat(a[:4]).inv() * Rotation.from_quat(b[:4])
+    measured *= Rotation.from_rotvec([0.2, -0.1, 0.3])
+    weights = np.diag([20.0, 20, 20, 10, 10, 10])
+
+    def function(values):
+        first, second = (Rotation.from_quat(v[:4]) for v in values)
+        error = (measured.inv() * first.inv() * second).as_rotvec()
+        moved = first.inv().apply(values[1][4:] - values[0][4:])
+        inverse = np.eye(3) if mode == "no logarithm" else np.linalg.inv(left_jacobian(-error))
+        by_a, by_b = np.zeros((6, 6)), np.zeros((6, 6))
+        by_a[:3, :3] = -inverse @ (second.inv() * first).as_matrix()
+        by_a[3:] = np.hstack([skew(moved), -np.eye(3)])
+        by_b[:3, :3], by_b[3:, 3:] = inverse, (first.inv() * second).as_matrix()
+        if mode == "rows":
+            by_a[[0, 3]], by_b[[0, 3]] = by_a[[3, 0]], by_b[[3, 0]]
+        if mode == "lever arm":
+            by_a[3:, :3] *= -1
+        if mode == "transposed":
+            by_b[3:, 3:] = by_b[3:, 3:].T
+        return weights @ np.append(error, moved), [weights @ by_a, weights @ by_b]
+
+    graph = bundle.FactorGraph()
+    graph.add_variable("a", a, "se3")
+    graph.add_variable("b", b, "se3")
+    graph.add_factor(bundle.FunctionFactor(["a", "b"], function))
+    (report,) = graph.check_gradients().reports.values()
+    return report
+
+
+@pytest.mark.parametrize(
+    ("mode", "kind", "words"),
+    [
+        ("right", "correct", ""),
+        ("no logarithm", "logarithm", "J_r^-1"),
+        ("rows", "swapped_rows", "before the weights: 0 holds that of 3, 3 holds that of 0"),
+        ("lever arm", "sign", "in residual"),
+        ("transposed", "frame", "'b' translation x"),
+    ],
+)
+def test_mistakes_in_some_rows_of_a_relative_pose_are_named(mode, kind, words):
+    report = relative_pose(mode)
+    assert report.kinds == {kind}
+    assert all(words in finding.sentence for finding in report.findings)

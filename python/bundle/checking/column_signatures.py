@@ -11,6 +11,8 @@ __all__ = ["factors", "parameter_factors", "terms_of_a_parameter", "zero_entries
 
 DEGREE = np.pi / 180
 
+NEGLIGIBLE = 1e-12
+
 LEAST_FACTOR = 1e-4
 """From 1: smaller factors may be rounding."""
 
@@ -139,8 +141,9 @@ def _num_used(evidence: Evidence) -> int:
 def _ratios(analytic: Array, reference: Array, axis: int | None) -> Array:
     """Return the least-squares factors from reference to analytic along an axis."""
     square = np.sum(reference * reference, axis=axis)
-    ratio: Array = np.sum(analytic * reference, axis=axis) / np.where(square > 0, square, 1.0)
-    return np.where(square > 0, ratio, 1.0)
+    counts = square > NEGLIGIBLE**2 * np.sum(reference * reference)  # the others are rounding
+    ratio: Array = np.sum(analytic * reference, axis=axis) / np.where(counts, square, 1.0)
+    return np.where(counts, ratio, 1.0)
 
 
 def _factor_in_words(factor: float) -> tuple[str, str]:

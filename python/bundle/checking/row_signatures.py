@@ -28,17 +28,21 @@ def rows(evidence: Evidence) -> None:
         wrong = [j for j in columns if j in evidence.wrong]
         if len(wrong) < 2:
             continue
-        source = _sources(
+        source, factor = _sources(
             evidence.deviations.analytic[..., wrong], evidence.deviations.reference[..., wrong]
         )
         moved = np.flatnonzero(source != np.arange(num_residuals))
         if not len(moved) or len(set(source.tolist())) < num_residuals:
             continue
-        if evidence.explains(evidence.reference[:, source][..., wrong], wrong):
+        guess = factor[:, None] * evidence.reference[:, source][..., wrong]
+        if evidence.explains(guess, wrong):
             places = ", ".join(f"{row} holds that of {source[row]}" for row in moved)
             what = "swapped" if len(moved) == 2 else "in a wrong order"
+            before = "" if np.allclose(factor, 1, atol=1e-3) else ", before the weights"
             evidence.found(
-                "swapped_rows", wrong, f"{evidence.names(wrong)}: the rows are {what}: {places}"
+                "swapped_rows",
+                wrong,
+                f"{evidence.names(wrong)}: the rows are {what}{before}: {places}",
             )
 
 
@@ -98,6 +102,8 @@ def _keeps_residual(evidence: Evidence, columns: list[int], size: int) -> bool:
         for first in range(0, len(residual), size):
             part = slice(first, first + size)
             given, right = raw.analytic[k, part][:, columns], raw.reference[k, part][:, columns]
+            if np.linalg.norm(given - right) <= EXPLAINED**2 * np.linalg.norm(right):
+                continue
             change, _, rank, _ = np.linalg.lstsq(right.T, given.T, rcond=1e-9)
             if rank < size:
                 return False
@@ -112,17 +118,19 @@ def _keeps_residual(evidence: Evidence, columns: list[int], size: int) -> bool:
     return bool(deviation > 0 and left <= EXPLAINED**2 * deviation)
 
 
-def _sources(given: Array, right: Array) -> NDArray[np.intp]:
-    """Return the row of the right Jacobian that each row of the given one is nearest to.
+def _sources(given: Array, right: Array) -> tuple[NDArray[np.intp], Array]:
+    """Return the row of the right Jacobian that each given row is a multiple of, and the multiple.
 
-    A row that is right stays.
+    A row that is a multiple of its own stays.
     """
-    distance = np.linalg.norm(given[:, :, None] - right[:, None], axis=(0, 3))
-    own = np.diag(distance)
-    nearest = distance.argmin(axis=1)
-    size = np.linalg.norm(right, axis=(0, 2))
-    stays = own <= EXPLAINED * size
-    return np.where(stays, np.arange(len(own)), nearest)
+    products = np.einsum("kin,kjn->ij", given, right)
+    square = np.einsum("kjn,kjn->j", right, right)
+    factors = products / np.where(square > 0, square, 1.0)
+    size = np.linalg.norm(given, axis=(0, 2))
+    left = np.linalg.norm(given[:, :, None] - factors[..., None] * right[:, None], axis=(0, 3))
+    own = np.arange(len(size))
+    source = np.where(np.diag(left) <= EXPLAINED * size, own, left.argmin(axis=1))
+    return source, np.where(source == own, 1.0, factors[own, source])
 
 
 def _row_ratios(given: Array, right: Array) -> Array:

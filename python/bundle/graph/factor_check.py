@@ -170,7 +170,8 @@ def _layout(variables: Sequence[Variable], values: Sequence[Sequence[Array]]) ->
             blocks.append(whole)
             continue
         other = other_coordinates(variable.manifold, np.array([at[b] for at in values]))
-        blocks.append(replace(whole, rotation="tangent", conventions=other))
+        turns = "tangent" if variable.manifold == "so3" else ""
+        blocks.append(replace(whole, rotation=turns, conventions=other))
         if variable.manifold in _TRANSLATIONS:
             part = _TRANSLATIONS[variable.manifold][1]
             begin, end = whole.start + part.start, whole.start + part.stop
