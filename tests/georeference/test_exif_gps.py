@@ -94,6 +94,14 @@ def test_folders_broken_files_and_missing_ones(tmp_path, caplog, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_one_file_is_not_the_photograph_of_two_images(tmp_path):
+    photo(tmp_path / "a.jpg", HERE)
+    photo(tmp_path / "left" / "b.jpg", HERE)
+    found = read_exif_gps(tmp_path, ["left/a.jpg", "right/a.jpg", "left/b.jpg"])
+    assert found.names == ("left/b.jpg",)
+    assert "2 images not in" in found.notes[0]
+
+
 def test_cut_anywhere(tmp_path):
     """Truncated and damaged tags give a position or none, never an exception."""
     photo(tmp_path / "whole.jpg", HERE)

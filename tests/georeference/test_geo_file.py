@@ -5,6 +5,7 @@ import pytest
 
 from bundle import InputError, align
 from bundle.georeference import GpsPositions, LocalFrame, gps_priors, read_geo_file
+from bundle.georeference.gps_positions import with_fix
 from tests.georeference.flights import flight
 
 FILE = """EPSG:4326
@@ -145,6 +146,13 @@ def test_positions_given_at_zero_and_zero_do_not_count():
     assert aligned.similarity.scale == pytest.approx(1, abs=1e-3)
 
 
+def test_a_zero_alone_is_a_place():
+    places = np.array([[48.0, 0, 1], [0, 9, 1], [0, 0, 1]])
+    given = GpsPositions(tuple("abc"), places, np.ones((3, 2)), "EPSG:4326", "x")
+    assert with_fix(given).names == ("a", "b")
+    assert with_fix(with_fix(given)).notes == with_fix(given).notes
+
+
 def test_names_with_blanks(tmp_path):
     path = tmp_path / "geo.txt"
     path.write_text(
@@ -206,3 +214,10 @@ def test_coordinates_that_an_authority_means_so_are_noted(tmp_path):
         "EPSG:32632\na.jpg 500000 5400000 9\nb.jpg 500010 5400000 9\nc.jpg 2500000 5400000 9\n"
     )
     assert any("1 position of 3" in note for note in read_geo_file(path).notes)
+    # Some lines in the zone of the other hemisphere are slips; most of them are a wrong header.
+    north, south = ("{} 706784 411645 9\n", "{} 706784 9588355 9\n")
+    path.write_text("EPSG:32636\n" + "".join((north * 3 + south * 2).format(*"abcde")))
+    assert any("2 positions of 5" in note for note in read_geo_file(path).notes)
+    path.write_text("EPSG:32636\n" + "".join((north * 2 + south * 3).format(*"abcde")))
+    with pytest.raises(InputError, match=r"line 4: .* they fit EPSG:32736"):
+        read_geo_file(path)

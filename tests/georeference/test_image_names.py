@@ -67,6 +67,14 @@ def test_a_last_part_that_two_images_share_is_refused_where_it_is_used():
         gps_priors(problem, positions(problem, names[:5]))
 
 
+def test_two_positions_of_one_image_are_refused():
+    problem = flight([]).problem
+    given = positions(problem, [*problem.image_names[:15], "03.jpg"])
+    for call in (gps_priors, lambda p, g: bundle.align(p, gps=g)):
+        with pytest.raises(InputError, match="one position for each image"):
+            call(problem, given)
+
+
 def test_models_with_images_of_one_name_are_not_aligned_to_each_other():
     problem = flight([]).problem
     twice = named(problem, {4: problem.image_names[7]})

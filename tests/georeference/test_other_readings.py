@@ -1,6 +1,7 @@
 """Coordinates that are read otherwise than they were meant, and such as only look so."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from scipy.spatial.transform import Rotation
 import bundle
 from bundle import InputError
 from bundle.georeference import GpsPositions, LocalFrame, ReferenceSystem, gcp_priors, gps_priors
-from bundle.georeference.other_readings import uprightness
+from bundle.georeference.correspondences import Correspondences
+from bundle.georeference.other_readings import check_readings, uprightness
 from bundle.georeference.similar_problem import moved
 from bundle.georeference.similarity import Similarity
 from tests.georeference.flights import flight
@@ -59,7 +61,7 @@ CALLS = {
 
 @pytest.mark.parametrize("call", CALLS)
 def test_swapped_control_points_over_flat_ground(call):
-    scene = flight(TARGETS)
+    scene = flight(TARGETS, num_images=9)
     problem = scene.elsewhere()
     assert CALLS[call](problem, gcps=on_map(scene.gcps)) == ()
     with pytest.raises(InputError, match=r"gcps: columns 1 and 2 fit when exchanged.*upside down"):
@@ -69,7 +71,7 @@ def test_swapped_control_points_over_flat_ground(call):
 @pytest.mark.parametrize("call", CALLS)
 def test_swapped_control_points_over_hills_fit_many_times_better(call):
     hills = [[x, y, 6 * np.sin(x) + 8 * np.cos(y)] for x, y, _ in TARGETS]
-    scene = flight(hills)
+    scene = flight(hills, num_images=9)
     problem = scene.elsewhere()
     assert CALLS[call](problem, gcps=on_map(scene.gcps)) == ()
     with pytest.raises(InputError, match="columns 1 and 2 fit when exchanged"):
@@ -87,7 +89,7 @@ def test_latitude_for_longitude(origin):
 
 
 def test_positions_beside_control_points_have_columns_of_their_own():
-    scene = flight(TARGETS)
+    scene = flight(TARGETS, num_images=9)
     problem = scene.elsewhere()
     right, wrong = (positions(scene.problem, NEAR_EQUATOR, swap=swap) for swap in (False, True))
     gcps = {swap: on_map(scene.gcps, swap=swap) for swap in (False, True)}
@@ -100,7 +102,7 @@ def test_positions_beside_control_points_have_columns_of_their_own():
 
 def test_heights_in_feet():
     hills = [[x, y, 6 * np.sin(x) + 8 * np.cos(y)] for x, y, _ in TARGETS]
-    scene = flight(hills)
+    scene = flight(hills, num_images=9)
     problem = scene.elsewhere()
     for call in CALLS.values():
         with pytest.raises(InputError, match="gcps: heights fit as feet"):
@@ -148,16 +150,50 @@ def test_a_ceiling_is_no_mistake():
     assert any("look up" in note for note in bundle.align(ceiling, gps=exif).notes)
 
 
-@pytest.mark.parametrize("seed", range(6))
+def test_chance_does_not_decide_between_readings_that_both_fit():
+    # Noise of a tenth of a sigma makes the mirrored reading fit a quarter better here.
+    rng = np.random.default_rng(2)
+    targets = np.column_stack([rng.uniform(-25, 25, (5, 2)), rng.normal(0, 0.02, 5)])
+    meant = targets + 0.02 * rng.normal(size=(5, 3))
+    given = meant[:, [1, 0, 2]]
+    gps = positions(flight([]).problem, NEAR_EQUATOR)
+
+    def correspondences(places):
+        return Correspondences(targets, places, np.tile(0.04 * np.eye(3), (5, 1, 1)))
+
+    survey = SimpleNamespace(
+        frame=SimpleNamespace(origin=NEAR_EQUATOR),
+        measured=correspondences(given),
+        decisive=np.ones(5, bool),
+        cameras=targets,
+        points=(),
+        positions=gps,
+        problem=flight([]).problem,
+        what="positions",
+        decisive_places=lambda *_: correspondences(meant),
+    )
+    with pytest.raises(InputError, match=r"gps: columns 1 and 2 .*upside down"):
+        check_readings(survey)
+
+
+def test_noise_of_heights_is_not_feet():
+    rng = np.random.default_rng(0)
+    scene = flight([])
+    gps = positions(scene.problem, NEAR_EQUATOR)
+    gps.geodetic[:, 2] += 40 * rng.normal(size=16)
+    assert gps_priors(scene.elsewhere(), gps, gps_sigma=(0.1, 5)).notes == ()
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_right_coordinates_are_never_another_reading(seed):
     rng = np.random.default_rng(seed)
     targets = np.column_stack([rng.uniform(-25, 25, (4 + seed, 2)), rng.normal(0, seed, 4 + seed)])
-    scene = flight(targets, seed=seed, start_noise=0.05)
+    scene = flight(targets, num_images=9, seed=seed, start_noise=0.05)
     problem = scene.elsewhere()
     gcps = on_map(scene.gcps)
     east, north, up = gcps[0].position
     gcps[0] = dataclasses.replace(gcps[0], position=(east + 8, north - 3, up))  # a gross error
-    for sigma in (0.005, 0.5, 2):
+    for sigma in (0.005, 2):
         assert not [n for n in bundle.align(problem, gcps=gcps, gcp_sigma=sigma).notes if "up" in n]
     origin = LocalFrame(rng.uniform(-60, 60), rng.uniform(-80, 80), 100)
     gps = positions(scene.problem, origin)

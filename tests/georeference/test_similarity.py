@@ -180,3 +180,48 @@ def test_what_does_not_determine_a_similarity_is_refused():
     level = np.column_stack([source[:, :2], np.zeros(6)])
     with pytest.raises(InputError, match="tilt"):
         fit(level, np.column_stack([level[:, :2], unknown[:, 2]]))
+
+
+def on_a_line(rng, count, source_width, target_width, *, same=False):
+    along = np.linspace(-50, 50, count)
+    across = rng.normal(size=(count, 2))
+    other = across if same else rng.normal(size=(count, 2))
+    source = np.column_stack([along, source_width * across])
+    target = np.column_stack([along, target_width * other])
+    return 0.2 * TURN.apply(source), target
+
+
+@pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [1, 2, 0.3], [0, 0, 1]])
+def test_a_wide_model_over_a_line_is_refused(axis):
+    # It stands on its edge beside the line, where heights have the larger sigma.
+    grid = 20.0 * (np.indices((4, 4)).reshape(2, -1).T - 1.5)
+    source = 0.1 * TURN.apply(np.column_stack([grid, np.zeros(16)]))
+    along = grid @ [1, 0.2]
+    target = along[:, None] * np.array(axis) / np.linalg.norm(axis)
+    target += 1e-4 * np.random.default_rng(0).normal(size=target.shape)
+    covariance = np.tile(np.diag([4.0, 4, 25]), (16, 1, 1))
+    with pytest.raises(InputError, match="one line"):
+        fit_similarity(Correspondences(source, target, covariance))
+
+
+def test_lines_whose_widths_are_noise_are_refused():
+    rng = np.random.default_rng(1)
+    source, target = on_a_line(rng, 100, 0.05, 0.05)
+    covariance = np.tile(0.05**2 * np.eye(3), (100, 1, 1))
+    with pytest.raises(InputError, match=r"open by .* one line"):
+        fit_similarity(Correspondences(source, target, covariance))
+    source, target = on_a_line(rng, 100, 0.5, 0.5, same=True)
+    fit_similarity(Correspondences(source, target + 0.05 * rng.normal(size=(100, 3)), covariance))
+
+
+def test_widths_far_below_the_sigmas_are_refused_however_well_they_fit():
+    rng = np.random.default_rng(2)
+    covariance = np.tile(np.diag([4.0, 4, 25]), (18, 1, 1))
+    source, target = on_a_line(rng, 18, 1e-3, 1e-3, same=True)
+    with pytest.raises(InputError, match=r"open by .* one line"):
+        fit_similarity(Correspondences(source, target, covariance))
+    # Residuals of two centimetres tell that the sigmas of a strip are too large.
+    source, target = on_a_line(rng, 18, 1.5, 1.5, same=True)
+    noisy = target + 0.02 * rng.normal(size=(18, 3))
+    fit = fit_similarity(Correspondences(source, noisy, covariance))
+    assert fit.similarity.scale == pytest.approx(5, rel=1e-3)

@@ -10,9 +10,9 @@ that it sees and the axis a of its image that points up (minus y),
 is about 1 for nadir images (0 and -1), for images of a facade (1 and 0) and more between, and minus
 that upside down. Cameras that look straight up at a ceiling have -1, too, and are right. So
 coordinates are refused only where another reading of them fits no worse and is upright, or where it
-fits many times better and is not upside down instead. That is judged by the residual in sigmas that
-most places do not exceed, the h-th of n with h = n / 2 + 2, about the similarity that most of them
-agree on: some may be anywhere, and three fit anything.
+fits many times better. That is judged by the residual in sigmas that most places do not exceed, the
+h-th of n with h = n / 2 + 2, about the similarity that most of them agree on: some may be anywhere,
+and three fit anything.
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ SMALL = 0.5
 FEWEST = 7
 """Places below which a better fit is chance."""
 FOOT = 0.3048
+MOST_OBSERVATIONS = 1_000_000
+"""That tell which way is up."""
 EXCHANGED = "columns 1 and 2 fit when exchanged"
 FEET = "heights fit as feet"
 
@@ -79,14 +81,13 @@ def check_readings(survey: Survey) -> tuple[str, ...]:
         residual, its_residual = _most(lengths[rows[whose]]), _most(its_lengths[rows[whose]])
         turned = upright < -UPRIGHT and its_upright > UPRIGHT and what == EXCHANGED
         better = residual > TINY and residual > BETTER * its_residual and len(given) >= FEWEST
-        stands = not its_upright < min(upright, UPRIGHT)
         if better and what == FEET:
             # Heights that are noise fit the better the smaller they are made.
             level = survey.decisive_places(*_scaled(points, positions, 0.0))
             if level is not None:
                 at_one_height = _judged(survey.problem, level, survey.what)[0]
                 better = _most(at_one_height[rows[whose]]) > BETTER * its_residual
-        if (better and stands) or (turned and its_residual <= NO_WORSE * max(residual, SMALL)):
+        if better or (turned and its_residual <= NO_WORSE * max(residual, SMALL)):
             found = f"off by {residual:.3g} sigmas as they are and by {its_residual:.3g} so"
             if turned:
                 found = "upside down as they are"
@@ -105,15 +106,14 @@ def uprightness(problem: Problem, similarity: Similarity) -> float:
     About 1 upright, -1 upside down.
     """
     up = similarity.rotation[2]  # in the frame of the problem
-    seen = np.bincount(problem.observation_image, minlength=problem.num_images)
+    some = slice(None, None, max(1, problem.num_observations // MOST_OBSERVATIONS))
+    image, point = problem.observation_image[some], problem.observation_point[some]
+    seen = np.bincount(image, minlength=problem.num_images)
     if not seen.any():
         return float("nan")
-    rays = (
-        problem.points[problem.observation_point]
-        - problem.projection_centers[problem.observation_image]
-    )
+    rays = problem.points[point] - problem.projection_centers[image]
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.finfo(float).tiny)
-    along = np.bincount(problem.observation_image, rays @ up, problem.num_images)[seen > 0]
+    along = np.bincount(image, rays @ up, problem.num_images)[seen > 0]
     images_up = -rotation_matrices(problem.cam_from_world[:, :4])[seen > 0, 1] @ up
     return float(np.median(images_up) - np.median(along / seen[seen > 0]))
 
