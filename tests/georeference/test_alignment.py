@@ -22,6 +22,7 @@ from bundle.reprojection import reprojection_errors
 from bundle.rotations import quaternion_from_matrix, rotation_matrices
 from tests.formulas import PARAMS as MODELS
 from tests.georeference.blocks import MODEL, PARAMS, TRUTH, block
+from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem, project
 
 CLEAN = ("scale", "rotation", "translation")
@@ -46,6 +47,19 @@ def test_a_moved_problem_projects_as_before():
         turned.projection_centers, TRUTH.apply(problem.projection_centers), atol=1e-12
     )
     np.testing.assert_array_equal(turned.observation_xy, problem.observation_xy)
+
+
+def test_a_moved_problem_with_rigs_projects_as_before():
+    problem = rig_problem(num_alone=2)
+    turned = moved(problem, TRUTH)
+    before, after = reprojection_errors(problem)[0], reprojection_errors(turned)[0]
+    np.testing.assert_allclose(after, before, rtol=1e-8, atol=1e-9)
+    arms = problem.sensor_from_rig[:, 4:]
+    assert np.abs(arms).max() > 0
+    np.testing.assert_allclose(turned.sensor_from_rig[:, 4:], TRUTH.scale * arms, rtol=1e-12)
+    np.testing.assert_allclose(
+        turned.projection_centers, TRUTH.apply(problem.projection_centers), atol=1e-9
+    )
 
 
 def test_quaternions_are_scipys():

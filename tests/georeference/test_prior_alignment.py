@@ -185,3 +185,15 @@ def test_priors_that_name_no_image(made, words):
     names = (*problem.image_names[:6], "same.jpg", "same.jpg")
     with pytest.raises(InputError, match=words):
         ProblemPriors.make(problem.replace(image_names=names), made)
+
+
+def test_heights_that_do_not_count_are_unknown():
+    problem, goal = problem_and_goal()
+    made = [
+        PositionPrior(name, [*place[:2], 1e4 * row], sigma=(1.0, np.inf if row % 2 else 1.0))
+        for row, (name, place) in enumerate(
+            zip(problem.image_names, goal.projection_centers, strict=True)
+        )
+    ]
+    target = ProblemPriors.make(problem, made).correspondences(problem).target
+    assert np.isnan(target[:, 2]).tolist() == [bool(row % 2) for row in range(len(made))]
