@@ -273,6 +273,11 @@ py::dict Files(const ColmapModel& model) {
   return files;
 }
 
+py::object ImagePoses(const ColmapModel& model) {
+  const auto rows = static_cast<py::ssize_t>(model.index.images.size());
+  return ToImmutableNumpy(model.ImagePoses(), {rows, 7});
+}
+
 }  // namespace
 }  // namespace bundle
 
@@ -285,6 +290,7 @@ void BindColmap(py::module_& m) {
       .def_property_readonly("is_binary", &ColmapModel::is_binary)
       .def_property_readonly("names_with_spaces",
                              [](const ColmapModel& model) { return model.index.names_with_spaces; })
+      .def_property_readonly("image_poses", &bundle::ImagePoses)
       .def("files", &bundle::Files)
       .def("write", &bundle::WriteModel, py::arg("folder"), py::arg("cam_from_world"),
            py::arg("camera_params"), py::arg("points"), py::arg("point_errors"),

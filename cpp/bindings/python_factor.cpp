@@ -5,6 +5,7 @@
 
 #include "core/error.h"
 #include "core/parallel/thread_pool.h"
+#include "core/words.h"
 
 namespace py = pybind11;
 
@@ -34,8 +35,8 @@ int CountResiduals(const std::string& name, const py::object& function,
 
 void Copy(const std::string& name, const Array& from, py::ssize_t expected, double* to) {
   if (from.size() != expected) {
-    throw bundle::InputError(name + ": expected " + std::to_string(expected) + " numbers, found " +
-                             std::to_string(from.size()));
+    throw bundle::InputError(name + ": expected " + bundle::Counted(expected, "number") +
+                             ", found " + std::to_string(from.size()));
   }
   std::copy_n(from.data(), from.size(), to);
 }

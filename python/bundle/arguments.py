@@ -84,9 +84,10 @@ def as_integers(argument: str, values: Any) -> NDArray[np.int64]:
     if array.size == 0:
         return np.zeros(array.shape, np.int64)
     if array.dtype.kind not in "iu":
-        raise InputError(
-            f"{argument}: expected integers, found {array.dtype} {brief(array.flat[0])}"
-        )
+        found = f"{array.dtype} {brief(array.flat[0])}"
+        if array.dtype.kind in "US":
+            found = brief(array.flat[0].item())
+        raise InputError(f"{argument}: expected integers, found {found}")
     if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
         raise InputError(f"{argument}: expected integers below 2^63, found {array.max()}")
     return array.astype(np.int64)

@@ -29,7 +29,10 @@ def shown(path: str | os.PathLike[str]) -> str:
 
 
 def brief(value: Any) -> str:
-    """Return any value as one short line of printable text: its repr, or its type."""
+    """Return any value as one short line of printable text: its repr, or its type.
+
+    Of a long one the beginning, after the type where the quotes of a word do not tell it.
+    """
     try:
         text = " ".join(repr(value).split())[: LONGEST_VALUE + 1]
     except Exception:  # a repr of the user's, or one of an object that is no longer whole
@@ -37,7 +40,8 @@ def brief(value: Any) -> str:
     text = _printable(text)
     if len(text) <= LONGEST_VALUE:
         return text
-    return f"{type(value).__name__} {text[: LONGEST_VALUE - 3]}..."
+    kind = "" if isinstance(value, str | bytes) else f"{type(value).__name__} "
+    return f"{kind}{text[: LONGEST_VALUE - 3]}..."
 
 
 def first_line(error: Exception) -> str:

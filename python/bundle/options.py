@@ -182,7 +182,7 @@ class SolveOptions(Options):
         ("poses", "points", "focal", "extra"),
         "--refine",
         "parameters to refine, out of "
-        + ",".join((*REFINABLE, SENSORS)).replace("_", "-")
+        + ", ".join((*REFINABLE, SENSORS)).replace("_", "-")
         + "; the last, where sensors are on their rigs, is --refine-sensor-from-rig",
         metavar="LIST",
     )

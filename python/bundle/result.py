@@ -160,7 +160,7 @@ class Result(SolveRecord):
         solver = f"{summary.backend_used} {summary.linear_solver_type_used}"
         facts = [
             (
-                "last round's cost" if len(self.rounds) > 1 else "cost",
+                "last adjustment's cost" if self.rounds else "cost",
                 change(summary.initial_cost, summary.final_cost),
             ),
             ("RMSE", f"{pixels(before.rmse)} -> {pixels(after.rmse)} px"),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from bundle.arrays import filled, freeze
 from bundle.errors import InputError
-from bundle.rigid_motions import multiply_poses, unit_poses
+from bundle.rigid_motions import inverse_poses, multiply_poses, unit_poses
 from bundle.rotations import rotation_matrices
 
 if TYPE_CHECKING:
@@ -81,6 +81,20 @@ def placed(fields: Mapping[str, Any]) -> _Poses:
     arms = fields["sensor_from_rig"][sensor[on_arm]]
     poses[images[on_arm]] = compose(arms, poses[images[on_arm]])
     return freeze(poses)
+
+
+def pose_differences(
+    poses: _Poses, others: _Poses
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return by which angles [rad] and shifts of the centre poses (n, 7) differ from others.
+
+    The last value is the largest distance of a centre from the origin.
+    """
+    one, two = inverse_poses(unit_poses(poses)), inverse_poses(unit_poses(others))
+    apart = [np.linalg.norm(one[:, :4] + sign * two[:, :4], axis=1) for sign in (1, -1)]
+    angle = 4 * np.arcsin(np.minimum(1.0, 0.5 * np.minimum(*apart)))
+    shift = np.linalg.norm(one[:, 4:] - two[:, 4:], axis=1)
+    return angle, shift, float(np.linalg.norm(one[:, 4:], axis=1).max(initial=0))
 
 
 def recomputed_poses(problem: Problem, changes: Mapping[str, Any]) -> _Poses | None:

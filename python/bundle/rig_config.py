@@ -113,6 +113,12 @@ def _rig(place: str, rig: Any) -> RigConfig:
     cameras = rig.get("cameras") if isinstance(rig, dict) else None
     if not isinstance(cameras, list) or not cameras:
         raise InputError(f"{place}: expected an object with a list 'cameras', found {brief(rig)}")
+    if "ref_camera_id" in rig:
+        raise InputError(
+            f"{place}: expected the form of COLMAP 3.12 (image_prefix, ref_sensor: true, "
+            "cam_from_rig_rotation and cam_from_rig_translation of each camera), found the older "
+            "one with ref_camera_id"
+        )
     sensors = tuple(_sensor(f"{place}, camera {i}", camera) for i, camera in enumerate(cameras, 1))
     count = sum(sensor.is_reference for sensor in sensors)
     if count != 1:

@@ -288,7 +288,7 @@ def good(blocks):
     [
         (lambda b: (b[0], [np.ones((3, 2))]), [[1, 2]], None, {}, "Jacobian 0 of shape (2, 2)"),
         (lambda b: (b[0][:1], [np.ones((2, 1))]), [[1, 2]], None, {}, "transposed?"),
-        (lambda b: (b[0], []), [[1, 2]], None, {}, "expected 1 Jacobians"),
+        (lambda b: (b[0], []), [[1, 2]], None, {}, "expected 1 Jacobian,"),
         (lambda b: b[0].sum(), [[1, 2]], None, {}, "expected (residual, list of Jacobians)"),
         (lambda b: (b[0][:0], [np.eye(2)]), [[1, 2]], None, {}, "at least one residual"),
         (good, [], None, {}, "at least one block"),

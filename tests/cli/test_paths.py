@@ -117,7 +117,7 @@ def test_what_may_be_the_same():
 
 FOREIGN = (
     "m.ply", "m.nvm", "m.out", "m.json", "m.sfm", "m.xml", "m.pdf", "M.PLY", "m.v1.ply", "m.ply.gz",
-    "m.npz", "m.jpg", "m.csv", "m.zip", "m.html", "m.g2o", "m.gz", "m.tum", "m.bin", "m.db",
+    "m.npz", "m.jpg", "m.csv", "m.zip", "m.html", "m.g2o", "m.tum", "m.bin", "m.db",
 )  # fmt: skip
 
 

@@ -141,3 +141,38 @@ def test_a_result_has_its_scale_change():
     found = bundle.diagnose(solved)
     assert (found.nullity, found.ok) == (7, True)
     assert "scale_drift" not in {entry.kind for entry in found.findings}
+
+
+@pytest.mark.parametrize("num_points", [3, 4, 5])
+@pytest.mark.parametrize("at_one_place", [False, True])
+def test_a_pair_with_too_few_points_is_no_panorama(num_points, at_one_place):
+    """4n equations for 3n points, 5 of the pair and a focal length: 6 points are needed."""
+    problem = block(num_images=2, num_points=num_points)
+    if at_one_place:
+        poses = problem.cam_from_world.copy()
+        turns = Rotation.from_quat(poses[:, :4])
+        poses[:, 4:] = turns.apply(-problem.projection_centers[:1].repeat(2, axis=0))
+        problem = problem.replace(cam_from_world=poses)
+    found = bundle.diagnose(problem, refine=(*POSES_AND_POINTS, "focal"))
+    named = {mode.kind for mode in found.weak_modes}
+    assert "underdetermined" in named and "pure_rotation" not in named and not found.ok
+    assert [mode.kind for mode in found.weak_modes].count("underdetermined") == 1
+
+
+def test_a_pair_at_one_place_is_a_panorama():
+    problem = block(num_images=2, num_points=12)
+    poses = problem.cam_from_world.copy()
+    turns = Rotation.from_quat(poses[:, :4])
+    poses[:, 4:] = turns.apply(-problem.projection_centers[:1].repeat(2, axis=0))
+    found = bundle.diagnose(problem.replace(cam_from_world=poses), refine=POSES_AND_POINTS)
+    assert [mode.kind for mode in found.weak_modes] == ["pure_rotation"]
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.0, True), (1e-6, True), (1.0, False)])
+def test_a_rig_without_a_baseline_gives_no_scale(share, named):
+    problem = rig_problem()
+    arms = problem.sensor_from_rig.copy()
+    arms[:, 4:] *= share
+    found = bundle.diagnose(problem.replace(sensor_from_rig=arms))
+    assert ("rig_without_baseline" in kinds(found)) == named
+    assert found.ok == (not named)

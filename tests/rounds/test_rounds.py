@@ -71,10 +71,13 @@ def test_each_round_adjusts_what_the_one_before_has_left():
         assert done.num_observations_removed == filtered.num_observations_removed
         assert done.num_points_removed == filtered.num_points_removed
         current = filtered.problem
-    np.testing.assert_array_equal(result.problem.points, current.points)
+    last = bundle.solve(current, options)
+    np.testing.assert_array_equal(result.problem.points, last.problem.points)
+    assert result.problem.num_observations == current.num_observations
     assert [done.round for done in result.rounds] == [1, 2, 3]
     assert result.problem.num_observations == pytest.approx((~wrong).sum(), rel=0.08)
-    assert result.summary.final_cost == result.rounds[-1].cost
+    assert result.summary.final_cost == last.summary.final_cost
+    assert result.summary.initial_cost == last.summary.initial_cost < result.rounds[-1].cost
 
 
 def test_rounds_end_when_one_changes_next_to_nothing(monkeypatch):
@@ -87,6 +90,31 @@ def test_rounds_end_when_one_changes_next_to_nothing(monkeypatch):
     assert (
         len(bundle.solve_rounds(problem, num_rounds=20, max_error=1.2, loss="cauchy").rounds) == 1
     )
+
+
+@pytest.mark.parametrize("num_rounds", [1, 2, 5])
+@pytest.mark.parametrize("loss", ["trivial", "cauchy"])
+def test_rounds_end_at_a_minimum(backend, num_rounds, loss):
+    problem, _ = with_outliers()
+    options = bundle.SolveOptions(loss=loss, backend=backend, **TIGHT)
+    result = bundle.solve_rounds(problem, options, num_rounds=num_rounds, max_error=1.5)
+    assert len(result.rounds) <= num_rounds and result.rounds[0].num_observations_removed > 0
+    again = bundle.solve(result.problem, options)
+    assert again.summary.initial_cost == pytest.approx(result.summary.final_cost, rel=1e-12)
+    assert again.summary.final_cost == pytest.approx(result.summary.final_cost, rel=1e-9)
+    left = problem.num_observations - sum(r.num_observations_removed for r in result.rounds)
+    assert result.problem.num_observations == left
+
+
+def test_a_filter_that_removes_nothing_is_not_followed(monkeypatch):
+    problem, _ = with_outliers(share=0)
+    solves = []
+    solve = round_run.solver.solve
+    monkeypatch.setattr(
+        round_run.solver, "solve", lambda *a, **k: solves.append(1) or solve(*a, **k)
+    )
+    result = bundle.solve_rounds(problem, num_rounds=3, max_error=100.0, min_angle=0.0)
+    assert len(result.rounds) == len(solves) == 1
 
 
 def test_no_rounds_are_a_solve():

@@ -8,6 +8,7 @@
 #include "core/error.h"
 #include "core/factors/factor.h"
 #include "core/parallel/thread_pool.h"
+#include "core/words.h"
 
 namespace bundle {
 
@@ -15,8 +16,8 @@ namespace {
 
 void ExpectSize(const std::string& name, int found, int expected) {
   if (found == expected) return;
-  throw InputError("manifolds: " + name + " expects a block of " + std::to_string(expected) +
-                   " numbers, found " + std::to_string(found));
+  throw InputError("manifolds: " + name + " expects a block of " + Counted(expected, "number") +
+                   ", found " + std::to_string(found));
 }
 
 void CheckSubset(int size, const std::vector<int>& constant) {
@@ -25,7 +26,7 @@ void CheckSubset(int size, const std::vector<int>& constant) {
     throw InputError("manifolds: subset names an entry twice");
   }
   if (static_cast<int>(distinct.size()) >= size) {
-    throw InputError("manifolds: subset leaves nothing of " + std::to_string(size) + " numbers");
+    throw InputError("manifolds: subset leaves nothing of " + Counted(size, "number"));
   }
   if (distinct.empty() || *distinct.begin() < 0 || *distinct.rbegin() >= size) {
     throw InputError("manifolds: subset expects entries from 0 to " + std::to_string(size - 1));

@@ -13,6 +13,7 @@
 #include "core/parallel/blas.h"
 #include "core/parallel/thread_pool.h"
 #include "core/prepare/prepare.h"
+#include "core/words.h"
 
 namespace bundle {
 
@@ -101,10 +102,9 @@ std::string Choose(const Shape& shape, SolveOptions* options) {
   const bool dense = shape.num_columns <= kMostDenseColumns && entries <= kMostDenseEntries;
   options->linear_solver_type =
       dense ? LinearSolverType::kDenseNormalCholesky : LinearSolverType::kSparseNormalCholesky;
-  const std::string size = std::to_string(shape.num_rows) + " residuals of " +
-                           std::to_string(shape.num_columns) + " free coordinates";
-  return dense ? size + " are few enough for dense matrices."
-               : size + " are too many for dense matrices.";
+  const std::string size = Counted(shape.num_rows, "residual") + " of " +
+                           Counted(shape.num_columns, "free coordinate") + ": ";
+  return size + (dense ? "few enough for dense matrices." : "too many for dense matrices.");
 }
 
 ceres::Solver::Options Translate(const Shape& shape, const SolveOptions& options) {

@@ -278,16 +278,17 @@ class CeresSolve {
   ceres::Solver::Options ChooseSolver() {
     const ProblemShape shape = ShapeOf(layout_, num_residuals_);
     SolveOptions options = options_;
+    const bool cameras_eliminated =
+        options.linear_solver_ordering == EliminationOrdering::kCamerasFirst;
     if (options.linear_solver_type == LinearSolverType::kAuto) {
-      SolverChoice choice = ChooseCeresSolver(problem_, layout_, shape);
+      SolverChoice choice = ChooseCeresSolver(problem_, layout_, shape, cameras_eliminated);
       options.linear_solver_type = choice.type;
       linear_solver_choice_ = std::move(choice.reason);
     }
     ceres::Solver::Options result = TranslateOptions(options);
     Warn(WarningKind::kPreconditionerNotUsed, FindIdlePreconditioner(options), &warnings_);
     Warn(WarningKind::kOrderingNotUsed, FindIdleOrdering(options), &warnings_);
-    RefuseTooMuchMemory(options.linear_solver_type, shape,
-                        options.linear_solver_ordering == EliminationOrdering::kCamerasFirst);
+    RefuseTooMuchMemory(options.linear_solver_type, shape, cameras_eliminated);
     if (NothingToEliminate(options.linear_solver_ordering, layout_)) {
       Warn(WarningKind::kOrderingReplaced,
            "Nothing of the ordering's first group is refined: Ceres chose what to eliminate.",

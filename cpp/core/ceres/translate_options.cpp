@@ -215,7 +215,7 @@ ceres::PreconditionerType ToCeres(PreconditionerType type, LinearSolverType solv
     }
     case PreconditionerType::kTwoLevel:
       throw InputError(
-          "preconditioner_type: expected one of Ceres' with the ceres backend, found two_level");
+          "preconditioner_type: expected one of Ceres' where Ceres solves, found two_level");
   }
   throw InputError("preconditioner_type: expected a preconditioner");
 }

@@ -9,6 +9,7 @@
 #include "core/dense/decompositions.h"
 #include "core/error.h"
 #include "core/factors/factor.h"
+#include "core/words.h"
 
 namespace bundle {
 
@@ -22,7 +23,8 @@ void CheckBounds(const Block& block) {
   }
   const size_t n = block.value.size();
   if (block.lower.size() != n || block.upper.size() != n) {
-    throw InputError(block.name + ": bounds: expected " + std::to_string(n) + " numbers, found " +
+    throw InputError(block.name + ": bounds: expected " +
+                     Counted(static_cast<int64_t>(n), "number") + ", found " +
                      std::to_string(std::min(block.lower.size(), block.upper.size())));
   }
   for (size_t i = 0; i < n; ++i) {
@@ -41,7 +43,7 @@ void CheckBlock(const Block& block) {
   if (!block.held.empty() &&
       static_cast<int>(block.held.size()) != block.retraction.tangent_size()) {
     throw InputError(block.name + ": held: expected " +
-                     std::to_string(block.retraction.tangent_size()) + " flags, found " +
+                     Counted(block.retraction.tangent_size(), "flag") + ", found " +
                      std::to_string(block.held.size()));
   }
   CheckBounds(block);
@@ -50,8 +52,9 @@ void CheckBlock(const Block& block) {
 void CheckVariables(const Factor& factor, const std::vector<Block>& blocks) {
   const auto& indices = factor.blocks();
   if (indices.size() != factor.retractions().size()) {
-    throw InputError(factor.name() + ": expected " + std::to_string(factor.retractions().size()) +
-                     " variables, found " + std::to_string(indices.size()));
+    throw InputError(factor.name() + ": expected " +
+                     Counted(static_cast<int64_t>(factor.retractions().size()), "variable") +
+                     ", found " + std::to_string(indices.size()));
   }
   for (size_t b = 0; b < indices.size(); ++b) {
     if (indices[b] < 0 || indices[b] >= static_cast<int>(blocks.size())) {
@@ -65,7 +68,7 @@ void CheckVariables(const Factor& factor, const std::vector<Block>& blocks) {
     const Retraction& expected = factor.retractions()[b];
     if (block.retraction == expected) continue;
     throw InputError(factor.name() + ": " + block.name + ": expected " + expected.name() + " of " +
-                     std::to_string(expected.ambient_size()) + " numbers, found " +
+                     Counted(expected.ambient_size(), "number") + ", found " +
                      block.retraction.name() + " of " +
                      std::to_string(block.retraction.ambient_size()));
   }

@@ -9,6 +9,7 @@
 #include <string_view>
 
 #include "core/io/colmap_index.h"
+#include "core/words.h"
 
 namespace bundle {
 
@@ -75,7 +76,8 @@ class ByteReader {
     const T count = Read<T>(("the number of " + what).c_str());
     if (count > num_left() / min_size) {
       file_.Fail(at, "expected at most " + std::to_string(num_left() / min_size) + " " + what +
-                         " in the " + std::to_string(num_left()) + " bytes that follow, found " +
+                         " in the " + Counted(static_cast<int64_t>(num_left()), "byte") +
+                         " that follow" + (num_left() == 1 ? "s" : "") + ", found " +
                          std::to_string(count));
     }
     return count;

@@ -47,11 +47,16 @@ std::vector<double> ColmapModel::SensorFromRig() const {
   return poses;
 }
 
-std::vector<double> ColmapModel::CamFromWorld() const {
+std::vector<double> ColmapModel::ImagePoses() const {
   std::vector<double> poses(7 * index.images.size());
   for (size_t row = 0; row < images_by_id.size(); ++row) {
     PutPose(index.images[images_by_id[row]].pose, poses.data() + 7 * row);
   }
+  return poses;
+}
+
+std::vector<double> ColmapModel::CamFromWorld() const {
+  std::vector<double> poses = ImagePoses();
   for (size_t f = 0; f < index.frames.size(); ++f) {
     if (image_of_frame[f] < 0) continue;
     PutPose(index.frames[f].pose, poses.data() + 7 * image_of_frame[f]);

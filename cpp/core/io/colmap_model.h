@@ -46,6 +46,9 @@ struct ColmapModel {
   /// (num_images, 7) qx qy qz qw tx ty tz. The pose of an image is its frame's where its frame has
   /// but one camera, and that of images.bin in frames of other rigs.
   std::vector<double> CamFromWorld() const;
+
+  /// As the images file has them, rows as those of CamFromWorld.
+  std::vector<double> ImagePoses() const;
   std::vector<double> RigFromWorld() const;   ///< of `rigs.frames`
   std::vector<double> SensorFromRig() const;  ///< of `rigs.sensors`
 };

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "core/io/colmap_index.h"
+#include "core/words.h"
 
 namespace bundle {
 
@@ -17,7 +18,7 @@ inline std::string NoSuchImage(const ColmapIndex::TrackElement& element) {
 
 inline std::string NoSuchKeypoint(const ColmapIndex::TrackElement& element,
                                   const ColmapIndex::Image& image) {
-  return "expected one of the " + std::to_string(image.num_keypoints) + " keypoints of " +
+  return "expected one of " + Counted(image.num_keypoints, "keypoint") + " of " +
          RecordName("image", image.id) + " in the track, found " +
          RecordName("keypoint", element.keypoint);
 }

@@ -7,6 +7,9 @@
 /// sparse. Where even the sparse factor grows too large, conjugate gradients need only products
 /// with S.
 ///
+/// With the cameras eliminated instead, the reduced system is that of the points: 3 columns each,
+/// and nearly full, as all points that an image sees meet. It is factorised where it is small.
+///
 /// Without a symbolic factorisation its cost is a guess: on synthetic streets, orbits and photo
 /// collections of 300 to 4000 images the factor had about 4 d n entries a column, hence n (4 d n)^2
 /// multiply-adds. The bounds below are where the measured times of the solvers crossed.
@@ -115,15 +118,28 @@ double CountSchurDensity(const ProblemView& problem, const ParameterLayout& layo
   return static_cast<double>(2 * lower - n) / (static_cast<double>(n) * static_cast<double>(n));
 }
 
+SolverChoice ChooseForPoints(const ProblemShape& shape) {
+  const int64_t columns = 3 * shape.num_free_points;
+  const std::string subject =
+      "The reduced system of the points (" + std::to_string(columns) + " columns)";
+  if (columns <= kSmallSystem) {
+    return {LinearSolverType::kDenseSchur,
+            subject + " is small: its dense factorisation costs milliseconds."};
+  }
+  return {LinearSolverType::kIterativeSchur,
+          subject + " is too large to factorise: it is solved by conjugate gradients."};
+}
+
 }  // namespace
 
 SolverChoice ChooseCeresSolver(const ProblemView& problem, const ParameterLayout& layout,
-                               const ProblemShape& shape) {
+                               const ProblemShape& shape, bool cameras_eliminated) {
   if (shape.num_free_points == 0) {
     return {LinearSolverType::kSparseNormalCholesky,
             "No point is refined, so there is nothing to eliminate: the camera blocks are solved "
             "sparsely."};
   }
+  if (cameras_eliminated && shape.num_camera_columns > 0) return ChooseForPoints(shape);
   const int64_t columns = shape.num_camera_columns;
   if (columns <= kSmallSystem) {
     return {LinearSolverType::kDenseSchur,

@@ -118,9 +118,9 @@ struct SolverChoice {
   std::string reason;  ///< one sentence
 };
 
-/// Chooses a linear solver of Ceres' for points eliminated first, by the shape of the problem.
+/// Chooses a linear solver of Ceres', by the shape of the problem and what is eliminated first.
 SolverChoice ChooseCeresSolver(const ProblemView& problem, const ParameterLayout& layout,
-                               const ProblemShape& shape);
+                               const ProblemShape& shape, bool cameras_eliminated = false);
 
 /// What one solve of a reduced camera system is expected to cost.
 struct LinearSolverCost {

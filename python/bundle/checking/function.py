@@ -10,6 +10,7 @@ import numpy as np
 from bundle.arguments import as_array
 from bundle.checking.jacobian_deviation import Array
 from bundle.errors import InputError
+from bundle.words import plural
 
 __all__ = ["ResidualFunction", "UserFunction"]
 
@@ -39,7 +40,8 @@ class UserFunction:
         values = self._residual(residual)
         if len(values) != self.num_residuals:
             raise InputError(
-                f"function: expected {self.num_residuals} residuals as before, found {len(values)}"
+                f"function: expected {plural(self.num_residuals, 'residual')} as before, "
+                f"found {len(values)}"
             )
         return values, np.hstack(self._jacobians(jacobians))
 
@@ -76,7 +78,7 @@ class UserFunction:
     def _jacobians(self, jacobians: Sequence[Any]) -> list[Array]:
         if len(jacobians) != len(self.sizes):
             raise InputError(
-                f"function: expected {len(self.sizes)} Jacobians, one per block, "
+                f"function: expected {plural(len(self.sizes), 'Jacobian')}, one per block, "
                 f"found {len(jacobians)}"
             )
         result = []

@@ -12,6 +12,7 @@ from bundle.checking.columns import Block, Column
 from bundle.checking.jacobian_deviation import Array
 from bundle.checking.manifolds import Manifold, ManifoldLike
 from bundle.errors import InputError, brief
+from bundle.words import plural
 
 __all__ = ["Layout", "Name", "sample"]
 
@@ -68,7 +69,8 @@ class Layout:
             )
         if len(parameters) != manifold.size:
             raise InputError(
-                f"names: expected {manifold.size} names for {group}, found {len(parameters)}"
+                f"names: expected {plural(manifold.size, 'name')} for {group}, "
+                f"found {len(parameters)}"
             )
         self.manifolds.append(manifold)
         self.blocks.extend(manifold.blocks(group, len(self.columns), tangent=False))

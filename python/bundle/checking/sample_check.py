@@ -22,6 +22,7 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.padding import padded
 from bundle.checking.residual_blocks import Layout
 from bundle.checking.tally import Tally
+from bundle.words import plural
 
 __all__ = ["SamplePoint", "check_samples"]
 
@@ -282,8 +283,10 @@ class _Check:
             for entry in tally.worst
         ]
         sizes = " + ".join(map(str, self.user.sizes))
+        parameters = "parameter" if sizes == "1" else "parameters"
+        residuals = plural(self.user.num_residuals, "residual")
         return make_report(
-            subject=f"a function of {sizes} parameters with {self.user.num_residuals} residuals",
+            subject=f"a function of {sizes} {parameters} with {residuals}",
             noun="sample",
             tallies=tallies,
             findings=findings,

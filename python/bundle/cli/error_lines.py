@@ -33,6 +33,8 @@ __all__ = [
 # How the dynamic loader says so.
 _LACKS_MEMORY = re.compile("failed to map segment|cannot allocate memory", re.IGNORECASE)
 
+_NO_FOLDER = "the working directory is gone (removed or renamed); change to one that exists"
+
 EXIT_DONE = 0
 EXIT_NO_SOLUTION = 1
 EXIT_BAD_INPUT = 2
@@ -75,10 +77,18 @@ def _line(error: BaseException) -> str | None:
     return None
 
 
+def _is_folder_gone() -> bool:
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return True
+    return False
+
+
 def _os_error(error: OSError) -> str:
     what = error.strerror or str(error) or type(error).__name__
     if error.filename is None:
-        return what
+        return _NO_FOLDER if isinstance(error, FileNotFoundError) and _is_folder_gone() else what
     path = error.filename
     return f"{path.decode(errors='replace') if isinstance(path, bytes) else path}: {what}"
 

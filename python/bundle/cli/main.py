@@ -142,17 +142,17 @@ def _module(name: str) -> ModuleType:
 
 @contextmanager
 def _noting_recoveries() -> Iterator[None]:
-    """Print a line where an unfinished replacement of a killed run was finished."""
+    """Print notes on a model, such as that the replacement by a killed run was finished."""
     with warnings.catch_warnings():
         show = warnings.showwarning
 
         def note(message: Warning | str, category: type[Warning], *where: Any, **how: Any) -> None:
-            if issubclass(category, atomic.RecoveryWarning):
+            if issubclass(category, atomic.NoteWarning):
                 complain(f"note: {message}")
             else:
                 show(message, category, *where, **how)
 
-        warnings.simplefilter("always", atomic.RecoveryWarning)
+        warnings.simplefilter("always", atomic.NoteWarning)
         setattr(warnings, "showwarning", note)  # noqa: B010 (the stub knows only functions of its own)
         yield
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -98,7 +99,7 @@ def with_named_images(
 
 @contextmanager
 def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
-    """Let an InputError about an option name its flag, as the user typed it.
+    """Let an InputError about an option name its flag and its values as the command line does.
 
     Options stand at the head of a message, and before "=" within it. ``others`` are the flags of
     arguments that are no options.
@@ -115,7 +116,23 @@ def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
         if name not in flags:
             raise
         words = re.sub(r"\b(\w+)=", lambda m: f"{flags.get(m[1], m[1])} ", rest)
+        words = re.sub(r"\b[a-z]+(?:_[a-z]+)+\b", lambda m: _as_typed(m[0]), words)
         raise InputError(f"{flags[name]}{colon}{words}") from None
+
+
+@functools.cache
+def _values() -> frozenset[str]:
+    """Return every value that options name."""
+    from bundle.options import REFINABLE, SENSORS, SolveOptions
+
+    fields = dataclasses.fields(SolveOptions)
+    return frozenset(
+        (*REFINABLE, SENSORS, *(name for f in fields for name in f.metadata["choices"] or ()))
+    )
+
+
+def _as_typed(word: str) -> str:
+    return choice_word(word) if word in _values() else word
 
 
 def parse_ids(text: str) -> tuple[int, ...]:

@@ -223,7 +223,9 @@ class Prior(Rule):
             found = len(value) if isinstance(value, tuple) else 1
             if value is not None and found not in counts:
                 wanted = " or ".join(map(str, counts))
-                raise InputError(f"{name}: expected {wanted} numbers, found {found}")
+                raise InputError(
+                    f"{name}: expected {wanted} number{'s' * (counts != [1])}, found {found}"
+                )
 
     def __str__(self) -> str:
         """The text that means this."""

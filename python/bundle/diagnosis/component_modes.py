@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bundle.diagnosis.diagnosis_result import Component, WeakMode
+from bundle.diagnosis.equation_counts import EquationCounts
 from bundle.diagnosis.id_lists import named
 from bundle.diagnosis.track_table import TrackTable
 from bundle.diagnosis.viewing import viewing
@@ -45,13 +46,20 @@ def component_modes(
     return modes
 
 
-def rotation_modes(problem: Problem, tracks: TrackTable) -> list[WeakMode]:
-    """Return a mode for each component whose images stand at one place."""
+def rotation_modes(problem: Problem, tracks: TrackTable, counts: EquationCounts) -> list[WeakMode]:
+    """Return a mode for each component whose images stand at one place.
+
+    Where the equations are too few to tell that, the mode says so.
+    """
     modes = []
     for piece in range(min(int(tracks.pieces.max(initial=-1)) + 1, MOST_PIECES)):
         images = np.flatnonzero(tracks.pieces == piece)
         look = viewing(problem, images) if len(images) > 1 else None
         if look is None or look.cause != "pure_rotation":
+            continue
+        short = counts.mode(images, 0)
+        if short is not None:
+            modes.append(short)
             continue
         ids = tuple(sorted(problem.image_ids[images].tolist()))
         modes.append(

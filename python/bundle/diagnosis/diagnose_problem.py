@@ -14,6 +14,7 @@ from bundle.diagnosis.collapsed import collapsed_clusters
 from bundle.diagnosis.component_modes import component_modes, rotation_modes
 from bundle.diagnosis.diagnose_graph import diagnose_graph
 from bundle.diagnosis.diagnosis_result import Component, Diagnosis
+from bundle.diagnosis.equation_counts import EquationCounts
 from bundle.diagnosis.findings import findings
 from bundle.diagnosis.graph_diagnosis import GraphDiagnosis
 from bundle.diagnosis.modes import null_modes, weak_modes
@@ -136,11 +137,16 @@ def diagnose(
         expected = _expected_beside_factors(start, options, ready.known.factors, tracks, found)
     unknowns = Unknowns(start, found)
     collapsed = collapsed_clusters(start, tracks)
-    modes = null_modes(unknowns, found["null_directions"], tracks, collapsed)
+    counts = EquationCounts(unknowns, tracks)
+    modes = null_modes(unknowns, found["null_directions"], tracks, collapsed, counts)
     components = _components(start, tracks)
     apart = component_modes(start, tracks, components)
     is_loose = found["nullity"] > expected
-    modes = [*(apart if is_loose else ()), *rotation_modes(start, tracks), *modes]
+    short = {mode.image_ids for mode in modes if mode.kind == "underdetermined"}
+    turning = [
+        mode for mode in rotation_modes(start, tracks, counts) if mode.image_ids not in short
+    ]
+    modes = [*(apart if is_loose else ()), *turning, *modes]
     modes += weak_modes(unknowns, found["eigenvalues"], found["directions"], tracks, modes)
     points = check_points(start, tracks)
     null = np.asarray(found["null_points"], np.int64)

@@ -10,6 +10,7 @@ import numpy as np
 from bundle.diagnosis.conditioning import Finding
 from bundle.diagnosis.diagnosis_result import Diagnosis, WeakMode
 from bundle.diagnosis.id_lists import named, noun
+from bundle.diagnosis.rig_baselines import rigs_without_baseline
 from bundle.diagnosis.scale_drift import ScaleDrift
 from bundle.diagnosis.track_table import FEW_SHARED, TrackTable
 from bundle.diagnosis.unknowns import Unknowns
@@ -52,6 +53,7 @@ def findings(
         *_points(diagnosis),
         *_images(diagnosis),
         *_joints(problem, tracks),
+        *rigs_without_baseline(problem),
         *_factorisation(problem, unknowns, found),
         *_rank(diagnosis),
         *_drift(drift),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bundle.components import component_roots
 from bundle.diagnosis.diagnosis_result import CollapsedCluster, WeakMode
+from bundle.diagnosis.equation_counts import EquationCounts
 from bundle.diagnosis.id_lists import named, sorted_ids
 from bundle.diagnosis.mode_sentences import (
     camera_ids,
@@ -47,6 +48,7 @@ def null_modes(
     directions: Floats,
     tracks: TrackTable,
     collapsed: tuple[CollapsedCluster, ...],
+    counts: EquationCounts,
 ) -> list[WeakMode]:
     """Return the deficiencies behind null directions beyond the gauge, (num_unknowns, count)."""
     modes = list(_unseen(unknowns, tracks))
@@ -59,7 +61,7 @@ def null_modes(
         _, _, across = np.linalg.svd(own, full_matrices=False)
         strongest = np.zeros(len(directions))
         strongest[rows] = own @ across[0]
-        modes.append(_describe(unknowns, strongest, rows, dimension, tracks))
+        modes.append(_describe(unknowns, strongest, rows, dimension, tracks, counts))
     return _without_collapsed(unknowns.problem, modes, collapsed)
 
 
@@ -220,6 +222,7 @@ def _describe(
     rows: NDArray[np.int64],
     dimension: int,
     tracks: TrackTable,
+    counts: EquationCounts,
 ) -> WeakMode:
     parts = unknowns.camera_parts(direction)
     poses = rows[unknowns.of_pose[rows]]
@@ -247,5 +250,8 @@ def _describe(
             dimension=dimension,
         )
     seen = unknowns.images_of_cameras(cameras)
+    short = counts.mode(images, dimension)
+    if short is not None:
+        return short
     look = viewing(unknowns.problem, seen)
     return mode_against_poses(unknowns, parts, cameras, images, look, 0.0, dimension, "")

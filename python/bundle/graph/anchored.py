@@ -16,6 +16,7 @@ from bundle.graph.spectrum import PriorSpectrum
 from bundle.graph.variables import MANIFOLDS, Array, Key, as_keys, as_row, variable_name
 from bundle.memory_sizes import format_size
 from bundle.option_fields import choice
+from bundle.words import plural
 
 __all__ = ["AnchoredFactor"]
 
@@ -102,7 +103,8 @@ class AnchoredFactor(Factor):
             old = np.asarray(self.linearization_point[key])
             if len(points[key]) != len(old):
                 raise InputError(
-                    f"{variable_name(key)}: expected {len(old)} numbers, found {len(points[key])}"
+                    f"{variable_name(key)}: expected {plural(len(old), 'number')}, "
+                    f"found {len(points[key])}"
                 )
             steps.append(_core.local_coordinates(manifold, old, points[key]))
         return points, np.concatenate(steps)

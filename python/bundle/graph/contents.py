@@ -23,6 +23,7 @@ from bundle.graph.variables import (
     check_key,
     variable_name,
 )
+from bundle.words import plural
 
 __all__ = ["GraphContents", "factor_name"]
 
@@ -138,7 +139,7 @@ class GraphContents(Displayed):
             new = Variable.make(key, value, old.manifold, fixed, *bounds)
             if len(new.value) != len(old.value):
                 raise InputError(
-                    f"values: {variable_name(key)}: expected {len(old.value)} numbers, "
+                    f"values: {variable_name(key)}: expected {plural(len(old.value), 'number')}, "
                     f"found {len(new.value)}"
                 )
             graph._variables[key] = new

@@ -13,6 +13,7 @@ from bundle.arguments import as_array
 from bundle.errors import InputError, brief
 from bundle.graph.factors import Factor
 from bundle.graph.variables import Array, Key, as_keys, variable_name
+from bundle.words import plural
 
 __all__ = ["FunctionFactor"]
 
@@ -102,7 +103,7 @@ class _CheckedFunction:
             self.num_residuals = len(residual)
         if len(residual) != self.num_residuals:
             raise InputError(
-                f"{self.name}: expected {self.num_residuals} residuals as before, "
+                f"{self.name}: expected {plural(self.num_residuals, 'residual')} as before, "
                 f"found {len(residual)}"
             )
         if not np.isfinite(residual).all():
@@ -113,8 +114,8 @@ class _CheckedFunction:
         if not isinstance(given, list | tuple) or len(given) != len(self.sizes):
             found = f"{len(given)}" if isinstance(given, list | tuple) else brief(given)
             raise InputError(
-                f"{self.name}: expected a list of {len(self.sizes)} Jacobians, one a variable, "
-                f"found {found}"
+                f"{self.name}: expected a list of {plural(len(self.sizes), 'Jacobian')}, one a "
+                f"variable, found {found}"
             )
         matrices = []
         for key, size, jacobian in zip(self.factor.keys, self.sizes, given, strict=True):

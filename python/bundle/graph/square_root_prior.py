@@ -13,6 +13,7 @@ from bundle.errors import InputError
 from bundle.graph.anchored import AnchoredFactor
 from bundle.graph.spectrum import PriorSpectrum
 from bundle.graph.variables import Array, Key
+from bundle.words import plural
 
 __all__ = ["SquareRootPrior"]
 
@@ -108,7 +109,7 @@ class SquareRootPrior(AnchoredFactor):
         """See :meth:`Factor.core_arguments`."""
         if np.asarray(self.root).shape[1] != sum(sizes):
             raise InputError(
-                f"{name}: expected {sum(sizes)} columns of root, one a tangent coordinate, "
-                f"found {np.asarray(self.root).shape[1]}"
+                f"{name}: expected {plural(sum(sizes), 'column')} of root, one a tangent "
+                f"coordinate, found {np.asarray(self.root).shape[1]}"
             )
         return [self.linearization_point[key] for key in self.keys], self.root, self.vector

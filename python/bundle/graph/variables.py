@@ -15,6 +15,7 @@ from bundle.arguments import as_array, as_integers
 from bundle.arrays import freeze, refrozen
 from bundle.errors import InputError, brief
 from bundle.option_fields import choice
+from bundle.words import plural
 
 __all__ = [
     "MANIFOLDS",
@@ -229,7 +230,9 @@ def _bound(
         raise InputError(f"{name}: {what}: expected on a euclidean variable, found {manifold}")
     values = as_array(f"{name}: {what}", bound)
     if values.ndim and values.shape != (size,):
-        raise InputError(f"{name}: {what}: expected {size} numbers, found shape {values.shape}")
+        raise InputError(
+            f"{name}: {what}: expected {plural(size, 'number')}, found shape {values.shape}"
+        )
     if np.isnan(values).any():
         raise InputError(f"{name}: {what}: expected numbers, found nan")
     return np.ascontiguousarray(np.broadcast_to(values, (size,)), dtype=np.float64).copy()

@@ -145,7 +145,7 @@ def _write_problem(
         sections += _matrices(problem, options)
         sections += [
             tag("h2", "Co-visibility"),
-            tag("p", "Images where they stand; the darker an edge, the more points its images "
+            tag("p", "Images where they stand; the stronger an edge, the more points its images "
                 "share. Each edge is a block of S.", class_="quiet"),
             covisibility(covisibility_graph(problem, MOST_EDGES)),
         ]  # fmt: skip
@@ -288,8 +288,8 @@ def _matrices(problem: Problem, options: SolveOptions) -> list[str]:
     reduced = reduced_pattern(problem, options)
     arrowhead = information_pattern(problem, options)
     words = (
-        "The darker a pixel, the more of its cells are nonzero, on a log scale: a lone nonzero is "
-        "still visible. Fill is orange."
+        "The more a pixel stands out, the more of its cells are nonzero, on a log scale: a lone "
+        "nonzero is still visible. Fill is orange."
     )
     first = tag("div", matrix(arrowhead, "information matrix, points first"), class_="grid spies")
     if reduced.num_blocks == 0:

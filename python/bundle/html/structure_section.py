@@ -57,7 +57,7 @@ def structure_section(
             class_="grid",
         ),
         tag("h2", "Co-visibility", id="covisibility"),
-        tag("p", f"{words} The darker an edge, the more points its images share.",
+        tag("p", f"{words} The stronger an edge, the more points its images share.",
             class_="quiet"),
         covisibility(covisibility_graph(problem, MOST_EDGES)),
     ]  # fmt: skip

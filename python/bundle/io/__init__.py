@@ -24,7 +24,7 @@ from bundle.io.model_files import (
     models_below,
 )
 from bundle.io.problem_source import is_reconstruction
-from bundle.io.recognition import is_pose_graph_file
+from bundle.io.recognition import is_pose_graph_file, other_format_at
 from bundle.io.source import Source, as_path, as_problem, is_path
 from bundle.option_fields import choice
 from bundle.problem import Problem
@@ -76,6 +76,11 @@ def load(path: str | os.PathLike[str], progress: Callable[[int], None] | None = 
         )
     if is_pose_graph_file(path):
         raise InputError(f"{shown(path)}: expected a reconstruction, found a pose graph")
+    other = other_format_at(path)
+    if other is not None:
+        raise InputError(
+            f"{shown(path)}: expected a BAL file or the folder of a COLMAP model, found {other}"
+        )
     return bal.load(path, progress)
 
 
@@ -169,13 +174,8 @@ def output_format(
         return colmap
     if name.lower().endswith(_BAL_SUFFIXES):
         return "bal"
-    packed = problem.format == "bal"
-    check_name(
-        path,
-        "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)",
-        compressed=".txt" if packed else "",
-    )
-    return "bal" if packed else colmap
+    check_name(path, "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)", compressed=".txt")
+    return "bal" if problem.format == "bal" else colmap
 
 
 def check_target(

@@ -47,6 +47,7 @@ from bundle.io.temporary import (
 )
 
 __all__ = [
+    "NoteWarning",
     "RecoveryWarning",
     "check_file",
     "check_folder",
@@ -58,7 +59,11 @@ __all__ = [
 ]
 
 
-class RecoveryWarning(UserWarning):
+class NoteWarning(UserWarning):
+    """What a user should read once; a command prints it as a note."""
+
+
+class RecoveryWarning(NoteWarning):
     """A killed process had left a model replaced in part; that was finished."""
 
 

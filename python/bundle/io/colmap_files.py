@@ -22,6 +22,7 @@ from bundle import _core, address_space, rig_arrays
 from bundle.deferred_source import DeferredSource
 from bundle.errors import InputError, first_line
 from bundle.io.interrupts import interrupts_deferred
+from bundle.io.model_notes import check_rig_files, lacks_keypoint_lines, note_contradiction
 from bundle.io.problem_source import LOST_SIGMAS
 from bundle.problem import Problem
 
@@ -65,7 +66,21 @@ def load(path: str | os.PathLike[str]) -> Problem:
     if not folder.is_dir():
         found = "something else" if folder.exists() else "nothing"
         raise InputError(f"{folder}: expected the folder of a COLMAP model, found {found}")
-    return problem_of(folder, *_core.read_colmap_model(os.fsencode(folder)))
+    check_rig_files(folder)
+    try:
+        model, fields = _core.read_colmap_model(os.fsencode(folder))
+    except InputError:
+        place = lacks_keypoint_lines(folder)
+        if place is None:
+            raise
+        raise InputError(
+            f"{place}: expected the keypoints of the image before, in a line that is blank if "
+            "there are none, found another image"
+        ) from None
+    problem = problem_of(folder, model, fields)
+    if hasattr(model, "image_poses"):
+        note_contradiction(folder, model.image_poses, problem.cam_from_world)
+    return problem
 
 
 def problem_of(folder: Path, model: _core.ColmapModel, fields: dict[str, Any]) -> Problem:

@@ -10,7 +10,7 @@ from pathlib import PurePath
 
 from bundle.errors import InputError, shown
 
-__all__ = ["PAGE", "check_name"]
+__all__ = ["PAGE", "check_name", "format_of_name"]
 
 PAGE = ("a page (.html)", ".html .htm .xhtml")
 """What a page is, and the suffixes of its name."""
@@ -42,6 +42,11 @@ _FORMATS = {
     "a program": ".py .ipynb .sh .m .cpp .h .js .css",
 }
 _OWNERS = {suffix: format for format, names in _FORMATS.items() for suffix in names.split()}
+
+
+def format_of_name(path: str | os.PathLike[str]) -> str | None:
+    """Return the format that the suffix of a name claims, such as "an NVM model", or None."""
+    return _OWNERS.get(PurePath(path).suffix.lower())
 
 
 def check_name(

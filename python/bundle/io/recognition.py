@@ -6,9 +6,16 @@ import os
 import re
 from pathlib import Path
 
+from bundle.io.file_names import format_of_name
 from bundle.io.model_files import MODEL_FILES, missing_model_files
 
-__all__ = ["SEQUENCE_FILES", "is_pose_graph_file", "reconstruction_at", "sequence_at"]
+__all__ = [
+    "SEQUENCE_FILES",
+    "is_pose_graph_file",
+    "other_format_at",
+    "reconstruction_at",
+    "sequence_at",
+]
 
 _HEADER = re.compile(rb"\s*\d+\s+\d+\s+\d+\s+\d+\s+\d+\s+[-+.\d]")  # counts, first observation
 _RECORD = re.compile(
@@ -18,6 +25,24 @@ _RECORD = re.compile(
 )
 _SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
 _ENOUGH = 512
+_BEGINNINGS = {
+    b"SQLite format 3": "a database, such as COLMAP's of features and matches",
+    b"NVM_V3": "an NVM model",
+    b"ply": "a point cloud or mesh (PLY)",
+    b"# Bundle file": "a Bundler model",
+    b"# Camera list": "a file of a COLMAP model without the others",
+    b"# Image list": "a file of a COLMAP model without the others",
+    b"# 3D point list": "a file of a COLMAP model without the others",
+    b"<?xml": "XML",
+    b"<": "a page or XML",
+    b"{": "JSON",
+    b"[": "JSON",
+    b"%PDF": "a document (PDF)",
+    b"\x89PNG": "a picture",
+    b"\xff\xd8\xff": "a picture",
+    b"PK\x03\x04": "an archive or file of arrays (zip)",
+}
+"""How files begin that are no reconstruction of a format that is read here."""
 SEQUENCE_FILES = ("imu.csv", "tracks.csv", "calibration.yaml")
 
 
@@ -43,6 +68,21 @@ def is_pose_graph_file(path: object) -> bool:
     except (TypeError, ValueError, OSError):  # bytes, zeros in a name, a name too long
         return False
     return file.name.lower().endswith(_SUFFIXES) or bool(_RECORD.match(_beginning(file)))
+
+
+def other_format_at(path: Path) -> str | None:
+    """Return what a file is that is neither a BAL file nor a pose graph, by content, then name.
+
+    None where neither tells, of pipes, and of what begins with a number, as BAL files do.
+    """
+    if not path.is_file():
+        return None
+    beginning = _beginning(path).lstrip(b"\xef\xbb\xbf \t\r\n")
+    if not beginning or beginning[:1].isdigit():
+        return None
+    known = (words for begin, words in _BEGINNINGS.items() if beginning.startswith(begin))
+    by_name = format_of_name(path) if path.suffix.lower() != ".txt" else None
+    return next(known, by_name)
 
 
 def sequence_at(path: object) -> str | None:

@@ -64,7 +64,8 @@ def solve_rounds(
     :func:`bundle.filter_observations`, in the last round too. The rounds end before ``num_rounds``
     when one removes less than 0.05 % of its observations (COLMAP's rule), and when an adjustment
     has no usable solution or was interrupted; what that one adjusted is not filtered. As the filter
-    changes the objective, costs of different rounds cannot be compared.
+    changes the objective, costs of different rounds cannot be compared, and what the last filter
+    leaves is adjusted once more: the problem returned is at a minimum.
 
     Points that are held (``fixed_point_ids``) or that a factor names stay, whatever their track and
     angle are; they lose observations only.
@@ -110,7 +111,7 @@ def solve_rounds(
         **changes: options by name, in place of those in ``options``.
 
     Returns:
-        The problem that the last filter has left, beside the problem given. ``rounds`` tells of
+        What the last filter has left, adjusted, beside the problem given. ``rounds`` tells of
         each round; summary, iterations and times are those of the last adjustment.
 
     Raises:

@@ -27,7 +27,7 @@ from bundle.problem import Problem
 from bundle.reprojection import reprojection_errors
 from bundle.rounds.ray_angles import enclose_angle
 from bundle.rounds.round_options import RoundOptions
-from bundle.words import contents
+from bundle.words import contents, plural
 
 __all__ = ["Filtered", "filter_observations", "subset"]
 
@@ -62,8 +62,8 @@ class Filtered(Displayed):
     def _display(self) -> Display:
         return Display(
             title=(
-                f"Filtered: {self.num_observations_removed} observations and "
-                f"{self.num_points_removed} points removed"
+                f"Filtered: {plural(self.num_observations_removed, 'observation')} and "
+                f"{plural(self.num_points_removed, 'point')} removed"
             ),
             facts=(
                 ("beyond the largest error", str(self.num_observations_beyond_max_error)),

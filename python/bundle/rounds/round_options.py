@@ -25,7 +25,8 @@ class RoundOptions(Options):
         "--rounds",
         "maximum number of rounds: adjust, then remove observations and points beyond the limits; "
         "the last round too. They end early when a round removes less than 0.05 % of its "
-        "observations. 0: adjust once, remove nothing",
+        "observations; what the last one leaves is adjusted once more. 0: adjust once, remove "
+        "nothing",
         minimum=0,
         metavar="N",
     )

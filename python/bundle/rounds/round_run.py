@@ -82,7 +82,11 @@ class RoundRun:
             self._state = read(resume, self._start, used, fingerprint)
 
     def to_the_end(self) -> tuple[State, Result]:
-        """Adjust and filter; return where that ended and the last adjustment."""
+        """Adjust and filter; return where that ended and the last adjustment.
+
+        What the last filter has left is adjusted once more, unless it removed nothing: a filter
+        changes the objective, and the end is a minimum.
+        """
         state = self._state
         if state.has_ended and state.so_far is not None:
             return state, state.so_far
@@ -91,15 +95,19 @@ class RoundRun:
             state = dataclasses.replace(state, problem=result.problem, so_far=None)
             if result.summary.interrupted or not result.summary.is_solution_usable:
                 return state, result
-            has_ended = self._limits.num_rounds == 0
+            has_ended = not self._limits.num_rounds or self._has_all_rounds(state)
             if not has_ended:
                 state = self._filter(state, result)
-                has_ended = _is_last(state.rounds[-1], self._limits)
+                removed = state.rounds[-1].num_observations_removed
+                has_ended = self._has_all_rounds(state) and not removed
             if has_ended:
                 state = dataclasses.replace(state, so_far=result, has_ended=True)
             self._save(state)
             if has_ended:
                 return state, result
+
+    def _has_all_rounds(self, state: State) -> bool:
+        return bool(state.rounds) and _is_last(state.rounds[-1], self._limits)
 
     def _adjust(self, state: State) -> Result:
         if self._path is None:

@@ -1,0 +1,91 @@
+"""What is odd about the files of a COLMAP model: what lacks, what contradicts itself."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError, shown
+from bundle.io.atomic import NoteWarning
+from bundle.io.model_files import is_text_model
+from bundle.rig_arrays import pose_differences
+
+__all__ = ["check_rig_files", "lacks_keypoint_lines", "note_contradiction"]
+
+_Poses = NDArray[np.float64]
+
+_ANGLE = 1e-3  # rad: more than poses of six digits differ
+_SHIFT = 1e-4  # of the size of the numbers
+_FIELDS = 10  # of the line of an image
+
+
+def check_rig_files(folder: Path) -> None:
+    """Refuse a model with rigs but no frames, or with frames but no rigs.
+
+    Raises:
+        InputError: that.
+    """
+    suffix = _suffix(folder)
+    files = [folder / f"{stem}{suffix}" for stem in ("rigs", "frames")]
+    there = [file.name for file in files if file.is_file()]
+    if len(there) == 1:
+        raise InputError(
+            f"{shown(folder)}: expected rigs{suffix} and frames{suffix}, or neither, found "
+            f"{there[0]} alone"
+        )
+
+
+def lacks_keypoint_lines(folder: Path) -> str | None:
+    """Return the place of an image where the line of keypoints after another one should be."""
+    path = folder / "images.txt"
+    if not is_text_model(folder):
+        return None
+    before = False
+    with path.open(encoding="utf-8", errors="replace") as lines:
+        for number, line in enumerate(lines, 1):
+            words = line.split()
+            if words[:1] and words[0].startswith("#") and not before:
+                continue
+            is_image = len(words) >= _FIELDS and not _is_number(words[_FIELDS - 1])
+            if is_image and before:
+                return f"{shown(path)}:{number}"
+            before = is_image
+    return None
+
+
+def note_contradiction(folder: Path, image_poses: _Poses, poses: _Poses) -> None:
+    """Warn where the images' own poses are others than those that frames and rigs give them.
+
+    Args:
+        folder: of the model.
+        image_poses: (num_images, 7) as the images file has them.
+        poses: (num_images, 7) as they count.
+    """
+    angle, shift, spread = pose_differences(poses, image_poses)
+    other = (angle > _ANGLE) | (shift > _SHIFT * spread)
+    if not other.any():
+        return
+    suffix, count = _suffix(folder), int(other.sum())
+    images = "1 image is" if count == 1 else f"{count} images are"
+    warnings.warn(
+        f"{shown(folder)}: {images} elsewhere in images{suffix} than frames{suffix} and "
+        f"rigs{suffix} say, by up to {np.degrees(angle.max()):.3g} degrees and {shift.max():.3g} "
+        "units; the frames count, as for COLMAP",
+        NoteWarning,
+        stacklevel=4,
+    )
+
+
+def _suffix(folder: Path) -> str:
+    return ".txt" if is_text_model(folder) else ".bin"
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
