@@ -42,15 +42,17 @@ def check_everything_shows(made):
         assert page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0
 
 
+@pytest.mark.parametrize("width", [3.4, 3.7, 4.0])
 @pytest.mark.parametrize("name", PICTURES)
-def test_one_picture(name):
-    made, axes = pictures.figure()
+def test_one_picture(name, width):
+    made, axes = pictures.figure(width=width)
     PICTURES[name](axes[0, 0])
     check_everything_shows(made)
 
 
-def test_pictures_side_by_side():
-    made, axes = pictures.figure(2, 2)
+@pytest.mark.parametrize("width", [3.4, 4.0])
+def test_pictures_side_by_side(width):
+    made, axes = pictures.figure(2, 2, width=width)
     for ax, name in zip(axes.flat, ["cost", "breakdown", "profile", "columns"], strict=True):
         PICTURES[name](ax)
     check_everything_shows(made)

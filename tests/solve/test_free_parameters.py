@@ -214,3 +214,15 @@ def test_points_that_nobody_sees_stay(solve):
     result = solve(problem)
     assert result.problem.points[40].tolist() == [1, 2, 3]
     assert result.summary.linear_solver_ordering_used == (40, 5)
+
+
+def test_auto_with_cameras_first_looks_at_the_points():
+    """400 points are 1200 columns, nearly full: no dense matrix, and no flag is blamed for one."""
+    problem = scenes.make_problem(num_images=5, num_points=400, noise=0.3)
+    result = bundle.solve(problem, linear_solver_ordering="cameras_first")
+    assert result.summary.linear_solver_type_used == "ITERATIVE_SCHUR"
+    assert "points (1200 columns)" in result.summary.linear_solver_choice
+    expected = bundle.solve(problem)
+    assert result.summary.final_cost == pytest.approx(expected.summary.final_cost, rel=1e-4)
+    few = bundle.solve(scenes.make_problem(num_points=30), linear_solver_ordering="cameras_first")
+    assert few.summary.linear_solver_type_used == "DENSE_SCHUR"

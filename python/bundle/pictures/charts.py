@@ -30,8 +30,10 @@ COLOURS = (
     "#9a6324", "#469990",
 )  # fmt: skip
 LINES = ("-", "--", ":", "-.")
-# Characters of a title, and of labels of which two stand side by side, on an axis of 4 inches.
-LONGEST_TITLE, LONGEST_OF_TWO = 44, 22
+# Characters of a title, of labels of which two stand side by side, and of a line of a label on an
+# axis narrower than 4 inches, by the inch.
+TITLE, OF_TWO, OF_A_LINE = 11.0, 5.5, 7.0
+WIDE = 4.0  # inches from which labels have one line
 # Points that ticks and label take below an axis.
 LABELS_BELOW = 38
 
@@ -168,8 +170,14 @@ def legend_below(ax: Axes) -> None:
     """Put the legend where no curve is: under the axis and its label."""
     from matplotlib.transforms import offset_copy
 
-    _, names = ax.get_legend_handles_labels()
+    handles, names = ax.get_legend_handles_labels()
+    inches = _inches(ax)
+    two_fit = max(map(len, names)) <= OF_TWO * inches
+    if inches < WIDE and not two_fit:
+        names = [_wrapped(name, round(OF_A_LINE * inches)) for name in names]
     ax.legend(
+        handles,
+        names,
         fontsize=7,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
@@ -177,16 +185,24 @@ def legend_below(ax: Axes) -> None:
             ax.transAxes, ax.get_figure(root=True), y=-LABELS_BELOW, units="points"
         ),
         borderaxespad=0.0,
-        ncols=2 if max(map(len, names)) <= LONGEST_OF_TWO else 1,
+        ncols=2 if two_fit else 1,
     )
 
 
 def _title(ax: Axes, name: str) -> None:
     """Show the name of a problem, of a long one the end, which tells files apart."""
-    shown = name if len(name) <= LONGEST_TITLE else "..." + name[3 - LONGEST_TITLE :]
+    longest = max(round(TITLE * _inches(ax)), 10)
+    shown = name if len(name) <= longest else "..." + name[3 - longest :]
     ax.set_title(shown, fontsize=9, parse_math=False)
 
 
-def _wrapped(name: str) -> str:
+def _inches(ax: Axes) -> float:
+    """Return the width of an axis with all that is written around it."""
+    spec = ax.get_subplotspec()
+    columns = 1 if spec is None else spec.get_gridspec().ncols
+    return float(ax.get_figure(root=True).get_figwidth()) / columns  # type: ignore[union-attr]
+
+
+def _wrapped(name: str, width: int = 22) -> str:
     """Return the name of a method in short lines."""
-    return textwrap.fill(name, 22, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(name, width, break_long_words=False, break_on_hyphens=False)

@@ -35,13 +35,14 @@ testing::Scene Coupled(int num_pairs) {
 }
 
 /// What is chosen with as many columns as stated.
-LinearSolverType Choose(const testing::Scene& scene, int64_t columns, int64_t free_points = 1) {
+LinearSolverType Choose(const testing::Scene& scene, int64_t columns, int64_t free_points = 1,
+                        bool cameras_eliminated = false) {
   const ProblemView problem = scene.View();
   const PreparedSolve prepared = PrepareSolve(problem, SolveOptions());
   ProblemShape shape = ShapeOf(prepared.layout, 2 * problem.num_observations);
   shape.num_camera_columns = columns;
   shape.num_free_points = free_points;
-  return ChooseCeresSolver(problem, prepared.layout, shape).type;
+  return ChooseCeresSolver(problem, prepared.layout, shape, cameras_eliminated).type;
 }
 
 TEST(ChooseCeresSolver, TakesDenseForSmallSystems) {
@@ -64,6 +65,13 @@ TEST(ChooseCeresSolver, IteratesOnWhatIsTooLargeToFactorise) {
 
 TEST(ChooseCeresSolver, EliminatesNothingWithoutFreePoints) {
   EXPECT_EQ(Choose(Coupled(20), 100, 0), LinearSolverType::kSparseNormalCholesky);
+}
+
+// The reduced system is then that of the points, three columns each.
+TEST(ChooseCeresSolver, LooksAtThePointsWhereCamerasAreEliminated) {
+  EXPECT_EQ(Choose(Coupled(20), 100, 333, true), LinearSolverType::kDenseSchur);
+  EXPECT_EQ(Choose(Coupled(20), 100, 334, true), LinearSolverType::kIterativeSchur);
+  EXPECT_EQ(Choose(Coupled(20), 100, 334, false), LinearSolverType::kDenseSchur);
 }
 
 // 7000 columns are 392 MB.
