@@ -267,3 +267,18 @@ def test_a_window_that_forgets_its_oldest_keeps_the_estimate():
     whole = optimum(graph)
     left = graph.forget(["x0"]).forget(["x1"])
     np.testing.assert_allclose(optimum(left), whole[2:], atol=1e-12)
+
+
+def test_a_graph_without_variables_still_knows_what_its_priors_are_made_of():
+    graph, gone = loops("se2", 1)
+    used = [factor for factor in graph.factors if not set(gone).isdisjoint(factor.keys)]
+    rest = graph.without(gone)
+    rest.add_factor(graph.marginalize(gone))
+    rest.add_variable("extra", [0.0])
+    rest.add_factor(bundle.PriorFactor("extra", [0.0], 1.0))
+    for key, value in graph.values.items():
+        if key in gone:
+            rest.add_variable(key, value, "se2")
+    fewer = rest.without(["extra"])
+    with pytest.raises(bundle.InputError, match="count once"):
+        fewer.add_factor(used[0])

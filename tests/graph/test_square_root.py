@@ -8,6 +8,7 @@ import pytest
 
 import bundle
 from bundle.graph import PriorSpectrum
+from bundle.graph.digits import DigitsLeft
 from tests.graph.test_marginalization import loops
 from tests.graph.test_toys import EXACT, line, poses
 
@@ -296,3 +297,51 @@ def test_a_direction_that_only_rounding_determines_is_refused(square_root, preci
     )
     with pytest.raises(bundle.InputError, match=r"variable 'a'.*determine"):
         graph.marginalize(["a"], square_root=square_root, precision=precision)
+
+
+def motion(units=1.0, fixed=False):
+    """Positions and velocities; of those that leave, one coordinate in other units, or held."""
+    rng = np.random.default_rng(9)
+    graph = bundle.FactorGraph()
+    for key in "abc":
+        graph.add_variable(key, rng.normal(size=2), fixed=[1] if fixed and key == "b" else False)
+    graph.add_factor(bundle.PriorFactor("a", [0.0, 0.0], 2.0))
+    for first, second in (("a", "b"), ("b", "c"), ("a", "c")):
+        j, k = rng.normal(size=(2, 3, 2))
+        j, k = (m * np.where(np.array(key) == "b", [units, 1.0], 1.0) for m, key in
+                ((j, first), (k, second)))  # fmt: skip
+        r = rng.normal(size=3)
+        graph.add_factor(
+            bundle.FunctionFactor([first, second], lambda _, j=j, k=k, r=r: (r, [j, k]))
+        )
+    return graph
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("square_root", [False, True])
+def test_what_leaves_may_have_any_units_and_held_coordinates(square_root, precision):
+    how = {"square_root": square_root, "precision": precision}
+    for fixed in (False, True):
+        plain, _ = motion(fixed=fixed).information(["a", "c"])
+        for units in (1.0, 1e-15, 1e15):
+            graph = motion(units, fixed).forget(["b"], **how)
+            matrix, _ = graph.information(["a", "c"])
+            np.testing.assert_allclose(
+                matrix, plain, rtol=1e-9 if precision == "double" else 1e-4, atol=1e-4
+            )
+
+
+def test_a_rank_that_is_missing_leaves_no_digit():
+    found = DigitsLeft.of(1.0, 1e-3, 5, [2])
+    assert found.condition_number == np.inf and not found.needs_square_root
+    assert DigitsLeft.of(1.0, 1e-8, 5, []).needs_square_root
+
+
+def test_bounds_keep_auto_from_qr():
+    jacobian, truth = with_condition(1e8, 0)
+    graph = linear(jacobian, jacobian @ truth)
+    assert graph.digits().needs_square_root
+    bounded = bundle.FactorGraph()
+    bounded.add_variable("x", np.zeros(8), lower=-100.0, upper=100.0)
+    bounded.add_factor(graph.factors[0])
+    assert bounded.solve().summary.backend_used == "CERES"

@@ -1,12 +1,15 @@
 """Which loss ``auto`` takes, and what it says of that."""
 
+import importlib
 import json
 
 import numpy as np
 import pytest
 
 import bundle
-from bundle.pose_graph.loss_choice import choose_loss, truncated_cost
+from bundle.pose_graph.edge_weights import weighted_graph
+from bundle.pose_graph.gnc import QUANTILES
+from bundle.pose_graph.loss_choice import choose_loss, loss_cost, truncated_cost
 from bundle.pose_graph_options import PoseGraphOptions
 from tests.pose_graph.test_wrong_closures import certain_loop, with_wrong_closures
 
@@ -40,6 +43,17 @@ def chosen(**chi2):
 
 def test_the_truncated_cost_spares_trusted_edges():
     assert truncated_cost(np.array([50.0, 4, 30, 11]), DOUBTED, 10.0) == (50 + 4 + 10 + 10) / 2
+
+
+@pytest.mark.parametrize("loss", ["trivial", "huber", "cauchy", "geman_mcclure", "dcs", "gnc_tls"])
+def test_the_cost_of_a_loss_is_that_of_a_solve(loss):
+    graph = with_wrong_closures(certain_loop(2, num_poses=12, num_closures=6, noise=0.05), 2)
+    options = PoseGraphOptions(loss=loss, loss_scale=1.0 if loss == "trivial" else 1.7)
+    chi2 = np.array(bundle.pose_graph_chi2(graph))
+    doubted = graph.is_closure & (loss != "trivial")
+    found = loss_cost(chi2, doubted, options, 1.7**2 * QUANTILES[3])
+    solved = bundle.solve(graph, options, max_num_iterations=0)
+    assert found == pytest.approx(solved.summary.initial_cost, rel=1e-12)
 
 
 def test_nothing_is_tried_where_nothing_is_to_be_doubted():
@@ -95,3 +109,33 @@ def test_the_command(tmp_path, capsys):
     found = json.loads((tmp_path / "r.json").read_text())
     assert found["options"]["loss"] == "AUTO" and len(found["rejected_edges"]) == 4
     assert found["summary"]["loss"] in ("dcs", "gnc_tls") and found["summary"]["loss_choice"]
+
+
+def test_auto_hands_over_what_dcs_leaves_in_and_the_consistent_set(monkeypatch):
+    module = importlib.import_module("bundle.pose_graph.solve_pose_graph")
+    handed = []
+    solve = module.solve_gnc
+    monkeypatch.setattr(
+        module, "solve_gnc", lambda *given: handed.extend(given[-1]) or solve(*given)
+    )
+    graph = with_wrong_closures(certain_loop(2, num_poses=40, num_closures=40, noise=0.005), 8)
+    bundle.solve(graph, loss="auto")
+    assert [np.flatnonzero(~used & graph.is_closure).tolist() for used, _ in handed] == [
+        list(range(79, 87))
+    ] * 2
+    monkeypatch.setattr(module, "MOST_CHECKED", 10)
+    handed.clear()
+    bundle.solve(graph, loss="auto")
+    assert len(handed) == 1
+
+
+def test_weights_of_the_truncated_loss_have_its_scale():
+    graph = certain_loop(2)
+    chi2 = np.array(bundle.pose_graph_chi2(graph))
+    edge = int(np.flatnonzero(graph.is_closure)[0])
+    information = graph.information.copy()
+    information[edge] *= 3 * QUANTILES[3] / chi2[edge]
+    graph = graph.replace(information=information)
+    for scale, weight in ((1.0, 0), (1.6, 0), (1.8, 1), (2.0, 1)):
+        found = weighted_graph(graph, None, {"loss": "gnc_tls", "loss_scale": scale}, "covariance")
+        assert found.weights[edge] == weight

@@ -165,3 +165,27 @@ def test_auto_without_poses_and_without_a_chain():
         edge_lines=apart.edge_lines[5:],
     )
     assert "odometry" not in bundle.solve(cut, init="auto").summary.init_choice
+
+
+def test_what_counts_is_where_more_steps_lead(monkeypatch):
+    """And of equal ends the start that is there sooner."""
+    graph = graphs.loop(2)
+    held, _, _ = _core.hold_poses(graph)
+    few = {"file": 10.0, "chordal": 12.0, "odometry": 11.0, "spanning_tree": 9.0}
+    more = {"file": 5.0, "chordal": 4.0, "odometry": 4.0 + 1e-9, "spanning_tree": 9.0}
+
+    def chosen():
+        poses = starts._starts(graph, held, 1)
+
+        def reached(there, _held, _doubted, _options, steps):
+            init = next(k for k in poses if (poses[k] == there.poses).all())
+            return few[init] if steps == starts.FEW else more[init]
+
+        monkeypatch.setattr(starts, "_reached", reached)
+        options = bundle.PoseGraphOptions(num_threads=1)
+        return starts.choose_start(graph, held, graph.is_closure, options)
+
+    found = chosen()
+    assert found.init == "chordal" and "8 from the chordal start" in found.reason
+    few["spanning_tree"] = 4.0
+    assert chosen().init == "spanning_tree"
