@@ -21,6 +21,7 @@ POSE, MOTION = 0, 1
 CAMERA, TIME = "camera", "time offset"
 SIZES = (6, 9)
 REST_SPEED, REST_DISTANCE = 0.01, 0.005  # sigmas of a platform at rest: m/s, m
+CAMERA_TURN, CAMERA_SHIFT = 0.05, 0.05  # sigmas of a camera_from_imu that is refined: rad, m
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,18 +137,21 @@ def start_prior(
     accel_bias: float,
     at_rest: bool,
     square_root: bool,
+    camera: Array | None = None,
 ) -> MarginalPrior:
     """Return the prior of the first frames, by sigmas of the first: m, rad, rad/s, m/s^2.
 
     Zero sigmas of position and yaw mean none. Yaw turns about the world's z: a rotation d of the
     body turns it by (R^T e_z)^T d. At rest all velocities are zero and all positions the first
-    one's, to 1 cm/s and 5 mm.
+    one's, to 1 cm/s and 5 mm. A camera_from_imu (7,), where it is refined, is what was given to 3
+    degrees and 5 cm: until the platform has turned nothing else tells its place.
     """
     frames = len(stamps) if at_rest else 1
-    root = [np.zeros((0, 15 * frames))]
+    columns = 15 * frames + (0 if camera is None else 6)
+    root = [np.zeros((0, columns))]
 
     def add(rows: Array, *blocks: tuple[int, Array]) -> None:
-        out = np.zeros((len(rows), 15 * frames))
+        out = np.zeros((len(rows), columns))
         for column, values in blocks:
             out[:, column : column + values.shape[1]] = values
         root.append(out)
@@ -166,12 +170,20 @@ def start_prior(
         if k:
             add(eye, (15 * k + 3, eye / REST_DISTANCE), (3, -eye / REST_DISTANCE))
             residual.append((states[k, 4:7] - states[0, 4:7]) / REST_DISTANCE)
-    rows, v = np.concatenate(root), np.concatenate(residual)
-    keys = tuple((stamp, kind) for stamp in stamps[:frames] for kind in (POSE, MOTION))
+    keys: list[tuple[int | str, int]]
+    keys = [(stamp, kind) for stamp in stamps[:frames] for kind in (POSE, MOTION)]
     points = np.repeat(states[:frames], 2, axis=0)
+    if camera is not None:
+        add(eye, (15 * frames, eye / CAMERA_TURN))
+        add(eye, (15 * frames + 3, eye / CAMERA_SHIFT))
+        residual.append(np.zeros(6))
+        keys.append((CAMERA, 0))
+        points = np.vstack([points, np.r_[camera, np.zeros(9)]])
+    rows, v = np.concatenate(root), np.concatenate(residual)
     if square_root:
-        return MarginalPrior(keys, points, True, rows, v)
-    return MarginalPrior(keys, points, False, rows.T @ rows, -rows.T @ v, 0.5 * float(v @ v))
+        return MarginalPrior(tuple(keys), points, True, rows, v)
+    constant = 0.5 * float(v @ v)
+    return MarginalPrior(tuple(keys), points, False, rows.T @ rows, -rows.T @ v, constant)
 
 
 def _rotation(state: Array) -> Array:

@@ -156,6 +156,7 @@ class SlidingWindow:
             accel_bias=options.start_accel_bias_sigma,
             at_rest=at_rest,
             square_root=options.prior_form == "square_root",
+            camera=self.camera_from_imu if options.refine_extrinsics else None,
         )
         self._anchor(self.prior)
         self._telemetry.begin()

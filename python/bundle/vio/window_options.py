@@ -74,7 +74,11 @@ class WindowOptions(Options):
         "between two samples: the first of them, or their mean",
         choices=("zero_order_hold", "midpoint"),
     )
-    refine_extrinsics: bool = option(False, "--refine-extrinsics", "refine camera_from_imu, too")
+    refine_extrinsics: bool = option(
+        False,
+        "--refine-extrinsics",
+        "refine camera_from_imu, too, which is taken to be given to 3 degrees and 5 cm",
+    )
     refine_time_offset: bool = option(
         False, "--refine-time-offset", "refine the time offset of the images, too"
     )
