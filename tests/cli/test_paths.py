@@ -107,6 +107,9 @@ def test_what_may_be_the_same():
     parse("refine", {"input": "in", "output": "out", "constraints": "in/rules.txt"})
     parse("align", {"input": "in", "output": "in", "reference": "in"} | {"output": "out"})
     parse("merge", {"a": "in", "b": "in2", "output": "in2"})
+    for name in ("points3D.txt", "frames.bin", "georeference.json"):  # goes with the old model
+        with pytest.raises(InputError, match="--constraints"):
+            parse("refine", {"output": "out", "constraints": f"out/{name}"})
     with pytest.raises(InputError, match="--gps"):
         parse("refine", {"output": "out", "gps": "./exif", "json": "exif"})
     with pytest.raises(InputError, match="--reference"):
