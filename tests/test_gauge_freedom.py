@@ -60,7 +60,9 @@ def nullity(problem, *, fixed=(), points=(), arms=False, focal=False, priors=())
         focal: whether the cameras' focal lengths are free.
         priors: indices of images whose position is measured.
     """
-    _, d_pose, d_params, d_point = _core.linearize(problem, True, np.zeros((problem.num_images, 3)))
+    _, d_pose, d_params, d_point = _core.linearize(
+        problem, "algebraic", np.zeros((problem.num_images, 3))
+    )
     through = image_derivatives(problem)
     image, point = problem.observation_image, problem.observation_point
     n = problem.num_observations

@@ -38,7 +38,7 @@ NUMBERS = sorted(name for name, (type_, _) in STRUCT.items() if type_ in {"int",
 LISTS = sorted(name for name, (type_, _) in STRUCT.items() if type_.startswith("std::vector"))
 
 # Where Python's "auto" depends on the input's format, which the core is not told.
-RESOLVED_IN_PYTHON = {"gauge", "cheirality"}
+RESOLVED_IN_PYTHON = {"gauge"}
 
 
 def test_names_agree() -> None:

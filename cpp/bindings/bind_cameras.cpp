@@ -26,7 +26,19 @@ const char* KindName(bundle::CameraParam::Kind kind) {
   return "";
 }
 
-/// [(name, [(parameter, kind), ...]), ...]
+const char* ReachName(bundle::CameraReach reach) {
+  switch (reach) {
+    case bundle::CameraReach::kFront:
+      return "front";
+    case bundle::CameraReach::kBeyond:
+      return "beyond";
+    case bundle::CameraReach::kAll:
+      return "all";
+  }
+  return "";
+}
+
+/// [(name, [(parameter, kind), ...], reach), ...]
 py::list CameraModelList() {
   py::list models;
   for (int i = 0; i < bundle::kNumCameraModels; ++i) {
@@ -35,7 +47,7 @@ py::list CameraModelList() {
     for (int j = 0; j < model.num_params; ++j) {
       params.append(py::make_tuple(model.params[j].name, KindName(model.params[j].kind)));
     }
-    models.append(py::make_tuple(model.name, params));
+    models.append(py::make_tuple(model.name, params, ReachName(model.reach)));
   }
   return models;
 }

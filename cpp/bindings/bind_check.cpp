@@ -134,8 +134,9 @@ py::array_t<double> ManifoldPlus(const PythonManifold& manifold, const Array& x,
 /// stable: (n,))
 py::tuple CheckReprojections(const py::object& problem,
                              const py::array_t<int64_t, py::array::c_style>& observations,
-                             const py::array_t<double, py::array::c_style>& offsets, bool algebraic,
-                             double relative_precision, int num_threads) {
+                             const py::array_t<double, py::array::c_style>& offsets,
+                             const std::string& cheirality, double relative_precision,
+                             int num_threads) {
   const bundle::ProblemView view = ViewProblem(problem);
   const py::ssize_t n = observations.size(), two = 2, columns = 6 + view.camera_params_stride + 3;
   const std::vector<py::ssize_t> shape = {n, two, columns};
@@ -155,12 +156,11 @@ py::tuple CheckReprojections(const py::object& problem,
                                       bytes(stable)};
   const int64_t* indices = observations.data();
   const double* offset_data = offsets.data();
+  const bundle::Cheirality named = CheiralityFromName(cheirality);
   {
     const py::gil_scoped_release release;
-    bundle::CheckReprojections(
-        view, indices, n, offset_data,
-        algebraic ? bundle::Cheirality::kAlgebraic : bundle::Cheirality::kZero, relative_precision,
-        num_threads, out);
+    bundle::CheckReprojections(view, indices, n, offset_data, named, relative_precision,
+                               num_threads, out);
   }
   return py::make_tuple(analytic, reference, uncertainty, ceres, rounding, counts, agrees, stable);
 }
@@ -219,6 +219,6 @@ void BindCheck(py::module_& m) {
   m.def("spot_check", &SpotCheckSolution, py::arg("problem"), py::arg("options"),
         py::arg("rotation_offsets"), py::arg("lie"));
   m.def("check_reprojections", &CheckReprojections, py::arg("problem"), py::arg("observations"),
-        py::arg("offsets"), py::arg("algebraic"), py::arg("relative_precision"),
+        py::arg("offsets"), py::arg("cheirality"), py::arg("relative_precision"),
         py::arg("num_threads"));
 }

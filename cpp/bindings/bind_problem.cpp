@@ -5,6 +5,7 @@
 #include <string_view>
 
 #include "bindings/immutable_array.h"
+#include "bindings/options_from_python.h"
 #include "bindings/problem_from_python.h"
 #include "core/error.h"
 #include "core/io/files.h"
@@ -43,34 +44,38 @@ void Validate(const py::object& problem) {
   bundle::ValidateProblem(view);
 }
 
-py::tuple ReprojectionErrors(const py::object& problem, int num_threads) {
+py::tuple ReprojectionErrors(const py::object& problem, int num_threads,
+                             const std::string& cheirality) {
   const bundle::ProblemView view = ViewProblem(problem);
   py::array_t<double> errors(view.num_observations);
   py::array_t<bool> behind(view.num_observations);
+  const bundle::Cheirality named = CheiralityFromName(cheirality);
   double* errors_data = errors.mutable_data();
   auto* behind_data = reinterpret_cast<uint8_t*>(behind.mutable_data());
   {
     py::gil_scoped_release release;
-    bundle::ComputeReprojectionErrors(view, num_threads, errors_data, behind_data);
+    bundle::ComputeReprojectionErrors(view, num_threads, named, errors_data, behind_data);
   }
   return py::make_tuple(errors, behind);
 }
 
-py::tuple ReprojectionResiduals(const py::object& problem, int num_threads) {
+py::tuple ReprojectionResiduals(const py::object& problem, int num_threads,
+                                const std::string& cheirality) {
   const bundle::ProblemView view = ViewProblem(problem);
   py::array_t<double> residuals({py::ssize_t{view.num_observations}, py::ssize_t{2}});
   py::array_t<bool> behind(view.num_observations);
+  const bundle::Cheirality named = CheiralityFromName(cheirality);
   double* residuals_data = residuals.mutable_data();
   auto* behind_data = reinterpret_cast<uint8_t*>(behind.mutable_data());
   {
     py::gil_scoped_release release;
-    bundle::ComputeReprojectionResiduals(view, num_threads, residuals_data, behind_data);
+    bundle::ComputeReprojectionResiduals(view, num_threads, named, residuals_data, behind_data);
   }
   return py::make_tuple(residuals, behind);
 }
 
 /// Returns (residual, d_pose, d_params, d_point); `rotation_offsets` is (num_images, 3).
-py::tuple Linearize(const py::object& problem, bool algebraic,
+py::tuple Linearize(const py::object& problem, const std::string& cheirality,
                     const py::array_t<double, py::array::c_style>& rotation_offsets) {
   const bundle::ProblemView view = ViewProblem(problem);
   const py::ssize_t n = view.num_observations, two = 2;
@@ -81,10 +86,10 @@ py::tuple Linearize(const py::object& problem, bool algebraic,
   const bundle::ReprojectionDerivatives out{residual.mutable_data(), d_pose.mutable_data(),
                                             d_params.mutable_data(), d_point.mutable_data()};
   const double* offsets = rotation_offsets.data();
+  const bundle::Cheirality named = CheiralityFromName(cheirality);
   {
     py::gil_scoped_release release;
-    bundle::Linearize(view, offsets,
-                      algebraic ? bundle::Cheirality::kAlgebraic : bundle::Cheirality::kZero, out);
+    bundle::Linearize(view, offsets, named, out);
   }
   return py::make_tuple(residual, d_pose, d_params, d_point);
 }
@@ -95,9 +100,10 @@ void BindProblem(py::module_& m) {
   m.def("validate", &Validate, py::arg("problem"));
   m.def("freeze", &Freeze, py::arg("array"));
   m.def("is_immutable", &IsImmutable, py::arg("array"));
-  m.def("reprojection_errors", &ReprojectionErrors, py::arg("problem"), py::arg("num_threads"));
+  m.def("reprojection_errors", &ReprojectionErrors, py::arg("problem"), py::arg("num_threads"),
+        py::arg("cheirality"));
   m.def("reprojection_residuals", &ReprojectionResiduals, py::arg("problem"),
-        py::arg("num_threads"));
-  m.def("linearize", &Linearize, py::arg("problem"), py::arg("algebraic"),
+        py::arg("num_threads"), py::arg("cheirality"));
+  m.def("linearize", &Linearize, py::arg("problem"), py::arg("cheirality"),
         py::arg("rotation_offsets"));
 }

@@ -113,6 +113,10 @@ bundle::LossType LossFromName(const std::string& name) {
   return ValueOf("loss", name, bundle::kLossTypes);
 }
 
+bundle::Cheirality CheiralityFromName(const std::string& name) {
+  return ValueOf("cheirality", name, bundle::kCheiralities);
+}
+
 bundle::SolveOptions OptionsFromPython(const py::dict& options) {
   bundle::SolveOptions result;
   VisitOptions(result, Reader{options});

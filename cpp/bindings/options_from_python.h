@@ -18,6 +18,9 @@ void ReadPoseGraphOptions(const pybind11::dict& options, bundle::SolveOptions* r
 /// Reads the name of a loss.
 bundle::LossType LossFromName(const std::string& name);
 
+/// Reads the name of a cheirality.
+bundle::Cheirality CheiralityFromName(const std::string& name);
+
 /// The C++ defaults under Python's names, and the names of all choices: for the test that holds the
 /// two definitions of the options against each other.
 pybind11::dict DefaultOptions();

@@ -39,6 +39,7 @@ py::dict ToDict(const bundle::SolveSummary& s) {
   BUNDLE_FIELD(initial_cost);
   BUNDLE_FIELD(final_cost);
   BUNDLE_FIELD(fixed_cost);
+  BUNDLE_FIELD(held_cost);
   BUNDLE_FIELD(termination_type);
   BUNDLE_FIELD(message);
   BUNDLE_FIELD(is_solution_usable);

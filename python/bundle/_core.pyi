@@ -23,13 +23,13 @@ def validate(problem: Problem) -> None: ...
 def freeze(array: NDArray[Any]) -> NDArray[Any]: ...
 def is_immutable(array: NDArray[Any]) -> bool: ...
 def reprojection_errors(
-    problem: Problem, num_threads: int
+    problem: Problem, num_threads: int, cheirality: str
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
 def reprojection_residuals(
-    problem: Problem, num_threads: int
+    problem: Problem, num_threads: int, cheirality: str
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
 def linearize(
-    problem: Problem, algebraic: bool, rotation_offsets: NDArray[np.float64]
+    problem: Problem, cheirality: str, rotation_offsets: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 
 # bind_cameras.cpp
@@ -37,7 +37,7 @@ PROJECTION_VALID: int
 PROJECTION_BEHIND: int
 PROJECTION_UNDEFINED: int
 
-def camera_models() -> list[tuple[str, list[tuple[str, str]]]]: ...
+def camera_models() -> list[tuple[str, list[tuple[str, str]], str]]: ...
 def project(
     model: str, params: NDArray[np.float64], points: NDArray[np.float64], jacobians: bool
 ) -> tuple[
@@ -300,7 +300,7 @@ def check_reprojections(
     problem: Problem,
     observations: NDArray[np.int64],
     offsets: NDArray[np.float64],
-    algebraic: bool,
+    cheirality: str,
     relative_precision: float,
     num_threads: int,
 ) -> tuple[

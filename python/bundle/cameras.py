@@ -43,8 +43,11 @@ class ProjectionResult(NamedTuple):
 
 
 _MODELS: dict[str, tuple[CameraParam, ...]] = {
-    name: tuple(CameraParam(*param) for param in params) for name, params in _core.camera_models()
+    name: tuple(CameraParam(*param) for param in params)
+    for name, params, _ in _core.camera_models()
 }
+
+_REACH = {name: reach for name, _, reach in _core.camera_models()}
 
 
 _PARAM_NAMES = {name: tuple(param.name for param in params) for name, params in _MODELS.items()}
@@ -53,6 +56,15 @@ _PARAM_NAMES = {name: tuple(param.name for param in params) for name, params in 
 def camera_models() -> dict[str, tuple[str, ...]]:
     """Return the names of all models with the names of their parameters, in COLMAP's order."""
     return dict(_PARAM_NAMES)
+
+
+def reach(model: str) -> str:
+    """Return how far from the optical axis the formula of a model goes without a break.
+
+    "front": to less than 90 degrees, or the model is unknown. "beyond": farther, to where it
+    breaks. "all": to everything that has a value.
+    """
+    return _REACH.get(model, "front")
 
 
 def param_kinds(model: str) -> tuple[str, ...]:

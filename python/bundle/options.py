@@ -223,9 +223,9 @@ class SolveOptions(Options):
     cheirality: str = option(
         "auto",
         "--cheirality",
-        "residual of an observation behind its camera at the start: zero (COLMAP; one that goes "
-        "behind later costs more than in front) or algebraic (BAL); auto: the convention of the "
-        "input's format",
+        "residual of an observation that its camera does not see: zero (COLMAP; one that goes "
+        "behind later costs more than in front) or algebraic (the formula's value); auto: "
+        "algebraic for BAL and where the formula of a wide lens goes on past 90 degrees, else zero",
         choices=CHEIRALITIES,
     )
     check_solution: bool = option(

@@ -117,8 +117,8 @@ class Problem(Displayed):
             loss: its cost is 1/2 sum rho(||r / sigma||^2), and ``loss_scale`` counts in sigmas.
             Statistics of reprojection errors stay in pixels. No file format keeps it.
         format: "bal", "colmap" or "memory" (the default): where it came from. Decides the defaults
-            of ``gauge`` and ``cheirality`` and what ``bundle.save`` writes when the path does not
-            say.
+            of ``gauge`` and, with the camera models, of ``cheirality``, and what ``bundle.save``
+            writes when the path does not say.
         source: what was read, kept so that writing back loses nothing: a pycolmap.Reconstruction
             for COLMAP models, the rotations as they stood in the file for BAL, None (the default)
             for problems from memory. Never changed.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
+from bundle.cameras import reach
 from bundle.errors import InputError
 from bundle.io import Source, as_problem
 from bundle.option_fields import choice, number
@@ -63,7 +64,10 @@ class Linearization(NamedTuple):
 
 
 def resolve_cheirality(problem: Problem, cheirality: str) -> str:
-    """Return what "auto" means for this problem: "algebraic" for BAL, "zero" otherwise.
+    """Return what "auto" means for this problem.
+
+    "algebraic" for BAL and where the formula of every lens goes on past 90 degrees, "zero" where
+    that of none does. "auto" where it depends on the lens or on the angle, for the core to decide.
 
     Raises:
         InputError: there is no such cheirality.
@@ -71,22 +75,30 @@ def resolve_cheirality(problem: Problem, cheirality: str) -> str:
     cheirality = choice("cheirality", cheirality, CHEIRALITIES)
     if cheirality != "auto":
         return cheirality
-    return "algebraic" if problem.format == "bal" else "zero"
+    if problem.format == "bal":
+        return "algebraic"
+    used = np.unique(problem.image_camera)
+    found = {reach(problem.camera_models[camera]) for camera in used.tolist()}
+    if found <= {"front"}:
+        return "zero"
+    return "algebraic" if found == {"all"} else "auto"
 
 
 def reprojection_errors(
-    problem: Source, *, num_threads: int = 0
+    problem: Source, *, cheirality: str = "auto", num_threads: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the reprojection error of each observation at the problem's own values.
 
     Args:
         problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        cheirality: with "zero" no lens sees farther than COLMAP lets it.
         num_threads: 0: all cores.
 
     Returns:
         Errors ||r|| in pixels, (num_observations,): projection minus measurement. Also defined for
         points behind their camera, by the formula; NaN where there is no projection. And a mask,
-        (num_observations,), of points that the camera does not see: behind it, for most models.
+        (num_observations,), of points that the camera does not see: behind it, or where the formula
+        of a wide lens, which goes on past 90 degrees, has ended.
 
     Raises:
         InputError: an observed image has a camera model that is not supported.
@@ -97,8 +109,9 @@ def reprojection_errors(
         >>> outliers = (errors > 4.0) | behind
     """
     problem = as_problem(problem)
+    cheirality = choice("cheirality", cheirality, CHEIRALITIES)
     num_threads = number("num_threads", num_threads, minimum=0, whole=True)
-    return _core.reprojection_errors(problem, num_threads)
+    return _core.reprojection_errors(problem, num_threads, cheirality)
 
 
 def reprojection_error(
@@ -109,16 +122,16 @@ def reprojection_error(
     Raises:
         InputError: an observed image has a camera model that is not supported.
     """
-    errors, behind = reprojection_errors(problem, num_threads=num_threads)
+    errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)
     return summarize_errors(errors, behind, resolve_cheirality(problem, cheirality))
 
 
 def counted_errors(
     errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
 ) -> NDArray[np.bool_]:
-    """Return which of the errors count; `cheirality` is "algebraic" or "zero"."""
+    """Return which of the errors count; `behind` and `cheirality` go together, as resolved."""
     counted = ~np.isnan(errors)
-    if cheirality == "zero":
+    if cheirality != "algebraic":
         counted &= ~behind
     return counted
 
@@ -128,7 +141,7 @@ def summarize_errors(
 ) -> ReprojectionError:
     """Return the statistics of what `reprojection_errors` returns, which is reordered.
 
-    `cheirality` is "algebraic" or "zero".
+    `cheirality` is that of `behind`, resolved.
     """
     counted = counted_errors(errors, behind, cheirality)
     if not counted.all():
@@ -177,7 +190,7 @@ def linearize(
 
     Args:
         problem: where to evaluate.
-        cheirality: whether observations behind their camera count ("algebraic") or are zero.
+        cheirality: as in a solve; observations that do not count are zero.
         rotation_offsets: (num_images, 3) evaluate at w instead of 0.
 
     Raises:
@@ -188,5 +201,5 @@ def linearize(
     offsets = np.zeros(shape) if rotation_offsets is None else np.asarray(rotation_offsets, float)
     if offsets.shape != shape:
         raise InputError(f"rotation_offsets: expected shape {shape}, found {offsets.shape}")
-    algebraic = resolve_cheirality(problem, cheirality) == "algebraic"
-    return Linearization(*_core.linearize(problem, algebraic, np.ascontiguousarray(offsets)))
+    cheirality = resolve_cheirality(problem, cheirality)
+    return Linearization(*_core.linearize(problem, cheirality, np.ascontiguousarray(offsets)))

@@ -23,6 +23,7 @@ from bundle.reprojection import (
 )
 from bundle.round_record import PartRecord, Round
 from bundle.solve_record import SolveRecord
+from bundle.summary import held_facts
 from bundle.words import change, contents, pixels, plural, seconds
 from bundle.worst_images import ImageError, worst_images, worst_of_errors
 
@@ -99,8 +100,10 @@ class Result(SolveRecord):
             return
         # Both are of the same errors, which are computed once and not kept.
         problem, options = self.problem, self.options
-        errors, behind = reprojection_errors(problem, num_threads=options.num_threads)
         cheirality = resolve_cheirality(problem, options.cheirality)
+        errors, behind = reprojection_errors(
+            problem, cheirality=cheirality, num_threads=options.num_threads
+        )
         values = vars(self)  # where cached_property keeps them; the dataclass itself is frozen
         values["worst_images"] = worst_of_errors(problem, errors, behind, cheirality)
         values["reprojection_error_after"] = summarize_errors(errors, behind, cheirality)
@@ -163,6 +166,7 @@ class Result(SolveRecord):
                 "last adjustment's cost" if self.rounds else "cost",
                 change(summary.initial_cost, summary.final_cost),
             ),
+            *held_facts(summary),
             ("RMSE", f"{pixels(before.rmse)} -> {pixels(after.rmse)} px"),
             ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
             ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),

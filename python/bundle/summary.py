@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 from bundle.display import Display, Displayed
 from bundle.process_record import ProcessRecord
-from bundle.words import change, plural, seconds
+from bundle.words import change, number, plural, seconds
 
 if TYPE_CHECKING:
     from bundle.tables import Columns
 
-__all__ = ["Summary", "share", "sizes", "solver_phases", "solver_table"]
+__all__ = ["Summary", "held_facts", "share", "sizes", "solver_phases", "solver_table"]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -29,6 +29,8 @@ class Summary(Displayed):
     that could not be held, ...) and ``warning_kinds`` (for each of them its name in
     ``bundle.warning_kinds.WARNING_KINDS``, for programs), ``interrupted``, ``origin`` (x, y, z: the
     centre that a scene far from its origin was solved about; None where it was solved as given).
+    ``held_cost`` (of observations without a projection at the solution, which keep the residual
+    that they had when they lost it, times 4: in no other cost, nor in those of iterations).
     ``num_factors`` beside the observations. ``num_processes`` that mpirun started, and where there
     are several ``processes``, what each of them had and did
     (:class:`bundle.process_record.ProcessRecord`); times are the first one's. Costs are
@@ -119,6 +121,7 @@ class Summary(Displayed):
     symbolic_time_in_seconds: float | None = None
     origin: tuple[float, float, float] | None = None
     num_factors: int = 0
+    held_cost: float = 0.0
     num_processes: int = 1
     processes: ProcessRecord | None = None
 
@@ -141,6 +144,7 @@ class Summary(Displayed):
             title=f"Summary: {self.termination_type}{usable}: {' '.join(self.message.split())}",
             facts=(
                 ("cost", change(self.initial_cost, self.final_cost)),
+                *held_facts(self),
                 ("steps", f"{steps}, {self.num_unsuccessful_steps} rejected"),
                 ("time", f"{seconds(self.total_time_in_seconds)} s"),
                 ("solver", f"{solver} on {plural(self.num_threads_used, 'thread')}"),
@@ -193,6 +197,11 @@ def solver_table(summary: Summary) -> Columns:
     return columns(("time", "seconds", "share"), rows)
 
 
+def held_facts(summary: Summary) -> tuple[tuple[str, str], ...]:
+    """Return the line of the cost that observations without a projection hold, where some do."""
+    return (("held cost", number(summary.held_cost)),) if summary.held_cost else ()
+
+
 def share(time: float, total: float) -> str:
     """Return time as a percentage of total, "-" where one was not measured."""
     return f"{100.0 * time / total:.1f} %" if time >= 0 and total > 0 else "-"
@@ -211,6 +220,7 @@ def _full_report(summary: Summary) -> str:
         ("final", f"{summary.final_cost:.9e}"),
         ("change", f"{summary.initial_cost - summary.final_cost:.9e}"),
         ("fixed", f"{summary.fixed_cost:.9e}"),
+        *([("held", f"{summary.held_cost:.9e}")] if summary.held_cost else []),
     ]
     steps = summary.num_successful_steps + summary.num_unsuccessful_steps
     iterations = [

@@ -51,14 +51,14 @@ def worst_images(
 
     Args:
         problem: at whose values the errors are taken.
-        cheirality: whether observations behind their camera count ("algebraic") or not ("zero").
+        cheirality: as in a solve; observations that do not count are left out.
         most: images to return.
         num_threads: 0 for all cores.
 
     Raises:
         InputError: an observed image has a camera model that is not supported.
     """
-    errors, behind = reprojection_errors(problem, num_threads=num_threads)
+    errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)
     return worst_of_errors(problem, errors, behind, cheirality, most=most)
 
 
@@ -88,7 +88,7 @@ def sums_of_images(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """Return count, sum of squares and maximum of the errors that count, of each image.
 
-    `cheirality` is "algebraic" or "zero".
+    `cheirality` is that of `behind`, resolved.
     """
     count = np.zeros(num_images, dtype=np.int64)
     total, largest = np.zeros(num_images), np.zeros(num_images)

@@ -82,7 +82,7 @@ def test_analytic_and_reference_hold_to_what_rounding_leaves():
     problem = scene(DEPTHS)
     numbers = np.arange(problem.num_observations)
     analytic, reference, uncertainty, _, rounding, counts, *_ = _core.check_reprojections(
-        problem, numbers, np.zeros((len(numbers), 3)), False, 1e-6, 1
+        problem, numbers, np.zeros((len(numbers), 3)), "zero", 1e-6, 1
     )
     columns = [3, 4, 5, -3, -2, -1]
     bounded = 0

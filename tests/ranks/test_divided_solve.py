@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle.ranks.divided_solve import solve_divided
@@ -143,6 +144,23 @@ def test_observations_that_go_behind():
     points = np.array(problem.points)
     points[::4] *= -6  # behind some of the cameras
     check(*both(problem.replace(points=points), 3, cheirality="zero"), 3)
+
+
+@pytest.mark.parametrize("solver", ["dense_schur", "sparse_schur", "iterative_schur"])
+def test_what_is_held_and_what_counts_again(solver):
+    """A camera a little too far ahead: points behind it are in front where the solve converges."""
+    problem = make_problem(num_images=6, num_points=60, seed=4, noise=0.3)
+    poses = np.array(problem.cam_from_world)
+    depths = (Rotation.from_quat(poses[0, :4]).apply(np.array(problem.points)) + poses[0, 4:])[:, 2]
+    poses[0, 6] -= np.sort(depths)[2] + 1e-3
+    problem = problem.replace(cam_from_world=poses)
+    options = {"linear_solver_type": solver, "max_num_iterations": 80}
+    alone, divided = both(problem, 3, **options)
+    rises = np.diff(alone.iterations["cost"]) > 0
+    assert (alone.iterations["step_is_successful"][1:] & rises).any()
+    assert divided.summary.final_cost == pytest.approx(alone.summary.final_cost, rel=1e-9)
+    assert divided.summary.held_cost == pytest.approx(alone.summary.held_cost, rel=1e-6)
+    assert divided.iterations["cost"][-1] == pytest.approx(alone.iterations["cost"][-1], rel=1e-9)
 
 
 def test_points_far_outside_the_scene():

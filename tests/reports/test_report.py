@@ -202,6 +202,20 @@ def test_report_says_when_the_ordering_was_not_used_as_given(problem):
     assert "out.txt" not in report
 
 
+def test_what_is_held_has_a_line_of_its_own(problem):
+    solved = fakes.result(problem)
+    shown = "".join(rows(render(*refinement("in", problem, solved, WALL, None, ()))))
+    assert "held cost" not in shown
+    solved = fakes.result(problem, summary=fakes.summary(held_cost=233.25))
+    report = rows(render(*refinement("in", problem, solved, WALL, None, ())))
+    assert report["held cost"] == ["-", "2.332500000e+02"]
+    assert "233.2" in str(solved)
+    assert "233.2" in str(solved.summary)
+    assert "2.332500000e+02" in solved.summary.full_report()
+    written = json_report.refinement("in", problem, solved, WALL, None)
+    assert written["held_cost"] == written["summary"]["held_cost"] == 233.25
+
+
 def test_json_has_what_the_contract_lists(problem):
     solved = fakes.result(problem)
     report = json_report.refinement("in", problem, solved, WALL, None)
@@ -214,6 +228,7 @@ def test_json_has_what_the_contract_lists(problem):
         "summary",
         "iterations",
         "reprojection_error",
+        "held_cost",
         "cameras",
         "worst_images",
         "wall_time",

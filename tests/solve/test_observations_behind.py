@@ -38,17 +38,18 @@ def in_camera(problem, image, position):
 
 
 def behind(problem):
-    return reprojection_errors(problem)[1]
+    return reprojection_errors(problem, cheirality="zero")[1]
 
 
 def cost_in_front(problem):
-    errors, is_behind = reprojection_errors(problem)
+    errors, is_behind = reprojection_errors(problem, cheirality="zero")
     return 0.5 * float(np.sum(errors[~is_behind] ** 2))
 
 
 @functools.cache
 def solve_crossing(backend, **options):
-    return bundle.solve(crossing(), backend=backend, max_num_iterations=22, **options)
+    options = {"cheirality": "zero", "max_num_iterations": 22} | options
+    return bundle.solve(crossing(), backend=backend, **options)
 
 
 def test_an_image_is_not_turned_away(solve):
@@ -84,24 +85,55 @@ def test_both_backends_take_the_same_steps(loss, strategy):
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_what_goes_behind_keeps_sixteen_times_its_cost(backend):
     """The first step that loses an observation: known from the state before it."""
-    problem = crossing()
-    for k in range(1, 23):
-        state = bundle.solve(problem, backend=backend, max_num_iterations=k).problem
-        if behind(state).any():
-            break
-    before = bundle.solve(problem, backend=backend, max_num_iterations=k - 1).problem
-    after = bundle.solve(problem, backend=backend, max_num_iterations=k)
+    k, after = first_loss(backend)
+    before = solve_crossing(backend, max_num_iterations=k - 1).problem
     lost = behind(after.problem)
     held = 16 * 0.5 * np.sum(reprojection_errors(before)[0][lost] ** 2)
-    expected = cost_in_front(after.problem) + held
-    assert after.summary.final_cost == pytest.approx(expected, rel=1e-9)
+    assert after.summary.final_cost == pytest.approx(cost_in_front(after.problem), rel=1e-9)
+    assert after.summary.held_cost == pytest.approx(held, rel=1e-9)
+    # The step is judged by both.
+    change = cost_in_front(before) - cost_in_front(after.problem) - held
+    assert after.iterations["cost_change"][-1] == pytest.approx(change, rel=1e-9)
+    assert change > 0
 
 
-def test_cost_falls_from_step_to_step(backend):
+def first_loss(backend, **options):
+    """Return the number of the first step that loses observations, and the solve up to it."""
+    for k in range(1, 23):
+        result = solve_crossing(backend, max_num_iterations=k, **options)
+        if behind(result.problem).any():
+            return k, result
+    raise AssertionError("no step loses any")
+
+
+def test_what_is_held_is_in_sigmas_and_under_the_loss(backend):
+    sigma = np.random.default_rng(0).uniform(5.0, 50.0, crossing().num_observations)
+    problem = crossing().replace(observation_sigma=sigma)
+    options = {"cheirality": "zero", "loss": "huber", "loss_scale": 2.0, "backend": backend}
+    states = [problem]
+    for k in range(1, 40):
+        after = bundle.solve(problem, max_num_iterations=k, **options)
+        lost = behind(after.problem)
+        if lost.any():
+            break
+        states.append(after.problem)
+    size = 4 * reprojection_errors(states[-1])[0][lost] / sigma[lost]
+    held = np.where(size > 2, 2 * size - 2, size**2 / 2)
+    assert after.summary.held_cost == pytest.approx(held.sum(), rel=1e-9)
+
+
+def test_what_is_held_is_in_no_cost_of_an_iteration(backend):
+    for k in range(1, 23):
+        result = solve_crossing(backend, max_num_iterations=k)
+        cost = result.iterations["cost"][result.iterations["step_is_successful"]]
+        assert result.summary.final_cost == cost[-1]
+        assert cost[-1] == pytest.approx(cost_in_front(result.problem), rel=1e-9)
+    assert (result.summary.held_cost > 0) == behind(result.problem).any()
+
+
+def test_both_costs_together_fall_from_step_to_step(backend):
     iterations = solve_crossing(backend).iterations
-    cost = iterations["cost"][iterations["step_is_successful"]]
-    assert (np.diff(cost) < 0).all()
-    assert solve_crossing(backend).summary.final_cost == cost[-1]
+    assert (iterations["cost_change"][1:][iterations["step_is_successful"][1:]] > 0).all()
 
 
 def test_lost_observations_are_counted_and_not_usable(backend):
@@ -143,10 +175,21 @@ def test_one_behind_at_the_start_costs_nothing_and_blocks_no_step(solve):
     assert result.summary.is_solution_usable
     assert not behind(result.problem).any()
     assert reprojection_error(result.problem).rmse < 0.36
-    assert figures(warning(result.summary, "observations_left_out")) == ["1"]
+    # Once it is in front it counts, and the solve goes on.
+    assert result.summary.warning_kinds == ()
+    assert result.summary.final_cost == pytest.approx(cost_in_front(result.problem), rel=1e-9)
     again = solve(result.problem)
-    assert again.summary.warning_kinds == ()
-    assert again.summary.final_cost == pytest.approx(cost_in_front(again.problem), rel=1e-9)
+    assert again.summary.final_cost == pytest.approx(result.summary.final_cost, rel=1e-6)
+    assert len(again.iterations["cost"]) <= 2
+    numbers = result.iterations["iteration"]
+    assert numbers.tolist() == list(range(len(numbers)))
+    assert (np.diff(result.iterations["cumulative_time_in_seconds"]) >= 0).all()
+    # Without room to go on it says so.
+    anew = int(np.flatnonzero(result.iterations["step_norm"][1:] == 0)[0]) + 1
+    assert result.iterations["cost"][anew] > result.iterations["cost"][anew - 1]
+    short = solve(problem, max_num_iterations=anew - 1)
+    assert figures(warning(short.summary, "observations_left_out")) == ["1"]
+    assert short.summary.final_cost == short.iterations["cost"][-1]
 
 
 def test_points_at_a_camera_centre_do_not_block(solve):

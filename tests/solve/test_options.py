@@ -7,14 +7,14 @@ import pytest
 from bundle import InputError, SolveOptions, _core
 from tests import scenes
 
-# What only Python knows: "auto" of gauge and cheirality is resolved by the problem's format.
-PYTHON_ONLY = {"gauge": "auto", "cheirality": "auto"}
+# What only Python knows: "auto" of the gauge is resolved by the problem's format.
+PYTHON_ONLY = {"gauge": "auto"}
 
 
 def test_defaults_are_the_same_in_cpp():
     python = {k: v for k, v in SolveOptions().asdict().items() if k not in PYTHON_ONLY}
     cpp = _core.default_options()
-    assert {"gauge", "cheirality"} | set(python) == set(cpp)
+    assert {"gauge"} | set(python) == set(cpp)
     for name, value in python.items():
         assert cpp[name] == (list(value) if isinstance(value, tuple) else value), name
 
@@ -25,7 +25,6 @@ def test_choices_are_the_same_in_cpp():
         for field in dataclasses.fields(SolveOptions)
         if field.metadata["choices"]
     }
-    choices["cheirality"].remove("auto")
     assert choices == _core.option_choices()
 
 

@@ -8,6 +8,7 @@
 ///
 ///   static constexpr char kName[];                  COLMAP's name
 ///   static constexpr CameraParam kParams[];         name and kind of each parameter
+///   static constexpr CameraReach kReach;            how far its formula goes
 ///   static Projection Project(const double* params, const double* point, double* xy,
 ///                             double* d_point, double* d_params);
 ///
@@ -29,6 +30,9 @@ namespace bundle {
 
 enum class Projection {
   kValid,
+  /// The point is beyond 90 degrees from the optical axis, where the formula of a wide lens goes on
+  /// without a break; its value is given.
+  kBeyond,
   /// The point is where the lens cannot see it, yet the formula has a value, which is given.
   kBehind,
   /// The formula has no value; outputs are untouched.
@@ -46,6 +50,13 @@ struct CameraParam {
   Kind kind;
 };
 
+/// How far from the optical axis a formula goes without a break.
+enum class CameraReach {
+  kFront,   ///< to less than 90 degrees: nothing is kBeyond
+  kBeyond,  ///< farther, to where it breaks: elsewhere points are kBehind
+  kAll,     ///< to everything that has a value: nothing is kBehind
+};
+
 inline constexpr int kMaxCameraParams = 16;
 
 /// A model as data: what the run time knows of one of the structs described above.
@@ -53,6 +64,7 @@ struct CameraModel {
   const char* name;
   const CameraParam* params;
   int num_params;
+  CameraReach reach;
   Projection (*project)(const double* params, const double* point, double* xy, double* d_point,
                         double* d_params);
   void (*difference)(const double* params, const double* xy, const double* measurement,
@@ -105,6 +117,7 @@ struct Lens {
   using Distortion = LensDistortion;
   static constexpr int kExtra = kNumFocal + 2;  ///< index of the first of k
   static constexpr int kNumLensParams = kExtra + Distortion::kNumParams;
+  static constexpr CameraReach kReach = Rays::kReach;
 
   static Projection Project(const double* params, const double* point, double* xy, double* d_point,
                             double* d_params) {

@@ -75,6 +75,7 @@ Projection ProjectDivision(const double* params, const double* point, double* xy
 
 struct SimpleDivision {
   static constexpr char kName[] = "SIMPLE_DIVISION";
+  static constexpr CameraReach kReach = CameraReach::kAll;
   static constexpr CameraParam kParams[] = {{"f", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},
                                             {"cy", CameraParam::kPrincipalPoint},
@@ -88,6 +89,7 @@ struct SimpleDivision {
 
 struct Division {
   static constexpr char kName[] = "DIVISION";
+  static constexpr CameraReach kReach = CameraReach::kAll;
   static constexpr CameraParam kParams[] = {{"fx", CameraParam::kFocal},
                                             {"fy", CameraParam::kFocal},
                                             {"cx", CameraParam::kPrincipalPoint},

@@ -33,6 +33,7 @@ namespace bundle {
 
 struct Equirectangular {
   static constexpr char kName[] = "EQUIRECTANGULAR";
+  static constexpr CameraReach kReach = CameraReach::kAll;
   static constexpr CameraParam kParams[] = {{"w", CameraParam::kMetadata},
                                             {"h", CameraParam::kMetadata}};
 

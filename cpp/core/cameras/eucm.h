@@ -16,9 +16,10 @@
 ///
 ///   m - b X^2 = b Y^2 + (a Z + 1 - alpha) Z,   R - Z = beta (X^2 + Y^2) / (R + Z)    (Z > 0).
 ///
-/// As in COLMAP the camera sees what has Z >= 2^-52 and m >= 2^-52. Elsewhere the formula has a
-/// value unless beta is so negative that R has none, or |m| < 2^-52. Where R is zero m has no
-/// derivative by R, which counts as zero.
+/// As in COLMAP the camera sees what has Z >= 2^-52 and m >= 2^-52. With a smaller Z the formula
+/// goes on without a break up to m = 0 (kBeyond). Elsewhere it has a value, of the mirrored ray,
+/// unless beta is so negative that R has none, or |m| < 2^-52. Where R is zero m has no derivative
+/// by R, which counts as zero.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h; Khomutenko, Garcia and Martinet, RA-L 2016.
 
@@ -32,6 +33,7 @@ namespace bundle {
 
 struct Eucm {
   static constexpr char kName[] = "EUCM";
+  static constexpr CameraReach kReach = CameraReach::kBeyond;
   static constexpr CameraParam kParams[] = {
       {"fx", CameraParam::kFocal},          {"fy", CameraParam::kFocal},
       {"cx", CameraParam::kPrincipalPoint}, {"cy", CameraParam::kPrincipalPoint},
@@ -72,7 +74,8 @@ struct Eucm {
       std::copy_n(row_x, 6, d_params);
       std::copy_n(row_y, 6, d_params + 6);
     }
-    return z >= kMinDepth && m > 0 ? Projection::kValid : Projection::kBehind;
+    if (m < 0) return Projection::kBehind;
+    return z >= kMinDepth ? Projection::kValid : Projection::kBeyond;
   }
 };
 

@@ -66,10 +66,12 @@ struct ArctanRatio {
 /// itself: with q = (r / Z)^2, a = A(q) / Z and g = 2 A'(q) / Z^3. Farther out nothing cancels.
 ///
 /// As in COLMAP the camera sees what has Z >= 2^-52. Beyond 90 degrees the formula goes on, through
-/// 90 degrees without a break, and ends on the axis behind the camera, which has no direction.
+/// 90 degrees without a break (kBeyond), and ends on the axis behind the camera, which has no
+/// direction.
 ///
 /// Source: COLMAP, src/colmap/sensor/models.h, FisheyeFromNormal (which has atan(r / Z)).
 struct Equidistant {
+  static constexpr CameraReach kReach = CameraReach::kAll;
   double u = 0, v = 0;
   Projection status = Projection::kUndefined;
 
@@ -81,7 +83,7 @@ struct Equidistant {
     if (z >= kMinDepth) {
       status = Projection::kValid;
     } else if (square > 0 && norm >= kMinDepth * kMinDepth) {
-      status = Projection::kBehind;
+      status = Projection::kBeyond;
     } else {  // also when a coordinate is not a number
       return;
     }

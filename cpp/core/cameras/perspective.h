@@ -89,6 +89,7 @@ struct RadialPolynomial<0> {
 /// |Z| below 2^-52 has no projection (COLMAP's threshold); negative Z is behind the camera, where
 /// the formula still has a value.
 struct Perspective {
+  static constexpr CameraReach kReach = CameraReach::kFront;
   double u, v, inverse_z;
   Projection status;
 

@@ -37,7 +37,7 @@ namespace internal {
 template <typename... Models>
 constexpr std::array<CameraModel, sizeof...(Models)> Describe(std::tuple<Models...>) {
   static_assert(((kNumParams<Models> <= kMaxCameraParams) && ...));
-  return {{{Models::kName, Models::kParams, kNumParams<Models>, &Models::Project,
+  return {{{Models::kName, Models::kParams, kNumParams<Models>, Models::kReach, &Models::Project,
             &ModelDifference<Models>}...}};
 }
 

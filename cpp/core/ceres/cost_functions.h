@@ -13,6 +13,7 @@
 #include "core/ceres/ceres_version.h"
 #include "core/ceres/reference_checks.h"
 #include "core/ceres/step_lengths.h"
+#include "core/factors/loss.h"
 #include "core/graph/factor_graph.h"
 #include "core/interface/summary.h"
 #include "core/model/parameter_layout.h"
@@ -111,11 +112,26 @@ class CeresGraph {
 
 /// Residuals that observations hold, as the reprojection costs of a solve count them.
 struct HoldingWatch {
+  LossType loss = LossType::kTrivial;
+  double loss_scale = 1;
   std::atomic<int64_t> num_held{0};  ///< at the last state
   /// Since this was last set to false, others counted at a candidate than at the state before.
   std::atomic<bool> has_changed{false};
   /// Derivatives that are asked for now are at a candidate.
   std::atomic<bool> is_at_candidate{false};
+  /// The state that derivatives are asked for is a start, where all counts that can.
+  std::atomic<bool> is_at_start{false};
+  /// The held cost, as far as it has been evaluated: of the last state, of the last candidate.
+  std::atomic<double> state_cost{0}, candidate_cost{0};
+
+  /// Adds an observation that holds a residual, with its squared norm in sigmas.
+  void AddHeld(double squared_norm, std::atomic<double>* cost) const {
+    double rho[3];
+    ValueOfLoss(loss, loss_scale, squared_norm, rho);
+    double sum = cost->load(std::memory_order_relaxed);
+    while (!cost->compare_exchange_weak(sum, sum + 0.5 * rho[0], std::memory_order_relaxed)) {
+    }
+  }
 };
 
 /// What all reprojection costs of a solve share. Outlives them.

@@ -81,15 +81,22 @@ class ReprojectionCost final : public ceres::CostFunction {
 
   void AtCandidate(bool in_front, double* residual) const {
     const bool counts = CountsAfterState(in_front, residual);
-    if (!counts) std::copy_n(held_, 2, residual);
+    if (!counts) {
+      std::copy_n(held_, 2, residual);
+      AddHeld(&context_.watch->candidate_cost);
+    }
     if (counts != counted_) context_.watch->has_changed.store(true, std::memory_order_relaxed);
   }
 
   void AtStateOrCandidate(bool in_front, double* residual,
                           ReprojectionJacobian<kParams>* jacobian) const {
-    const bool counts = CountsAfterState(in_front, residual);
+    const bool counts = context_.watch->is_at_start.load(std::memory_order_relaxed)
+                            ? in_front
+                            : CountsAfterState(in_front, residual);
     if (context_.watch->is_at_candidate.load(std::memory_order_relaxed)) {
-      if (!counts) Hold(residual, jacobian);
+      if (counts) return;
+      Hold(residual, jacobian);
+      AddHeld(&context_.watch->candidate_cost);
       return;
     }
     if (counts != counted_) context_.watch->num_held.fetch_add(counts ? -1 : 1);
@@ -98,7 +105,15 @@ class ReprojectionCost final : public ceres::CostFunction {
       for (int i = 0; i < 2; ++i) held_[i] = kHeldFactor * residual[i];
     } else {
       Hold(residual, jacobian);
+      AddHeld(&context_.watch->state_cost);
     }
+  }
+
+  void AddHeld(std::atomic<double>* cost) const {
+    const double* const sigmas = context_.problem.observation_sigma;
+    const double sigma =
+        sigmas == nullptr ? 1 : sigmas[(measurement_ - context_.problem.observation_xy) / 2];
+    context_.watch->AddHeld((held_[0] * held_[0] + held_[1] * held_[1]) / (sigma * sigma), cost);
   }
 
   void Hold(double* residual, ReprojectionJacobian<kParams>* jacobian) const {

@@ -1,12 +1,15 @@
 #include "core/ceres/solve_with_ceres.h"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
+#include <cstdio>
 #include <limits>
 #include <memory>
-#include <set>
+#include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "core/ceres/active_bounds.h"
 #include "core/ceres/cost_functions.h"
@@ -44,6 +47,7 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
     if (new_evaluation_point) states_->Update(state_);
     // Ceres has evaluated the cost at every state but the first when it asks for derivatives there.
     const bool is_at_state = evaluate_jacobians && !(new_evaluation_point && has_start_);
+    watch_->is_at_start.store(is_at_state && !has_start_ && all_count_);
     has_start_ = has_start_ || evaluate_jacobians;
     lengths_->Evaluate(is_at_state);
     watch_->is_at_candidate.store(true);  // no evaluation of ours is one at a state
@@ -52,10 +56,15 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
       bounds_->Find();
     }
     watch_->is_at_candidate.store(!is_at_state);
+    (is_at_state ? watch_->state_cost : watch_->candidate_cost).store(0);
   }
 
-  /// Another solve follows.
-  void Restart() { has_start_ = false; }
+  /// Before a solve. `all_count`: all observations count that can, at its start.
+  void BeginSolve(bool all_count) {
+    has_start_ = false;
+    all_count_ = all_count;
+    watch_->has_changed.store(false);
+  }
 
  private:
   const double* state_;
@@ -65,23 +74,57 @@ class UpdateCameraStates final : public ceres::EvaluationCallback {
   StepLengths* lengths_;
   Abandonment* abandonment_;
   bool has_start_ = false;  ///< the derivatives at the start
+  bool all_count_ = true;
 };
 
-/// Remembers in which iterations other observations counted at the candidate than at the state.
-class RecordChanges final : public ceres::IterationCallback {
+/// Remembers of each iteration whether other observations counted at the candidate than at the
+/// state, and the held cost that is part of its cost. An iteration is one of several solves, each
+/// of which goes on from the end of the one before.
+class RecordHolding final : public ceres::IterationCallback {
  public:
-  explicit RecordChanges(HoldingWatch* watch) : watch_(watch) {}
+  explicit RecordHolding(HoldingWatch* watch) : watch_(watch) {}
+
+  /// `repeats`: the next solve begins with the last iteration of the one before.
+  void BeginSolve(bool repeats) {
+    if (repeats) records_.pop_back();
+    first_ = static_cast<int>(records_.size());
+    changes_ = !repeats && first_ > 0;
+  }
+
+  /// Forgets iterations of the current solve that its summary does not have.
+  void EndSolve(size_t num_iterations) { records_.resize(first_ + num_iterations); }
 
   ceres::CallbackReturnType operator()(const ceres::IterationSummary& iteration) override {
-    if (watch_->has_changed.exchange(false)) iterations_.insert(iteration.iteration);
+    const bool is_at_state = iteration.step_is_successful || !iteration.step_is_valid;
+    const double held = is_at_state ? watch_->state_cost : watch_->candidate_cost;
+    const bool changed = watch_->has_changed.exchange(false);
+    records_.push_back({changed || (changes_ && iteration.iteration == 0), held});
     return ceres::SOLVER_CONTINUE;
   }
 
-  const std::set<int>& iterations() const { return iterations_; }
+  /// Puts what it knows into the record of an iteration of the current solve, which gets the number
+  /// that it has among those of all.
+  void CompleteCurrent(IterationRecord* record) const {
+    record->iteration += first_;
+    Complete(record);
+  }
+  void Complete(IterationRecord* record) const {
+    if (record->iteration >= static_cast<int>(records_.size())) return;
+    const Record& known = records_[record->iteration];
+    record->changes_what_counts = known.changed;
+    record->cost -= known.held_cost;
+  }
 
  private:
+  struct Record {
+    bool changed;
+    double held_cost;
+  };
+
   HoldingWatch* watch_;
-  std::set<int> iterations_;
+  std::vector<Record> records_;
+  int first_ = 0;
+  bool changes_ = false;
 };
 
 /// Remembers the anchors of the state that Ceres ends with: the best one, which others may follow
@@ -107,6 +150,15 @@ class RememberAnchors final : public ceres::IterationCallback {
   std::shared_ptr<const PoseAnchors> best_;
 };
 
+/// How a solve goes on that Ceres calls converged.
+struct Continuation {
+  /// From the state that it has, with what is held: Ceres compares changes of the cost with a cost
+  /// that includes it. Otherwise all observations count that can.
+  bool repeats = false;
+  /// The share that the rest is of that cost.
+  double share = 1;
+};
+
 /// One solve, in the order of its methods.
 class CeresSolve {
  public:
@@ -120,7 +172,10 @@ class CeresSolve {
         numbers_(StartNumbers(problem, layout_)),
         update_states_(State(), &states_, &watch_, &active_bounds_, &lengths_, &abandonment_),
         context_{problem_, layout_, states_, options.cheirality, &watch_, &abandonment_.happened},
-        loss_(MakeLoss(options.loss, options.loss_scale)) {}
+        loss_(MakeLoss(options.loss, options.loss_scale)) {
+    watch_.loss = options.loss;
+    watch_.loss_scale = options.loss_scale;
+  }
 
   SolveOutput Run(const ProgressCallback& progress) {
     RefuseTooMuchMemory(PredictCeresWorkingBytes(
@@ -133,15 +188,41 @@ class CeresSolve {
         UseOneThread() ? 1 : CountStartableThreads(ceres_options.num_threads);
     ThrowIfInterrupted();
     lengths_.Add(numbers_.data(), numbers_.size());
-    ReportProgress report(progress, fixed_cost_, lengths_, abandonment_.happened);
-    RememberAnchors remember_anchors(states_);
-    ceres_options.callbacks.push_back(&remember_anchors);
-    ceres_options.callbacks.push_back(&record_changes_);
-    ceres_options.callbacks.push_back(&lengths_);
-    ceres_options.callbacks.push_back(&report);
-
     const ProcessSettings settings(BlasThreads(ceres_options));
     const Stopwatch solve_time;
+    SolveOutput output;
+    ceres::Solver::Summary summary = SolveOnce(progress, ceres_options, &output);
+    while (const std::optional<Continuation> next = FindContinuation(summary)) {
+      const ceres::Solver::Summary first = std::move(summary);
+      summary = SolveOnce(progress, OptionsToGoOn(ceres_options, first, *next), &output, *next);
+      PutBefore(first, next->repeats, &summary);
+    }
+    output.solve_time_in_seconds = solve_time.seconds();
+    const bool interrupted = output.summary.interrupted;
+    output.summary = Summarize(summary, fixed_cost_);
+    output.summary.interrupted = interrupted;
+    output.summary.untaken_decrease = UntakenDecrease(summary, ceres_problem_.get());
+    Collect(summary, &output);
+    return output;
+  }
+
+ private:
+  ceres::Solver::Summary SolveOnce(const ProgressCallback& progress,
+                                   ceres::Solver::Options ceres_options, SolveOutput* output,
+                                   const Continuation& continuation = {}) {
+    const bool repeats = continuation.repeats;
+    const ProgressCallback complete = [&](const IterationRecord& iteration) {
+      if (repeats && iteration.iteration == 0) return true;  // it is known
+      IterationRecord record = iteration;
+      record_holding_.CompleteCurrent(&record);
+      return !progress || progress(record);
+    };
+    ReportProgress report(complete, fixed_cost_, lengths_, abandonment_.happened);
+    RememberAnchors remember_anchors(states_);
+    ceres_options.callbacks = {&remember_anchors, &record_holding_, &lengths_, &report};
+    update_states_.BeginSolve(/*all_count=*/!repeats);
+    record_holding_.BeginSolve(repeats);
+    lengths_.BeginSolve();
     ceres::Solver::Summary summary;
     ceres::Solve(ceres_options, ceres_problem_.get(), &summary);
     states_.SetAnchors(remember_anchors.AtEnd(summary));
@@ -150,16 +231,65 @@ class CeresSolve {
     }
     abandonment_.exception.Rethrow();
     if (abandonment_.happened) ForgetAbandonedStep(&summary);
-    SolveOutput output;
-    output.solve_time_in_seconds = solve_time.seconds();
-    output.summary = Summarize(summary, fixed_cost_);
-    output.summary.interrupted = report.interrupted() || abandonment_.happened;
-    output.summary.untaken_decrease = UntakenDecrease(summary, ceres_problem_.get());
-    Collect(summary, &output);
-    return output;
+    for (ceres::IterationSummary& iteration : summary.iterations) {
+      iteration.step_norm = lengths_.Of(iteration);
+    }
+    output->summary.interrupted = report.interrupted() || abandonment_.happened;
+    states_.Update(State());
+    record_holding_.EndSolve(summary.iterations.size());
+    share_ = continuation.share;
+    TellOfCostWithoutHeld(&summary);
+    return summary;
   }
 
- private:
+  /// Makes what Ceres says of its function tolerance a share of the cost without what is held.
+  void TellOfCostWithoutHeld(ceres::Solver::Summary* summary) const {
+    constexpr char kFormat[] = "Function tolerance reached. |cost_change|/cost: %le <= %le";
+    double share = 0, tolerance = 0;
+    if (share_ == 1 || std::sscanf(summary->message.c_str(), kFormat, &share, &tolerance) != 2) {
+      return;
+    }
+    std::array<char, 128> text;
+    std::snprintf(text.data(), text.size(),
+                  "Function tolerance reached. |cost_change|/cost: %e <= %e", share / share_,
+                  options_.function_tolerance);
+    summary->message = text.data();
+  }
+
+  /// Steps are judged by the cost with what is held, as Ceres does it (factors/reprojection.h); the
+  /// function tolerance is a share of the cost without. And observations that were left out may be
+  /// in front of their cameras.
+  std::optional<Continuation> FindContinuation(const ceres::Solver::Summary& summary) const {
+    const int64_t num_held = watch_.num_held.load();
+    if (num_held == 0 || summary.termination_type != ceres::CONVERGENCE) return std::nullopt;
+    if (summary.iterations.back().iteration >= options_.max_num_iterations) return std::nullopt;
+    const auto last = std::find_if(
+        summary.iterations.rbegin(), summary.iterations.rend(),
+        [](const ceres::IterationSummary& iteration) { return iteration.step_is_successful; });
+    const double share = std::max(0.0, 1 - watch_.state_cost.load() / last->cost);
+    const bool by_function = summary.message.rfind("Function tolerance", 0) == 0;
+    if (by_function && share < share_) return Continuation{true, share};
+    ProblemView refined = problem_;
+    const std::vector<double> poses = states_.CamFromWorld();
+    refined.cam_from_world = poses.data();
+    refined.camera_params = states_.camera_params().data();
+    refined.points = numbers_.data();
+    if (CountLeftOut(refined, layout_, options_, num_held) == 0) return std::nullopt;
+    return Continuation{};
+  }
+
+  ceres::Solver::Options OptionsToGoOn(ceres::Solver::Options result,
+                                       const ceres::Solver::Summary& summary,
+                                       const Continuation& next) {
+    const ceres::IterationSummary& last = summary.iterations.back();
+    result.max_num_iterations -= last.iteration + (next.repeats ? 0 : 1);
+    result.function_tolerance *= next.share;
+    if (next.repeats) result.initial_trust_region_radius = last.trust_region_radius;
+    result.linear_solver_ordering =
+        MakeOrdering(options_.linear_solver_ordering, problem_, layout_, numbers_.data(), State());
+    return result;
+  }
+
   void BuildProblem() {
     ceres::Problem::Options problem_options;
     problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -186,14 +316,14 @@ class CeresSolve {
 
   void Settle(ceres::Solver::Options options, ReportProgress* report,
               ceres::Solver::Summary* summary) {
-    update_states_.Restart();
+    update_states_.BeginSolve(/*all_count=*/false);
     lengths_.Restart();
     RememberAnchors remember_anchors(states_);
     options.linear_solver_ordering =
         MakeOrdering(options_.linear_solver_ordering, problem_, layout_, numbers_.data(), State());
     const auto anchors = states_.anchors();
     const bool went_on = SettleFactors(factor_costs_, std::move(options),
-                                       {&remember_anchors, &record_changes_, &lengths_, report},
+                                       {&remember_anchors, &record_holding_, &lengths_, report},
                                        ceres_problem_.get(), summary);
     states_.SetAnchors(went_on ? remember_anchors.AtEnd(*summary) : anchors);
   }
@@ -321,10 +451,11 @@ class CeresSolve {
                                               summary.linear_solver_type_used);
     for (const ceres::IterationSummary& iteration : summary.iterations) {
       output->iterations.push_back(ToRecord(iteration, fixed_cost_, lengths_));
-      output->iterations.back().changes_what_counts =
-          record_changes_.iterations().count(iteration.iteration) > 0;
+      record_holding_.Complete(&output->iterations.back());
     }
-    states_.Update(State());
+    output->summary.final_cost =
+        CostOfWhatCounts(output->iterations).value_or(output->summary.final_cost);
+    output->summary.held_cost = watch_.state_cost.load();
     output->cam_from_world = states_.CamFromWorld();
     output->rig_from_world = states_.RigFromWorld();
     output->sensor_from_rig = states_.SensorFromRig();
@@ -356,7 +487,8 @@ class CeresSolve {
   ParameterLayout layout_;
   CameraStates states_;
   HoldingWatch watch_;
-  RecordChanges record_changes_{&watch_};
+  RecordHolding record_holding_{&watch_};
+  double share_ = 1;               ///< of the last solve's Continuation
   const int64_t num_coordinates_;  ///< of points
   /// Coordinates of the points, then the state. Ceres orders what it eliminates by address: apart,
   /// the two would stand in either order, and results would end in other digits.

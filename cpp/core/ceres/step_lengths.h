@@ -19,8 +19,16 @@ class StepLengths final : public ceres::IterationCallback {
   /// Numbers that a solve changes. They stay where they are.
   void Add(const double* values, size_t size) { values_.push_back({values, size}); }
 
-  /// Another solve follows.
+  /// Another solve follows, whose iterations are numbered on.
   void Restart() { has_accepted_ = false; }
+
+  /// Forgets the steps of a solve before.
+  void BeginSolve() {
+    measured_.clear();
+    state_.clear();
+    length_ = 0;
+    has_accepted_ = false;
+  }
 
   /// Call before each evaluation, with the values of the state or of a candidate in place.
   void Evaluate(bool is_at_state) {

@@ -4,6 +4,9 @@
 #include <cstdint>
 #include <limits>
 #include <new>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "core/ceres/translate.h"
 #include "core/interface/summary.h"
@@ -182,6 +185,40 @@ ceres::CallbackReturnType ReportProgress::operator()(const ceres::IterationSumma
   if (goes_on && !InterruptionRequested()) return ceres::SOLVER_CONTINUE;
   interrupted_ = true;
   return ceres::SOLVER_TERMINATE_SUCCESSFULLY;
+}
+
+void PutBefore(const ceres::Solver::Summary& first, bool repeats, ceres::Solver::Summary* next) {
+  const ceres::IterationSummary& last = first.iterations.back();
+  std::vector<ceres::IterationSummary> iterations = first.iterations;
+  for (ceres::IterationSummary& iteration : next->iterations) {
+    if (repeats && iteration.iteration == 0) {
+      --next->num_successful_steps;
+      continue;
+    }
+    iteration.iteration += last.iteration + (repeats ? 0 : 1);
+    iteration.cumulative_time_in_seconds += last.cumulative_time_in_seconds;
+    iterations.push_back(iteration);
+  }
+  next->iterations = std::move(iterations);
+  next->initial_cost = first.initial_cost;
+  const auto add = [&](auto member) { next->*member += first.*member; };
+  using Summary = ceres::Solver::Summary;
+  for (const auto count : {&Summary::num_successful_steps, &Summary::num_unsuccessful_steps,
+                           &Summary::num_residual_evaluations, &Summary::num_jacobian_evaluations,
+                           &Summary::num_linear_solves}) {
+    add(count);
+  }
+  for (const auto time :
+       {&Summary::preprocessor_time_in_seconds, &Summary::minimizer_time_in_seconds,
+        &Summary::postprocessor_time_in_seconds, &Summary::total_time_in_seconds,
+        &Summary::linear_solver_time_in_seconds, &Summary::residual_evaluation_time_in_seconds,
+        &Summary::jacobian_evaluation_time_in_seconds}) {
+    add(time);
+  }
+  if (next->termination_type == ceres::NO_CONVERGENCE) {
+    next->message = "Maximum number of iterations reached. Number of iterations: " +
+                    std::to_string(next->iterations.back().iteration) + ".";
+  }
 }
 
 void ForgetAbandonedStep(ceres::Solver::Summary* summary) {

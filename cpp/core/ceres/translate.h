@@ -105,6 +105,10 @@ class ReportProgress final : public ceres::IterationCallback {
   bool interrupted_ = false;
 };
 
+/// Puts the summary of a solve in front of that of the next, which went on from its end and is left
+/// out where it says the same: `repeats`, at its start.
+void PutBefore(const ceres::Solver::Summary& first, bool repeats, ceres::Solver::Summary* next);
+
 /// Removes a step that could not be evaluated from the summary, as if it had not been tried.
 void ForgetAbandonedStep(ceres::Solver::Summary* summary);
 

@@ -114,7 +114,7 @@ bool RejectImpossibleSolution(const ProblemView& problem, SolveOutput* output) {
 std::string FindOverflow(const ProblemView& problem, Cheirality cheirality) {
   std::vector<double> errors(problem.num_observations);
   std::vector<uint8_t> behind(problem.num_observations);
-  ComputeReprojectionErrors(problem, 1, errors.data(), behind.data());
+  ComputeReprojectionErrors(problem, 1, cheirality, errors.data(), behind.data());
   for (int64_t i = 0; i < problem.num_observations; ++i) {
     const bool counts =
         !std::isnan(errors[i]) && (!behind[i] || cheirality == Cheirality::kAlgebraic);

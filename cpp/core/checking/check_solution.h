@@ -92,6 +92,11 @@ std::string FindOverflow(const ProblemView& problem, Cheirality cheirality);
 /// Of the observations that count at the start, how many may end behind their cameras.
 inline constexpr double kMaxLostShare = 0.01;
 
+/// Of `num_held` observations with something to refine that hold a residual at the problem's
+/// values, on all ranks, the number of those that could count: they are in front of their cameras.
+int64_t CountLeftOut(const ProblemView& problem, const ParameterLayout& layout,
+                     const SolveOptions& options, int64_t num_held);
+
 /// Looks for observations that do not count at the solution: behind their cameras or, if those
 /// behind count, without a projection. More of them than at the start, an image with no others, or
 /// observations that would count but were left out, having been behind before, make a warning with

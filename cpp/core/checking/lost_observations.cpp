@@ -19,11 +19,21 @@ namespace {
 std::vector<uint8_t> FindBehind(const ProblemView& problem, const SolveOptions& options) {
   std::vector<double> errors(problem.num_observations);
   std::vector<uint8_t> behind(problem.num_observations);
-  ComputeReprojectionErrors(problem, options.num_threads, errors.data(), behind.data());
+  ComputeReprojectionErrors(problem, options.num_threads, options.cheirality, errors.data(),
+                            behind.data());
   if (options.cheirality == Cheirality::kAlgebraic) {
     for (size_t i = 0; i < behind.size(); ++i) behind[i] = std::isnan(errors[i]) ? 1 : 0;
   }
   return behind;
+}
+
+int64_t CountLeftOut(const ProblemView& problem, const ParameterLayout& layout,
+                     const std::vector<uint8_t>& behind, int64_t num_held) {
+  int64_t num_refined_behind = 0;
+  for (int64_t i = 0; i < problem.num_observations; ++i) {
+    if (behind[i] && layout.IsRefined(problem, i)) ++num_refined_behind;
+  }
+  return num_held - SumOverRanks(problem.ranks, num_refined_behind);
 }
 
 int64_t Count(const std::vector<uint8_t>& flags) {
@@ -62,6 +72,11 @@ std::string NameImages(const std::vector<int64_t>& ids) {
 
 }  // namespace
 
+int64_t CountLeftOut(const ProblemView& problem, const ParameterLayout& layout,
+                     const SolveOptions& options, int64_t num_held) {
+  return CountLeftOut(problem, layout, FindBehind(problem, options), num_held);
+}
+
 void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& layout,
                            const SolveOptions& options, int64_t num_held, SolveOutput* output) {
   ProblemView refined = problem;
@@ -74,14 +89,12 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
   const int64_t num_before = SumOverRanks(ranks, Count(before));
   const int64_t num_after = SumOverRanks(ranks, Count(after));
   const int64_t num_observations = SumOverRanks(ranks, problem.num_observations);
-  int64_t num_lost = 0, num_refined_behind = 0;
+  int64_t num_lost = 0;
   for (int64_t i = 0; i < problem.num_observations; ++i) {
-    if (!after[i]) continue;
-    if (!before[i]) ++num_lost;
-    if (layout.IsRefined(problem, i)) ++num_refined_behind;
+    if (after[i] && !before[i]) ++num_lost;
   }
   num_lost = SumOverRanks(ranks, num_lost);
-  const int64_t num_left_out = num_held - SumOverRanks(ranks, num_refined_behind);
+  const int64_t num_left_out = CountLeftOut(problem, layout, after, num_held);
   const int64_t num_counted = num_observations - num_before;
   const bool unusable =
       static_cast<double>(num_lost) > kMaxLostShare * static_cast<double>(num_counted);
@@ -104,8 +117,9 @@ void JudgeLostObservations(const ProblemView& problem, const ParameterLayout& la
   if (num_after > num_before || !images.empty() || unusable) {
     std::ostringstream sentence;
     sentence << num_after << " of " << num_observations
-             << (options.cheirality == Cheirality::kZero ? " observations are behind their cameras"
-                                                         : " observations have no projection")
+             << (options.cheirality != Cheirality::kAlgebraic
+                     ? " observations are behind their cameras"
+                     : " observations have no projection")
              << " at the end, " << num_before << " at the start";
     if (!images.empty()) {
       sentence << "; " << NameImages(images) << (images.size() == 1 ? " has" : " have")

@@ -80,7 +80,8 @@ inline constexpr NamedValue<LossType> kLossTypes[] = {
 inline constexpr NamedValue<Gauge> kGauges[] = {{"none", Gauge::kNone},
                                                 {"two_cameras", Gauge::kTwoCameras},
                                                 {"three_points", Gauge::kThreePoints}};
-inline constexpr NamedValue<Cheirality> kCheiralities[] = {{"algebraic", Cheirality::kAlgebraic},
+inline constexpr NamedValue<Cheirality> kCheiralities[] = {{"auto", Cheirality::kAuto},
+                                                           {"algebraic", Cheirality::kAlgebraic},
                                                            {"zero", Cheirality::kZero}};
 
 /// Of the rig and of the camera.
@@ -112,7 +113,7 @@ struct SolveOptions {
   std::vector<int64_t> fixed_point_ids;
   std::vector<SensorId> fixed_sensors;
   Gauge gauge = Gauge::kNone;
-  Cheirality cheirality = Cheirality::kZero;
+  Cheirality cheirality = Cheirality::kAuto;
   bool check_solution = true;  ///< look for signs of a wrong Jacobian (checking/check_solution.h)
 };
 

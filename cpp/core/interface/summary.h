@@ -106,9 +106,22 @@ struct IterationRecord {
 
   // Beyond Ceres, and not reported.
   /// The step makes observations count that did not, or the reverse: the decrease that the
-  /// model predicts does not apply to it.
+  /// model predicts does not apply to it. Or there is no step, and observations count that were
+  /// left out.
   bool changes_what_counts = false;
 };
+
+/// Where iterations changed what counts: the cost of the last accepted one. The costs of others
+/// are sums over other observations.
+inline std::optional<double> CostOfWhatCounts(const std::vector<IterationRecord>& iterations) {
+  std::optional<double> cost;
+  bool changed = false;
+  for (const IterationRecord& record : iterations) {
+    changed = changed || record.changes_what_counts;
+    if (record.step_is_successful) cost = record.cost;
+  }
+  return changed ? cost : std::nullopt;
+}
 
 /// The matrix that each step factorises, and its Cholesky factor L. Matrices count both triangles
 /// and the diagonal, L its lower triangle with the diagonal; blocks count as full. A field is empty
@@ -128,6 +141,9 @@ struct SolveSummary {
   double final_cost = -1;
   /// Of observations and factors with nothing to refine; part of the other two.
   double fixed_cost = -1;
+  /// Of observations that do not count at the solution but hold a residual
+  /// (factors/reprojection.h); part of none of the others.
+  double held_cost = 0;
   std::string termination_type;
   std::string message;
   bool is_solution_usable = false;

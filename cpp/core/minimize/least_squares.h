@@ -15,6 +15,10 @@
 ///   gradient direction   p = D^-2 J^T r,
 ///   Newton direction     q: (J^T J + damping D^2) q = -J^T r.
 ///
+/// A problem may have a held cost, which is constant near a state but may change from one state to
+/// another: it is added to the cost where a step is judged, and nowhere else
+/// (factors/reprojection.h says what it is for).
+///
 /// A problem may have bounds on coordinates of x. Its candidates are then P(x + d), P moving each
 /// coordinate to the nearest value within its bounds; both directions disregard them. x itself is
 /// within them.
@@ -26,6 +30,7 @@ namespace bundle {
 struct Linearization {
   bool is_finite = true;
   double cost = 0;
+  double held_cost = 0;
   double gradient_norm = 0;      ///< ||J^T r||_2
   double gradient_max_norm = 0;  ///< ||J^T r||_inf; with bounds ||P(x - J^T r) - x||_inf
 };
@@ -48,6 +53,7 @@ struct Candidate {
   double model_cost_change = 0;  ///< -(J d)^T (r + J d / 2) for the step d
   double step_norm = 0;          ///< ||d||; with bounds ||P(x + d) - x||
   double cost = 0;               ///< at the candidate; not finite where a residual is not
+  double held_cost = 0;          ///< at the candidate
   /// Other residuals than at x count, so that the model is of another function.
   bool changes_what_counts = false;
   /// What the order in which costs are summed up may change in their difference, with a margin; 0:

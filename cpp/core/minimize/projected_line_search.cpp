@@ -123,7 +123,8 @@ void SearchAlongStep(double cost, LeastSquares* problem, Candidate* candidate) {
   const StepLine line = problem->LineAlongStep();
   const Sample start{0, cost, line.slope, true};
   Candidate shorter = *candidate;
-  Sample previous, last{1, candidate->cost, 0, std::isfinite(candidate->cost)};
+  const auto value = [](const Candidate& at) { return at.cost + at.held_cost; };
+  Sample previous, last{1, value(*candidate), 0, std::isfinite(candidate->cost)};
   for (int num_values = 1;
        !last.is_valid || last.value > cost + kSufficientDecrease * line.slope * last.a;
        ++num_values) {
@@ -142,7 +143,7 @@ void SearchAlongStep(double cost, LeastSquares* problem, Candidate* candidate) {
     }
     previous = last;
     shorter = problem->EvaluateAlongStep(a);
-    last = {a, shorter.cost, 0, std::isfinite(shorter.cost)};
+    last = {a, value(shorter), 0, std::isfinite(shorter.cost)};
   }
   shorter.model_cost_change = candidate->model_cost_change;
   *candidate = shorter;

@@ -9,6 +9,7 @@
 /// * Parameter and function tolerance are tested before a step is taken: one that meets them is not
 ///   taken and leaves no record. So does one that ends in an error.
 /// * Parameter tolerance is not tested until a step has succeeded.
+/// * A cost that is held counts in decreases alone (least_squares.h); costs of records are without.
 /// * The record of a rejected step has the candidate's cost, its change, and the gradient at x; a
 ///   candidate whose cost is not finite costs DBL_MAX. That of an invalid step has the cost at x,
 ///   and zeros. The radius in a record is that of the next step.
@@ -69,9 +70,11 @@ std::string AtMost(double value, double bound) {
 
 class TrustRegion {
  public:
-  TrustRegion(const SolveOptions& options, const ProgressCallback& progress, LeastSquares* problem)
+  TrustRegion(const SolveOptions& options, const ProgressCallback& progress, LeastSquares* problem,
+              MinimizerSummary before)
       : options_(options),
         progress_(progress),
+        minimum_(std::move(before)),
         problem_(problem, &minimum_),
         strategy_(MakeStrategy(options.trust_region_strategy_type,
                                options.initial_trust_region_radius)) {}
@@ -83,11 +86,22 @@ class TrustRegion {
   }
 
  private:
+  struct Costs {
+    double cost = 0, held = 0;
+  };
+
   bool IterationZero() {
+    if (!minimum_.iterations.empty()) {
+      const IterationRecord& last = minimum_.iterations.back();
+      seconds_before_ = last.cumulative_time_in_seconds;
+      record_.iteration = last.iteration + 1;
+      record_.changes_what_counts = true;
+      minimum_.untaken_decrease = 0;
+    }
     if (!LinearizeAtX()) {
       return Terminate("FAILURE", "Initial residual and Jacobian evaluation failed.");
     }
-    current_cost_ = x_cost_;
+    current_ = x_;
     record_.step_is_successful = true;
     return true;
   }
@@ -98,7 +112,7 @@ class TrustRegion {
                                   : minimum_.num_unsuccessful_steps);
     record_.trust_region_radius = strategy_->Radius();
     record_.iteration_time_in_seconds = SecondsSince(iteration_start_);
-    record_.cumulative_time_in_seconds = SecondsSince(start_);
+    record_.cumulative_time_in_seconds = seconds_before_ + SecondsSince(start_);
     minimum_.iterations.push_back(record_);
     return !StoppedByUser() && !FactorsHaveSettled() && !MaxNumIterationsReached() &&
            !GradientToleranceReached() && !MinRadiusReached();
@@ -134,12 +148,12 @@ class TrustRegion {
 
     Candidate& candidate = step.candidate;
     if (problem_.HasBounds() && !(RelativeDecrease(candidate) > kMinRelativeDecrease)) {
-      SearchAlongStep(x_cost_, &problem_, &candidate);
+      SearchAlongStep(x_.cost + x_.held, &problem_, &candidate);
     }
     if (!std::isfinite(candidate.cost)) candidate.cost = kNoCost;
     record_.step_norm = candidate.step_norm;
     record_.changes_what_counts = candidate.changes_what_counts;
-    record_.cost_change = x_cost_ - candidate.cost;
+    record_.cost_change = Decrease(x_, candidate);
     const bool ends = ParameterToleranceIsMet() || FunctionToleranceIsMet();
     if (ends && candidate.has_factors && !is_settling_) {
       is_settling_ = true;
@@ -168,7 +182,7 @@ class TrustRegion {
                        "Solver::Options::max_num_consecutive_invalid_steps: " +
                            std::to_string(kMaxConsecutiveInvalidSteps));
     }
-    record_.cost = x_cost_;
+    record_.cost = x_.cost;
     strategy_->StepIsInvalid();
     return true;
   }
@@ -187,7 +201,7 @@ class TrustRegion {
       minimum_.interrupted = true;
       return true;
     }
-    current_cost_ = candidate.cost;
+    current_ = {candidate.cost, candidate.held_cost};
     has_succeeded_ = true;
     return true;
   }
@@ -195,15 +209,20 @@ class TrustRegion {
   bool LinearizeAtX() {
     const Linearization linearization = problem_.Linearize(strategy_->Damping());
     if (!linearization.is_finite) return false;
-    x_cost_ = linearization.cost;
-    record_.cost = x_cost_;
+    x_ = {linearization.cost, linearization.held_cost};
+    record_.cost = x_.cost;
     record_.gradient_max_norm = linearization.gradient_max_norm;
     return true;
   }
 
+  /// Both parts are differences of numbers of one size; what is held hardly changes.
+  static double Decrease(const Costs& from, const Candidate& to) {
+    return (from.cost - to.cost) + (from.held - to.held_cost);
+  }
+
   double RelativeDecrease(const Candidate& candidate) const {
     if (candidate.cost == kNoCost) return std::numeric_limits<double>::lowest();
-    return (current_cost_ - candidate.cost) / candidate.model_cost_change;
+    return Decrease(current_, candidate) / candidate.model_cost_change;
   }
 
   /// The digits of a step's quality that do not depend on the order of sums: with the others, the
@@ -252,7 +271,7 @@ class TrustRegion {
   }
 
   bool FunctionToleranceIsMet() const {
-    return !(std::abs(record_.cost_change) > options_.function_tolerance * x_cost_);
+    return !(std::abs(record_.cost_change) > options_.function_tolerance * x_.cost);
   }
 
   bool ParameterToleranceReached(double model_cost_change) {
@@ -264,7 +283,7 @@ class TrustRegion {
 
   bool FunctionToleranceReached() {
     const double change = std::abs(record_.cost_change);
-    if (!FunctionToleranceIsMet() || (is_settling_ && change > kLostChange * x_cost_)) return false;
+    if (!FunctionToleranceIsMet() || (is_settling_ && change > kLostChange * x_.cost)) return false;
     return ConvergeByFunctionTolerance();
   }
 
@@ -272,7 +291,7 @@ class TrustRegion {
 
   bool ConvergeByFunctionTolerance() {
     return Converge("Function tolerance reached. |cost_change|/cost: " +
-                    AtMost(std::abs(record_.cost_change) / x_cost_, options_.function_tolerance));
+                    AtMost(std::abs(record_.cost_change) / x_.cost, options_.function_tolerance));
   }
 
   /// True, to be returned by a test of convergence.
@@ -293,8 +312,9 @@ class TrustRegion {
   const Clock::time_point start_ = Clock::now();
   Clock::time_point iteration_start_ = start_;
   IterationRecord record_;
-  double x_cost_ = 0;        ///< of the linearisation at x
-  double current_cost_ = 0;  ///< at x too, as the candidate's: what a decrease is measured from
+  double seconds_before_ = 0;
+  Costs x_;        ///< of the linearisation at x
+  Costs current_;  ///< at x too, as the candidate's: what a decrease is measured from
   bool has_succeeded_ = false;
   bool is_settling_ = false;          ///< met a tolerance, with factors beside the observations
   bool factors_are_settled_ = false;  ///< by the step that was taken last
@@ -304,8 +324,8 @@ class TrustRegion {
 }  // namespace
 
 MinimizerSummary Minimize(const SolveOptions& options, const ProgressCallback& progress,
-                          LeastSquares* problem) {
-  return TrustRegion(options, progress, problem).Run();
+                          LeastSquares* problem, MinimizerSummary before) {
+  return TrustRegion(options, progress, problem, std::move(before)).Run();
 }
 
 }  // namespace bundle

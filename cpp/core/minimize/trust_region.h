@@ -12,6 +12,8 @@
 namespace bundle {
 
 struct MinimizerSummary {
+  bool HasConverged() const { return termination_type == "CONVERGENCE"; }
+
   std::string termination_type;  ///< CONVERGENCE, NO_CONVERGENCE, FAILURE or USER_SUCCESS
   std::string message;
   bool interrupted = false;
@@ -29,8 +31,12 @@ struct MinimizerSummary {
 
 /// Minimises as ceres::internal::TrustRegionMinimizer does, step by step: same strategies, same
 /// radius, same three stopping tests. The state of `problem` is the best one at the end.
+///
+/// `before`: what led to the state that `problem` has, where this goes on from there after other
+/// residuals count. Everything begins anew, but the iterations follow those of before, the first
+/// being the evaluation of the state, and `options` are for all of them.
 MinimizerSummary Minimize(const SolveOptions& options, const ProgressCallback& progress,
-                          LeastSquares* problem);
+                          LeastSquares* problem, MinimizerSummary before = {});
 
 /// Another LeastSquares, its passes counted and timed in a MinimizerSummary.
 class TimedProblem final : public LeastSquares {
@@ -99,7 +105,8 @@ class TimedProblem final : public LeastSquares {
   MinimizerSummary* minimum_;
 };
 
-/// Shortens a step whose projection onto the bounds does not lower the cost enough. `cost`: at x.
+/// Shortens a step whose projection onto the bounds does not lower the cost enough. `cost`: at x,
+/// with what is held.
 /// `candidate` is that of the whole step; where a shorter one was found it becomes that one's, with
 /// the model cost change of the whole step. The candidate of `problem` follows.
 void SearchAlongStep(double cost, LeastSquares* problem, Candidate* candidate);

@@ -50,7 +50,8 @@ void MoveTranslation(const double* pose, const double* center, double sign, doub
 std::vector<double> SquaredErrors(const ProblemView& problem, const SolveOptions& options) {
   std::vector<double> errors(problem.num_observations);
   std::vector<uint8_t> behind(problem.num_observations);
-  ComputeReprojectionErrors(problem, options.num_threads, errors.data(), behind.data());
+  ComputeReprojectionErrors(problem, options.num_threads, options.cheirality, errors.data(),
+                            behind.data());
   for (size_t i = 0; i < errors.size(); ++i) {
     const bool counts = !behind[i] || options.cheirality == Cheirality::kAlgebraic;
     errors[i] = counts ? errors[i] * errors[i] : std::nan("");

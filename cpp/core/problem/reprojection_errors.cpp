@@ -55,9 +55,10 @@ void LinearizeOne(const ProblemView& problem, const PoseState& pose, int64_t i,
 /// Calls visit(observation, residual) for every observation, on all threads; where the formula has
 /// no value the residual is NaN.
 template <typename Visit>
-void ForResiduals(const ProblemView& problem, int num_threads, uint8_t* behind,
-                  const Visit& visit) {
+void ForResiduals(const ProblemView& problem, int num_threads, Cheirality cheirality,
+                  uint8_t* behind, const Visit& visit) {
   CheckCameraModelsKnown(problem);
+  const Cheirality seen = cheirality == Cheirality::kZero ? cheirality : Cheirality::kAuto;
   std::vector<double> rotations(9 * static_cast<size_t>(problem.num_images));
   for (int64_t i = 0; i < problem.num_images; ++i) {
     QuaternionToRotation(problem.cam_from_world + 7 * i, &rotations[9 * i]);
@@ -74,7 +75,7 @@ void ForResiduals(const ProblemView& problem, int num_threads, uint8_t* behind,
       const CameraModel& model = *problem.camera_models[camera];
       const double* params = problem.ParamsOf(camera);
       const Projection projection = model.project(params, point, xy, nullptr, nullptr);
-      behind[i] = projection != Projection::kValid;
+      behind[i] = !Counts(projection, seen);
       constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
       double residual[2] = {kNaN, kNaN};
       if (projection != Projection::kUndefined) {
@@ -101,15 +102,15 @@ void CheckCameraModelsKnown(const ProblemView& problem) {
   }
 }
 
-void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, double* errors,
-                               uint8_t* behind) {
-  ForResiduals(problem, num_threads, behind,
+void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, Cheirality cheirality,
+                               double* errors, uint8_t* behind) {
+  ForResiduals(problem, num_threads, cheirality, behind,
                [=](int64_t i, const double* residual) { errors[i] = Length(residual); });
 }
 
-void ComputeReprojectionResiduals(const ProblemView& problem, int num_threads, double* residuals,
-                                  uint8_t* behind) {
-  ForResiduals(problem, num_threads, behind, [=](int64_t i, const double* residual) {
+void ComputeReprojectionResiduals(const ProblemView& problem, int num_threads,
+                                  Cheirality cheirality, double* residuals, uint8_t* behind) {
+  ForResiduals(problem, num_threads, cheirality, behind, [=](int64_t i, const double* residual) {
     std::copy_n(residual, 2, residuals + 2 * i);
   });
 }

@@ -12,15 +12,17 @@ namespace bundle {
 /// The reprojection error of every observation at the problem's own values.
 ///
 /// errors (num_observations): ||r|| in pixels by the formula, also behind the camera; NaN where the
-/// formula has no value. behind (num_observations): 1 where the camera cannot see the point.
+/// formula has no value. behind (num_observations): 1 where the camera cannot see the point. It
+/// sees as far as the formula of its lens goes on, but under Cheirality::kZero no farther than 90
+/// degrees.
 ///
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.
-void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, double* errors,
-                               uint8_t* behind);
+void ComputeReprojectionErrors(const ProblemView& problem, int num_threads, Cheirality cheirality,
+                               double* errors, uint8_t* behind);
 
 /// The same with r itself: residuals (num_observations x 2).
-void ComputeReprojectionResiduals(const ProblemView& problem, int num_threads, double* residuals,
-                                  uint8_t* behind);
+void ComputeReprojectionResiduals(const ProblemView& problem, int num_threads,
+                                  Cheirality cheirality, double* residuals, uint8_t* behind);
 
 /// Throws InputError, naming model and image, if an observed image has an unknown camera model.
 void CheckCameraModelsKnown(const ProblemView& problem);

@@ -1,11 +1,14 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <utility>
 #include <vector>
 
+#include "core/factors/loss.h"
 #include "core/model/parameter_layout.h"
+#include "core/parallel/twofold_sum.h"
 #include "core/problem/problem_view.h"
 
 namespace bundle {
@@ -207,6 +210,18 @@ class HeldResiduals {
 
   /// Forgets all.
   void Clear();
+
+  /// Forgets those of which `counts` is true. Returns their number.
+  template <typename Predicate>
+  int64_t Release(const Predicate& counts) {
+    const auto end = std::remove_if(all_.begin(), all_.end(), counts);
+    const int64_t number = all_.end() - end;
+    all_.erase(end, all_.end());
+    return number;
+  }
+
+  /// The held cost: sum of 1/2 rho(||h||^2).
+  TwofoldSum Cost(LossType loss, double loss_scale) const;
 
   /// Ascending.
   const std::vector<HeldResidual>& all() const { return all_; }

@@ -40,9 +40,9 @@ Linearization SchurProblem::Linearize(double damping) {
   const bool first = !scaled_;
   const double factors_cost = factors_.Linearize(x_->cameras(), x_->points.data());
   PointSums sums = SumUp(damping, first, factors_cost);
-  if (first) x_->held.Merge();
   Linearization result;
   result.cost = x_cost_ = sums.cost;
+  result.held_cost = x_held_cost_;
   double gradient_squared = sums.gradient_squared, gradient_max = sums.gradient_max;
   HoldActive();
   DampCameras(damping, first);
@@ -117,8 +117,11 @@ SchurProblem::PointSums SchurProblem::SumChunks(double damping, bool first, doub
     gradient_squared.Add(part.gradient_squared);
     if (!(part.gradient_max <= total.gradient_max)) total.gradient_max = part.gradient_max;
   }
-  RoundOverRanks(ranks_, {&cost, &gradient_squared});
+  if (first) x_->held.Merge();
+  TwofoldSum held_cost = x_->held.Cost(input_.loss, input_.loss_scale);
+  RoundOverRanks(ranks_, {&cost, &gradient_squared, &held_cost});
   total.cost = cost.sum;
+  x_held_cost_ = held_cost.sum;
   total.gradient_squared = gradient_squared.sum;
   total.gradient_max = MaxOverRanks(ranks_, total.gradient_max);
   return total;

@@ -153,7 +153,28 @@ void SchurProblem::Accept() {
   std::swap(state_norm_, candidate_norm_);
   std::swap(x_cost_, candidate_cost_);
   std::swap(kind_costs_, candidate_kind_costs_);
+  std::swap(x_held_cost_, candidate_held_cost_);
   x_->MoveAnchors();
+}
+
+bool SchurProblem::ReleaseHeld() {
+  const auto counts = [this](const HeldResidual& held) {
+    const auto next = std::upper_bound(plan_.first.begin(), plan_.first.end(), held.observation);
+    const int64_t point = next - plan_.first.begin() - 1;
+    const int image = plan_.image[held.observation];
+    const int camera = problem_.image_camera[image];
+    const PoseState& pose = x_->cameras().pose(image);
+    double in_camera[3], xy[2];
+    MatrixVector3(pose.rotation, &x_->points[3 * point], in_camera);
+    for (int i = 0; i < 3; ++i) in_camera[i] += pose.translation[i];
+    return Counts(problem_.camera_models[camera]->project(x_->cameras().params(camera), in_camera,
+                                                          xy, nullptr, nullptr),
+                  input_.cheirality);
+  };
+  if (SumOverRanks(ranks_, x_->held.Release(counts)) == 0) return false;
+  solver_->ForgetValues();
+  scaled_ = false;
+  return true;
 }
 
 EliminationInput SchurProblem::WithPriors(EliminationInput input) const {
@@ -242,8 +263,9 @@ Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateTotal s
   changes.Add(candidate_->held.HasSameObservations(x_->held) ? 0 : 1);
   std::vector<TwofoldSum> kinds;
   sum.cost.Add(factors_.Cost(candidate_->cameras(), candidate_->points.data(), &kinds));
-  RoundOverRanks(
-      ranks_, {&changes, &sum.model_cost_change, &sum.cost, &sum.step_squared, &sum.state_squared});
+  TwofoldSum held_cost = candidate_->held.Cost(input_.loss, input_.loss_scale);
+  RoundOverRanks(ranks_, {&changes, &sum.model_cost_change, &sum.cost, &held_cost,
+                          &sum.step_squared, &sum.state_squared});
   candidate_kind_costs_ = RoundOverRanks(ranks_, "scalars", kinds);
   candidate_norm_ =
       std::sqrt(Dot(candidate_->camera_state, candidate_->camera_state) + sum.state_squared.sum);
@@ -257,6 +279,7 @@ Candidate SchurProblem::Finish(const std::vector<double>& step, CandidateTotal s
   }
   result.step_norm = std::sqrt(step_squared + sum.step_squared.sum);
   result.cost = candidate_cost_ = sum.cost.sum;
+  result.held_cost = candidate_held_cost_ = held_cost.sum;
   if (grid_ != nullptr) result.cost_uncertainty = kCostUncertainty * x_cost_;
   result.has_factors = !kind_costs_.empty();
   result.factors_change = LargestRelativeChange(kind_costs_, candidate_kind_costs_);

@@ -111,6 +111,11 @@ class SchurProblem final : public LeastSquares {
   /// Observations of this rank that do not count at the state but hold a residual
   /// (factors/reprojection.h).
   int64_t num_held() const { return static_cast<int64_t>(x_->held.all().size()); }
+  /// What those of all ranks cost.
+  double held_cost() const { return x_held_cost_; }
+  /// Makes those count that are in front of their cameras at the state, for a minimisation that
+  /// starts there. Returns true if there are any, on any rank.
+  bool ReleaseHeld();
 
   /// S and its right-hand side, as the last linearisation left them.
   BlockSystem& system() { return sums_.sums().system; }
@@ -201,6 +206,7 @@ class SchurProblem final : public LeastSquares {
   bool has_camera_factors_ = false;     ///< on any rank
   double x_cost_ = 0, candidate_cost_ = 0;
   std::vector<double> kind_costs_, candidate_kind_costs_;  ///< of each kind of factors
+  double x_held_cost_ = 0, candidate_held_cost_ = 0;
   std::vector<double> scale_;      ///< Jacobi scaling of the camera parameters' columns
   std::vector<double> d_squared_;  ///< D^2 of the camera parameters
   std::vector<double> newton_;     ///< camera parameters of the Newton direction

@@ -31,6 +31,17 @@ void HeldResiduals::Clear() {
   all_.clear();
 }
 
+TwofoldSum HeldResiduals::Cost(LossType loss, double loss_scale) const {
+  TwofoldSum cost;
+  for (const HeldResidual& held : all_) {
+    const double* const h = held.residual;
+    double rho[3];
+    ValueOfLoss(loss, loss_scale, h[0] * h[0] + h[1] * h[1], rho);
+    cost.Add(0.5 * rho[0]);
+  }
+  return cost;
+}
+
 bool HeldResiduals::HasSameObservations(const HeldResiduals& other) const {
   return std::equal(
       all_.begin(), all_.end(), other.all_.begin(), other.all_.end(),

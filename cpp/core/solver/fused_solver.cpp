@@ -48,7 +48,11 @@ SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning>
   times.preprocessor = build_time_ + total.seconds();
 
   const Stopwatch minimizer;
-  MinimizerSummary minimum = Minimize(options_, AddFixedCost(progress), schur_.get());
+  const ProgressCallback report = AddFixedCost(progress);
+  MinimizerSummary minimum = Minimize(options_, report, schur_.get());
+  while (MayGoOn(minimum) && schur_->ReleaseHeld()) {
+    minimum = Minimize(options_, report, schur_.get(), std::move(minimum));
+  }
   times.minimizer = minimizer.seconds();
 
   const Stopwatch postprocessor;
@@ -69,6 +73,11 @@ SolveOutput FusedSolver::Solve(const SolveOptions& options, std::vector<Warning>
   FinishSolve(problem_, layout_, schur_->cameras(), options_, std::move(warnings),
               SumOverRanks(problem_.ranks, schur_->num_held()), &output);
   return output;
+}
+
+bool FusedSolver::MayGoOn(const MinimizerSummary& minimum) const {
+  return minimum.HasConverged() &&
+         minimum.iterations.back().iteration < options_.max_num_iterations;
 }
 
 void FusedSolver::ChooseSolver() {

@@ -58,6 +58,8 @@ class FusedSolver {
   double NumSystemValues() const;
   void SummarizeFactor();
   std::unique_ptr<LinearSolver> MakeSolver();
+  /// True if it has converged and may take further iterations.
+  bool MayGoOn(const MinimizerSummary& minimum) const;
   ProgressCallback AddFixedCost(const ProgressCallback& progress) const;
   void CollectState(SolveOutput* output);
   int64_t CountInformation();
@@ -90,6 +92,8 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
                        const SolveTimes& times);
 
 /// Whose costs the final cost is the least of: all steps, as Ceres has it, or the accepted ones.
+/// Where steps change what counts, costs of different steps are sums over different observations,
+/// and the final cost is that of the last accepted one.
 enum class Counted { kAll, kAccepted };
 
 /// What our own solvers report alike: of the options, of the minimum (which leaves out the constant

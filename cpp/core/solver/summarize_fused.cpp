@@ -58,6 +58,7 @@ void SummarizeMinimum(const MinimizerSummary& minimum, double fixed_cost, Counte
       if (counted == Counted::kAccepted && !record.step_is_successful) continue;
       least = std::min(least, record.cost);
     }
+    least = CostOfWhatCounts(minimum.iterations).value_or(least);
     result->initial_cost = minimum.iterations.front().cost + fixed_cost;
     result->final_cost = least + fixed_cost;
   }
@@ -99,6 +100,7 @@ SolveSummary Summarize(const SolveOptions& options, const ParameterLayout& layou
   const auto num_blocks = static_cast<int>(layout.blocks().size());
   SummarizeChoices(options, &result);
   SummarizeMinimum(minimum, schur.fixed_cost(), Counted::kAll, &result);
+  result.held_cost = schur.held_cost();
   // Nothing constant is ever part of the problem.
   SetSizes(num_points + num_blocks, 3 * num_points + layout.state_size(),
            num_observations + num_factors, 2 * num_observations + num_factor_residuals, &result);

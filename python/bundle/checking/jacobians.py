@@ -81,9 +81,7 @@ def check_jacobians(
     check_function("progress", progress)
     num_threads = number("num_threads", num_threads, minimum=0, whole=True)
     observations = _choose(problem, samples_per_image, seed)
-    settings = _Settings(
-        resolve_cheirality(problem, cheirality) == "algebraic", num_threads, tolerance
-    )
+    settings = _Settings(resolve_cheirality(problem, cheirality), num_threads, tolerance)
     check = _Check(problem, settings)
     offsets = TURN * np.random.default_rng(seed).standard_normal((len(observations), 3))
     offsets[::2] = 0.0
@@ -102,7 +100,7 @@ _Answer = tuple[
 
 @dataclass(frozen=True)
 class _Settings:
-    algebraic: bool
+    cheirality: str
     num_threads: int
     tolerance: float
 
@@ -242,7 +240,7 @@ class _Check:
             problem,
             observations,
             np.ascontiguousarray(offsets),
-            self.settings.algebraic,
+            self.settings.cheirality,
             CHECKER_PRECISION,
             self.settings.num_threads,
         )

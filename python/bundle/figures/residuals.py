@@ -44,8 +44,9 @@ def residuals(problem: Problem, cheirality: str = "auto") -> Residuals:
         problem: left untouched.
         cheirality: "algebraic", "zero" or "auto", as in :class:`SolveOptions`.
     """
-    xy, behind = _core.reprojection_residuals(problem, 0)
+    cheirality = resolve_cheirality(problem, cheirality)
+    xy, behind = _core.reprojection_residuals(problem, 0, cheirality)
     counted = np.isfinite(xy[:, 0]) & np.isfinite(xy[:, 1])
-    if resolve_cheirality(problem, cheirality) == "zero":
+    if cheirality != "algebraic":
         counted &= ~behind
     return Residuals(xy, counted)

@@ -87,7 +87,9 @@ def _errors_of(result: Result) -> str:
         for name, title in ERRORS.items()
     ]
     if not result.rounds:  # costs of different rounds cannot be compared
-        rows.insert(0, ["cost", f"{summary.initial_cost:.9g}", f"{summary.final_cost:.9g}"])
+        held = f"{summary.held_cost:.9g}"
+        costs = ["cost", f"{summary.initial_cost:.9g}", f"{summary.final_cost:.9g}"]
+        rows[:0] = [costs, ["held cost", "-", held]] if summary.held_cost else [costs]
     first, last = result.initial_problem, result.problem
     for title, name in (("images", "num_images"), ("points", "num_points"),
                         ("observations", "num_observations")):  # fmt: skip

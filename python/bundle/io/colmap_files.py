@@ -229,7 +229,7 @@ def _model(problem: Problem, *, binary: bool) -> _core.ColmapModel | None:
 
 
 def _point_errors(problem: Problem) -> NDArray[np.float64]:
-    errors, behind = _core.reprojection_errors(problem, 0)
+    errors, behind = _core.reprojection_errors(problem, 0, "auto")
     return point_errors(errors, behind, problem.observation_point, problem.num_points)
 
 

@@ -122,6 +122,7 @@ def refinement(
             if solved.constraints
             else {}
         ),
+        "held_cost": about["summary"]["held_cost"],
         "cameras": plain([dataclasses.asdict(change) for change in camera_changes(solved)]),
         **({"sensors": _sensors(solved)} if problem.num_frames else {}),
         "worst_images": plain([dataclasses.asdict(image) for image in solved.worst_images]),

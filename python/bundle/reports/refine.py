@@ -293,6 +293,7 @@ def _before_and_after(solved: Result) -> Columns:
             if not solved.rounds  # costs of different rounds cannot be compared
             else []
         ),
+        *([("held cost", "-", f"{held:.9e}")] if (held := solved.summary.held_cost) else []),
         *(
             (title, pixels(getattr(before, name)), pixels(getattr(after, name)))
             for name, title in titles.items()

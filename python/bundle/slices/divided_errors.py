@@ -29,7 +29,7 @@ def divided_statistics(
         meeting: all processes.
         errors: of this process, ||r|| in pixels; nan without a projection.
         behind: of this process.
-        cheirality: "algebraic" or "zero".
+        cheirality: that of `behind`, resolved.
     """
     own = np.sort(errors[counted_errors(errors, behind, cheirality)])
     with np.errstate(over="ignore"):

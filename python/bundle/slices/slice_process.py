@@ -43,7 +43,7 @@ class Process:
         self._meeting = meeting
         self.slice = read_slice(meeting, path, found)
         self._part = self.slice.part
-        self._errors: tuple[Any, Any] | None = None
+        self._errors: dict[str, tuple[Any, Any]] = {}  # by cheirality
 
     def follow(self) -> None:
         """Do what the first process says, up to the measuring."""
@@ -99,7 +99,7 @@ class Process:
 
     def point_errors(self, num_threads: int) -> list[NDArray[np.float64]] | None:
         """Return the mean error of each point, as COLMAP's files have it, by process."""
-        errors, behind = self._errors_now(num_threads)
+        errors, behind = self._errors_now(num_threads, "auto")
         part = self._part
         return self._meeting.gather(
             colmap_files.point_errors(errors, behind, part.observation_point, len(part.points))
@@ -112,8 +112,8 @@ class Process:
         """
         own, meeting = self.slice, self._meeting
         threads, cheirality = options["num_threads"], options["cheirality"]
-        before = divided_statistics(meeting, *_errors_of(own.part, threads), cheirality)
-        errors, behind = self._errors_now(threads)
+        before = divided_statistics(meeting, *_errors_of(own.part, threads, cheirality), cheirality)
+        errors, behind = self._errors_now(threads, cheirality)
         sums = sums_of_images(
             own.part.observation_image, own.cameras.num_images, errors, behind, cheirality
         )
@@ -125,13 +125,13 @@ class Process:
     def _move(self, points: NDArray[np.float64], state: dict[str, Any]) -> None:
         shared = self._part.shared | state
         self._part = dataclasses.replace(self._part, points=points, shared=shared)
-        self._errors = None
+        self._errors = {}
 
-    def _errors_now(self, num_threads: int) -> tuple[Any, Any]:
-        if self._errors is None:
-            self._errors = _errors_of(self._part, num_threads)
-        return self._errors
+    def _errors_now(self, num_threads: int, cheirality: str) -> tuple[Any, Any]:
+        if cheirality not in self._errors:
+            self._errors[cheirality] = _errors_of(self._part, num_threads, cheirality)
+        return self._errors[cheirality]
 
 
-def _errors_of(part: ProblemPart, num_threads: int) -> tuple[Any, Any]:
-    return _core.reprojection_errors(part, num_threads)  # type: ignore[arg-type]
+def _errors_of(part: ProblemPart, num_threads: int, cheirality: str) -> tuple[Any, Any]:
+    return _core.reprojection_errors(part, num_threads, cheirality)  # type: ignore[arg-type]

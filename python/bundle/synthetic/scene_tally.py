@@ -35,7 +35,7 @@ class ErrorTally:
 
     def add(self, part: Problem) -> None:
         """Add the errors of a part of a scene."""
-        errors, behind = reprojection_errors(part)
+        errors, behind = reprojection_errors(part, cheirality="zero")
         errors = errors[counted_errors(errors, behind, "zero")]
         self._count += len(errors)
         self._behind += int(behind.sum())

@@ -33,7 +33,7 @@ class Path final : public LeastSquares {
   StepLine LineAlongStep() override { return {slope_(0), max_norm_}; }
   Candidate EvaluateAlongStep(double a) override {
     evaluated.push_back(a);
-    return {0, a, value_(a), a < 0.5};
+    return {0, a, value_(a), 0, a < 0.5};
   }
   double SlopeAtCandidate() override { return slope_(evaluated.empty() ? 1 : evaluated.back()); }
 

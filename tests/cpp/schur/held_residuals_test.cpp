@@ -48,6 +48,25 @@ TEST(HeldResiduals, KeepTheResidualThatWasAdded) {
   EXPECT_EQ(held.all()[0].residual[1], -2.5);
 }
 
+TEST(HeldResiduals, TheirCostIsUnderTheLoss) {
+  HeldResiduals held(2);
+  const HeldSink first = held.Collect(0), second = held.Collect(1);
+  first.add(first.list, {7, {3, -4}});
+  second.add(second.list, {8, {0, 0.5}});
+  EXPECT_EQ(held.Cost(LossType::kTrivial, 1).sum, 0) << "nothing is merged";
+  held.Merge();
+  EXPECT_EQ(held.Cost(LossType::kTrivial, 1).sum, 0.5 * (25 + 0.25));
+  EXPECT_EQ(held.Cost(LossType::kHuber, 2).sum, 0.5 * (2 * 2 * 5 - 4 + 0.25));
+}
+
+TEST(HeldResiduals, WhatIsReleasedIsHeldNoMore) {
+  HeldResiduals held = Merged({{40, 3, 17}, {}, {5, 1}});
+  const auto is_odd = [](const HeldResidual& one) { return one.observation % 2 == 1; };
+  EXPECT_EQ(held.Release(is_odd), 4);
+  EXPECT_EQ(Observations(held), std::vector<int64_t>{40});
+  EXPECT_EQ(held.Release(is_odd), 0);
+}
+
 /// Whatever the order of the chunks and of the passes over them: several camera models in a chunk
 /// are gone through one after the other. Residuals move with their observations.
 TEST(HeldResiduals, AreMergedInAscendingOrder) {

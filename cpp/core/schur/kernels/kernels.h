@@ -31,7 +31,7 @@ struct EliminationInput {
   int num_rows = 0;     ///< the largest group's columns
   int num_columns = 0;  ///< of the widest Jacobian record: num_rows in whole quads
   bool mixed = false;   ///< the groups' widths differ: each block is as large as its images' groups
-  Cheirality cheirality = Cheirality::kZero;
+  Cheirality cheirality = Cheirality::kAuto;
   LossType loss = LossType::kTrivial;
   double loss_scale = 1;
   const double* inverse_sigma = nullptr;  ///< of each observation of the plan; nullptr: 1 each

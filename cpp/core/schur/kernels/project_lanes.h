@@ -141,8 +141,7 @@ inline void ProjectLaneByLane(const CameraModel& model, const Pack* params, cons
     for (int i = 0; i < 2; ++i) m[i] = measurement[i].v[lane];
     const Projection projection =
         model.project(theta, p, xy, derive ? by_point : nullptr, derive ? by_params : nullptr);
-    const bool counts = projection == Projection::kValid ||
-                        (projection == Projection::kBehind && cheirality == Cheirality::kAlgebraic);
+    const bool counts = Counts(projection, cheirality);
     lanes_count->bits[lane] = counts ? -1 : 0;
     if (counts) model.difference(theta, xy, m, r);
     for (int i = 0; i < 2; ++i) residual[i].v[lane] = r[i];

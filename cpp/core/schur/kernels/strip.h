@@ -183,8 +183,8 @@ struct LaneResiduals {
     for (int i = 0; i < 2 * lanes.group->num_params; ++i) d_params[i] *= weight;
   }
 
-  /// Gives lanes that hold a residual (factors/reprojection.h) that residual and no derivatives.
-  /// Out of line, as it is hardly ever called.
+  /// Makes residuals and derivatives of lanes zero that hold a residual (factors/reprojection.h),
+  /// whose cost is no part of a pass. Out of line, as it is hardly ever called.
   __attribute__((noinline, cold)) void Hold(const EliminationInput& input, const StateRecords& x,
                                             const Lanes& lanes, const Mask& counts, bool derive) {
     const bool is_candidate = x.before != nullptr;
@@ -202,7 +202,7 @@ struct LaneResiduals {
         const LaneResiduals before(input, *x.before, state, lanes, false);
         for (int i = 0; i < 2; ++i) held.residual[i] = kHeldFactor * before.r[i].v[lane];
       }
-      for (int i = 0; i < 2; ++i) r[i].v[lane] = held.residual[i];
+      for (int i = 0; i < 2; ++i) r[i].v[lane] = 0;
       for (int i = 0; i < 6 && derive; ++i) d_camera_point[i].v[lane] = 0;
       for (int i = 0; i < 2 * lanes.group->num_params && derive; ++i) d_params[i].v[lane] = 0;
       if (x.sink.add != nullptr) x.sink.add(x.sink.list, held);
