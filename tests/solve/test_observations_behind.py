@@ -131,6 +131,39 @@ def test_what_is_held_is_in_no_cost_of_an_iteration(backend):
     assert (result.summary.held_cost > 0) == behind(result.problem).any()
 
 
+def passed_by():
+    """Return a point in front of image 0 that three other images want a little behind it."""
+    problem = scenes.make_problem(num_images=6, num_points=60, noise=0, perturbation=1e-3, seed=1)
+    points, xy = problem.points.copy(), problem.observation_xy.copy()
+    ray = np.array([0.05, 0.02, 1.0])
+    start, end = (in_camera(problem, 0, depth * ray) for depth in (2.0, -0.1))
+    for i in np.flatnonzero(problem.observation_point == 0):
+        points[0] = start if problem.observation_image[i] == 0 else end
+        seen = problem.replace(points=points, observation_xy=np.zeros_like(xy))
+        xy[i] = scenes.residuals(seen)[i]
+    xy[(problem.observation_point == 0) & (problem.observation_image == 0)] += 50.0
+    points[0] = start
+    keep = (problem.observation_point > 0) | ~np.isin(problem.observation_image, [1, 2])
+    names = ("observation_image", "observation_point", "observation_keypoint")
+    kept = {name: getattr(problem, name)[keep] for name in names}
+    return problem.replace(points=points, observation_xy=xy[keep], **kept)
+
+
+def test_what_is_held_is_no_part_of_a_tolerance(solve):
+    """Beside what one observation holds, all that is left to gain is nothing."""
+    problem = passed_by()
+    assert not behind(problem).any()
+    options = {"refine": "poses,points", "gauge": "two_cameras", "max_num_iterations": 200}
+    exact = solve(problem, **options, function_tolerance=1e-12).summary
+    summary = solve(problem, **options, function_tolerance=1e-3).summary
+    assert summary.held_cost == pytest.approx(16 * 0.5 * 2 * 50.0**2, rel=1e-6)
+    assert summary.final_cost < 1.0
+    assert summary.final_cost == pytest.approx(exact.final_cost, rel=2e-2)
+    assert summary.termination_type == "CONVERGENCE"
+    share = float(summary.message.split(":")[1].split("<=")[0])
+    assert share <= 1e-3
+
+
 def test_both_costs_together_fall_from_step_to_step(backend):
     iterations = solve_crossing(backend).iterations
     assert (iterations["cost_change"][1:][iterations["step_is_successful"][1:]] > 0).all()
