@@ -96,6 +96,42 @@ def test_right_jacobians_are_not_suspected():
     assert kinds_of(slam("sign"), check_solution=False) == set()
 
 
+@pytest.mark.parametrize("by", [1.01, 0.99, 1.0001])
+def test_a_percent_is_enough(by):
+    graph = bundle.FactorGraph()
+    for key, value in (("a", [1.5, 0.5]), ("b", [0.2])):
+        graph.add_variable(key, value)
+        graph.add_factor(bundle.PriorFactor(key, value, 1.0))
+
+    def function(values):
+        (x, y), (z,) = values
+        return [x * y + z, 1e5 * np.sin(x)], [[[y, x * by], [1e5 * np.cos(x), 0.0]], [[1.0], [0.0]]]
+
+    graph.add_factor(bundle.FunctionFactor(["a", "b"], function))
+    assert ("wrong_factor" in kinds_of(graph)) == (by != 1.0001)
+
+
+def test_a_pose_graph_is_watched(monkeypatch):
+    seen = []
+
+    def watch(iterations, advice):
+        seen.append(len(iterations["cost"]))
+        return f"It lies; {advice}."
+
+    monkeypatch.setattr(bundle._core, "watch_convergence", watch)
+    pose_graph = bundle.PoseGraph(
+        poses=[[0, 0, 0], [1.1, 0, 0], [2.0, 0.1, 0]],
+        edges=[[0, 1], [1, 2], [0, 2]],
+        measurements=[[1, 0, 0], [1, 0, 0], [2, 0, 0.01]],
+        information=np.array([np.eye(3)] * 3),
+    )
+    for backend in ("auto", "ceres"):
+        result = bundle.solve(pose_graph, backend=backend)
+        place = result.summary.warning_kinds.index("suspicious_steps")
+        assert result.summary.warnings[place].startswith("It lies; ")
+        assert seen[-1] == len(result.iterations["cost"])
+
+
 def test_the_watch_sees_every_solve_of_a_graph():
     for square_root in (False, True):
         summary = slam("sign").solve(square_root=square_root).summary
