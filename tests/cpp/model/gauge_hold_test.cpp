@@ -2,11 +2,15 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <vector>
 
 #include "core/model/gauge.h"
+#include "core/model/gauge_count.h"
 #include "support/scene.h"
 
 namespace bundle {
@@ -138,6 +142,38 @@ TEST(GaugeHold, PartsOfImages) {
   EXPECT_EQ(degrees({kHeldRotation | kHeldPosition, 0, 0, 0}), 1);
 }
 
+/// (w, t) of a pose while the world turns about the centre of the cameras.
+TEST(GaugeHold, MovesAreThoseOfTheChart) {
+  const Scene scene = FourImages();
+  const ProblemView problem = scene.View();
+  const FreeParameters free = SelectFreeParameters(problem, {});
+  const FreeMotions motions(problem, free);
+  using Eigen::Vector3d;
+  using Matrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
+  std::vector<Matrix3> rotations(4);
+  std::vector<Vector3d> centres;
+  Vector3d middle = Vector3d::Zero();
+  for (int i = 0; i < 4; ++i) {
+    const double* const pose = ValueOfPose(problem, i);
+    QuaternionToRotation(pose, rotations[i].data());
+    centres.emplace_back(-rotations[i].transpose() * Eigen::Map<const Vector3d>(pose + 4));
+    middle += centres.back() / 4;
+  }
+  double squared = 0;
+  for (const Vector3d& centre : centres) squared += (centre - middle).squaredNorm() / 4;
+  Eigen::MatrixXd turn = Eigen::MatrixXd::Zero(7, 1);  // b = (0.3, -0.2, 0.5)
+  const Vector3d b(0.3, -0.2, 0.5);
+  turn.block<3, 1>(3, 0) = b;
+  for (int i = 0; i < 4; ++i) {
+    const Eigen::MatrixXd moves = motions.MovesOf(i, turn).chart;
+    // R' c' + t' = 0 with R' = R - R [b]x and c' = c + b x (c - middle)
+    const Vector3d w = -rotations[i] * b;
+    const Vector3d t = rotations[i] * (b.cross(centres[i]) - b.cross(centres[i] - middle));
+    EXPECT_LT((moves.topRows<3>() - w).norm(), 1e-12);
+    EXPECT_LT((moves.bottomRows<3>() - t / std::sqrt(squared)).norm(), 1e-12);
+  }
+}
+
 TEST(GaugeHold, ThreePointsBeginWithThoseThatAreHeld) {
   const Scene scene = FourImages();
   const auto held_points = [&](const SolveOptions& options) {
@@ -148,7 +184,14 @@ TEST(GaugeHold, ThreePointsBeginWithThoseThatAreHeld) {
     return std::count(free.point.begin(), free.point.end(), 0);
   };
   for (const int count : {0, 1, 2, 3}) EXPECT_EQ(held_points(HoldPoints(scene, count)), 3);
-  FreeParameters free = SelectFreeParameters(scene.View(), {});
+  Scene line = scene;
+  for (int j = 0; j < 3; ++j) {
+    line.points[6 + j] = line.points[j] + 0.3 * (line.points[3 + j] - line.points[j]);
+  }
+  FreeParameters free = SelectFreeParameters(line.View(), HoldPoints(line, 3));
+  EXPECT_EQ(FixGauge(line.View(), Gauge::kThreePoints, &free), "");
+  EXPECT_EQ(CountGaugeDegrees(line.View(), free), 0);
+  free = SelectFreeParameters(scene.View(), {});
   free.pose[0] = 0;
   EXPECT_NE(FixGauge(scene.View(), Gauge::kThreePoints, &free), "");
   EXPECT_EQ(std::count(free.point.begin(), free.point.end(), 0), 0);
