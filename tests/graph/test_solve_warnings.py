@@ -279,3 +279,33 @@ def test_a_prior_that_alarms_is_said():
         healthy.add_variable(key, [0.0])
     healthy.add_factor(bundle.LinearPrior(np.diag([1.0, 1e-3]), [0, 0], points, ("a", "b")))
     assert kinds_of(healthy) == set()
+
+
+def test_ripples_that_long_steps_do_not_see_accuse_nobody():
+    """The slope over 1e-4 and over 1e-2 is 1, and of the ripples another at each place."""
+
+    def function(values):
+        x = values[0][0]
+        return [x + 1e-7 * np.sin(1e7 * x)], [[[1 + np.cos(1e7 * x)]]]
+
+    graph = bundle.FactorGraph()
+    graph.add_variable("x", [1.0])
+    graph.add_factor(bundle.PriorFactor("x", [1.0], 1e6))
+    graph.add_factor(bundle.FunctionFactor(["x"], function))
+    assert "wrong_factor" not in kinds_of(graph)
+
+
+@pytest.mark.parametrize("at", ["start", "end"])
+def test_a_jacobian_that_is_right_at_one_of_both_ends_is_found(at):
+    """One that is never renewed; and one that is right where the residual is zero."""
+
+    def function(values):
+        x = values[0][0]
+        return [x * x - 1], [[[4.0 if at == "start" else 2.0]]]
+
+    graph = bundle.FactorGraph()
+    graph.add_variable("x", [2.0])
+    graph.add_factor(bundle.FunctionFactor(["x"], function))
+    result = graph.solve(max_num_iterations=60)
+    assert result.values["x"][0] == pytest.approx(1, abs=1e-3)
+    assert "wrong_factor" in result.summary.warning_kinds

@@ -39,7 +39,7 @@ from bundle.words import plural
 
 __all__ = ["Candidate", "Kind", "code_of", "spot_check"]
 
-MOVES = (1e-4, 1e-6, 1e-8, 1e-2)
+MOVES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-2)
 CONCLUSIVE = 0.01
 TOLERANCE = 1e-3
 SAFETY = 4.0
@@ -142,7 +142,7 @@ def _check(kind: Kind, candidate: Candidate, values: list[Array], left: float) -
     if answer is None:
         return
     residual, jacobians = answer[0], [np.asarray(matrix) for matrix in answer[1]]
-    line = _Line(candidate, values, residual, jacobians)
+    line = _Line(candidate, values, residual, jacobians, perf_counter() + left)
     for column in columns:
         agrees, convicted, factor = line.compare(column)
         if not agrees and not convicted:
@@ -160,8 +160,14 @@ class _Line:
     """A factor at values, along its columns."""
 
     def __init__(
-        self, candidate: Candidate, values: list[Array], residual: Array, jacobians: list[Array]
+        self,
+        candidate: Candidate,
+        values: list[Array],
+        residual: Array,
+        jacobians: list[Array],
+        end: float,
     ) -> None:
+        self.end = end
         self.candidate, self.values = candidate, values
         self.residual, self.jacobians = residual, jacobians
         self.sizes = [
@@ -186,6 +192,8 @@ class _Line:
         suspicious = np.full(len(claimed), np.nan)
         found = np.zeros_like(claimed)
         for move in MOVES:
+            if perf_counter() > self.end:
+                break
             differences = self._differentiate(step, move)
             if differences is None:
                 continue
