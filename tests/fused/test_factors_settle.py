@@ -104,4 +104,4 @@ def test_solves_without_factors_stay_as_they_are():
     problem = flight([], seed=1, num_points=60, start_noise=0.05).problem
     fused, ceres = (bundle.solve(problem, backend=b) for b in ("fused", "ceres"))
     assert len(fused.iterations["cost"]) == len(ceres.iterations["cost"])
-    assert fused.iterations["trust_region_radius"].max() < 1e12
+    assert fused.iterations["trust_region_radius"].max() < 1e9

@@ -11,7 +11,7 @@ namespace bundle {
 namespace {
 
 /// As in minimize/: the radius of a step without damping, and the change that rounding hides.
-constexpr double kWideRadius = 1e12;
+constexpr double kWideRadius = 1e10;
 constexpr double kLostChange = 1e-12;
 
 /// Numbers the iterations on, and ends the solve where the factors have settled.
@@ -112,8 +112,9 @@ bool SettleFactors(const KindCosts& factors, ceres::Solver::Options options,
                    ceres::Solver::Summary* summary) {
   const ceres::IterationSummary& last = summary->iterations.back();
   const double tolerance = options.function_tolerance;
+  if (!(tolerance > kLostChange)) return false;
   options.max_num_iterations -= last.iteration;
-  options.function_tolerance = std::min(tolerance, kLostChange);
+  options.function_tolerance = kLostChange;
   options.initial_trust_region_radius = last.trust_region_radius;
   if (options.trust_region_strategy_type == ceres::LEVENBERG_MARQUARDT) {
     options.initial_trust_region_radius = std::max(last.trust_region_radius, kWideRadius);

@@ -23,7 +23,7 @@ namespace {
 
 constexpr double kMaxRadius = 1e16;
 /// Where directions are free, rounding moves them by its 1e-16 times the radius.
-constexpr double kWideRadius = 1e12;
+constexpr double kWideRadius = 1e10;
 constexpr double kForcingTerm = 0.1;  // Ceres' eta
 
 }  // namespace

@@ -155,7 +155,8 @@ class TrustRegion {
     record_.changes_what_counts = candidate.changes_what_counts;
     record_.cost_change = Decrease(x_, candidate);
     const bool ends = ParameterToleranceIsMet() || FunctionToleranceIsMet();
-    if (ends && candidate.has_factors && !is_settling_) {
+    const bool is_coarse = options_.function_tolerance > kLostChange;
+    if (ends && is_coarse && candidate.has_factors && !is_settling_) {
       is_settling_ = true;
       has_succeeded_ = false;
       if (strategy_->Widen()) return TryStep();
