@@ -19,7 +19,7 @@
 /// 1 promises 1/2 (p / R)^2. Rejected steps all start from the last state; so does the step that
 /// met the parameter tolerance and was not taken.
 ///
-/// The decrease counts if the function tolerance (at least 1e-6) would not have stopped for it, and
+/// The decrease counts if the function tolerance (at least 1e-5) would not have stopped for it, and
 /// if it is more than rounding: beyond kSmallestGain in the root mean square of the residuals.
 
 #include <algorithm>
@@ -33,7 +33,7 @@
 namespace bundle {
 namespace {
 
-constexpr double kSmallestShare = 1e-6;
+constexpr double kSmallestShare = 1e-5;
 constexpr double kSmallestGain = 1e-5;  // pixels; of factors: sigmas
 
 bool StartsWith(const std::string& text, const char* beginning) {
