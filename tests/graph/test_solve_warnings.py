@@ -186,7 +186,7 @@ def test_kinks_jumps_and_borders_accuse_nobody():
 
 def test_a_check_takes_no_time_from_slow_functions(monkeypatch):
     """Two thousandths of a second a call: a few calls, in one direction of all variables."""
-    monkeypatch.setattr(check_solve, "MOST_SECONDS", 0.04)
+    monkeypatch.setattr(check_solve, "MOST_SECONDS", 0.03)
     calls = []
 
     def function(values):
@@ -203,7 +203,7 @@ def test_a_check_takes_no_time_from_slow_functions(monkeypatch):
         summary = graph.solve(check_solution=check_solution, max_num_iterations=3).summary
         counts.append(len(calls))
         assert ("wrong_factor" in summary.warning_kinds) == check_solution
-    assert counts[1] - counts[0] <= 20  # 40 ms
+    assert counts[1] - counts[0] <= 25  # 50 ms
 
 
 def chain(manifold, count, prefix="", anchored=False):
