@@ -34,7 +34,7 @@ class DenseProblem final : public LeastSquares {
     d_ = scaled_d_ / scale_;
     damping_ = damping;
     const Eigen::VectorXd projected = HasBounds() ? (x_ - Project(x_ - gradient)).eval() : gradient;
-    return {r_.allFinite() && j_.allFinite(), r_.squaredNorm() / 2, gradient.norm(),
+    return {r_.allFinite() && j_.allFinite(), r_.squaredNorm() / 2, 0, gradient.norm(),
             projected.lpNorm<Eigen::Infinity>()};
   }
 

@@ -21,7 +21,7 @@ class Scripted final : public LeastSquares {
 
   Linearization Linearize(double damping) override {
     dampings.push_back(damping);
-    return {true, cost_, 1, 1};
+    return {true, cost_, 0, 1, 1};
   }
   NewtonResult SolveNewton(double /*eta*/) override { return {}; }
   Candidate EvaluateNewtonStep() override { return Next(1); }
