@@ -154,7 +154,7 @@ def test_a_held_point_far_away_is_told_and_its_solution_is_not_usable(solve, per
     """From the worse start all other points still get better."""
     problem = scenes.make_problem(num_images=11, num_points=60, perturbation=perturbation)
     given = with_point_out_of_view(problem, 1e10)
-    summary = solve(given, **held(problem)).summary
+    summary = solve(given, **held(problem), max_num_iterations=2000).summary
     assert summary.termination_type == "CONVERGENCE"
     assert set(summary.warning_kinds) >= {"far_points", "far_points_dominate"}
     assert f"point {problem.point_ids[3]}" in warning(summary, "far_points")
@@ -223,13 +223,15 @@ def test_far_points_of_held_images_take_no_part(solve, problem):
 
 
 @pytest.mark.parametrize("options", [{}, {"loss": "huber"}])
-def test_points_that_bend_the_others_leave_no_usable_solution(solve, bundle_data, options):
-    """Three near observations go behind their cameras, and hold most of the cost."""
+def test_a_world_follows_a_held_point_far_away(solve, bundle_data, options):
+    """Only what the point leaves free is held, so that the others fit nearly as well."""
     problem = bundle.load(bundle_data / "colmap" / "bartoszek")
     points = problem.points.copy()
     points[100] = 1e10
     far = problem.replace(points=points)
-    summary = solve(far, fixed_point_ids=[far.point_ids[100]], **options).summary
-    assert set(summary.warning_kinds) >= {"far_points"}
-    assert summary.is_solution_usable == bool(options)
-    assert ("far_points_dominate" in summary.warning_kinds) == (not options)
+    known = {"fixed_point_ids": [far.point_ids[100]], **options}
+    summary = solve(far, **known).summary
+    assert "far_points" in summary.warning_kinds
+    assert "far_points_dominate" not in summary.warning_kinds
+    best = solve(problem, **known).summary.final_cost
+    assert best < summary.final_cost < 2 * best

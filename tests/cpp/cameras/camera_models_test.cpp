@@ -166,16 +166,15 @@ TEST_P(CameraModelTest, BehindIsSaidWhereTheLensCannotSee) {
   const std::string name = model().name;
   const bool sees_all = name == "EQUIRECTANGULAR" || name.find("DIVISION") != std::string::npos;
   const bool goes_on = name == "EUCM" || name.find("FISHEYE") != std::string::npos;
-  EXPECT_EQ(model().reach, name == "EUCM"           ? CameraReach::kBeyond
+  EXPECT_EQ(model().reach, name == "EUCM"        ? CameraReach::kBeyond
                            : sees_all || goes_on ? CameraReach::kAll
                                                  : CameraReach::kFront);
   for (const double x : {0.3, -2.0}) {
     const double behind[3] = {x, 0.4, -1}, front[3] = {x, 0.4, 1};
     EXPECT_EQ(Project(model(), params.data(), front).status, Projection::kValid);
-    EXPECT_EQ(Project(model(), params.data(), behind).status,
-              sees_all  ? Projection::kValid
-              : goes_on ? Projection::kBeyond
-                        : Projection::kBehind);
+    EXPECT_EQ(Project(model(), params.data(), behind).status, sees_all  ? Projection::kValid
+                                                              : goes_on ? Projection::kBeyond
+                                                                        : Projection::kBehind);
   }
   const double origin[3] = {};
   EXPECT_EQ(Project(model(), params.data(), origin).status, Projection::kUndefined);
