@@ -3,7 +3,7 @@
 The batch is V1_01 at 4 images per second from 4 s on, started from the states of a window that ran
 over it: reprojections with Cauchy's loss, preintegrated samples, walking biases, priors on the
 first position, yaw and biases. Landmarks have three numbers in both, by inverse depth here and as
-points there, so that both have one minimum. GTSAM's preintegration of 0.25 s differs by some 1e-8,
+points there, so that both have one cost. GTSAM's preintegration of 0.25 s differs by some 1e-8,
 its covariance by some 1e-4.
 
 Run: OPENBLAS_NUM_THREADS=1 python -m benchmarks.windows [--repeat N] [--json FILE]

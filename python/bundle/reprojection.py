@@ -77,8 +77,8 @@ def resolve_cheirality(problem: Problem, cheirality: str) -> str:
         return cheirality
     if problem.format == "bal":
         return "algebraic"
-    used = np.unique(problem.image_camera)
-    found = {reach(problem.camera_models[camera]) for camera in used.tolist()}
+    used = set(problem.image_camera.tolist())
+    found = {reach(problem.camera_models[camera]) for camera in used}
     if found <= {"front"}:
         return "zero"
     return "algebraic" if found == {"all"} else "auto"

@@ -79,10 +79,12 @@ def _run_batch(function: str, jobs: Sequence[str], timeout: float) -> list[Outco
 
 def _attempt(call, job: str) -> tuple[str, str]:
     import bundle
+    from bundle.io.atomic import NoteWarning
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
+            warnings.simplefilter("ignore", NoteWarning)
             return "ok", str(call(job))
     except (bundle.InputError, OSError) as error:
         text = str(error)

@@ -90,7 +90,7 @@ def test_folder_that_is_no_model(run, tmp_path):
         ),
         (
             ["refine", "IN", "-o", "OUT", "--backend", "fused", "--ordering", "automatic"],
-            ["--ordering:", "points_first", "found automatic"],
+            ["--ordering:", "points-first", "found automatic"],
         ),
         (
             [
@@ -103,7 +103,7 @@ def test_folder_that_is_no_model(run, tmp_path):
                 "--preconditioner",
                 "cluster-jacobi",
             ],
-            ["--preconditioner:", "fused backend", "found cluster_jacobi"],
+            ["--preconditioner:", "fused backend", "found cluster-jacobi"],
         ),
         (
             ["refine", "IN", "-o", "OUT", "--backend", "fused", "--refine", "poses"],

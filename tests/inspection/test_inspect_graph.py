@@ -178,7 +178,7 @@ def test_steps_are_recorded_where_that_is_quick():
         ({"edges": [(0, 1), (1,)]}, "edges: expected an array of integers"),
         ({"edges": 3}, "edges: expected an array of integers, found 3"),
         ({"edges": [(0, 1.5)]}, "edges: expected integers, found float64"),
-        ({"edges": [("a", "b")]}, "edges: expected integers, found <U1"),
+        ({"edges": [("a", "b")]}, "edges: expected integers, found 'a'"),
         ({"edges": [], "num_variables": -1}, "num_variables: expected 0 to 2147483646, found -1"),
         ({"edges": [(0, 2**31)]}, "num_variables: expected 0 to 2147483646, found 2147483649"),
         ({"edges": [], "num_variables": 2.0}, "num_variables: expected an integer, found 2.0"),

@@ -10,8 +10,10 @@ import os
 import resource
 import sys
 import tempfile
+import warnings
 
 import bundle
+from bundle.io.atomic import NoteWarning
 
 GIGABYTE = 2**30
 
@@ -42,7 +44,9 @@ def main() -> None:
 
 def attempt(path: str) -> tuple[str, str]:
     try:
-        bundle.load(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NoteWarning)  # what a reader says of a model it takes
+            bundle.load(path)
     except bundle.InputError as error:
         return "InputError", str(error)
     except OSError as error:

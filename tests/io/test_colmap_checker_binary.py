@@ -150,7 +150,7 @@ CORRUPT_BINARY = [
     (
         "points3D",
         listed(point(5, (1, 7))),
-        "byte 59: point 5: expected one of the 2 keypoints .* 7",
+        "byte 59: point 5: expected one of 2 keypoints .* 7",
     ),
     (
         "points3D",
