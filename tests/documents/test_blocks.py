@@ -28,6 +28,7 @@ WITH_DATA: dict[str, Callable[[Path, Path], None]] = {
     "docs/vio.md": workspace.sequence,
     "docs/drone_block.md": workspace.flights,
     "docs/align.md": workspace.one_flight,
+    "docs/rounds.md": workspace.photographs,
 }
 
 

@@ -106,6 +106,11 @@ def sequence(folder: Path, data: Path) -> None:
     (folder / "closures.csv").write_text(",".join(map(str, numbers)) + "\n")
 
 
+def photographs(folder: Path, data: Path) -> None:
+    """Eight photographs of a crane."""
+    (folder / "crane_mast").symlink_to(data / "colmap" / "crane_mast")
+
+
 def one_flight(folder: Path, data: Path) -> None:
     """The flight over control points."""
     (folder / "copr_gcp").symlink_to(data / "georeferenced" / "copr_gcp")
