@@ -9,7 +9,7 @@
 /// Reads bundle.SolveOptions.asdict(), whose values Python has checked.
 bundle::SolveOptions OptionsFromPython(const pybind11::dict& options);
 
-/// Of a factor graph: "gauss_newton" is Levenberg-Marquardt without damping to speak of.
+/// Options of a factor graph: "gauss_newton" is Levenberg-Marquardt with negligible damping.
 bundle::SolveOptions GraphOptionsFromPython(const pybind11::dict& options);
 
 /// Of a bundle.PoseGraphOptions as a dict: what a solve of pose graphs has in common with others.

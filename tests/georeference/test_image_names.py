@@ -1,4 +1,4 @@
-"""Which image a name means: images of one name, of one last part, in another case."""
+"""Images that a name means: images of one name, of one last part, in another case."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What a solve of a graph says of its Jacobians, its free directions, its parts and priors."""
+"""Warnings of a solve of a graph: its Jacobians, its free directions, its parts and priors."""
 
 import time
 from math import atan2, cos, hypot, pi, sin, sqrt

@@ -1,4 +1,4 @@
-"""What a slice tells of the structure: which images its free points link, which points are held."""
+"""Structure in a slice: images that its free points link, and points that are held."""
 
 import numpy as np
 

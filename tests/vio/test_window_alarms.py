@@ -1,4 +1,4 @@
-"""Which signs are alarms at once, and which once they persist."""
+"""Signs that are alarms at once, and signs that are once they persist."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ struct CameraParam {
   Kind kind;
 };
 
-/// How far from the optical axis a formula goes without a break.
+/// The angle from the optical axis up to which a formula has no break.
 enum class CameraReach {
   kFront,   ///< to less than 90 degrees: nothing is kBeyond
   kBeyond,  ///< farther, to where it breaks: elsewhere points are kBehind

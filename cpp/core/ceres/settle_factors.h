@@ -1,6 +1,6 @@
 #pragma once
 
-/// What minimize/trust_region.cpp asks of a solve with factors beside its observations, of Ceres:
+/// The end that minimize/trust_region.cpp gives a solve with factors, for Ceres:
 /// its tolerances look at all residuals together. Where one of them ends a solve, another one goes
 /// on from there nearly without damping, until a step changes the cost of no kind of factors by
 /// more than the function tolerance of its own. Both become one summary.

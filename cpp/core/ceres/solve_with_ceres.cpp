@@ -150,7 +150,7 @@ class RememberAnchors final : public ceres::IterationCallback {
   std::shared_ptr<const PoseAnchors> best_;
 };
 
-/// How a solve goes on that Ceres calls converged.
+/// The next part of a solve that Ceres calls converged.
 struct Continuation {
   /// From the state that it has, with what is held: Ceres compares changes of the cost with a cost
   /// that includes it. Otherwise all observations count that can.

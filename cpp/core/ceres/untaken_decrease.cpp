@@ -1,4 +1,4 @@
-/// What is left to gain where Ceres ended by its parameter tolerance, of whose last step it keeps
+/// The decrease left where Ceres ended by its parameter tolerance, of whose last step it keeps
 /// no record.
 ///
 /// With the gradient g and G = J^T J the linearised cost has its minimum 1/2 g^T G^-1 g lower, at

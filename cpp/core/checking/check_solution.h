@@ -92,8 +92,9 @@ std::string FindOverflow(const ProblemView& problem, Cheirality cheirality);
 /// Of the observations that count at the start, how many may end behind their cameras.
 inline constexpr double kMaxLostShare = 0.01;
 
-/// Of `num_held` observations with something to refine that hold a residual at the problem's
-/// values, on all ranks, the number of those that could count: they are in front of their cameras.
+/// Judges a solve with `num_held` observations with something to refine that hold a residual at the
+/// problem's values, on all ranks, the number of those that could count: they are in front of their
+/// cameras.
 int64_t CountLeftOut(const ProblemView& problem, const ParameterLayout& layout,
                      const SolveOptions& options, int64_t num_held);
 

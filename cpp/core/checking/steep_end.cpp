@@ -4,7 +4,7 @@
 /// the cost jumps or bends away from its model, or a unit of length makes every step look small, a
 /// solve ends by them far from a minimum, and Ceres calls that convergence.
 ///
-/// What is left is read off the predictions of the last steps. Notation as in
+/// The decrease left is read off the predictions of the last steps. Notation as in
 /// convergence_watch.cpp: p = -g^T d - 1/2 d^T G d is the predicted decrease, R the radius, D the
 /// scale of the columns. A damped step is d = -(G + D^2 / R)^-1 g, with
 ///

@@ -66,7 +66,7 @@ inline void ExpandPose(const double* anchor_rotation, const double* chart, PoseS
   for (int i = 0; i < 3; ++i) pose->translation[i] = chart[3 + i];
 }
 
-/// What becomes of an observation that its camera does not see.
+/// The treatment of an observation that its camera does not see.
 enum class Cheirality {
   kAuto,       ///< algebraic where the formula goes on (Projection::kBeyond), else zero
   kAlgebraic,  ///< keeps the residual that the formula gives, as the BAL reference costs do

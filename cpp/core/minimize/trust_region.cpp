@@ -41,7 +41,7 @@ namespace {
 constexpr double kMinRelativeDecrease = 1e-3;
 constexpr double kMinRadius = 1e-32;
 constexpr int kMaxConsecutiveInvalidSteps = 10;
-/// Of the cost: a smaller change is lost in rounding.
+/// Relative change of the cost below which rounding hides it.
 constexpr double kLostChange = 1e-12;
 
 constexpr double kNoCost = std::numeric_limits<double>::max();

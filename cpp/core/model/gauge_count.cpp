@@ -50,7 +50,7 @@ using RowMajor6 = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 
 constexpr double kZeroSingularValue = 1e-10;
 
-/// Of points, three numbers each, up to three that span as much as all of them.
+/// Selects up to three of the points (three numbers each) that span as much as all of them.
 std::vector<double> Spanning(const std::vector<double>& points) {
   std::vector<double> chosen;
   const auto at = [](const std::vector<double>& of, size_t k) {

@@ -1,6 +1,6 @@
 #pragma once
 
-/// What of the world is free although every image stays as it is (gauge_count.cpp).
+/// Motions of the world that change no image (gauge_count.cpp).
 
 #include <Eigen/Core>
 #include <vector>

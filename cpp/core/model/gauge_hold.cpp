@@ -1,4 +1,4 @@
-/// How the gauge is held: by as many numbers of poses as there are motions that change no image.
+/// The gauge is held by as many numbers of poses as there are motions that change no image.
 ///
 /// Let N be a basis of these motions (gauge_count.h), m columns, and g_j N what they do to a number
 /// j of a pose. Numbers j_1, ..., j_m whose rows g_j N are independent can be held: of all worlds
@@ -12,11 +12,11 @@
 /// that is short beside others would make the scale a guess, and one of noise alone can end on its
 /// other side. Sensors come last: they have the scale where there is no second frame.
 ///
-/// Of a pose, numbers of its rotation come first, as long as it turns by kTurn of what it shifts
+/// Numbers of a pose's rotation come first, as long as it turns by kTurn of what it shifts
 /// (radians beside units of the scene): with the rotation held, its translation is that of its
 /// centre whatever the origin. Where a point far away is held, turns about it are shifts. Of
 /// several, the number goes that moves most. With nothing held these are all six of the first pose.
-/// What is left then scales the world about its centre, and moves a second pose's translation by
+/// The motion left then scales the world about its centre, and moves a second pose's translation by
 /// t_2 -> t_2 + (s - 1) t_21, with t_21 that of cam2_from_cam1: its largest coordinate is held.
 
 #include "core/model/gauge_hold.h"
@@ -37,7 +37,7 @@ using Eigen::MatrixXd;
 
 constexpr double kShare = 0.01;
 constexpr double kTurn = 0.1;
-/// Of motions of norm 1: what moves less stands still.
+/// Motion below which a number counts as fixed, for motions of norm 1.
 constexpr double kStill = 1e-9;
 /// Numbers that move as much but for this share are equal, in whatever order sums were rounded.
 constexpr double kEqual = 1e-6;

@@ -1,6 +1,6 @@
 #pragma once
 
-/// What is free of the world, held by numbers of poses (gauge_hold.cpp).
+/// Numbers of poses that hold the free motions of the world (gauge_hold.cpp).
 
 #include <string>
 

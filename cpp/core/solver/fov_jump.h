@@ -1,6 +1,6 @@
 #pragma once
 
-/// How a solve gets over the jump of COLMAP's FOV (model/fov_lenses.h).
+/// Restarts of a solve across the jump of COLMAP's FOV (model/fov_lenses.h).
 ///
 /// A lens that starts within kNearJump is not refined through the jump, nor is one that ends a
 /// solve there left at it. Its omega becomes 0, and the solve goes on to the best pinhole; from

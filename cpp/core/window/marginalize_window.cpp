@@ -127,7 +127,7 @@ Eigen::MatrixXd InformationOf(const WindowPrior& prior) {
   return prior.is_square_root ? MultiplyTransposed(m, m) : m;
 }
 
-/// What makes a diagonal 1, where it is positive.
+/// Factors that scale a diagonal to 1, where it is positive.
 Eigen::VectorXd InverseRoots(Eigen::VectorXd diagonal) {
   for (double& x : diagonal) x = x > 0 ? 1 / std::sqrt(x) : 1;
   return diagonal;

@@ -9,7 +9,7 @@
 namespace bundle {
 namespace {
 
-/// Of what D^2 says along a direction: beyond the rounding of a window, below any prior's.
+/// Share of D^2 along a direction: above the rounding of a window, below any prior's.
 constexpr double kKnown = 1e-11;
 
 const double* StateOfJacobian(const WindowView& view, const WindowState& at, int i) {

@@ -16,7 +16,7 @@ from bundle.checking.residual_blocks import Layout
 __all__ = ["padded"]
 
 SCALES = (1.0, 2.0, 0.5)
-"""Of the tangent coordinates: a rotation vector, or the vector part of a quaternion."""
+"""Scales of tangent coordinates: a rotation vector, or twice or half a quaternion's vector part."""
 
 
 def padded(

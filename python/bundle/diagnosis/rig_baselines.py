@@ -13,7 +13,7 @@ from bundle.rotations import quaternion_inverse, quaternion_rotate
 __all__ = ["rigs_without_baseline"]
 
 NO_BASELINE = 1e-4
-"""Of the distance of the points: sensors that are nearer to each other are at one place."""
+"""Share of the distance of the points: sensors nearer to each other are at one place."""
 
 
 def rigs_without_baseline(problem: Problem) -> Iterator[Finding]:

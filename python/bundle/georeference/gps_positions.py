@@ -16,7 +16,7 @@ __all__ = ["EXIF_TAGS", "GpsPositions", "no_fix_notes", "with_fix"]
 
 
 EXIF_TAGS = "EXIF tags"
-"""What the source of positions begins with that images have themselves."""
+"""Prefix of the source of positions that images have themselves."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -53,7 +53,7 @@ FEWEST = 7
 """Places below which a better fit is chance."""
 FOOT = 0.3048
 MOST_OBSERVATIONS = 1_000_000
-"""That tell which way is up."""
+"""Observations, at most, that are read to tell which way is up."""
 EXCHANGED = "columns 1 and 2 fit when exchanged"
 FEET = "heights fit as feet"
 

@@ -43,7 +43,7 @@ THINNEST = 1e-6
 WIDEST_ANGLE = math.radians(10)
 """Standard deviation of an angle, at least one of three, beyond which it counts as open."""
 LEAST_SIGMA0 = 1e-3
-"""Of their sigmas: no residuals show that positions are better, which rounding hides."""
+"""Share of the sigmas below which residuals are rounding."""
 LEAST_FREEDOM = 1e-6
 """Degrees of freedom below which rounding alone is left."""
 MAX_STEPS = 200

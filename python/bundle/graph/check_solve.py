@@ -1,4 +1,4 @@
-"""What is looked at after the solve of a graph, or of a problem with factors, for its warnings."""
+"""Checks after the solve of a graph, or of a problem with factors, for its warnings."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from bundle.solve_record import with_warnings
 __all__ = ["Conditioning", "SolvedGraph", "checked", "spot_checked", "time_for_checks"]
 
 Conditioning = tuple[float, float, int, list[int]]
-"""What ``_core.graph_conditioning`` returns."""
+"""The value that ``_core.graph_conditioning`` returns."""
 
 MOST_SECONDS = 0.03
 LARGEST_SHARE = 0.015
 MOST_COLUMNS = 300
-"""Of a Jacobian whose QR factorisation takes a few milliseconds."""
+"""Columns of a Jacobian whose QR factorisation takes a few milliseconds."""
 
 ADVICE = "FactorGraph.check_gradients"
 

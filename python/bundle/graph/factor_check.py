@@ -37,7 +37,7 @@ from bundle.words import plural
 __all__ = ["FactorCheck", "check_each"]
 
 _SETTINGS = {"num_samples": 3, "radius": 0.1, "seed": 0, "tolerance": TOLERANCE}
-"""What is used where nothing else is given."""
+"""Default settings of the check."""
 
 FactorFunction = Callable[[list[Array]], tuple[Array, list[Array]] | None]
 

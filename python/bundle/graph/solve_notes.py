@@ -1,4 +1,4 @@
-"""What a solve of a graph has to say beside its result: parts, free directions, tired priors."""
+"""Notes on the solve of a graph: parts, free directions, priors that lost their digits."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from bundle.errors import InputError, shown
 __all__ = ["PAGE", "check_name", "format_of_name"]
 
 PAGE = ("a page (.html)", ".html .htm .xhtml")
-"""What a page is, and the suffixes of its name."""
+"""Name of a page in messages, and the suffixes of its files."""
 
 _COMPRESSIONS = (".gz", ".bz2")
 

@@ -1,4 +1,4 @@
-"""What is odd about the files of a COLMAP model: what lacks, what contradicts itself."""
+"""Checks of the files of a COLMAP model: missing ones, contradictions."""
 
 from __future__ import annotations
 

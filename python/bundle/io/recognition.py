@@ -42,7 +42,7 @@ _BEGINNINGS = {
     b"\xff\xd8\xff": "a picture",
     b"PK\x03\x04": "an archive or file of arrays (zip)",
 }
-"""How files begin that are no reconstruction of a format that is read here."""
+"""First bytes of files of formats that are not read here."""
 SEQUENCE_FILES = ("imu.csv", "tracks.csv", "calibration.yaml")
 
 

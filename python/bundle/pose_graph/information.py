@@ -15,7 +15,7 @@ ORDERS = {
     "g2o": ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)),
     "toro": ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2)),
 }
-"""Of the information of an edge in the plane, in files."""
+"""Order of the information of an edge in the plane, in files."""
 
 NAMES = {"g2o": "g2o", "toro": "TORO"}
 

@@ -24,13 +24,13 @@ SLOW = 20
 """Steps after which a solve is asked whether another start would have served it better."""
 
 SAME = 1e-6
-"""Of the cost: two solves are on their way to one minimum."""
+"""Relative difference of costs below which two solves approach one minimum."""
 
 NOT_LOWER = 1e-6
-"""Of the cost: where a solve stopped just short of the minimum, another start may be as near."""
+"""Relative difference of costs below which another start is no better."""
 
 ROUNDING = 1e-12
-"""Of poses: what is left of an error that is zero."""
+"""Rounding of poses, in place of an error that is zero."""
 
 NAMES = {
     "file": "the file's poses",

@@ -38,7 +38,7 @@ MOST_TRIES = 4
 """Edges that are tried before a set counts as improved."""
 
 LOWER = 1e-6
-"""Of the truncated cost: less is no improvement."""
+"""Relative decrease of the truncated cost below which nothing has improved."""
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""Whether a path is one: its positions against its velocities, and the time between.
+"""Sanity of a path: its positions against its velocities, and the time between.
 
 From image to image a window moves its newest position by what its velocity says, and by what it
 has learned since: centimetres, some hundredths of a metre for each second of its span at speed.

@@ -1,4 +1,4 @@
-"""What of a window's telemetry is an alarm.
+"""Alarms of a window's telemetry.
 
 Some signs are wrong whenever they appear. Others, which a healthy window shows for a moment, count
 once they persist: two keyframes, five without excitation, a trend over fifty.
