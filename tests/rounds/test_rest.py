@@ -387,6 +387,16 @@ def test_eta_is_none_where_lambda_is_none(seed):
     assert np.linalg.norm(unknown.T @ eta) < 1e-12 * np.linalg.norm(eta)
 
 
+def test_where_nothing_is_left_out_the_neighbours_hold_the_world_alone():
+    problem = make_problem(num_images=3, num_points=40, model="SIMPLE_RADIAL")
+    _, prior = prior_of(problem, [1])
+    assert prior.record.num_points == 0
+    assert prior.record.gauge_degrees == prior.record.prior_rank == 7
+    result = bundle.solve_rounds(problem, only_images=[1], **SOLVE)
+    whole = bundle.solve(problem, **TIGHT)
+    assert result.summary.final_cost == pytest.approx(whole.summary.final_cost, rel=1e-9)
+
+
 def test_points_that_one_image_sees_once_are_no_part_of_the_rest():
     problem = chain()
     image, point = problem.observation_image, problem.observation_point
@@ -487,8 +497,10 @@ def test_nothing_moves_at_an_optimum_far_from_the_origin_which_is_refused_farthe
         return near.replace(cam_from_world=poses, points=near.points + shift)
 
     problem = at(400)
-    found = bundle.solve_rounds(problem, only_images=[5], **SOLVE).problem
-    np.testing.assert_allclose(found.points, problem.points, atol=1e-6 * size)
+    for tolerance in (SOLVE["function_tolerance"], 1e-10):
+        settings = SOLVE | {"function_tolerance": tolerance}
+        found = bundle.solve_rounds(problem, only_images=[5], **settings).problem
+        np.testing.assert_allclose(found.points, problem.points, atol=1e-6 * size)
     with pytest.raises(bundle.InputError, match=r"^rest: [^\n]*origin[^\n]*$"):
         bundle.solve_rounds(at(600), only_images=[5], **SOLVE)
 

@@ -13,6 +13,7 @@ namespace {
 /// As in minimize/: the radius of a step without damping, and the change that rounding hides.
 constexpr double kWideRadius = 1e10;
 constexpr double kLostChange = 1e-12;
+constexpr double kTightTolerance = 1e-9;
 
 /// Numbers the iterations on, and ends the solve where the factors have settled.
 class WatchFactors final : public ceres::IterationCallback {
@@ -112,7 +113,7 @@ bool SettleFactors(const KindCosts& factors, ceres::Solver::Options options,
                    ceres::Solver::Summary* summary) {
   const ceres::IterationSummary& last = summary->iterations.back();
   const double tolerance = options.function_tolerance;
-  if (!(tolerance > kLostChange)) return false;
+  if (!(tolerance > kTightTolerance)) return false;
   options.max_num_iterations -= last.iteration;
   options.function_tolerance = kLostChange;
   options.initial_trust_region_radius = last.trust_region_radius;

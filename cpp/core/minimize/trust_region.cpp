@@ -43,6 +43,9 @@ constexpr double kMinRadius = 1e-32;
 constexpr int kMaxConsecutiveInvalidSteps = 10;
 /// Relative change of the cost below which rounding hides it.
 constexpr double kLostChange = 1e-12;
+/// Function tolerances at most this leave factors nothing to settle, and undamped steps would add
+/// rounding alone.
+constexpr double kTightTolerance = 1e-9;
 
 constexpr double kNoCost = std::numeric_limits<double>::max();
 
@@ -155,7 +158,7 @@ class TrustRegion {
     record_.changes_what_counts = candidate.changes_what_counts;
     record_.cost_change = Decrease(x_, candidate);
     const bool ends = ParameterToleranceIsMet() || FunctionToleranceIsMet();
-    const bool is_coarse = options_.function_tolerance > kLostChange;
+    const bool is_coarse = options_.function_tolerance > kTightTolerance;
     if (ends && is_coarse && candidate.has_factors && !is_settling_) {
       is_settling_ = true;
       has_succeeded_ = false;
