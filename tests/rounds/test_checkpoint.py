@@ -1,5 +1,6 @@
 """Runs that were killed and go on."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -149,6 +150,18 @@ def test_segments_end_where_one_solve_ends(scene, backend):
     assert summary.num_unsuccessful_steps == (~accepted).sum()
     assert many.options.max_num_iterations == options.max_num_iterations
     assert (np.diff(many.iterations["cumulative_time_in_seconds"]) > 0).all()
+
+
+def test_joined_segments_add_up_times_and_counts_that_were_measured(scene):
+    one, other = (bundle.solve(scene, OPTIONS, max_num_iterations=2) for _ in range(2))
+    unknown = dataclasses.replace(other.summary, preprocessor_time_in_seconds=-1.0)
+    joined = segments.join(one, other).summary
+    for name in ("total_time_in_seconds", "minimizer_time_in_seconds", "num_linear_solves"):
+        assert getattr(joined, name) == getattr(one.summary, name) + getattr(other.summary, name)
+    partly = segments.join(one, dataclasses.replace(other, summary=unknown)).summary
+    assert partly.preprocessor_time_in_seconds == -1
+    both = one.solve_time_in_seconds + other.solve_time_in_seconds
+    assert segments.join(one, other).solve_time_in_seconds == both
 
 
 @pytest.mark.parametrize("limit", [0, 1, 4, 5])
