@@ -342,6 +342,17 @@ def test_priors_do_not_move_the_problem():
     np.testing.assert_allclose(other.pose_covariance, own.pose_covariance, rtol=1e-9)
 
 
+def test_as_many_residuals_as_parameters_are_enough():
+    """Poses from three known points; sigma0 has nothing to be estimated from."""
+    problem = make_problem(num_images=2, num_points=3, model="PINHOLE", noise=0, perturbation=0)
+    settings = {"refine": ("poses",), "gauge": "none"}
+    cov = bundle.covariance(problem, **settings)
+    assert cov.dof == 0 and np.isnan(cov.sigma0)
+    assert (np.linalg.eigvalsh(cov.pose(1)) > 0).all()
+    with pytest.raises(bundle.InputError, match="degrees of freedom"):
+        bundle.covariance(problem, scale="sigma0", **settings)
+
+
 @pytest.mark.parametrize(("move", "is_said"), [(6e-5, True), (1e-6, False)])
 def test_what_is_no_minimum_is_said(move, is_said):
     _, result = relative_case()
