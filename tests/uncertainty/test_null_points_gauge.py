@@ -111,7 +111,7 @@ def notes_beside(problem, **options):
 
 def test_points_that_dominate_are_named():
     """Parallax enough to be known, and so far that the world is held by their directions."""
-    far = scene(2e4)
+    far = scene(2e3)
     assert len(bundle.covariance(far, refine=("poses", "points", "focal")).null_point_ids) == 0
     (note,) = notes_beside(far)
     assert str(FAR + 1) in note
