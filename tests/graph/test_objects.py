@@ -204,3 +204,8 @@ def test_factors_can_be_made_anew_with_a_change():
     np.testing.assert_array_equal(other.value, prior.value)
     with pytest.raises(dataclasses.FrozenInstanceError):
         prior.key = "z"
+
+
+def test_an_antenna_without_a_lever_arm_is_at_the_camera():
+    factor = bundle.PositionFactor(("image", 1), [1.0, 2.0, 3.0], 1.0)
+    assert np.asarray(factor.lever_arm).tolist() == [0.0, 0.0, 0.0]

@@ -30,6 +30,7 @@ A = [[1, 1], [2, 2], [3, 3], [3, 3], [4, 4]]
         (A, {0: 0, 1: 1, 2: 2, 3: 3, 4: 4}),  # equal pixels are told apart by the index
         ([[1.005, 1], [2.02, 2]], {0: 0, 1: None}),  # single precision is one, a shift is not
         ([[4, 4], [2, 2]], {0: 4, 1: 1}),  # a list that was cut down
+        ([[4, 4], [1, 1]], {0: 4, 1: 0}),  # the first keypoint, at another place
         ([[3, 3]], {0: None}),  # two keypoints that it may be
         ([[4, 4], [4, 4]], {0: 4, 1: None}),  # one keypoint cannot be two
     ],
