@@ -74,6 +74,12 @@ def make_problem(
     return Problem(**{**arrays, **changes})
 
 
+def with_observations(problem, keep):
+    """The problem with some of its observations: a mask, or their rows."""
+    names = [f"observation_{name}" for name in ("image", "point", "xy", "keypoint")]
+    return problem.replace(**{name: getattr(problem, name)[keep] for name in names})
+
+
 def scene(
     num_images=4, num_points=30, *, kind="bal", shared_camera=False, seed=1, noise=0.5, **changes
 ):

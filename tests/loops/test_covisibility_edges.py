@@ -10,7 +10,7 @@ from bundle.loops.covisibility_edges import (
     covisibility_edges,
     fitting_observations,
 )
-from tests.scenes import make_problem
+from tests.scenes import make_problem, with_observations
 
 
 def pair(num_points):
@@ -19,17 +19,11 @@ def pair(num_points):
     )
 
 
-def kept(problem, keep):
-    names = ("image", "point", "xy", "keypoint")
-    fields = {f"observation_{name}" for name in names}
-    return problem.replace(**{name: getattr(problem, name)[keep] for name in fields})
-
-
 def with_misses(shared, num_good):
     """Return images 0 and 1 that share points, the first of which fit; two others see many."""
     problem = make_problem(num_images=4, num_points=60, noise=0.0, perturbation=0.0)
     image, point = problem.observation_image, problem.observation_point
-    problem = kept(problem, (image > 1) | (point < shared))
+    problem = with_observations(problem, (image > 1) | (point < shared))
     image, point = problem.observation_image, problem.observation_point
     xy = problem.observation_xy.copy()
     bad = (point >= num_good) & (image < 2)
@@ -122,7 +116,7 @@ def test_long_tracks_pair_with_the_next_images_only():
     assert (edges.num_shared == 8).all()
     # Information that a track brings does not grow with its pairs: 2 n - 3 of 4 p numbers.
     pairs = len(edges.pairs)
-    two = kept(problem, problem.observation_image < 2)
+    two = with_observations(problem, problem.observation_image < 2)
     alone = covisibility_edges(two, np.ones(two.num_observations, bool)).information[0]
     shared = edges.information[(low == 0) & (high == 1)][0]
     np.testing.assert_allclose(shared, alone * 4 * (2 * 14 - 3) / (4 * pairs), rtol=1e-12)

@@ -17,7 +17,7 @@ from bundle.rounds.local_part import LocalPart
 from bundle.rounds.rest_prior import marginalize_rest
 from tests.rig_scenes import STEREO, rig_problem
 from tests.rounds.test_local import TIGHT, chain
-from tests.scenes import make_problem
+from tests.scenes import make_problem, with_observations
 from tests.uncertainty.dense import Dense
 
 SOLVE = {"num_rounds": 0, "rest": "marginal", **TIGHT}
@@ -402,8 +402,7 @@ def test_points_that_one_image_sees_once_are_no_part_of_the_rest():
     image, point = problem.observation_image, problem.observation_point
     single = point < 30
     left = ~single | (np.diff(point, prepend=-1) != 0)
-    names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
-    fewer = problem.replace(**{name: getattr(problem, name)[left] for name in names})
+    fewer = with_observations(problem, left)
     _, prior = prior_of(fewer, [5])
     seen_by_five = np.unique(point[(image == 4) & ~single])
     others = np.setdiff1d(np.arange(30, problem.num_points), seen_by_five)

@@ -5,7 +5,7 @@ import numpy as np
 from bundle.ranks.partition import divide, part_of
 from bundle.slices.skeleton import _of_slice
 from bundle.slices.slice_reading import Slice
-from tests.scenes import make_problem
+from tests.scenes import make_problem, with_observations
 
 
 def slice_with(links):
@@ -13,8 +13,7 @@ def slice_with(links):
     problem = make_problem(num_images=6, num_points=len(links))
     seen = [image in links[point] for image, point in
             zip(problem.observation_image, problem.observation_point, strict=True)]  # fmt: skip
-    names = [f"observation_{name}" for name in ("image", "point", "xy", "keypoint")]
-    problem = problem.replace(**{name: getattr(problem, name)[seen] for name in names})
+    problem = with_observations(problem, seen)
     everything = np.arange(problem.num_points)
     part = part_of(problem, everything, divide(problem, 1).section)
     return Slice(problem, part, None, np.ones(6, np.uint8))  # type: ignore[arg-type]

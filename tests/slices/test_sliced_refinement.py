@@ -10,7 +10,7 @@ from bundle.ranks.partition import divide
 from bundle.slices.sliced_refinement import SlicedRefinement, SliceJob
 from tests.ranks.thread_crew import ThreadCrew, processes
 from tests.rig_scenes import STEREO, rig_problem
-from tests.scenes import scene
+from tests.scenes import scene, with_observations
 
 
 @pytest.fixture(scope="module")
@@ -166,9 +166,8 @@ def test_images_that_only_another_slice_sees_are_refined(tmp_path):
     problem = scene(num_images=6, num_points=60)
     late = problem.observation_image >= 3
     keep = late == (problem.observation_point >= 30)
-    names = [f"observation_{name}" for name in ("image", "point", "xy", "keypoint")]
     path = tmp_path / "model.txt"
-    bundle.save(problem.replace(**{name: getattr(problem, name)[keep] for name in names}), path)
+    bundle.save(with_observations(problem, keep), path)
     result, sliced = refined(path, tmp_path / "sliced.txt", 2)
     assert len(np.unique(sliced._slice.part.observation_image)) == 3
     assert sliced._slice.image_is_observed.tolist() == [1] * 6
