@@ -27,9 +27,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import bundle
 from benchmarks import machine, problems, table
-from bundle.comparison import Comparison, Method, compare
-from bundle.comparison.foresee import taken_by_auto
-from bundle.comparison.recommendation import COST_TOLERANCE, NEAR_ENOUGH
+from bundle.planning.comparison.compare_methods import compare
+from bundle.planning.comparison.comparison_result import Comparison
+from bundle.planning.comparison.foresee import taken_by_auto
+from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.recommendation import COST_TOLERANCE, NEAR_ENOUGH
 
 # name: fields of bundle.SceneOptions
 SHAPES: dict[str, dict[str, Any]] = {

@@ -22,11 +22,13 @@ import numpy as np
 from benchmarks import backend, measure
 from benchmarks.backend import GTSAM, OURS
 from bundle import _core
-from bundle.rotations import rotation_matrices
-from bundle.vio import SlidingWindow, read_track_csv, run_odometry
-from bundle.vio.sequence_images import SequenceImages
-from bundle.vio.window_arrays import window_arrays
-from bundle.vio.window_options import WindowOptions
+from bundle.inertial.vio.odometry import run_odometry
+from bundle.inertial.vio.sequence_images import SequenceImages
+from bundle.inertial.vio.sliding_window import SlidingWindow
+from bundle.inertial.vio.window_arrays import window_arrays
+from bundle.interface.window_options import WindowOptions
+from bundle.io.sequences.track_csv import read_track_csv
+from bundle.model.rotations import rotation_matrices
 
 DATA = Path(os.environ.get("BUNDLE_DATA", Path(__file__).parents[2] / "shared" / "data")) / "vio"
 SEQUENCE = DATA / "euroc_V1_01_tracks_imu_30s.csv"

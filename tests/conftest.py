@@ -7,8 +7,9 @@ from functools import partial
 from pathlib import Path
 
 # On small matrices the threads of the BLAS that NumPy, SciPy and pycolmap each bring along wait for
-# each other more than they work: twenty times the processor time in tests/solve. Each asks once,
-# when it is loaded; bundle's own BLAS, and processes of the tests, find the variable as it was.
+# each other more than they work: twenty times the processor time in tests/solving/solve. Each asks
+# once, when it is loaded; bundle's own BLAS, and processes of the tests, find the variable as it
+# was.
 _asked_for = os.environ.get("OPENBLAS_NUM_THREADS")
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import numpy  # noqa: E402, F401

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import bundle
-from bundle.pictures import MatrixPattern
+from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from tests import scenes
 
 SECONDS = 20

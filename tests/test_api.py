@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.compare_defaults import COMPARED
-from bundle.option_fields import spellings
-from bundle.reprojection import reprojection_error
-from bundle.words import contents, plural
+from bundle.base.words import contents, plural
+from bundle.interface.compare_defaults import COMPARED
+from bundle.interface.option_fields import spellings
+from bundle.model.reprojection import reprojection_error
 from tests import scenes
 
 LAZY = ("html", "losses", "pictures", "comparison", "inspection", "checking", "synthetic")

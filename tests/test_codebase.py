@@ -14,6 +14,7 @@ import pytest
 
 import bundle
 from bundle import _core
+from bundle.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
@@ -143,3 +144,16 @@ def test_the_readme_shows_what_the_demo_prints() -> None:
     shown = readme.split("<!-- demo:begin -->\n")[1].split("<!-- demo:end -->")[0]
     assert rows(shown) == rows(printed), "run `make quotes`"
     assert len(rows(shown)) > 8
+
+
+def test_modules_have_names_of_their_own() -> None:
+    """A command has its name in cli/ and, for what it prints, in reports/; no other repeats."""
+    package = ROOT / "python" / "bundle"
+    homes: dict[str, list[str]] = {}
+    for path in package.rglob("*.py"):
+        if path.name != "__init__.py":
+            homes.setdefault(path.stem, []).append(str(path.parent.relative_to(package)))
+    twins = {name: found for name, found in homes.items() if len(found) > 1}
+    pair = ["cli", "reports/terminal"]
+    assert {name for name, found in twins.items() if sorted(found) == pair} <= set(COMMANDS)
+    assert {name: found for name, found in twins.items() if sorted(found) != pair} == {}

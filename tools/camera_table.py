@@ -14,7 +14,7 @@ import re
 from pathlib import Path
 
 import bundle
-from bundle.cameras import param_kinds
+from bundle.model.cameras import param_kinds
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "camera_models.md"

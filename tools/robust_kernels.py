@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from bundle.losses import correct, evaluate_loss, second_order_block
-from bundle.options import LOSSES
+from bundle.interface.options import LOSSES
+from bundle.model.losses import correct, evaluate_loss, second_order_block
 
 JACOBIAN = 2.0
 RESIDUALS = (0.5, 1.0, 2.0, 3.0, 10.0)

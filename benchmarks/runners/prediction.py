@@ -19,7 +19,7 @@ from typing import Any
 
 import bundle
 from benchmarks.runners import protocol
-from bundle.options import AUTO_PRECONDITIONER
+from bundle.interface.options import AUTO_PRECONDITIONER
 
 STEPS = 5
 SHORT = 1.0  # seconds
@@ -27,7 +27,7 @@ SHORT = 1.0  # seconds
 
 def calibrate(threads: int) -> dict[str, Any]:
     """Measure this machine's rates anew."""
-    from bundle.inspection.machine_rates import machine_rates
+    from bundle.planning.inspection.machine_rates import machine_rates
 
     machine_rates(threads, recalibrate=True)
     return {}

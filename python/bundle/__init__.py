@@ -6,119 +6,111 @@ TYPE_CHECKING = False  # as of typing, whose import takes longer than all that i
 if TYPE_CHECKING:
     from typing import Any
 
-    from bundle import (
-        constraints,
-        figures,
-        georeference,
-        html,
-        losses,
-        pictures,
-        two_loops,
-        warning_kinds,
-    )
+    from bundle import figures, georeference
     from bundle._core import __version__
-    from bundle.camera_edits import (
+    from bundle.analysis.diagnosis.diagnose_problem import diagnose
+    from bundle.analysis.diagnosis.diagnosis_result import Diagnosis
+    from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
+    from bundle.analysis.statistics.description import Description, describe
+    from bundle.analysis.uncertainty.compute_covariance import covariance
+    from bundle.analysis.uncertainty.covariance_result import Covariance
+    from bundle.analysis.uncertainty.graph_covariance import GraphCovariance
+    from bundle.base.headers import get_include
+    from bundle.checking.gradient_report import GradientReport
+    from bundle.checking.gradients import check_gradients
+    from bundle.checking.jacobians import check_jacobians
+    from bundle.editing.cameras.camera_sharing import share_cameras, split_cameras
+    from bundle.editing.cameras.model_change import (
         CameraModelChange,
         ChangedModels,
         change_camera_model,
-        share_cameras,
-        split_cameras,
     )
-    from bundle.cameras import camera_models, project
-    from bundle.checking import GradientReport, check_gradients, check_jacobians
-    from bundle.comparison import Comparison, GraphComparison, compare
-    from bundle.constraints import Constraints
-    from bundle.diagnosis import Diagnosis, GraphDiagnosis, diagnose
+    from bundle.editing.merging.merge_models import merge
+    from bundle.editing.merging.merge_result import Merge
+    from bundle.editing.rig_config import apply_rig_config
     from bundle.errors import InputError
-    from bundle.files import load, save
-    from bundle.filters import MsckfUpdate, TrackRows, msckf_update, track_rows
-    from bundle.free_degrees import GaugeFreedom, gauge_freedom
-    from bundle.georeference import Alignment, GroundControlPoint, PositionPrior, align
-    from bundle.graph import (
+    from bundle.figures import matplotlib as pictures
+    from bundle.georeference.alignment import align
+    from bundle.georeference.alignment_result import Alignment
+    from bundle.georeference.control_point import GroundControlPoint
+    from bundle.georeference.position_prior import PositionPrior
+    from bundle.graphs.factors.digits import DigitsLeft
+    from bundle.graphs.factors.factor_graph import FactorGraph
+    from bundle.graphs.factors.factors import (
         BetweenFactor,
-        DigitsLeft,
-        FactorGraph,
-        FunctionFactor,
-        GraphResult,
-        IncrementalSmoother,
-        IncrementalUpdate,
-        LinearPrior,
         PositionFactor,
         PriorFactor,
-        PriorSpectrum,
         RelativePoseFactor,
         ReprojectionFactor,
         ScalarPriorFactor,
-        SquareRootPrior,
-        check_factors,
     )
-    from bundle.headers import get_include
-    from bundle.html import report
-    from bundle.inertial import (
-        BiasWalkFactor,
-        Excitation,
-        ImuFactor,
-        ImuNoise,
-        Preintegration,
-        Repropagation,
-        check_imu_samples,
-        excitation,
-        propagate,
-    )
-    from bundle.inspection import (
-        GraphInspection,
-        Inspection,
-        MethodInspection,
-        PoseGraphInspection,
-        inspect,
-        inspect_graph,
-    )
-    from bundle.loops import LoopClosing, LoopClosure, close_loops
-    from bundle.merging import Merge, merge
-    from bundle.options import SolveOptions
-    from bundle.pose_graph import (
-        PoseGraph,
-        PoseGraphResult,
-        PoseGraphSummary,
-        initial_poses,
-        pose_graph_chi2,
-    )
-    from bundle.pose_graph_options import PoseGraphOptions
-    from bundle.problem import Problem
-    from bundle.reprojection import ReprojectionError, reprojection_errors
-    from bundle.result import Result
-    from bundle.rig_config import apply_rig_config
-    from bundle.rounds import Filtered, filter_observations, solve_rounds
-    from bundle.solver import Solver, solve
-    from bundle.statistics import Description, describe
-    from bundle.summary import Summary
-    from bundle.synthetic import FlightOptions, SceneOptions, SyntheticScene, synthesize
-    from bundle.synthetic.flight import SyntheticFlight, synthesize_flight
-    from bundle.two_loops import (
-        ClosureLoop,
-        PosePublisher,
-        WindowLoop,
-    )
-    from bundle.uncertainty import Covariance, GraphCovariance, covariance
-    from bundle.vio import (
-        Calibration,
-        FrameTracks,
-        ImuInterval,
-        KeyframeRecord,
-        OdometryResult,
-        Sequence,
-        SlidingWindow,
-        Trajectory,
-        TrajectoryError,
-        VioStart,
-        WindowOptions,
-        compare_trajectories,
-        initialize_vio,
-        load_sequence,
-        load_trajectory,
-        run_odometry,
-        save_sequence,
-    )
+    from bundle.graphs.factors.function_factor import FunctionFactor
+    from bundle.graphs.factors.graph_result import GraphResult
+    from bundle.graphs.factors.incremental_smoother import IncrementalSmoother, IncrementalUpdate
+    from bundle.graphs.factors.linear_prior import LinearPrior
+    from bundle.graphs.factors.problem_factors import check_factors
+    from bundle.graphs.factors.spectrum import PriorSpectrum
+    from bundle.graphs.factors.square_root_prior import SquareRootPrior
+    from bundle.graphs.loops.loop_closing import LoopClosing, LoopClosure
+    from bundle.graphs.loops.loop_graph import close_loops
+    from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
+    from bundle.graphs.pose_graphs.solve_pose_graph import initial_poses, pose_graph_chi2
+    from bundle.inertial import two_loops
+    from bundle.inertial.filters.msckf import MsckfUpdate, msckf_update
+    from bundle.inertial.filters.track_linearization import TrackRows, track_rows
+    from bundle.inertial.preintegration.imu_factors import BiasWalkFactor, ImuFactor
+    from bundle.inertial.preintegration.motion_excitation import Excitation, excitation
+    from bundle.inertial.preintegration.preintegration import Preintegration
+    from bundle.inertial.preintegration.propagation import propagate
+    from bundle.inertial.preintegration.repropagation import Repropagation
+    from bundle.inertial.two_loops.closure_loop import ClosureLoop
+    from bundle.inertial.two_loops.pose_publisher import PosePublisher
+    from bundle.inertial.two_loops.window_loop import WindowLoop
+    from bundle.inertial.vio.initialize import VioStart, initialize_vio
+    from bundle.inertial.vio.keyframe_record import KeyframeRecord
+    from bundle.inertial.vio.landmark_table import FrameTracks
+    from bundle.inertial.vio.odometry import OdometryResult, run_odometry
+    from bundle.inertial.vio.sliding_window import SlidingWindow
+    from bundle.inertial.vio.trajectory_comparison import TrajectoryError, compare_trajectories
+    from bundle.inertial.vio.window_frame import ImuInterval
+    from bundle.interface import warning_kinds
+    from bundle.interface.flight_options import FlightOptions
+    from bundle.interface.options import SolveOptions
+    from bundle.interface.pose_graph_options import PoseGraphOptions
+    from bundle.interface.scene_options import SceneOptions
+    from bundle.interface.summary import Summary
+    from bundle.interface.window_options import WindowOptions
+    from bundle.io.files import load, save
+    from bundle.io.sequences.sequence_folder import load_sequence, save_sequence
+    from bundle.io.sequences.trajectory_files import Trajectory, load_trajectory
+    from bundle.io.source import reprojection_errors
+    from bundle.model import losses
+    from bundle.model.cameras import camera_models, project
+    from bundle.model.pose_graph_arrays import PoseGraph
+    from bundle.model.problem import Problem
+    from bundle.model.reprojection import ReprojectionError
+    from bundle.model.sequence.calibration import Calibration
+    from bundle.model.sequence.imu_noise import ImuNoise
+    from bundle.model.sequence.imu_samples import check_imu_samples
+    from bundle.model.sequence.sequence import Sequence
+    from bundle.planning.comparison.compare_methods import compare
+    from bundle.planning.comparison.comparison_result import Comparison
+    from bundle.planning.comparison.graph_comparison import GraphComparison
+    from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph
+    from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
+    from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection
+    from bundle.planning.inspection.problem_inspection import inspect
+    from bundle.reports import page as html
+    from bundle.reports.page import report
+    from bundle.solving import constraints
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.free_degrees import GaugeFreedom, gauge_freedom
+    from bundle.solving.result import Result
+    from bundle.solving.rounds.adjust_and_filter import solve_rounds
+    from bundle.solving.rounds.filtering import Filtered, filter_observations
+    from bundle.solving.solver import Solver, solve
+    from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize_flight
+    from bundle.synthetic.synthesis import SyntheticScene, synthesize
 
 __all__ = [
     "Alignment",
@@ -251,125 +243,153 @@ __all__ = [
 
 _DEFERRED = {
     "_core": ("__version__",),
-    "camera_edits": (
-        "CameraModelChange",
-        "ChangedModels",
-        "change_camera_model",
-        "share_cameras",
-        "split_cameras",
-    ),
-    "cameras": ("camera_models", "project"),
-    "checking": ("GradientReport", "check_gradients", "check_jacobians"),
-    "comparison": ("Comparison", "GraphComparison", "compare"),
-    "constraints": ("Constraints",),
-    "diagnosis": ("Diagnosis", "GraphDiagnosis", "diagnose"),
+    "analysis.diagnosis.diagnose_problem": ("diagnose",),
+    "analysis.diagnosis.diagnosis_result": ("Diagnosis",),
+    "analysis.diagnosis.graph_diagnosis": ("GraphDiagnosis",),
+    "analysis.statistics.description": ("Description", "describe"),
+    "analysis.uncertainty.compute_covariance": ("covariance",),
+    "analysis.uncertainty.covariance_result": ("Covariance",),
+    "analysis.uncertainty.graph_covariance": ("GraphCovariance",),
+    "base.headers": ("get_include",),
+    "checking.gradient_report": ("GradientReport",),
+    "checking.gradients": ("check_gradients",),
+    "checking.jacobians": ("check_jacobians",),
+    "editing.cameras.camera_sharing": ("share_cameras", "split_cameras"),
+    "editing.cameras.model_change": ("CameraModelChange", "ChangedModels", "change_camera_model"),
+    "editing.merging.merge_models": ("merge",),
+    "editing.merging.merge_result": ("Merge",),
+    "editing.rig_config": ("apply_rig_config",),
     "errors": ("InputError",),
-    "georeference": ("Alignment", "GroundControlPoint", "PositionPrior", "align"),
-    "graph": (
+    "georeference.alignment": ("align",),
+    "georeference.alignment_result": ("Alignment",),
+    "georeference.control_point": ("GroundControlPoint",),
+    "georeference.position_prior": ("PositionPrior",),
+    "graphs.factors.digits": ("DigitsLeft",),
+    "graphs.factors.factor_graph": ("FactorGraph",),
+    "graphs.factors.factors": (
         "BetweenFactor",
-        "DigitsLeft",
-        "FactorGraph",
-        "FunctionFactor",
-        "GraphResult",
-        "IncrementalSmoother",
-        "IncrementalUpdate",
-        "LinearPrior",
         "PositionFactor",
         "PriorFactor",
-        "PriorSpectrum",
         "RelativePoseFactor",
         "ReprojectionFactor",
         "ScalarPriorFactor",
-        "SquareRootPrior",
-        "check_factors",
     ),
-    "inertial": (
-        "BiasWalkFactor",
-        "Excitation",
-        "ImuFactor",
-        "ImuNoise",
-        "Preintegration",
-        "Repropagation",
-        "check_imu_samples",
-        "excitation",
-        "propagate",
-    ),
-    "two_loops": ("ClosureLoop", "PosePublisher", "WindowLoop"),
-    "filters": ("MsckfUpdate", "TrackRows", "msckf_update", "track_rows"),
-    "free_degrees": ("GaugeFreedom", "gauge_freedom"),
-    "headers": ("get_include",),
-    "inspection": (
-        "GraphInspection",
-        "Inspection",
-        "MethodInspection",
-        "PoseGraphInspection",
-        "inspect",
-        "inspect_graph",
-    ),
-    "files": ("load", "save"),
-    "loops": ("LoopClosing", "LoopClosure", "close_loops"),
-    "merging": ("Merge", "merge"),
-    "options": ("SolveOptions",),
-    "pose_graph": (
-        "PoseGraph",
-        "PoseGraphResult",
-        "PoseGraphSummary",
-        "initial_poses",
-        "pose_graph_chi2",
-    ),
-    "pose_graph_options": ("PoseGraphOptions",),
-    "problem": ("Problem",),
-    "reprojection": ("ReprojectionError", "reprojection_errors"),
-    "result": ("Result",),
-    "rig_config": ("apply_rig_config",),
-    "rounds": ("Filtered", "filter_observations", "solve_rounds"),
-    "solver": ("Solver", "solve"),
-    "statistics": ("Description", "describe"),
-    "summary": ("Summary",),
-    "synthetic": ("FlightOptions", "SceneOptions", "SyntheticScene", "synthesize"),
-    "synthetic.flight": ("SyntheticFlight", "synthesize_flight"),
-    "uncertainty": ("Covariance", "GraphCovariance", "covariance"),
-    "vio": (
-        "Calibration",
-        "FrameTracks",
-        "ImuInterval",
-        "KeyframeRecord",
-        "OdometryResult",
-        "Sequence",
-        "SlidingWindow",
-        "Trajectory",
-        "TrajectoryError",
-        "VioStart",
-        "WindowOptions",
-        "compare_trajectories",
-        "initialize_vio",
-        "load_sequence",
-        "load_trajectory",
-        "run_odometry",
-        "save_sequence",
-    ),
-    "figures": (),
-    "html": ("report",),
-    "losses": (),
-    "pictures": (),
-    "warning_kinds": (),
+    "graphs.factors.function_factor": ("FunctionFactor",),
+    "graphs.factors.graph_result": ("GraphResult",),
+    "graphs.factors.incremental_smoother": ("IncrementalSmoother", "IncrementalUpdate"),
+    "graphs.factors.linear_prior": ("LinearPrior",),
+    "graphs.factors.problem_factors": ("check_factors",),
+    "graphs.factors.spectrum": ("PriorSpectrum",),
+    "graphs.factors.square_root_prior": ("SquareRootPrior",),
+    "graphs.loops.loop_closing": ("LoopClosing", "LoopClosure"),
+    "graphs.loops.loop_graph": ("close_loops",),
+    "graphs.pose_graphs.pose_graph_result": ("PoseGraphResult", "PoseGraphSummary"),
+    "graphs.pose_graphs.solve_pose_graph": ("initial_poses", "pose_graph_chi2"),
+    "inertial.filters.msckf": ("MsckfUpdate", "msckf_update"),
+    "inertial.filters.track_linearization": ("TrackRows", "track_rows"),
+    "inertial.preintegration.imu_factors": ("BiasWalkFactor", "ImuFactor"),
+    "inertial.preintegration.motion_excitation": ("Excitation", "excitation"),
+    "inertial.preintegration.preintegration": ("Preintegration",),
+    "inertial.preintegration.propagation": ("propagate",),
+    "inertial.preintegration.repropagation": ("Repropagation",),
+    "inertial.two_loops.closure_loop": ("ClosureLoop",),
+    "inertial.two_loops.pose_publisher": ("PosePublisher",),
+    "inertial.two_loops.window_loop": ("WindowLoop",),
+    "inertial.vio.initialize": ("VioStart", "initialize_vio"),
+    "inertial.vio.keyframe_record": ("KeyframeRecord",),
+    "inertial.vio.landmark_table": ("FrameTracks",),
+    "inertial.vio.odometry": ("OdometryResult", "run_odometry"),
+    "inertial.vio.sliding_window": ("SlidingWindow",),
+    "inertial.vio.trajectory_comparison": ("TrajectoryError", "compare_trajectories"),
+    "inertial.vio.window_frame": ("ImuInterval",),
+    "interface.flight_options": ("FlightOptions",),
+    "interface.options": ("SolveOptions",),
+    "interface.pose_graph_options": ("PoseGraphOptions",),
+    "interface.scene_options": ("SceneOptions",),
+    "interface.summary": ("Summary",),
+    "interface.window_options": ("WindowOptions",),
+    "io.files": ("load", "save"),
+    "io.sequences.sequence_folder": ("load_sequence", "save_sequence"),
+    "io.sequences.trajectory_files": ("Trajectory", "load_trajectory"),
+    "model.cameras": ("camera_models", "project"),
+    "model.pose_graph_arrays": ("PoseGraph",),
+    "model.problem": ("Problem",),
+    "io.source": ("reprojection_errors",),
+    "model.reprojection": ("ReprojectionError",),
+    "model.sequence.calibration": ("Calibration",),
+    "model.sequence.imu_noise": ("ImuNoise",),
+    "model.sequence.imu_samples": ("check_imu_samples",),
+    "model.sequence.sequence": ("Sequence",),
+    "planning.comparison.compare_methods": ("compare",),
+    "planning.comparison.comparison_result": ("Comparison",),
+    "planning.comparison.graph_comparison": ("GraphComparison",),
+    "planning.inspection.graph_inspection": ("GraphInspection", "inspect_graph"),
+    "planning.inspection.inspection_result": ("Inspection", "MethodInspection"),
+    "planning.inspection.pose_graph_inspection": ("PoseGraphInspection",),
+    "planning.inspection.problem_inspection": ("inspect",),
+    "reports.page": ("report",),
+    "solving.constraints.rule_list": ("Constraints",),
+    "solving.free_degrees": ("GaugeFreedom", "gauge_freedom"),
+    "solving.result": ("Result",),
+    "solving.rounds.adjust_and_filter": ("solve_rounds",),
+    "solving.rounds.filtering": ("Filtered", "filter_observations"),
+    "solving.solver": ("Solver", "solve"),
+    "synthetic.flight.synthetic_flight": ("SyntheticFlight", "synthesize_flight"),
+    "synthetic.synthesis": ("SyntheticScene", "synthesize"),
 }
-"""Modules that are imported when first asked for (PEP 562), with the names that they give.
+"""Modules, by the names that they give; imported when first asked for (PEP 562).
 
 The command line starts here, and its first act must be to take care of Ctrl-C.
 """
 
+_MODULES = {
+    "constraints": "solving.constraints",
+    "figures": "figures",
+    "georeference": "georeference",
+    "html": "reports.page",
+    "losses": "model.losses",
+    "pictures": "figures.matplotlib",
+    "two_loops": "inertial.two_loops",
+    "warning_kinds": "interface.warning_kinds",
+}
+"""Public modules, by the place where they stand in the package."""
+
+
+class _FormerNames:
+    """Finder of modules by public and former names (``import bundle.losses``, old pickles)."""
+
+    @staticmethod
+    def find_spec(name: str, *_: object) -> Any:
+        if not name.startswith("bundle."):
+            return None
+        from bundle.base.former_names import spec_of
+
+        return spec_of(name)
+
 
 def __getattr__(name: str) -> Any:
-    for module, names in _DEFERRED.items():
-        if name == module or name in names:
-            import importlib
+    import importlib
 
-            found = importlib.import_module(f"bundle.{module}")
-            value = globals()[name] = found if name == module else getattr(found, name)
+    if name in _MODULES:
+        value = importlib.import_module(f"bundle.{_MODULES[name]}")
+        globals()[name] = value
+        return value
+    for module, names in _DEFERRED.items():
+        if name in names:
+            value = getattr(importlib.import_module(f"bundle.{module}"), name)
+            globals()[name] = value
             return value
     raise AttributeError(f"module 'bundle' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+def _install_former_names() -> None:
+    import sys
+
+    sys.meta_path.append(_FormerNames)
+
+
+_install_former_names()

@@ -8,18 +8,18 @@ from bundle.cli import startup
 def run() -> int:
     """Run the command that the process was started with; return its exit code."""
     startup.begin()
-    from bundle import address_space
+    from bundle.base import address_space
 
     try:
         address_space.require("bundle with its libraries", address_space.LIBRARIES)
     except MemoryError as error:
         sys.stderr.write(f"error: not enough memory: {error}\n")
         return 2
-    from bundle.ranks import end_by_mpirun
+    from bundle.solving.ranks import end_by_mpirun
 
     end_by_mpirun.begin()
     from bundle.cli.main import main
-    from bundle.ranks.launch import size_by_launcher
+    from bundle.solving.ranks.launch import size_by_launcher
 
     if size_by_launcher() == 1:
         return main()

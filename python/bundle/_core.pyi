@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.pose_graph.pose_graph_arrays import PoseGraph
-from bundle.problem import Problem
-from bundle.ranks.divided_solve import Ranks
-from bundle.ranks.partition import ProblemPart
-from bundle.restrictions import Restrictions
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.problem import Problem
+from bundle.solving.constraints.restrictions import Restrictions
+from bundle.solving.ranks.divided_solve import Ranks
+from bundle.solving.ranks.partition import ProblemPart
 
 __version__: str
 

@@ -1,9 +1,10 @@
 """Covariances of random problems against the dense pseudo-inverse of J, block by block.
 
-Random problems (tests/uncertainty/random_problems) have rigs, ties, priors, fixed parts and losses.
-Where more than similarities is free, both have to say so. Off a minimum a sandwich need not exist:
-problems of convex losses are also asked for theirs. Printed beside each: what sums of squares would
-round (Dense.rounding), a sandwich twice; covariances of small problems do without these.
+Random problems (tests/analysis/uncertainty/random_problems) have rigs, ties, priors, fixed parts
+and losses. Where more than similarities is free, both have to say so. Off a minimum a sandwich need
+not exist: problems of convex losses are also asked for theirs. Printed beside each: what sums of
+squares would round (Dense.rounding), a sandwich twice; covariances of small problems do without
+these.
 
 python -m tests.campaigns.covariance COUNT [SEED]
 """
@@ -16,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 import bundle
-from tests.uncertainty.dense import SingularError
-from tests.uncertainty.random_problems import random_case
-from tests.uncertainty.test_covariance import compare
+from tests.analysis.uncertainty.dense import SingularError
+from tests.analysis.uncertainty.random_problems import random_case
+from tests.analysis.uncertainty.test_covariance import compare
 
 TOLERANCE = 1e-8  # in sigmas
 TIMES_ROUNDING = 2

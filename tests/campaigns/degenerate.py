@@ -11,14 +11,8 @@ from collections.abc import Callable
 import numpy as np
 
 import bundle
-from bundle.options import (
-    GAUGES,
-    LOSSES,
-    ORDERINGS,
-    REFINABLE,
-    TRUST_REGION_STRATEGIES,
-)
-from bundle.statistics import describe
+from bundle.analysis.statistics.description import describe
+from bundle.interface.options import GAUGES, LOSSES, ORDERINGS, REFINABLE, TRUST_REGION_STRATEGIES
 from tests import scenes
 from tests.campaigns import jobs
 from tests.campaigns.mutants import assert_honest

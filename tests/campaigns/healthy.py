@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 import bundle
-from bundle.synthetic.scene_options import CAMERA_MODELS, SCENES
+from bundle.interface.scene_options import CAMERA_MODELS, SCENES
 
 
 class Verdict(NamedTuple):

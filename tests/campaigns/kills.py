@@ -31,11 +31,11 @@ import bundle
 # What `refine` imports, once here and not in every child.
 import bundle.cli.output
 import bundle.cli.progress
-import bundle.reports.refine
+import bundle.reports.terminal.refine
 from bundle.cli.main import main
-from bundle.io import exchange
-from bundle.io.model_files import MODEL_FILES
-from bundle.io.temporary import is_temporary
+from bundle.io.atomic import exchange
+from bundle.io.atomic.model_files import MODEL_FILES
+from bundle.io.atomic.temporary import is_temporary
 from tests.io.kills import killed_before
 from tests.scenes import make_problem, scene
 

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from bundle.synthetic.flight import synthesize_flight
-from bundle.vio import KeyframeRecord, run_odometry
+from bundle.inertial.vio.keyframe_record import KeyframeRecord
+from bundle.inertial.vio.odometry import run_odometry
+from bundle.synthetic.flight.synthetic_flight import synthesize_flight
 
 PERIOD = 0.25  # s per keyframe
 BATCH = 1000

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 import bundle
-from bundle.statistics import describe
+from bundle.analysis.statistics.description import describe
 from tests import scenes
 from tests.campaigns import jobs
 from tests.io.mutations import BYTE_MUTATORS, TOKEN_MUTATORS, mutate

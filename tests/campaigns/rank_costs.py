@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.ranks.mpirun import mpirun_command
+from tests.solving.ranks.mpirun import mpirun_command
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("BUNDLE_DATA", REPOSITORY.parent / "shared" / "data"))

@@ -24,7 +24,7 @@ from pathlib import Path
 import bundle
 from tests.campaigns.resumes import FLAGS, files_of, is_whole, make_scene
 from tests.campaigns.resumes import Outcome as Resumed
-from tests.ranks.mpirun import mpirun_command
+from tests.solving.ranks.mpirun import mpirun_command
 
 SECONDS_TO_END = 10.0
 ROUNDS = ("--rounds", "4", "--max-error", "1.2")

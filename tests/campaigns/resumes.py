@@ -26,11 +26,11 @@ import bundle
 # What `refine` imports, once here and not in every child.
 import bundle.cli.output
 import bundle.cli.progress
-import bundle.reports.refine
-import bundle.rounds
+import bundle.reports.terminal.refine
+import bundle.solving.rounds
 from bundle.cli.main import main
-from bundle.problem import Problem
-from bundle.rounds import checkpoint
+from bundle.model.problem import Problem
+from bundle.solving.rounds import checkpoint
 from tests.io.kills import killed_before
 from tests.scenes import make_problem
 

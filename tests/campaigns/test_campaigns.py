@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from bundle.graph import check_solve
+from bundle.graphs.factors import check_solve
 from tests.campaigns import (
     covariance,
     degenerate,

@@ -21,10 +21,12 @@ from collections.abc import Callable
 import numpy as np
 
 import bundle
-from bundle.two_loops import Keyframe, ProcessSolver, Solution, deadline_priority
-from bundle.two_loops.process_solver import serve
-from tests.two_loops.motion import KEYFRAME_EVERY, RATE, Flight, drifted
-from tests.two_loops.test_loops import SHIFT, YAW, closure_of
+from bundle.inertial.two_loops.closure_loop import Keyframe
+from bundle.inertial.two_loops.deadline_priority import deadline_priority
+from bundle.inertial.two_loops.pose_publisher import Solution
+from bundle.inertial.two_loops.process_solver import ProcessSolver, serve
+from tests.inertial.two_loops.motion import KEYFRAME_EVERY, RATE, Flight, drifted
+from tests.inertial.two_loops.test_loops import SHIFT, YAW, closure_of
 
 STALL = 4.0  # seconds
 MANY = 5000

@@ -25,9 +25,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from bundle.synthetic.flight import SyntheticFlight, synthesize_flight
-from bundle.vio import SlidingWindow, states_at
-from bundle.vio.sequence_images import SequenceImages
+from bundle.inertial.vio.sequence_images import SequenceImages
+from bundle.inertial.vio.sliding_window import SlidingWindow
+from bundle.inertial.vio.trajectory_comparison import states_at
+from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize_flight
 
 Array = np.ndarray[Any, Any]
 

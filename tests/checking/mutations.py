@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 import bundle
-from bundle.cameras import param_kinds
+from bundle.model.cameras import param_kinds
 from tests.checking.reprojection import Blocks, Parts, jacobians, parts, skew
 
 ROTATION, TRANSLATION, PARAMS, POINT = range(4)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, _core
-from tests.figures import in_order
+from tests.printed import in_order
 
 
 def rotate(blocks, wxyz=True):

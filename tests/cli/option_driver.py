@@ -13,9 +13,9 @@ import numpy as np
 import bundle
 from bundle.cli.option_flags import add_options, options_given
 from bundle.cli.parser import Parser
-from bundle.options import SolveOptions
-from bundle.problem import Problem
-from bundle.reports import json as json_report
+from bundle.interface.options import SolveOptions
+from bundle.model.problem import Problem
+from bundle.reports.terminal import json as json_report
 from tests.scenes import scene
 
 
@@ -74,7 +74,7 @@ def solve(problem: Problem, flags: list[str]) -> dict[str, object]:
         "usable": summary.is_solution_usable,
         "initial": summary.initial_cost,
         "final": summary.final_cost,
-        "words": bundle.reports.refine.outcome(solved),
+        "words": bundle.reports.terminal.refine.outcome(solved),
     }
 
 
@@ -87,6 +87,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    import bundle.reports.refine
+    import bundle.reports.terminal.refine
 
     main()

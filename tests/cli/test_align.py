@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bundle
-from tests.figures import table
 from tests.georeference.blocks import block
+from tests.printed import table
 
 SHIFT = 0.5  # of the file's pixels
 

@@ -10,9 +10,9 @@ import pytest
 
 import bundle
 from bundle.cli.error_lines import describe_error
-from bundle.image_selection import MOST_IDS
+from bundle.model.image_selection import MOST_IDS
 from tests.cli.conftest import command, environment
-from tests.figures import in_order
+from tests.printed import in_order
 from tests.scenes import scene
 
 UNREADABLE = {
@@ -163,7 +163,7 @@ def test_output_is_refused_before_the_solve(run, model, monkeypatch):
     def solve(*_arguments, **_options):
         pytest.fail("solved for nothing")
 
-    monkeypatch.setattr("bundle.solver.solve", solve)
+    monkeypatch.setattr("bundle.solving.solver.solve", solve)
     assert_refused(run("refine", model, "-o", "no/such/r.txt", "--quiet"), "no/such")
 
 
@@ -216,6 +216,6 @@ def test_out_of_memory_and_interruption_are_one_line():
 def test_a_bug_is_not_dressed_up_as_bad_input(model, monkeypatch):
     from bundle.cli.main import main
 
-    monkeypatch.setattr("bundle.statistics.describe", lambda _: 1 // 0)
+    monkeypatch.setattr("bundle.analysis.statistics.description.describe", lambda _: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         main(["info", str(model), "--quiet"])

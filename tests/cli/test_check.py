@@ -9,7 +9,7 @@ import pytest
 
 import bundle
 from bundle import _core
-from tests.figures import figures, table
+from tests.printed import figures, table
 from tests.scenes import make_problem, scene
 
 

@@ -10,8 +10,8 @@ import pytest
 
 import bundle
 from tests.cli.conftest import command, environment
-from tests.comparison.conftest import unpredicted  # noqa: F401
-from tests.figures import figures
+from tests.planning.comparison.conftest import unpredicted  # noqa: F401
+from tests.printed import figures
 
 pytestmark = pytest.mark.usefixtures("unpredicted")
 

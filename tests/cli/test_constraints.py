@@ -7,7 +7,7 @@ import pytest
 
 import bundle
 from tests import scenes
-from tests.figures import table
+from tests.printed import table
 
 NAMES = ["left/a.jpg", "left/b.jpg", "right/ü 1.jpg", "right/d.jpg"]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from tests.diagnosis import blocks
+from tests.analysis.diagnosis import blocks
 from tests.scenes import scene
 
 NAMES = {

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.georeference import LocalFrame
+from bundle.georeference.local_frame import LocalFrame
 from tests.cli.test_align import written
-from tests.figures import table
 from tests.georeference.flights import flight
+from tests.printed import table
 
 TARGETS = [
     (-22, -20, 0.5), (21, -22, -0.4), (-20, 23, 0.2), (22, 21, -0.6), (0, 2, 0.8), (-2, -15, -0.9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.georeference import LocalFrame
+from bundle.georeference.local_frame import LocalFrame
 from tests.cli.test_gps import write_geo
 from tests.georeference.test_prior_alignment import problem_and_goal
 from tests.georeference.test_solve_with_priors import noisy

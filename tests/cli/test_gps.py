@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.georeference import LocalFrame
+from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.prior_alignment import ProblemPriors
-from tests.figures import table
 from tests.georeference.test_exif_gps import photo
 from tests.georeference.test_prior_alignment import problem_and_goal
 from tests.georeference.test_solve_with_priors import noisy
+from tests.printed import table
 
 FRAME = LocalFrame(-33.9, 18.4, 120.0)
 

@@ -36,7 +36,9 @@ def test_help_of_a_command_imports_no_other_command() -> None:
     found = imported("refine", "--help")
     assert "bundle.cli.refine" in found
     others = {f"bundle.cli.{name}" for name in ("compare", "inspect", "synth", "check", "info")}
-    assert not found & (HEAVY | others | {"rich", "bundle.comparison", "bundle.inspection"})
+    assert not found & (
+        HEAVY | others | {"rich", "bundle.planning.comparison", "bundle.planning.inspection"}
+    )
 
 
 @pytest.mark.parametrize("format", ["colmap", "colmap-text"])
@@ -44,6 +46,8 @@ def test_refining_a_model_needs_no_pycolmap(tmp_path: Path, format: str) -> None
     bundle.save(make_problem(), tmp_path / "in", format)
     words = ("refine", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--quiet")
     found = imported(*words, "--json", str(tmp_path / "report.json"))
-    assert "bundle.reports.refine" in found
-    assert not found & (HEAVY | {"bundle.statistics", "rich.live", "bundle.checking", "numpy.ma"})
+    assert "bundle.reports.terminal.refine" in found
+    assert not found & (
+        HEAVY | {"bundle.analysis.statistics", "rich.live", "bundle.checking", "numpy.ma"}
+    )
     assert (tmp_path / "out").is_dir()

@@ -5,11 +5,11 @@ import json
 import pytest
 
 import bundle
-from bundle.statistics import describe
-from bundle.vio import save_sequence
-from tests.figures import figures, table
+from bundle.analysis.statistics.description import describe
+from bundle.io.sequences.sequence_folder import save_sequence
+from tests.inertial.vio.sequences import sequence
+from tests.printed import figures, table
 from tests.scenes import make_problem, scene
-from tests.vio.sequences import sequence
 
 
 def test_info_says_what_is_there_and_what_is_wrong(run, tmp_path):
@@ -106,7 +106,7 @@ def test_convert_recompresses_and_loses_nothing(run, model, tmp_path):
 
 def test_convert_says_what_is_lost(run, tmp_path, monkeypatch):
     shared = scene(kind="colmap", shared_camera=True, camera_sizes=[[640, 480]])
-    monkeypatch.setattr("bundle.io.load", lambda *_: shared)
+    monkeypatch.setattr("bundle.io.open.load", lambda *_: shared)
     code, out, _ = run("convert", "anything", tmp_path / "r.txt")
     assert code == 0
     lost = bundle.save(shared, tmp_path / "again.txt")

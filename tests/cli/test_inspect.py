@@ -10,9 +10,10 @@ import pytest
 
 from bundle import _core
 from bundle.cli import inspect as command
-from bundle.inspection import GRAPH_ORDERINGS, problem_inspection
-from tests.figures import figures, table
-from tests.inspection.conftest import RATES
+from bundle.planning.inspection import problem_inspection
+from bundle.planning.inspection.graph_inspection import GRAPH_ORDERINGS
+from tests.planning.inspection.conftest import RATES
+from tests.printed import figures, table
 
 
 @pytest.fixture(autouse=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from tests.loops.drift import ate, closures_of, drifted_street
+from tests.graphs.loops.drift import ate, closures_of, drifted_street
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""`mpirun -n N bundle refine`, from the outside; tests/ranks has the steps, without MPI."""
+"""`mpirun -n N bundle refine`, from the outside; tests/solving/ranks has the steps, without MPI."""
 
 import json
 import os
@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import bundle
-from tests.loops.drift import closures_of, drifted_street
-from tests.ranks.mpirun import MPIRUN
-from tests.ranks.mpirun import mpirun_command as command
+from tests.graphs.loops.drift import closures_of, drifted_street
 from tests.scenes import scene
+from tests.solving.ranks.mpirun import MPIRUN
+from tests.solving.ranks.mpirun import mpirun_command as command
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -171,7 +171,7 @@ def test_a_process_that_fails_alone_ends_all(model, tmp_path):
     """As one does that has too little memory."""
     script = tmp_path / "fails.py"
     script.write_text(
-        "import os, sys, bundle.slices.slice_process as c\n"
+        "import os, sys, bundle.solving.slices.slice_process as c\n"
         "def fail(*given):\n"
         "    raise MemoryError('no room')\n"
         "if os.environ['OMPI_COMM_WORLD_RANK'] == '1': c.work_on = fail\n"
@@ -250,8 +250,8 @@ def test_sigusr1_ends_a_solve_as_ctrl_c_does_in_one_process(model, tmp_path):
 
 DIES_IN_THE_THIRD_SOLVE = """
 import os, signal, sys
-import bundle.ranks.mpi_crew as crew
-import bundle.slices.slice_process as slices
+import bundle.solving.ranks.mpi_crew as crew
+import bundle.solving.slices.slice_process as slices
 work_on, solves = slices.work_on, []
 
 class Dying(crew.MpiRanks):
@@ -273,7 +273,7 @@ sys.exit(run())
 # mpirun passes the signal on to all processes.
 ALL_ARE_TOLD_IN_THE_SECOND_STEP = """
 import os, signal, sys
-import bundle.ranks.mpi_crew as crew
+import bundle.solving.ranks.mpi_crew as crew
 sums = []
 
 class Told(crew.MpiRanks):

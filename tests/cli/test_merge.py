@@ -5,8 +5,8 @@ import json
 import pytest
 
 import bundle
-from tests.figures import table
-from tests.merging.halves import halves, whole
+from tests.editing.merging.halves import halves, whole
+from tests.printed import table
 from tests.scenes import scene
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from bundle.options import (
+from bundle.interface.options import (
     CHEIRALITIES,
     GAUGES,
     LINEAR_SOLVER_TYPES,
@@ -30,7 +30,7 @@ from bundle.options import (
 )
 from tests.cli.conftest import environment
 from tests.cli.option_driver import SCENES
-from tests.solve.problems import FUSED_SOLVERS
+from tests.solving.solve.problems import FUSED_SOLVERS
 
 REPOSITORY = Path(__file__).parents[2]
 FIELDS = {field.name for field in dataclasses.fields(SolveOptions)}

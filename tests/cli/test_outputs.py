@@ -35,9 +35,9 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.fail("worked for nothing")
 
     for name in (
-        "bundle.solver.solve",
-        "bundle.synthetic.synthesize",
-        "bundle.statistics.describe",
+        "bundle.solving.solver.solve",
+        "bundle.synthetic.synthesis.synthesize",
+        "bundle.analysis.statistics.description.describe",
     ):
         monkeypatch.setattr(name, work)
 
@@ -109,7 +109,9 @@ def test_synth_replaces_nothing_unless_told(run, models, monkeypatch, there, whi
         "ground truth beside": (models / f"start{target.suffix}",),
     }[which]
     with monkeypatch.context() as patch:
-        patch.setattr("bundle.synthetic.synthesize", lambda *_: pytest.fail("worked for nothing"))
+        patch.setattr(
+            "bundle.synthetic.synthesis.synthesize", lambda *_: pytest.fail("worked for nothing")
+        )
         assert_refused(run("synth", *arguments, *SMALL, "--quiet"), target.name, "--overwrite")
     assert snapshot(models) == before
     if there in ("binary", "text"):
@@ -179,7 +181,9 @@ def test_bal_output_that_the_solve_would_make_impossible(
     )
     if refused:
         with monkeypatch.context() as patch:
-            patch.setattr("bundle.solver.solve", lambda *_, **__: pytest.fail("solved for nothing"))
+            patch.setattr(
+                "bundle.solving.solver.solve", lambda *_, **__: pytest.fail("solved for nothing")
+            )
             assert_refused(run(*arguments), model, "BAL")
         assert not (tmp_path / "out.txt").exists()
         ids = ",".join(map(str, bundle.load(tmp_path / "in").camera_ids))
@@ -206,8 +210,8 @@ def test_text_output_without_names_is_refused_before_the_solve(tmp_path):
     problem = bundle.load(tmp_path / "in")
     nameless = problem.replace(image_names=("a", "", "b", "c"))
     with pytest.raises(bundle.InputError, match="expected a name"):
-        bundle.io.check_target(nameless, tmp_path / "out", "colmap-text")
-    bundle.io.check_target(nameless, tmp_path / "out", "colmap")
+        bundle.io.open.check_target(nameless, tmp_path / "out", "colmap-text")
+    bundle.io.open.check_target(nameless, tmp_path / "out", "colmap")
 
 
 @pytest.mark.parametrize("output", ["/dev/stdout", "/dev/fd/1", "/proc/self/fd/1", "/dev/null"])

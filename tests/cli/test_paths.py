@@ -7,10 +7,10 @@ import pytest
 
 import bundle
 from bundle.cli.main import COMMANDS, _parser
-from bundle.cli.paths import PathArgument
+from bundle.cli.path_checks import PathArgument
 from bundle.errors import InputError
 from tests.cli.test_bad_input import assert_refused, snapshot
-from tests.pose_graph import graphs
+from tests.graphs.pose_graphs import graphs
 from tests.scenes import scene
 
 PARSER = _parser(COMMANDS)

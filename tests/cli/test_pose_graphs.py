@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bundle
-from tests.pose_graph import graphs
+from tests.graphs.pose_graphs import graphs
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import time
 import pytest
 
 import bundle
-from bundle.losses import evaluate_loss
+from bundle.model.losses import evaluate_loss
 from tests.cli.conftest import command, environment
 from tests.scenes import scene
 
@@ -81,7 +81,7 @@ def test_interrupted_solve_saves_and_exits_1(tmp_path, backend):
     assert report["summary"]["interrupted"]
     assert report["summary"]["final_cost"] < report["summary"]["initial_cost"]
     refined = bundle.load(output)
-    errors, _ = bundle.reprojection.reprojection_errors(refined)
+    errors, _ = bundle.model.reprojection.reprojection_errors(refined)
     rho = evaluate_loss("tukey", 1.0, errors**2)
     assert 0.5 * rho[:, 0].sum() == pytest.approx(report["summary"]["final_cost"], rel=1e-9)
 

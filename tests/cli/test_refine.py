@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.options import SolveOptions
-from bundle.result import Result
-from bundle.summary import Summary
-from tests.figures import figures, table
-from tests.reports import fakes
+from bundle.interface.options import SolveOptions
+from bundle.interface.summary import Summary
+from bundle.solving.result import Result
+from tests.printed import figures, table
+from tests.reports.terminal import fakes
 from tests.scenes import scene
 
 ITERATION = [
@@ -46,7 +46,7 @@ def test_refines_and_reports(run, model, tmp_path, backend):
     assert lines[-2:] == [f"writing {output} ...", "measuring reprojection errors ..."]
     assert len({len(line) for line in lines[2:-2]}) == 1  # columns
     refined = bundle.load(output)
-    errors, _ = bundle.reprojection.reprojection_errors(refined)
+    errors, _ = bundle.model.reprojection.reprojection_errors(refined)
     assert np.sqrt(np.mean(errors**2)) < 0.7  # the noise is 0.5 px in x and in y, less the fit
 
 
@@ -204,7 +204,7 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
         seen.append(options)
         return fakes.result(problem)
 
-    monkeypatch.setattr("bundle.solver.solve", solve)
+    monkeypatch.setattr("bundle.solving.solver.solve", solve)
     code, _, err = run(
         "refine", model, "-o", tmp_path / "r.txt", "--backend", "CERES", "--solver",
         "ITERATIVE_SCHUR", "--ordering", "automatic", "--preconditioner", "schur-jacobi",
@@ -233,7 +233,7 @@ def test_exit_codes_and_what_is_saved(run, model, tmp_path, monkeypatch, changes
         del options
         return fakes.result(problem, summary=fakes.summary(**changes))
 
-    monkeypatch.setattr("bundle.solver.solve", solve)
+    monkeypatch.setattr("bundle.solving.solver.solve", solve)
     output, report = tmp_path / "r.txt", tmp_path / "r.json"
     assert run("refine", model, "-o", output, "--json", report).code == code
     assert output.exists() == saved

@@ -6,8 +6,8 @@ import pytest
 
 import bundle
 from tests.cli.test_gps import write_geo
+from tests.figures.matplotlib.test_placement_numbers import RECORD
 from tests.georeference.test_prior_alignment import problem_and_goal
-from tests.pictures.test_placement_numbers import RECORD
 from tests.scenes import make_problem
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import bundle
+from tests.editing.test_rig_config import config, scattered, write
 from tests.rig_scenes import STEREO, rig_problem
-from tests.test_rig_config import config, scattered, write
 
 
 def test_on_the_command_line(tmp_path, run):

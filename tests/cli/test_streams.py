@@ -91,7 +91,7 @@ def interrupting(where: str) -> str:
     return (
         f"import os, signal, sys, importlib\n"
         f"from bundle.cli.main import main\n"
-        f"import bundle.io, bundle.reports.refine, bundle.cli.output\n"
+        f"import bundle.io, bundle.reports.terminal.refine, bundle.cli.output\n"
         f"owner = importlib.import_module({module!r}); real = owner.{name}\n"
         f"def interrupted(*a, **k):\n"
         f"    os.kill(os.getpid(), signal.SIGINT)\n"
@@ -103,8 +103,10 @@ def interrupting(where: str) -> str:
 
 @pytest.mark.parametrize(
     ("where", "written"),
-    [("bundle.io.load", False), ("bundle.io.bal.save", False), ("bundle.io.atomic.flush", False),
-     ("bundle.io.atomic._record", True), ("bundle.cli.output.show", True)],
+    [("bundle.io.open.load", False), ("bundle.io.bal.save", False),
+     ("bundle.io.atomic.atomic_write.flush", False),
+     ("bundle.io.atomic.atomic_write._record", True),
+     ("bundle.cli.output.show", True)],
 )  # fmt: skip
 def test_interrupted_around_the_replacement(model, tmp_path, where, written):
     target = tmp_path / "r.txt"
@@ -125,7 +127,7 @@ def test_signals_that_end_the_process_leave_old_or_new(tmp_path, number):
     source, target = tmp_path / "in.txt", tmp_path / "out.txt"
     bundle.save(scene(8, 400), source)
     target.write_text("old")
-    program = interrupting("bundle.io.atomic.flush").replace("SIGINT", number.name)
+    program = interrupting("bundle.io.atomic.atomic_write.flush").replace("SIGINT", number.name)
     process = subprocess.Popen(
         [sys.executable, "-c", program, "refine", source, "-o", target, "--quiet"],
         env=environment(), stderr=subprocess.PIPE, text=True,

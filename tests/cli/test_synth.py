@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import bundle
 from bundle.synthetic import blocks
-from tests.figures import figures
+from tests.printed import figures
 
 DATA = Path(__file__).parents[2] / "data"
 COMMANDS = re.findall(r"^bundle (synth .*)$", (DATA / "README.md").read_text(), re.MULTILINE)

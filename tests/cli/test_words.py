@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bundle
-from bundle.arguments import as_integers
+from bundle.base.arguments import as_integers
 from bundle.cli.main import COMMANDS, _parser
 from bundle.errors import brief
 from tests.cli.conftest import command, environment

@@ -10,7 +10,7 @@ from urllib.parse import unquote, urlparse
 
 import pytest
 
-from tests.html.conftest import browser  # noqa: F401 (a fixture)
+from tests.reports.page.conftest import browser  # noqa: F401 (a fixture)
 
 SITE = Path(__file__).parents[2] / "build" / "site"
 PAGES = [

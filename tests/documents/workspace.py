@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 import bundle
-from bundle.georeference import LocalFrame
-from bundle.rigid_motions import inverse_poses, multiply_poses
-from bundle.vio import load_trajectory, states_at
+from bundle.georeference.local_frame import LocalFrame
+from bundle.inertial.vio.trajectory_comparison import states_at
+from bundle.io.sequences.trajectory_files import load_trajectory
+from bundle.model.rigid_motions import inverse_poses, multiply_poses
+from tests.editing.merging.halves import halves, whole
 from tests.georeference.test_exif_gps import photo
-from tests.loops.drift import closures_of, drifted_street
-from tests.merging.halves import halves, whole
+from tests.graphs.loops.drift import closures_of, drifted_street
 
 REPOSITORY = Path(__file__).parents[2]
 FRAME = LocalFrame(45.15, 9.0, 100.0)

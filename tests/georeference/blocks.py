@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bundle import GroundControlPoint, Problem
-from bundle.georeference import Measurement, Similarity
+from bundle.georeference.control_point import Measurement
+from bundle.georeference.similarity import Similarity
 from tests.scenes import project
 
 MODEL = "SIMPLE_RADIAL"

@@ -8,7 +8,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
 from bundle import InputError
-from bundle.georeference import read_exif_gps
+from bundle.georeference.exif_gps import read_exif_gps
 
 HERE = {1: "N", 2: (48.0, 30.0, 36.0), 3: "W", 4: (9.0, 15.0, 18.0), 5: b"\0", 6: 420.25}
 """The tags of GPS by number: latitude, longitude and altitude with their references."""

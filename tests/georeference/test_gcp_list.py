@@ -6,7 +6,7 @@ import pickle
 import pytest
 
 from bundle import GroundControlPoint, InputError
-from bundle.georeference import read_gcp_list
+from bundle.georeference.gcp_list import read_gcp_list
 
 HEAD = "EPSG:32632"
 ROWS = [

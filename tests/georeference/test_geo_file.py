@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from bundle import InputError, align
-from bundle.georeference import GpsPositions, LocalFrame, gps_priors, read_geo_file
-from bundle.georeference.gps_positions import with_fix
+from bundle.georeference.geo_file import read_geo_file
+from bundle.georeference.gps_positions import GpsPositions, with_fix
+from bundle.georeference.gps_priors import gps_priors
+from bundle.georeference.local_frame import LocalFrame
 from tests.georeference.flights import flight
 
 FILE = """EPSG:4326

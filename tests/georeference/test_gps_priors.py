@@ -7,7 +7,10 @@ import pytest
 
 import bundle
 from bundle import InputError
-from bundle.georeference import GpsPositions, LocalFrame, gps_priors, read_geo_file
+from bundle.georeference.geo_file import read_geo_file
+from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.gps_priors import gps_priors
+from bundle.georeference.local_frame import LocalFrame
 from tests.georeference.test_prior_alignment import problem_and_goal
 
 FRAME = LocalFrame(46.8, -91.9, 200.0)

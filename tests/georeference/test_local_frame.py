@@ -7,7 +7,8 @@ import pycolmap
 import pytest
 
 from bundle import InputError
-from bundle.georeference import LocalFrame, ReferenceSystem
+from bundle.georeference.local_frame import LocalFrame
+from bundle.georeference.reference_system import ReferenceSystem
 
 ORIGIN = (48.1, 9.3, 420.0)
 

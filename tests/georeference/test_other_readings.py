@@ -9,9 +9,13 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError
-from bundle.georeference import GpsPositions, LocalFrame, ReferenceSystem, gcp_priors, gps_priors
 from bundle.georeference.correspondences import Correspondences
+from bundle.georeference.gcp_priors import gcp_priors
+from bundle.georeference.gps_positions import GpsPositions
+from bundle.georeference.gps_priors import gps_priors
+from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.other_readings import check_readings, uprightness
+from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similar_problem import moved
 from bundle.georeference.similarity import Similarity
 from tests.georeference.flights import flight

@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 
 from bundle import InputError
-from bundle.georeference import ReferenceSystem
+from bundle.georeference.reference_system import ReferenceSystem
 
 PLACES = np.array([[48.1, 9.3, 420.0], [48.2, 10.9, 380.5], [-33.9, 18.4, 55.0]])
 """Latitude, longitude, height."""

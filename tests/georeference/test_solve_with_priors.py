@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, PositionPrior
-from bundle.georeference import LocalFrame
+from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.prior_alignment import ProblemPriors
 from bundle.georeference.similarity import umeyama
 from tests import scenes

@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Callable
 
-from bundle.io import exchange
+from bundle.io.atomic import exchange
 
 OPERATIONS = (
     "chmod", "chown", "fsync", "link", "mkdir", "open", "rename", "replace", "rmdir", "unlink",

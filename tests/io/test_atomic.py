@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import bundle
-from bundle.io import atomic
+from bundle.io.atomic import atomic_write as atomic
 from tests.io.bal_files import bal_text, load_bytes, make_bal
 from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 

@@ -241,8 +241,8 @@ def test_progress_of_long_files(tmp_path: Path) -> None:
     path, other = tmp_path / "a.txt", tmp_path / "b.txt"
     written: list[int] = []
     read: list[int] = []
-    bundle.io.save(scene.problem, path, progress=written.append)
-    loaded = bundle.io.load(path, read.append)
+    bundle.io.open.save(scene.problem, path, progress=written.append)
+    loaded = bundle.io.open.load(path, read.append)
     size = path.stat().st_size
     for seen in (written, read):
         assert len(seen) >= 3
@@ -255,7 +255,7 @@ def test_progress_of_long_files(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        bundle.io.load(path, stop)
+        bundle.io.open.load(path, stop)
     with pytest.raises(KeyboardInterrupt):
-        bundle.io.save(scene.problem, other, progress=stop)
+        bundle.io.open.save(scene.problem, other, progress=stop)
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]

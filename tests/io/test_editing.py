@@ -14,7 +14,8 @@ import pycolmap
 import pytest
 
 import bundle
-from bundle import InputError, Problem, rig_arrays
+from bundle import InputError, Problem
+from bundle.model import rig_arrays
 from tests.io.bal_files import bal_text, make_bal
 from tests.io.colmap_models import pose_of, synthesize, write_model
 from tests.scenes import make_problem

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from bundle.io import atomic, exchange
-from bundle.io.temporary import temporary_folder
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.atomic import exchange
+from bundle.io.atomic.temporary import temporary_folder
 from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bundle.io import atomic, exchange
-from bundle.io.flush import flush_with_files
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.atomic import exchange
+from bundle.io.atomic.flush import flush_with_files
 from tests.io.trees import NEW_MODEL, OLD_MODEL, tree, write_tree
 
 FILES = sorted(NEW_MODEL)

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 import bundle
-from bundle.io import atomic, exchange, in_place
-from bundle.io.temporary import temporaries_in
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.atomic import exchange, in_place
+from bundle.io.atomic.temporary import temporaries_in
 from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 from tests.scenes import scene
 

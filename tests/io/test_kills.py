@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from bundle.io import atomic, exchange
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.atomic import exchange
 from tests.io.kills import killed_before
 from tests.io.trees import FOREIGN as BESIDE
 from tests.io.trees import NEW_MODEL, OLD_MODEL, tree, write_tree

@@ -21,7 +21,7 @@ def problem(tmp_path: Path) -> bundle.Problem:
 def colmap(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, bool]]:
     """Stand in for what reads and writes COLMAP models; returns the list of calls."""
     calls: list[tuple[str, str, bool]] = []
-    module = types.ModuleType("bundle.io.colmap")
+    module = types.ModuleType("bundle.io.colmap.colmap")
 
     def load(path: Path) -> str:
         calls.append(("load", str(path), True))
@@ -33,8 +33,8 @@ def colmap(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, bool]]:
         return ("colours",)
 
     module.save = save  # type: ignore[attr-defined]
-    monkeypatch.setattr(bundle.io.colmap_files, "load", load)
-    monkeypatch.setitem(sys.modules, "bundle.io.colmap", module)
+    monkeypatch.setattr(bundle.io.colmap.colmap_files, "load", load)
+    monkeypatch.setitem(sys.modules, "bundle.io.colmap.colmap", module)
     monkeypatch.setattr(bundle.io, "colmap", module, raising=False)
     return calls
 
@@ -113,8 +113,8 @@ def test_choice_of_format(
     (tmp_path / "empty").mkdir()
     target = f"{tmp_path}/{name}"
     problem = problem.replace(format=source)
-    assert bundle.io.output_format(problem, target, format) == expected
-    bundle.io.check_target(problem, target, format)
+    assert bundle.io.open.output_format(problem, target, format) == expected
+    bundle.io.open.check_target(problem, target, format)
     assert bundle.save(problem, target, format) == (() if expected == "bal" else ("colours",))
     if expected == "bal":
         assert not colmap
@@ -152,12 +152,12 @@ def test_check_target_refuses_what_save_would(tmp_path: Path, problem) -> None:
         (fisheye, "out.txt", None),
     ):
         with pytest.raises(bundle.InputError) as checked:
-            bundle.io.check_target(refused, tmp_path / name, format)
+            bundle.io.open.check_target(refused, tmp_path / name, format)
         with pytest.raises(bundle.InputError) as saved:
             bundle.save(refused, tmp_path / name, format)
         assert str(checked.value) == str(saved.value)
         assert len(str(checked.value).splitlines()) == 1
-    bundle.io.check_target(problem, tmp_path / "out.txt")
+    bundle.io.open.check_target(problem, tmp_path / "out.txt")
     assert not (tmp_path / "out.txt").exists()
 
 
@@ -171,7 +171,7 @@ def test_a_bal_file_needs_no_pycolmap(tmp_path: Path) -> None:
 
 def test_check_target_refuses_edits_that_colmap_cannot_hold(tmp_path: Path, problem) -> None:
     below = problem.replace(image_ids=[-1, 1, 2, 3])
-    for call in (bundle.io.check_target, bundle.save):
+    for call in (bundle.io.open.check_target, bundle.save):
         with pytest.raises(bundle.InputError, match=r"^image_ids: .* found -1$"):
             call(below, tmp_path / "out", "colmap")
     assert not (tmp_path / "out").exists()

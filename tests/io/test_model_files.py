@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from bundle.io import model_files
-from bundle.io.model_files import models_below
+from bundle.io.atomic import model_files
+from bundle.io.atomic.model_files import models_below
 
 
 def make_model(folder: Path) -> Path:

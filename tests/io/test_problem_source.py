@@ -9,7 +9,7 @@ import pycolmap
 import pytest
 
 from bundle import Problem
-from bundle.io.problem_source import beside_the_problem
+from bundle.model.pycolmap.problem_source import beside_the_problem
 from tests.io.colmap_models import bal_like, errors_of, fields, synthesize
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from bundle.io import atomic, temporary
-from bundle.io.mounts import mount_points
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.atomic import temporary
+from bundle.io.atomic.mounts import mount_points
 from tests.io.trees import FOREIGN, NEW_MODEL, OLD_MODEL, tree, write_tree
 
 

@@ -5,7 +5,7 @@ import pycolmap
 import pytest
 
 from bundle import Problem
-from bundle.io import colmap
+from bundle.io.colmap import colmap
 from tests.io.colmap_models import bal_like, fields, synthesize
 from tests.io.test_editing import rows, without_cameras_but_one, without_images, without_points
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import bundle
-from bundle.io import written
+from bundle.io.colmap import written
 from tests.io.trees import tree
 from tests.scenes import make_problem, scene
 

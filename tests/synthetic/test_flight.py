@@ -12,14 +12,16 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle.cli.main import main
-from bundle.rigid_motions import inverse_poses, multiply_poses
-from bundle.rotations import quaternion_rotate
+from bundle.inertial.vio.trajectory_comparison import states_at
+from bundle.interface.flight_options import MOTIONS
+from bundle.io.sequences.sequence_folder import load_sequence
+from bundle.io.sequences.trajectory_files import load_trajectory
+from bundle.model.rigid_motions import inverse_poses, multiply_poses
+from bundle.model.rotations import quaternion_rotate
 from bundle.synthetic.flight.body_motion import GRAVITY, imu_samples, motion_at
 from bundle.synthetic.flight.motions import control_points, surroundings
 from bundle.synthetic.flight.synthetic_flight import DENSITIES
 from bundle.synthetic.flight.uniform_spline import DEGREE, control_times, spline_at
-from bundle.synthetic.flight_options import MOTIONS
-from bundle.vio import load_sequence, load_trajectory, states_at
 
 QUIET = {"imu_noise_scale": 0.0, "gyro_bias": 0.0, "accel_bias": 0.0, "pixel_noise": 0.0}
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from bundle.rotations import (
+from bundle.model.rotations import (
     look_along,
     quaternion_from_matrix,
     quaternion_from_vector,

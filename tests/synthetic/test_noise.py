@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import bundle
+from bundle.interface.scene_options import SceneOptions
 from bundle.synthetic.noise import measure
-from bundle.synthetic.scene_options import SceneOptions
 
 
 def test_focal_lengths_are_never_below_a_half():

@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import bundle
 from bundle import InputError, SceneOptions, _core
-from bundle.components import component_roots
-from bundle.reprojection import reprojection_error
+from bundle.base.components import component_roots
+from bundle.model.reprojection import reprojection_error
 from bundle.synthetic import blocks
 from bundle.synthetic.blocks import SceneInBlocks
 from bundle.synthetic.scene_tally import ErrorTally, SceneTally

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import bundle
 from bundle import InputError, SceneOptions, SyntheticScene, synthesize
-from bundle.synthetic.scene_options import CAMERA_MODELS
+from bundle.interface.scene_options import CAMERA_MODELS
 from tests.scenes import project
 
 KINDS = ("street", "orbit", "photo_collection")

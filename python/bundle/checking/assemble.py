@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from bundle.check_defaults import TOLERANCE
+from bundle.base.tables import plural
 from bundle.checking.evidence import Finding
 from bundle.checking.gradient_report import (
     GradientCheckerSummary,
@@ -16,7 +16,7 @@ from bundle.checking.gradient_report import (
     Verdict,
 )
 from bundle.checking.tally import EDGES, MOST_WORST, Tally, verdicts
-from bundle.tables import plural
+from bundle.interface.check_defaults import TOLERANCE
 
 __all__ = ["CHECKER_PRECISION", "make_report", "undecided_points"]
 

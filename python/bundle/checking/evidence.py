@@ -24,7 +24,7 @@ class Finding:
     """Something wrong, and what it looks like.
 
     Attributes:
-        kind: the signature, one of ``bundle.checking.KINDS``.
+        kind: the signature, one of ``bundle.checking.classify.KINDS``.
         columns: names of the parameters concerned.
         sentence: the explanation.
         error: largest relative error of these columns.

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from bundle.arguments import as_array
+from bundle.base.arguments import as_array
+from bundle.base.words import plural
 from bundle.checking.jacobian_deviation import Array
 from bundle.errors import InputError
-from bundle.words import plural
 
 __all__ = ["ResidualFunction", "UserFunction"]
 

@@ -10,9 +10,9 @@ from typing import Any
 
 from rich.console import RenderableType
 
+from bundle.base.display import Display
+from bundle.base.tables import Bar, Columns, columns, facts, notes, plural, render
 from bundle.checking.evidence import Finding
-from bundle.display import Display
-from bundle.tables import Bar, Columns, columns, facts, notes, plural, render
 
 __all__ = [
     "GradientCheckerSummary",

@@ -8,8 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.arguments import as_array, as_flag
-from bundle.check_defaults import TOLERANCE
+from bundle.base.arguments import as_array, as_flag
 from bundle.checking.function import ResidualFunction, UserFunction
 from bundle.checking.gradient_report import GradientReport
 from bundle.checking.jacobian_deviation import Array
@@ -17,7 +16,8 @@ from bundle.checking.manifolds import ManifoldLike
 from bundle.checking.residual_blocks import Layout, Name, sample
 from bundle.checking.sample_check import SamplePoint, check_samples
 from bundle.errors import InputError, brief
-from bundle.option_fields import number
+from bundle.interface.check_defaults import TOLERANCE
+from bundle.interface.option_fields import number
 
 __all__ = ["check_gradients"]
 

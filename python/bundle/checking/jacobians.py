@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
-from bundle.arguments import check_function
-from bundle.cameras import camera_models, param_kinds
-from bundle.check_defaults import SAMPLES_PER_IMAGE, TOLERANCE
+from bundle.base.arguments import check_function
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.classify import classify, float_precision
 from bundle.checking.columns import Block, Column
@@ -21,10 +19,12 @@ from bundle.checking.gradient_report import GradientCheckerSummary, GradientRepo
 from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.tally import Tally, Worst
 from bundle.errors import InputError
-from bundle.io import Source, as_problem
-from bundle.option_fields import number
-from bundle.problem import Problem
-from bundle.reprojection import resolve_cheirality
+from bundle.interface.check_defaults import SAMPLES_PER_IMAGE, TOLERANCE
+from bundle.interface.option_fields import number
+from bundle.io.source import Source, as_problem
+from bundle.model.cameras import camera_models, param_kinds
+from bundle.model.problem import Problem
+from bundle.model.reprojection import resolve_cheirality
 
 __all__ = ["check_jacobians"]
 

@@ -12,7 +12,7 @@ from bundle import _core
 from bundle.checking.columns import Block
 from bundle.checking.jacobian_deviation import Array
 from bundle.errors import InputError, brief
-from bundle.option_fields import choice
+from bundle.interface.option_fields import choice
 
 __all__ = ["Manifold", "ManifoldLike"]
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.words import plural
 from bundle.checking.columns import Block, Column
 from bundle.checking.jacobian_deviation import Array
 from bundle.checking.manifolds import Manifold, ManifoldLike
 from bundle.errors import InputError, brief
-from bundle.words import plural
 
 __all__ = ["Layout", "Name", "sample"]
 

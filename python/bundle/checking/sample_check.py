@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
-from bundle.check_defaults import TOLERANCE
+from bundle.base.words import plural
 from bundle.checking.assemble import CHECKER_PRECISION, make_report, undecided_points
 from bundle.checking.classify import classify, float_precision, stale
 from bundle.checking.columns import Block, Column
@@ -22,7 +22,7 @@ from bundle.checking.jacobian_deviation import Array, JacobianDeviation
 from bundle.checking.padding import padded
 from bundle.checking.residual_blocks import Layout
 from bundle.checking.tally import Tally
-from bundle.words import plural
+from bundle.interface.check_defaults import TOLERANCE
 
 __all__ = ["SamplePoint", "check_samples"]
 

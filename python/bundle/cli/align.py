@@ -9,7 +9,7 @@ from bundle.cli.gcp_flags import GCP_FLAGS, add_gcp_flags, check_point_names
 from bundle.cli.gps_flags import GPS_FLAGS, add_loss_flags, add_position_flags
 from bundle.cli.option_flags import naming_flags
 from bundle.cli.parser import add_input, add_output
-from bundle.cli.paths import reconstruction
+from bundle.cli.path_checks import reconstruction
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -49,9 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.georeference import align
-    from bundle.io import check_target, load, output_format, save
-    from bundle.reports.align import alignment, as_json
+    from bundle.georeference.alignment import align
+    from bundle.io.open import check_target, load, output_format, save
+    from bundle.reports.terminal.align import alignment, as_json
 
     source, target = arguments.input, arguments.output
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from bundle.errors import InputError, shown
 
 if TYPE_CHECKING:
-    from bundle.georeference import Alignment, Georeference
+    from bundle.georeference.alignment_result import Alignment
+    from bundle.georeference.georeferenced import Georeference
 
 __all__ = ["carry_georeference", "check_georeference", "georeference_at", "write_georeference"]
 
@@ -38,7 +39,7 @@ def check_georeference(path: str, format: str) -> None:
         InputError: something that is no file stands there, or it is of another model.
         OSError: there is no permission.
     """
-    from bundle.io import atomic
+    from bundle.io.atomic import atomic_write as atomic
     from bundle.io.georeference_file import owner_of, path_beside
 
     model = Path(path)
@@ -68,7 +69,7 @@ def write_georeference(
         format: of the model.
         reference: path of another model, whose frame it has.
     """
-    from bundle.reports import json
+    from bundle.reports.terminal import json
 
     found = json.plain(georeference.asdict())
     frame = None if reference is None else georeference_at(reference)
@@ -106,9 +107,9 @@ def _frame(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def _write(found: dict[str, Any], path: str, format: str) -> None:
-    from bundle.io import atomic
+    from bundle.io.atomic import atomic_write as atomic
     from bundle.io.georeference_file import OWNER, path_beside
-    from bundle.reports import json
+    from bundle.reports.terminal import json
 
     model = Path(path)
     content = {name: value for name, value in found.items() if name != OWNER}

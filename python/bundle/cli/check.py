@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from time import perf_counter
 
-from bundle import check_defaults as defaults
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION, EXIT_UNDECIDED
 from bundle.cli.parser import add_input
+from bundle.interface import check_defaults as defaults
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -51,14 +51,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Check INPUT: 0 if all is correct, 1 if anything is wrong, 3 if that cannot be decided."""
     started = perf_counter()
-    from bundle.checking import check_jacobians
     from bundle.checking.gradient_report import outcome
+    from bundle.checking.jacobians import check_jacobians
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
-    from bundle.io import load
-    from bundle.reports.check import as_json, checked
+    from bundle.io.open import load
+    from bundle.reports.terminal.check import as_json, checked
 
     for flag, value, least in (("--samples", arguments.samples, 1), ("--seed", arguments.seed, 0)):
         if value < least:

@@ -5,18 +5,19 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from bundle import compare_defaults as defaults
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, naming_flags, options_given
-from bundle.cli.paths import page_path, reconstruction
+from bundle.cli.path_checks import page_path, reconstruction
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
 from bundle.errors import InputError
+from bundle.interface import compare_defaults as defaults
+from bundle.interface.options import SolveOptions
 from bundle.io.recognition import is_pose_graph_file
-from bundle.options import SolveOptions
 
 if TYPE_CHECKING:
-    from bundle import comparison
     from bundle.cli.progress import Progress
+    from bundle.planning.comparison import work
+    from bundle.planning.comparison.comparison_result import Comparison
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -104,9 +105,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare methods on INPUT: 0 if one can be recommended."""
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
-    from bundle.comparison import compare
-    from bundle.reports.compare import compared
-    from bundle.reports.compare_json import as_json
+    from bundle.planning.comparison.compare_methods import compare
+    from bundle.reports.terminal.compare import compared
+    from bundle.reports.terminal.compare_json import as_json
 
     if any(is_pose_graph_file(path) for path in arguments.inputs):
         from bundle.cli.pose_graph_costs import compare_graph_file
@@ -144,15 +145,15 @@ def run(arguments: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _write_page(compared: comparison.Comparison, path: str, progress: Progress) -> None:
+def _write_page(compared: Comparison, path: str, progress: Progress) -> None:
     from bundle.errors import shown
-    from bundle.html import write_comparison
+    from bundle.reports.page.comparison_page import write_comparison
 
     progress.stage(f"writing {shown(path)}")
     write_comparison(compared, path)
 
 
-def _show_progress(progress: Progress, at: comparison.Progress) -> None:
+def _show_progress(progress: Progress, at: work.Progress) -> None:
     if at.iteration is None:
         progress.stage(at.stage)
     elif progress.is_live:
@@ -166,7 +167,7 @@ def _flag(name: str) -> str:
 
 
 def _memory_cap(text: str | None) -> int:
-    from bundle.memory_sizes import parse_size
+    from bundle.base.memory_sizes import parse_size
 
     try:
         return 0 if text is None else parse_size(text)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from bundle.cli.paths import a_path
+from bundle.cli.path_checks import a_path
 
 if TYPE_CHECKING:
-    from bundle.constraints import Constraints
+    from bundle.solving.constraints.rule_list import Constraints
 
 __all__ = ["add_constraint_flags", "as_options", "constraints_given"]
 
@@ -49,8 +49,8 @@ def constraints_given(arguments: argparse.Namespace) -> Constraints | tuple[()]:
     """
     if arguments.rules is None and arguments.constraints is None:
         return ()
-    from bundle.constraints import Constraints
-    from bundle.constraints.rule_text import parse_rule
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.constraints.rule_text import parse_rule
 
     rules = [
         parse_rule(text, f"--set {number}" if len(arguments.rules) > 1 else "--set")

@@ -41,9 +41,9 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.io import check_target, load, output_format, save
-    from bundle.reports import json
-    from bundle.reports.convert import conversion
+    from bundle.io.open import check_target, load, output_format, save
+    from bundle.reports.terminal import json
+    from bundle.reports.terminal.convert import conversion
 
     path = arguments.output
     with Progress(quiet=arguments.quiet) as progress:

@@ -16,10 +16,10 @@ from bundle.cli.option_flags import (
     with_named_images,
 )
 from bundle.cli.parser import add_input
-from bundle.cli.paths import PathArgument
+from bundle.cli.path_checks import PathArgument
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
+from bundle.interface.options import SolveOptions
 from bundle.io.recognition import is_pose_graph_file
-from bundle.options import SolveOptions
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -130,13 +130,13 @@ def run(arguments: argparse.Namespace) -> int:
 
         return covariance_of_graph_file(arguments)
     refuse_flags_of_graphs(arguments)
+    from bundle.analysis.uncertainty.compute_covariance import covariance
     from bundle.cli.gps_flags import priors_given
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.io import load
-    from bundle.reports.covariance import as_json, uncertainties
-    from bundle.uncertainty import covariance
+    from bundle.io.open import load
+    from bundle.reports.terminal.covariance import as_json, uncertainties
 
     source, target = arguments.input, arguments.output
     options = options_given(arguments, SolveOptions, names_follow=True)

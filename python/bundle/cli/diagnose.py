@@ -17,8 +17,8 @@ from bundle.cli.option_flags import (
 )
 from bundle.cli.parser import add_input, add_rig_config, with_rigs
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
+from bundle.interface.options import SolveOptions
 from bundle.io.recognition import is_pose_graph_file
-from bundle.options import SolveOptions
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -57,13 +57,13 @@ def run(arguments: argparse.Namespace) -> int:
 
         return diagnose_graph_file(arguments)
     refuse_flags_of_graphs(arguments)
+    from bundle.analysis.diagnosis.diagnose_problem import diagnose
     from bundle.cli.gps_flags import priors_given
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
-    from bundle.diagnosis import diagnose
     from bundle.errors import shown
-    from bundle.io import load
-    from bundle.reports.diagnose import as_json, diagnosed
+    from bundle.io.open import load
+    from bundle.reports.terminal.diagnose import as_json, diagnosed
 
     options = options_given(arguments, SolveOptions, names_follow=True)
     check_gps_flags(arguments, options)

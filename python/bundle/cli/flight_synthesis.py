@@ -8,7 +8,8 @@ import dataclasses
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import add_options, naming_flags, options_given
 from bundle.errors import InputError, shown
-from bundle.synthetic import FlightOptions, SceneOptions
+from bundle.interface.flight_options import FlightOptions
+from bundle.interface.scene_options import SceneOptions
 
 __all__ = ["FLIGHT", "add_flight_flags", "refuse_flight_flags", "run_flight"]
 
@@ -52,10 +53,10 @@ def run_flight(arguments: argparse.Namespace) -> int:
     """Make a flight and write it, its truth beside its measurements."""
     from bundle.cli.output import check_new, show, write_json
     from bundle.cli.progress import Progress
-    from bundle.reports.json import plain
-    from bundle.reports.sequence_tables import heading_of_sequence, made_flight
-    from bundle.synthetic.flight import save_flight, synthesize_flight
-    from bundle.vio import check_sequence_target
+    from bundle.io.sequences.sequence_folder import check_sequence_target
+    from bundle.reports.terminal.json import plain
+    from bundle.reports.terminal.sequence_tables import heading_of_sequence, made_flight
+    from bundle.synthetic.flight.synthetic_flight import save_flight, synthesize_flight
 
     flags = {name: field.metadata["flag"] for name, field in _OF_SCENES.items()}
     flags |= {"format": "--format", "ground_truth": "--ground-truth"}

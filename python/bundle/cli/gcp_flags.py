@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from bundle.cli.paths import a_path
+from bundle.cli.path_checks import a_path
 
 __all__ = ["GCP_FLAGS", "add_gcp_flags", "check_point_names"]
 

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from bundle.cli.gcp_flags import GCP_FLAGS, add_gcp_flags, check_point_names
 from bundle.cli.option_flags import choice_word, naming_flags
-from bundle.cli.paths import PathArgument, a_path
+from bundle.cli.path_checks import PathArgument, a_path
 from bundle.errors import InputError, brief, shown
+from bundle.interface.options import LOSSES, SolveOptions
 from bundle.io.georeference_file import GEOREFERENCE
-from bundle.options import LOSSES, SolveOptions
 
 if TYPE_CHECKING:
-    from bundle.georeference import GcpPriors, GpsPriors
-    from bundle.problem import Problem
+    from bundle.georeference.gcp_priors import GcpPriors
+    from bundle.georeference.gps_priors import GpsPriors
+    from bundle.model.problem import Problem
 
 __all__ = [
     "GPS_FLAGS",
@@ -164,7 +165,8 @@ def priors_given(arguments: argparse.Namespace, problem: Problem) -> GcpPriors |
     """
     if arguments.gps is None and arguments.gcp is None:
         return None
-    from bundle.georeference import gcp_priors, gps_priors
+    from bundle.georeference.gcp_priors import gcp_priors
+    from bundle.georeference.gps_priors import gps_priors
 
     names = ["gps_sigma", "prior_loss", "prior_loss_scale"]
     if arguments.gps == "exif":  # of the report page otherwise

@@ -26,16 +26,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Describe every INPUT."""
+    from bundle.analysis.statistics.description import describe
     from bundle.cli.output import show, write_json
     from bundle.cli.pose_graph_commands import describe_graph
     from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
     from bundle.cli.progress import Progress
     from bundle.cli.sequence_commands import describe_sequence
     from bundle.errors import shown
-    from bundle.io import load
+    from bundle.io.open import load
     from bundle.io.recognition import is_pose_graph_file, sequence_at
-    from bundle.reports import info, json
-    from bundle.statistics import describe
+    from bundle.reports.terminal import info, json
 
     tables: list[RenderableType] = []
     reports = []

@@ -15,12 +15,12 @@ from bundle.cli.option_flags import (
     options_given,
     with_named_images,
 )
-from bundle.cli.paths import a_path, page_path, reconstruction
+from bundle.cli.path_checks import a_path, page_path, reconstruction
+from bundle.interface.options import GRAPH_ORDERINGS, SolveOptions
 from bundle.io.recognition import is_pose_graph_file
-from bundle.options import GRAPH_ORDERINGS, SolveOptions
 
 if TYPE_CHECKING:
-    from bundle.inspection import GraphInspection
+    from bundle.planning.inspection.graph_inspection import GraphInspection
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -131,10 +131,12 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.inspection import find_rank_limit, inspect, predict_ranks
-    from bundle.io import load
-    from bundle.reports.inspect import as_json, inspected
-    from bundle.reports.process_tables import predicted_ranks
+    from bundle.io.open import load
+    from bundle.planning.inspection.problem_inspection import inspect
+    from bundle.planning.inspection.rank_limit import find_rank_limit
+    from bundle.planning.inspection.rank_prediction import predict_ranks
+    from bundle.reports.terminal.inspect import as_json, inspected
+    from bundle.reports.terminal.process_tables import predicted_ranks
 
     options = options_given(arguments, SolveOptions, names_follow=True)
     counts, network = _processes_given(arguments)
@@ -148,7 +150,7 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
         with naming_flags(ranks="--ranks", network="--network"):
             ranks = predict_ranks(problem, inspection, options, counts=counts, network=network)
         if arguments.html is not None:
-            from bundle.html import write_inspection
+            from bundle.reports.page.inspection_page import write_inspection
 
             progress.stage(f"writing {shown(arguments.html)}")
             page, name = arguments.html, str(arguments.input)
@@ -174,7 +176,7 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
 def _processes_given(arguments: argparse.Namespace) -> tuple[list[int], tuple[float, float]]:
     """Return numbers of processes, and the network between them."""
     from bundle.errors import InputError
-    from bundle.inspection.rank_prediction import NETWORK
+    from bundle.planning.inspection.rank_prediction import NETWORK
 
     try:
         counts = [] if arguments.ranks is None else [int(n) for n in arguments.ranks.split(",")]
@@ -197,11 +199,11 @@ def _processes_given(arguments: argparse.Namespace) -> tuple[list[int], tuple[fl
 def _inspect_graph(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.output import show, write_json
-    from bundle.reports.inspect_graph import as_json, inspected
+    from bundle.reports.terminal.inspect_graph import as_json, inspected
 
     graph = _eliminate(arguments)
     if arguments.html is not None:
-        from bundle.html import write_inspection
+        from bundle.reports.page.inspection_page import write_inspection
 
         write_inspection(graph, arguments.html)
     if arguments.json != "-":
@@ -212,7 +214,8 @@ def _inspect_graph(arguments: argparse.Namespace) -> int:
 
 def _eliminate(arguments: argparse.Namespace) -> GraphInspection:
     from bundle.errors import InputError, shown
-    from bundle.inspection import inspect_graph, load_graph
+    from bundle.planning.inspection.graph_file import load_graph
+    from bundle.planning.inspection.graph_inspection import inspect_graph
 
     if arguments.block_size is not None and arguments.block_size < 1:
         raise InputError(f"--block-size: expected at least 1, found {arguments.block_size}")

@@ -9,14 +9,14 @@ from bundle.cli.option_flags import naming_flags, parse_ids
 from bundle.errors import InputError
 
 if TYPE_CHECKING:
-    from bundle.camera_edits import CameraEdits
-    from bundle.problem import Problem
+    from bundle.editing.cameras.edit_record import CameraEdits
+    from bundle.model.problem import Problem
 
 __all__ = ["add_lens_flags", "cameras_edited"]
 
 
 def add_lens_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of ``bundle.camera_edits``."""
+    """Add the flags of ``bundle.editing.cameras``."""
     group = parser.add_argument_group("cameras of OUTPUT")
     group.add_argument(
         "--camera-model",
@@ -49,7 +49,7 @@ def cameras_edited(arguments: argparse.Namespace, problem: Problem) -> CameraEdi
         return None
     if share is not None and arguments.split_cameras:
         raise InputError("--split-cameras: expected without --share-cameras, found both")
-    from bundle.camera_edits import edit_cameras
+    from bundle.editing.cameras.edit_record import edit_cameras
 
     with naming_flags(model="--camera-model", camera_ids="--share-cameras"):
         return edit_cameras(

@@ -6,13 +6,13 @@ import argparse
 from typing import TYPE_CHECKING
 
 from bundle.cli.option_flags import choice_word, naming_flags
-from bundle.cli.paths import a_path
+from bundle.cli.path_checks import a_path
 from bundle.errors import InputError
-from bundle.loop_losses import LOOP_LOSSES
+from bundle.interface.loop_losses import LOOP_LOSSES
 
 if TYPE_CHECKING:
-    from bundle.loops import LoopClosing
-    from bundle.problem import Problem
+    from bundle.graphs.loops.loop_closing import LoopClosing
+    from bundle.model.problem import Problem
 
 __all__ = ["add_loop_flags", "check_loop_flags", "loops_closed"]
 
@@ -65,7 +65,7 @@ def loops_closed(arguments: argparse.Namespace, problem: Problem) -> LoopClosing
     Raises:
         InputError: as :func:`bundle.close_loops`.
     """
-    from bundle.loops import close_loops
+    from bundle.graphs.loops.loop_graph import close_loops
 
     given = {"loss": arguments.loop_loss, "loss_scale": arguments.loop_loss_scale}
     with naming_flags(loss="--loop-loss", loss_scale="--loop-loss-scale"):

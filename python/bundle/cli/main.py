@@ -26,7 +26,7 @@ from bundle.cli.parser import Parser, add_common_arguments
 from bundle.cli.standard_streams import complain, open_missing_streams, release_broken_streams
 from bundle.cli.suggestions import unknown_flag
 from bundle.errors import end_in_one_line
-from bundle.io import atomic
+from bundle.io.atomic import atomic_write as atomic
 
 __all__ = ["main"]
 

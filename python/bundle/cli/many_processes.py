@@ -15,8 +15,8 @@ from typing import Any
 
 from bundle.cli.error_lines import EXIT_BAD_INPUT, EXIT_DONE, describe_error
 from bundle.cli.standard_streams import complain
-from bundle.ranks.end_by_mpirun import know_processes, speaks_for_all, take_the_word
-from bundle.ranks.launch import rank_by_launcher, size_by_launcher, use
+from bundle.solving.ranks.end_by_mpirun import know_processes, speaks_for_all, take_the_word
+from bundle.solving.ranks.launch import rank_by_launcher, size_by_launcher, use
 
 __all__ = ["note_alone", "run_command"]
 
@@ -46,11 +46,11 @@ def run_command(main: Callable[[], int]) -> int:
     known = comm.allgather((host, comm.rank, os.getpid()))
     know_processes({rank: pid for its_host, rank, pid in known if its_host == host})
     if comm.rank > 0:
-        from bundle.ranks.mpi_crew import serve
+        from bundle.solving.ranks.mpi_crew import serve
 
         serve(comm, _complain_for_all, _described)
         return EXIT_DONE
-    from bundle.ranks.mpi_crew import MpiCrew
+    from bundle.solving.ranks.mpi_crew import MpiCrew
 
     crew = MpiCrew(comm)
     code = EXIT_BAD_INPUT

@@ -7,7 +7,7 @@ import argparse
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import naming_flags
 from bundle.cli.parser import add_output
-from bundle.cli.paths import reconstruction
+from bundle.cli.path_checks import reconstruction
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -55,10 +55,10 @@ def run(arguments: argparse.Namespace) -> int:
     )
     from bundle.cli.output import check_replaced, same_images, show, write_json
     from bundle.cli.progress import Progress
+    from bundle.editing.merging.merge_models import merge
     from bundle.errors import shown
-    from bundle.io import check_target, load, output_format, save
-    from bundle.merging import merge
-    from bundle.reports.merge import as_json, merged_table
+    from bundle.io.open import check_target, load, output_format, save
+    from bundle.reports.terminal.merge import as_json, merged_table
 
     paths, target = (arguments.a, arguments.b), arguments.output
     with Progress(quiet=arguments.quiet) as progress, naming_flags(**FLAGS):

@@ -1,4 +1,4 @@
-"""Flags made from the fields of an option class (``bundle.option_fields``), and back."""
+"""Flags made from the fields of an option class (``bundle.interface.option_fields``), and back."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bundle.errors import InputError
-from bundle.image_selection import MOST_IDS, find_images, id_range
+from bundle.model.image_selection import MOST_IDS, find_images, id_range
 
 if TYPE_CHECKING:
-    from bundle.options import SolveOptions
-    from bundle.problem import Problem
+    from bundle.interface.options import SolveOptions
+    from bundle.model.problem import Problem
 
 __all__ = [
     "WHAT_IS_REFINED",
@@ -123,7 +123,7 @@ def naming_flags(*kinds: type[Any], **others: str) -> Iterator[None]:
 @functools.cache
 def _values() -> frozenset[str]:
     """Return every value that options name."""
-    from bundle.options import REFINABLE, SENSORS, SolveOptions
+    from bundle.interface.options import REFINABLE, SENSORS, SolveOptions
 
     fields = dataclasses.fields(SolveOptions)
     return frozenset(

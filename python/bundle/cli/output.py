@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import RenderableType
 
+from bundle.base.tables import console, render
 from bundle.cli.standard_streams import print_out
 from bundle.errors import InputError, shown
-from bundle.io import atomic
+from bundle.io.atomic import atomic_write as atomic
 from bundle.io.recognition import reconstruction_at, sequence_at
-from bundle.reports import json
-from bundle.tables import console, render
+from bundle.reports.terminal import json
 
 if TYPE_CHECKING:
-    from bundle.problem import Problem
+    from bundle.model.problem import Problem
 
 __all__ = ["check_new", "check_replaced", "same_images", "show", "write_json"]
 

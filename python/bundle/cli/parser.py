@@ -9,14 +9,14 @@ import textwrap
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from bundle.cli.paths import PathArgument, a_path, check_paths, reconstruction, report_path
+from bundle.cli.path_checks import PathArgument, a_path, check_paths, reconstruction, report_path
 from bundle.cli.standard_streams import print_out
 from bundle.cli.suggestions import unknown_command, unknown_value
 from bundle.errors import InputError, shown
-from bundle.io import FORMATS
+from bundle.io.open import FORMATS
 
 if TYPE_CHECKING:
-    from bundle.problem import Problem
+    from bundle.model.problem import Problem
 
 __all__ = [
     "Parser",
@@ -142,7 +142,7 @@ def with_rigs(problem: Problem, path: str | None) -> Problem:
     """Return the problem with the rigs of a file, if there is one."""
     if path is None:
         return problem
-    from bundle.rig_config import apply_rig_config
+    from bundle.editing.rig_config import apply_rig_config
 
     return apply_rig_config(problem, path)
 

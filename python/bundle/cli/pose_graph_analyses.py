@@ -8,7 +8,7 @@ from time import perf_counter
 from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
-from bundle.pose_graph_options import PoseGraphOptions
+from bundle.interface.pose_graph_options import PoseGraphOptions
 
 __all__ = ["covariance_of_graph_file", "diagnose_graph_file"]
 
@@ -19,12 +19,12 @@ LINEARIZATION = ("error", "information", "loss", "loss_scale", "loss_on")
 def diagnose_graph_file(arguments: argparse.Namespace) -> int:
     """Diagnose the pose graph INPUT."""
     started = perf_counter()
+    from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
-    from bundle.diagnosis.diagnose_graph import diagnose_graph
     from bundle.errors import shown
-    from bundle.pose_graph.g2o_files import load_g2o
-    from bundle.reports.graph_certainty import diagnosed_graph, diagnosis_of_graph
+    from bundle.io.g2o_files import load_g2o
+    from bundle.reports.terminal.graph_certainty import diagnosed_graph, diagnosis_of_graph
 
     refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, "num_threads"))
     options = options_given(arguments, PoseGraphOptions)
@@ -46,12 +46,12 @@ def diagnose_graph_file(arguments: argparse.Namespace) -> int:
 def covariance_of_graph_file(arguments: argparse.Namespace) -> int:
     """Compute the covariances of the poses of the pose graph INPUT."""
     started = perf_counter()
+    from bundle.analysis.uncertainty.graph_covariance import graph_covariance
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.pose_graph.g2o_files import load_g2o
-    from bundle.reports.graph_certainty import certainty_of_graph, covariance_of_graph
-    from bundle.uncertainty.graph_covariance import graph_covariance
+    from bundle.io.g2o_files import load_g2o
+    from bundle.reports.terminal.graph_certainty import certainty_of_graph, covariance_of_graph
 
     own = ("relative", "covariance_gauge", "scale", "num_threads")
     refuse_flags_of_reconstructions(arguments, (*LINEARIZATION, *own))

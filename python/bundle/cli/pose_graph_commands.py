@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
-from bundle.pose_graph_options import PoseGraphOptions
+from bundle.interface.pose_graph_options import PoseGraphOptions
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from bundle.pose_graph import PoseGraph
+    from bundle.model.pose_graph_arrays import PoseGraph
 
 __all__ = ["convert_graph", "describe_graph", "refine_graph"]
 
@@ -31,11 +31,11 @@ def refine_graph(arguments: argparse.Namespace) -> int:
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
     from bundle.errors import shown
-    from bundle.pose_graph import solve_pose_graph
-    from bundle.pose_graph.g2o_files import check_g2o_target, load_g2o, save_g2o
-    from bundle.reports.pose_graph_json import refinement_of_graph
-    from bundle.reports.pose_graph_tables import refined_graph
-    from bundle.reports.timing import WallTime
+    from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
+    from bundle.io.g2o_files import check_g2o_target, load_g2o, save_g2o
+    from bundle.reports.terminal.pose_graph_json import refinement_of_graph
+    from bundle.reports.terminal.pose_graph_tables import refined_graph
+    from bundle.reports.terminal.timing import WallTime
 
     refuse_flags_of_reconstructions(arguments, _OPTIONS)
     options = options_given(arguments, PoseGraphOptions)
@@ -76,9 +76,9 @@ def refine_graph(arguments: argparse.Namespace) -> int:
 
 def describe_graph(path: str) -> tuple[list[RenderableType], dict[str, Any]]:
     """Return what `bundle info` says of a pose graph, for people and for programs."""
-    from bundle.pose_graph.g2o_files import load_g2o
-    from bundle.reports.pose_graph_json import information_of_graph
-    from bundle.reports.pose_graph_tables import described_graph
+    from bundle.io.g2o_files import load_g2o
+    from bundle.reports.terminal.pose_graph_json import information_of_graph
+    from bundle.reports.terminal.pose_graph_tables import described_graph
 
     graph = load_g2o(path)
     report = information_of_graph(path, graph)
@@ -90,9 +90,9 @@ def convert_graph(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import check_replaced, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.pose_graph.g2o_files import check_g2o_target, load_g2o, save_g2o
-    from bundle.reports.pose_graph_json import conversion_of_graph
-    from bundle.reports.pose_graph_tables import converted_graph
+    from bundle.io.g2o_files import check_g2o_target, load_g2o, save_g2o
+    from bundle.reports.terminal.pose_graph_json import conversion_of_graph
+    from bundle.reports.terminal.pose_graph_tables import converted_graph
 
     refuse_flags_of_reconstructions(arguments)
     path = arguments.output
@@ -113,7 +113,7 @@ def convert_graph(arguments: argparse.Namespace) -> int:
 
 def _has_same_poses(graph: PoseGraph, path: Path) -> bool:
     """Tell whether the file of a pose graph has poses of the same ids."""
-    from bundle.pose_graph.g2o_files import load_g2o
+    from bundle.io.g2o_files import load_g2o
 
     there = load_g2o(path)
     return there.poses.shape == graph.poses.shape and sorted(there.ids) == sorted(graph.ids)

@@ -6,12 +6,12 @@ import argparse
 from time import perf_counter
 from typing import Any
 
-from bundle import compare_defaults as defaults
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import naming_flags, options_given
 from bundle.cli.pose_graph_flags import refuse_flags_of_reconstructions
 from bundle.errors import InputError
-from bundle.pose_graph_options import PoseGraphOptions
+from bundle.interface import compare_defaults as defaults
+from bundle.interface.pose_graph_options import PoseGraphOptions
 
 __all__ = ["compare_graph_file", "inspect_graph_file"]
 
@@ -28,9 +28,9 @@ def inspect_graph_file(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.inspection import inspect
-    from bundle.pose_graph.g2o_files import load_g2o
-    from bundle.reports.graph_costs import inspected_graph, inspection_of_graph
+    from bundle.io.g2o_files import load_g2o
+    from bundle.planning.inspection.problem_inspection import inspect
+    from bundle.reports.terminal.graph_costs import inspected_graph, inspection_of_graph
 
     refuse_flags_of_reconstructions(arguments, ("num_threads",))
     source = arguments.input
@@ -51,10 +51,10 @@ def compare_graph_file(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
-    from bundle.comparison import compare
     from bundle.errors import shown
-    from bundle.pose_graph.g2o_files import load_g2o
-    from bundle.reports.graph_costs import compared_graph, comparison_of_graph
+    from bundle.io.g2o_files import load_g2o
+    from bundle.planning.comparison.compare_methods import compare
+    from bundle.reports.terminal.graph_costs import compared_graph, comparison_of_graph
 
     if len(arguments.inputs) > 1:
         raise InputError(f"expected one INPUT with a pose graph, found {len(arguments.inputs)}")

@@ -9,8 +9,8 @@ from collections.abc import Collection
 from bundle.cli.option_flags import add_options as add_option_group
 from bundle.cli.option_flags import choice_word
 from bundle.errors import InputError
-from bundle.options import SolveOptions
-from bundle.pose_graph_options import PoseGraphOptions
+from bundle.interface.options import SolveOptions
+from bundle.interface.pose_graph_options import PoseGraphOptions
 
 __all__ = ["add_pose_graph_flags", "refuse_flags_of_graphs", "refuse_flags_of_reconstructions"]
 
@@ -78,7 +78,7 @@ def refuse_flags_of_reconstructions(
     Raises:
         InputError: such a flag was given.
     """
-    from bundle.rounds.round_options import RoundOptions
+    from bundle.interface.round_options import RoundOptions
 
     flags = {
         field.name: field.metadata["flag"]

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from bundle.tables import console
+from bundle.base.tables import console
 
 if TYPE_CHECKING:
     from rich.live import Live

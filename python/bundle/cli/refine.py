@@ -21,14 +21,14 @@ from bundle.cli.option_flags import (
     with_named_images,
 )
 from bundle.cli.parser import add_input, add_output, add_rig_config, with_rigs
-from bundle.cli.paths import PathArgument, page_path
+from bundle.cli.path_checks import PathArgument, page_path
 from bundle.cli.pose_graph_flags import add_pose_graph_flags, refuse_flags_of_graphs
+from bundle.interface.options import SolveOptions
+from bundle.interface.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
 from bundle.io.recognition import is_pose_graph_file
-from bundle.options import SolveOptions
-from bundle.rounds.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
 
 if TYPE_CHECKING:
-    from bundle.problem import Problem
+    from bundle.model.problem import Problem
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -138,11 +138,11 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.sliced_input import sliced_input
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
-    from bundle.io import check_target, load, output_format, save
-    from bundle.reports import json
-    from bundle.reports.refine import outcome, refinement
-    from bundle.reports.timing import WallTime
-    from bundle.rounds import solve_rounds
+    from bundle.io.open import check_target, load, output_format, save
+    from bundle.reports.terminal import json
+    from bundle.reports.terminal.refine import outcome, refinement
+    from bundle.reports.terminal.timing import WallTime
+    from bundle.solving.rounds.adjust_and_filter import solve_rounds
 
     options = options_given(arguments, SolveOptions, names_follow=True)
     if arguments.rest is not None and arguments.only_images is None:
@@ -234,7 +234,7 @@ def run(arguments: argparse.Namespace) -> int:
         solved.measure()
         statistics_time = perf_counter() - begun
         if arguments.html is not None:
-            from bundle.html import write_report
+            from bundle.reports.page.report_page import write_report
 
             progress.stage(f"writing {shown(arguments.html)}")
             write_report(
@@ -313,11 +313,11 @@ def _wrong_jacobians(
     arguments: argparse.Namespace, problem: Problem, options: SolveOptions
 ) -> bool:
     """Check the Jacobians; if any is wrong, report that in place of the solve."""
-    from bundle.checking import check_jacobians
     from bundle.checking.gradient_report import outcome
+    from bundle.checking.jacobians import check_jacobians
     from bundle.cli.output import show, write_json
     from bundle.cli.standard_streams import complain
-    from bundle.reports.check import as_json, checked
+    from bundle.reports.terminal.check import as_json, checked
 
     begun = perf_counter()
     report = check_jacobians(

@@ -13,8 +13,8 @@ from bundle.cli.error_lines import EXIT_DONE
 from bundle.cli.gps_flags import NAMED, add_gps_flags, check_gps_flags, main_flag
 from bundle.cli.option_flags import naming_flags
 from bundle.cli.parser import add_input, add_rig_config, with_rigs
-from bundle.cli.paths import page_path
-from bundle.options import SolveOptions
+from bundle.cli.path_checks import page_path
+from bundle.interface.options import SolveOptions
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -75,9 +75,9 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import InputError, shown
-    from bundle.html import write_report
-    from bundle.io import load
-    from bundle.reports.report import as_json, reported
+    from bundle.io.open import load
+    from bundle.reports.page.report_page import write_report
+    from bundle.reports.terminal.report import as_json, reported
 
     source, page = arguments.input, arguments.output
     if page == "-":

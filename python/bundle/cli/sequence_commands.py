@@ -18,9 +18,9 @@ __all__ = ["convert_sequence", "describe_sequence"]
 
 def describe_sequence(path: str) -> tuple[list[RenderableType], dict[str, Any]]:
     """Return what `bundle info` says of a sequence, for people and for programs."""
-    from bundle.reports.sequence_tables import described_sequence, information_of_sequence
-    from bundle.vio import read_sequence
-    from bundle.vio.sequence_statistics import sequence_statistics
+    from bundle.inertial.vio.sequence_statistics import sequence_statistics
+    from bundle.io.sequences.sequence_folder import read_sequence
+    from bundle.reports.terminal.sequence_tables import described_sequence, information_of_sequence
 
     sequence, findings = read_sequence(path)
     statistics = sequence_statistics(sequence)
@@ -37,8 +37,12 @@ def convert_sequence(arguments: argparse.Namespace) -> int:
     from bundle.cli.output import check_replaced, show, write_json
     from bundle.cli.progress import Progress
     from bundle.errors import shown
-    from bundle.reports.sequence_tables import conversion_of_sequence, converted_sequence
-    from bundle.vio import check_sequence_target, read_sequence, save_sequence
+    from bundle.io.sequences.sequence_folder import (
+        check_sequence_target,
+        read_sequence,
+        save_sequence,
+    )
+    from bundle.reports.terminal.sequence_tables import conversion_of_sequence, converted_sequence
 
     refuse_flags_of_reconstructions(arguments)
     source, target = arguments.input, arguments.output

@@ -7,14 +7,14 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bundle.io import output_format, recover
-from bundle.io.model_files import is_text_model, missing_model_files
-from bundle.options import SolveOptions
-from bundle.ranks import current
-from bundle.ranks.one_process import reason_in_options
+from bundle.interface.options import SolveOptions
+from bundle.io.atomic.model_files import is_text_model, missing_model_files
+from bundle.io.open import output_format, recover
+from bundle.solving.ranks.launch import current
+from bundle.solving.ranks.one_process import reason_in_options
 
 if TYPE_CHECKING:
-    from bundle.slices.sliced_refinement import SlicedRefinement
+    from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
 __all__ = ["sliced_input"]
 
@@ -48,7 +48,7 @@ def sliced_input(arguments: argparse.Namespace, options: SolveOptions) -> Sliced
         InputError: there are no observations, or INPUT is not what its format says.
         OSError: a file cannot be read.
     """
-    from bundle.ranks.mpi_crew import MpiCrew
+    from bundle.solving.ranks.mpi_crew import MpiCrew
 
     crew = current()
     source, target = Path(arguments.input), Path(arguments.output)
@@ -68,7 +68,7 @@ def sliced_input(arguments: argparse.Namespace, options: SolveOptions) -> Sliced
     is_compressed = target_format == "bal" and target.suffix.lower() in COMPRESSED
     if target_format != source_format or is_compressed:
         return None
-    from bundle.slices.sliced_refinement import SlicedRefinement
+    from bundle.solving.slices.sliced_refinement import SlicedRefinement
 
     return SlicedRefinement(crew, source)
 

@@ -41,7 +41,8 @@ def begin() -> None:
     """
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
     if os.environ.get("OMPI_COMM_WORLD_SIZE", "1") != "1":
-        # One thread will wait for them (bundle.ranks.end_by_mpirun). Those that libraries start as
+        # One thread will wait for them (bundle.solving.ranks.end_by_mpirun). Those that libraries
+        # start as
         # they are imported would take them, and die.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCONT, signal.SIGTERM])
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:

@@ -16,17 +16,17 @@ from bundle.cli.flight_synthesis import (
     run_flight,
 )
 from bundle.cli.option_flags import add_options, naming_flags, options_given
-from bundle.cli.paths import PathArgument
+from bundle.cli.path_checks import PathArgument
 from bundle.errors import shown
-from bundle.io import FORMATS
-from bundle.reprojection import reprojection_error
-from bundle.synthetic import SceneOptions
+from bundle.interface.scene_options import SceneOptions
+from bundle.io.open import FORMATS
+from bundle.model.reprojection import reprojection_error
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from bundle.synthetic import SyntheticScene
     from bundle.synthetic.scene_tally import SceneTally
+    from bundle.synthetic.synthesis import SyntheticScene
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     refuse_flight_flags(arguments)
     from bundle.cli.output import check_new, show, write_json
     from bundle.cli.progress import Progress
-    from bundle.io import check_target, output_format, save
+    from bundle.io.open import check_target, output_format, save
     from bundle.synthetic.blocks import SceneInBlocks
     from bundle.synthetic.synthesis import assemble
 
@@ -145,7 +145,7 @@ def _report(
 ) -> dict[str, Any]:
     """Return the report for programs, which is also what the table for people shows."""
     from bundle import __version__
-    from bundle.reports.json import SCHEMA, plain
+    from bundle.reports.terminal.json import SCHEMA, plain
 
     report: dict[str, Any] = plain(
         {
@@ -172,7 +172,7 @@ def _report(
 
 def _tables(report: dict[str, Any]) -> list[RenderableType]:
     """Return what was written and its statistics."""
-    from bundle.tables import columns, facts, format_name, number, pixels, plural
+    from bundle.base.tables import columns, facts, format_name, number, pixels, plural
 
     output, truth = report["output"], report["ground_truth"]
     things = ("image", "camera", "point", "observation", "outlier")

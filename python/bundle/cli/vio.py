@@ -9,13 +9,19 @@ from typing import TYPE_CHECKING
 
 from bundle.cli.error_lines import EXIT_DONE, EXIT_NO_SOLUTION
 from bundle.cli.option_flags import add_options, naming_flags, options_given
-from bundle.cli.paths import a_path, page_path, reconstruction, telemetry_path, trajectory_path
-from bundle.vio.window_options import WindowOptions
+from bundle.cli.path_checks import (
+    a_path,
+    page_path,
+    reconstruction,
+    telemetry_path,
+    trajectory_path,
+)
+from bundle.interface.window_options import WindowOptions
 
 if TYPE_CHECKING:
-    from bundle.two_loops import TwoLoopsResult
-    from bundle.vio import Sequence
-    from bundle.vio.keyframe_record import KeyframeRecord
+    from bundle.inertial.two_loops.replay import TwoLoopsResult
+    from bundle.inertial.vio.keyframe_record import KeyframeRecord
+    from bundle.model.sequence.sequence import Sequence
 
 __all__ = ["HELP", "NAME", "add_arguments", "run"]
 
@@ -89,22 +95,18 @@ def run(arguments: argparse.Namespace) -> int:
     started = perf_counter()
     import numpy as np
 
+    from bundle.base.paths import as_path
     from bundle.cli.output import show, write_json
     from bundle.cli.progress import Progress
     from bundle.cli.standard_streams import complain
     from bundle.errors import InputError, shown
-    from bundle.io import as_path, atomic
+    from bundle.inertial.vio.odometry import run_odometry
+    from bundle.inertial.vio.trajectory_comparison import compare_trajectories, covered_by
+    from bundle.io.atomic import atomic_write as atomic
     from bundle.io.recognition import sequence_format
-    from bundle.reports.vio import as_json, odometry_tables, telemetry_lines
-    from bundle.vio import (
-        compare_trajectories,
-        load_trajectory,
-        read_sequence,
-        refuse_fatal,
-        run_odometry,
-        save_tum,
-    )
-    from bundle.vio.trajectory_comparison import covered_by
+    from bundle.io.sequences.sequence_folder import read_sequence, refuse_fatal
+    from bundle.io.sequences.trajectory_files import load_trajectory, save_tum
+    from bundle.reports.terminal.vio import as_json, odometry_tables, telemetry_lines
 
     source, target = arguments.sequence, arguments.output
     if arguments.publish is None and (arguments.loops is not None or arguments.real_time):
@@ -145,7 +147,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.telemetry is not None:
             atomic.write_text(as_path(arguments.telemetry), telemetry_lines(result))
         if arguments.html is not None:
-            from bundle.html import write_odometry
+            from bundle.reports.page.odometry_page import write_odometry
 
             progress.stage(f"writing {shown(arguments.html)}")
             write_odometry(result, arguments.html, truth=truth, error=error, name=Path(source).name)
@@ -156,7 +158,7 @@ def run(arguments: argparse.Namespace) -> int:
         source, sequence_format(source), sequence, result, error, written, wall, findings
     )
     if loops is not None:
-        from bundle.reports.two_loops_tables import loop_tables, loops_as_json
+        from bundle.reports.terminal.two_loops_tables import loop_tables, loops_as_json
 
         path = arguments.publish if result.is_usable else None
         tables += loop_tables(loops, corrected)
@@ -174,7 +176,8 @@ def run(arguments: argparse.Namespace) -> int:
 def _replayed(
     arguments: argparse.Namespace, sequence: Sequence, options: WindowOptions
 ) -> TwoLoopsResult:
-    from bundle.two_loops import load_closures, run_two_loops
+    from bundle.inertial.two_loops.closure_files import load_closures
+    from bundle.inertial.two_loops.replay import run_two_loops
 
     closures = () if arguments.loops is None else load_closures(arguments.loops)
     return run_two_loops(sequence, options, closures=closures, real_time=arguments.real_time)

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.problem import Problem
-from bundle.rotations import cross_matrices, rotation_matrices
+from bundle.model.problem import Problem
+from bundle.model.rotations import cross_matrices, rotation_matrices
 
 if TYPE_CHECKING:
-    from bundle.uncertainty import Covariance
+    from bundle.analysis.uncertainty.covariance_result import Covariance
 
 __all__ = ["Certainty", "certainty"]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.figures.residuals import Residuals
-from bundle.problem import Problem
-from bundle.worst_images import ImageError, worst_of_errors
+from bundle.model.problem import Problem
+from bundle.model.worst_images import ImageError, worst_of_errors
 
 __all__ = ["ImageResiduals", "image_residuals", "worst_residuals"]
 

@@ -17,15 +17,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.camera_edits.exact_image import PERSPECTIVE, focal_and_center
-from bundle.cameras import camera_models, project
+from bundle.editing.cameras.exact_image import PERSPECTIVE, focal_and_center
 from bundle.figures.residual_field import (
     MOST_CAMERAS,
     by_observations,
     observations_of_cameras,
     principal_point,
 )
-from bundle.problem import Problem
+from bundle.model.cameras import camera_models, project
+from bundle.model.problem import Problem
 
 __all__ = ["LensCurve", "lens_curve", "most_observed_cameras"]
 

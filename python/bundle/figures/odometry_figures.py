@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.figures.line_figure import Line, LineFigure
-from bundle.inertial.motion_excitation import HEALTHY, UNOBSERVABLE
-from bundle.vio import (
-    KeyframeRecord,
-    OdometryResult,
-    Trajectory,
-    aligned_in_yaw,
-)
-from bundle.vio.window_alarms import LARGEST_ASYMMETRY, LARGEST_IMU_EXCESS, SMALLEST_RATIO
+from bundle.inertial.preintegration.motion_excitation import HEALTHY, UNOBSERVABLE
+from bundle.inertial.vio.keyframe_record import KeyframeRecord
+from bundle.inertial.vio.odometry import OdometryResult
+from bundle.inertial.vio.trajectory_comparison import aligned_in_yaw
+from bundle.inertial.vio.window_alarms import LARGEST_ASYMMETRY, LARGEST_IMU_EXCESS, SMALLEST_RATIO
+from bundle.io.sequences.trajectory_files import Trajectory
 
 __all__ = ["odometry_figures"]
 

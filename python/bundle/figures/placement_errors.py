@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError
-from bundle.problem import Problem
+from bundle.model.problem import Problem
 
 __all__ = ["PlacedImage", "PlacedTarget", "Placement", "placement"]
 

@@ -38,13 +38,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.camera_edits.pixel_rays import pixel_rays
-from bundle.cameras import camera_models, project
+from bundle.editing.cameras.pixel_rays import pixel_rays
 from bundle.figures.residual_field import image_box, principal_point
 from bundle.figures.residuals import Residuals, residuals
-from bundle.losses import evaluate_loss
-from bundle.problem import Problem
-from bundle.rotations import cross_matrices, rotation_matrices
+from bundle.model.cameras import camera_models, project
+from bundle.model.losses import evaluate_loss
+from bundle.model.problem import Problem
+from bundle.model.rotations import cross_matrices, rotation_matrices
 
 __all__ = ["ProjectionUncertainty", "contour_levels", "projection_uncertainty"]
 

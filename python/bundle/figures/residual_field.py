@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.cameras import param_kinds
 from bundle.figures.residuals import Residuals
-from bundle.problem import Problem
+from bundle.model.cameras import param_kinds
+from bundle.model.problem import Problem
 
 __all__ = [
     "SIGNIFICANT",

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
-from bundle.problem import Problem
-from bundle.reprojection import resolve_cheirality
+from bundle.model.problem import Problem
+from bundle.model.reprojection import resolve_cheirality
 
 __all__ = ["Residuals", "residuals"]
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.cameras import camera_models, param_kinds
 from bundle.figures.residuals import Residuals
-from bundle.problem import Problem
-from bundle.rotations import rotation_matrices
+from bundle.model.cameras import camera_models, param_kinds
+from bundle.model.problem import Problem
+from bundle.model.rotations import rotation_matrices
 
 __all__ = ["SceneView", "scene_view"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.problem import Problem
+from bundle.model.problem import Problem
 
 __all__ = ["TrackStatistics", "track_statistics"]
 
@@ -37,7 +37,7 @@ def track_statistics(problem: Problem) -> TrackStatistics:
 
     The angle of two rays is at most 90 degrees, as ``bundle.filter_observations`` has it.
     """
-    from bundle.rounds.ray_angles import enclose_angle
+    from bundle.model.ray_angles import enclose_angle
 
     length = np.bincount(problem.observation_point, minlength=problem.num_points)
     longest = min(int(length.max(initial=0)), LONGEST)

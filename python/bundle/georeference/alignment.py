@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bundle.arguments import as_array
+from bundle.base.arguments import as_array
 from bundle.errors import InputError, brief
 from bundle.georeference.alignment_result import Alignment, ImageError, as_triple
 from bundle.georeference.control_point import (
@@ -37,10 +37,10 @@ from bundle.georeference.position_prior import ROBUST_SCALE
 from bundle.georeference.similar_problem import moved
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.georeference.survey import Survey, control_point_error
-from bundle.io import Source, as_problem
-from bundle.option_fields import choice, number
-from bundle.options import LOSSES
-from bundle.problem import Problem
+from bundle.interface.option_fields import choice, number
+from bundle.interface.options import LOSSES
+from bundle.io.source import Source, as_problem
+from bundle.model.problem import Problem
 
 __all__ = ["align"]
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.display import Display, Displayed
+from bundle.base.display import Display, Displayed
+from bundle.base.words import number, pixels, plural
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity
-from bundle.problem import Problem
-from bundle.words import number, pixels, plural
+from bundle.model.problem import Problem
 
 __all__ = ["Alignment", "ControlPointError", "ImageError", "as_triple", "root_mean_square"]
 

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from bundle.errors import InputError, brief
 from bundle.georeference.position_prior import ROBUST_SCALE
-from bundle.option_fields import choice, number
-from bundle.options import LOSSES
+from bundle.interface.option_fields import choice, number
+from bundle.interface.options import LOSSES
 
 __all__ = [
     "GCP_PIXEL_SIGMA",

@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 
+from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.gps_positions import EXIF_TAGS, GpsPositions
 from bundle.georeference.image_index import last_part
 from bundle.georeference.reference_system import WGS84
-from bundle.words import plural
 
 __all__ = ["read_exif_gps"]
 

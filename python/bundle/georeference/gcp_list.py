@@ -29,6 +29,8 @@ from pathlib import Path
 
 import numpy as np
 
+from bundle.base.paths import as_path
+from bundle.base.words import plural
 from bundle.errors import InputError, brief, nearest, shown
 from bundle.georeference.control_point import (
     GroundControlPoint,
@@ -38,8 +40,6 @@ from bundle.georeference.control_point import (
     parse_sigma,
 )
 from bundle.georeference.odm_lines import parse_number, read_lines
-from bundle.io import as_path
-from bundle.words import plural
 
 __all__ = ["PIXEL_SHIFT", "read_gcp_list"]
 

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.display import Display, Displayed
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError, as_triple
 from bundle.georeference.control_point import (
@@ -42,8 +43,7 @@ from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
 from bundle.georeference.similarity_fit import fit_similarity
 from bundle.georeference.survey import Survey, surveyed
 from bundle.georeference.triangulated_targets import triangulate
-from bundle.problem import Problem
-from bundle.words import plural
+from bundle.model.problem import Problem
 
 __all__ = ["GcpPriors", "gcp_priors"]
 

@@ -22,10 +22,10 @@ import os
 
 import numpy as np
 
+from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.gps_positions import GpsPositions, no_fix_notes
 from bundle.georeference.odm_lines import parse_number, read_lines
-from bundle.words import plural
 
 __all__ = ["read_geo_file"]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from bundle.display import Display, Displayed
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
 from bundle.georeference.alignment_result import ControlPointError, metres, root_mean_square
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.similarity import Similarity
-from bundle.problem import Problem
-from bundle.words import plural
+from bundle.model.problem import Problem
 
 __all__ = ["Georeference", "PositionError", "Solved", "origin_text"]
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bundle.base.paths import is_path
 from bundle.errors import InputError, brief, nearest
 from bundle.georeference.control_point import GroundControlPoint
 from bundle.georeference.exif_gps import read_exif_gps
@@ -17,8 +18,7 @@ from bundle.georeference.geo_file import read_geo_file
 from bundle.georeference.gps_positions import GpsPositions, with_fix
 from bundle.georeference.local_frame import LocalFrame
 from bundle.georeference.reference_system import ReferenceSystem
-from bundle.io import is_path
-from bundle.problem import Problem
+from bundle.model.problem import Problem
 
 __all__ = ["EXIF", "Frame", "given_control_points", "given_gps", "with_check_points"]
 

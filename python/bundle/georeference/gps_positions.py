@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.display import Display, Displayed
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
 from bundle.errors import shown
-from bundle.words import plural
 
 __all__ = ["EXIF_TAGS", "GpsPositions", "no_fix_notes", "with_fix"]
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bundle.display import Display, Displayed
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.georeference.control_point import GCP_PIXEL_SIGMA, GCP_SIGMA, parse_sigma
 from bundle.georeference.georeferenced import Georeference, PositionError, Solved, origin_text
@@ -22,8 +23,7 @@ from bundle.georeference.other_readings import check_readings
 from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
 from bundle.georeference.prior_alignment import ProblemPriors, robust_similarity
 from bundle.georeference.survey import Survey
-from bundle.problem import Problem
-from bundle.words import plural
+from bundle.model.problem import Problem
 
 __all__ = ["GPS_SIGMA", "GpsPriors", "check_settings", "gps_priors"]
 

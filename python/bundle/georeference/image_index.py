@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bundle.errors import InputError, brief, shown
-from bundle.problem import Problem
+from bundle.model.problem import Problem
 
 __all__ = ["ImageIndex", "last_part"]
 

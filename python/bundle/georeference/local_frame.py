@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bundle.errors import InputError
-from bundle.option_fields import number
+from bundle.interface.option_fields import number
 
 if TYPE_CHECKING:
     from pyproj import Transformer

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from bundle.base.words import plural
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.image_index import ImageIndex
-from bundle.problem import Problem
-from bundle.words import plural
+from bundle.model.problem import Problem
 
 __all__ = ["case_notes", "matched", "too_few", "unmatched_notes"]
 

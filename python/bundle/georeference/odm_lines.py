@@ -11,9 +11,9 @@ import math
 import os
 import re
 
+from bundle.base.text_lines import numbered_lines
 from bundle.errors import InputError, brief, shown
 from bundle.georeference.reference_system import ReferenceSystem
-from bundle.text_lines import numbered_lines
 
 __all__ = ["parse_number", "read_lines"]
 

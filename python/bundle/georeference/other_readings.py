@@ -31,8 +31,8 @@ from bundle.georeference.gps_positions import GpsPositions
 from bundle.georeference.prior_alignment import robust_similarity
 from bundle.georeference.reference_system import ReferenceSystem
 from bundle.georeference.similarity import Similarity
-from bundle.problem import Problem
-from bundle.rotations import rotation_matrices
+from bundle.model.problem import Problem
+from bundle.model.rotations import rotation_matrices
 
 if TYPE_CHECKING:
     from bundle.georeference.survey import Survey

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bundle.arguments import as_array
-from bundle.arrays import freeze, refrozen
-from bundle.display import Display, Displayed
+from bundle.base.arguments import as_array
+from bundle.base.arrays import freeze, refrozen
+from bundle.base.display import Display, Displayed
 from bundle.errors import InputError, brief
-from bundle.graph import PositionFactor
-from bundle.option_fields import choice, number
-from bundle.options import LOSSES
+from bundle.graphs.factors.factors import PositionFactor
+from bundle.interface.option_fields import choice, number
+from bundle.interface.options import LOSSES
 
 __all__ = ["ROBUST_SCALE", "PositionPrior"]
 

@@ -23,10 +23,10 @@ from bundle.georeference.position_prior import ROBUST_SCALE, PositionPrior
 from bundle.georeference.similar_problem import moved
 from bundle.georeference.similarity import Similarity
 from bundle.georeference.similarity_fit import fit_similarity
-from bundle.graph import PositionFactor
-from bundle.graph.variables import as_list
-from bundle.problem import Problem
-from bundle.rotations import rotation_matrices
+from bundle.graphs.factors.factors import PositionFactor
+from bundle.graphs.factors.variables import as_list
+from bundle.model.problem import Problem
+from bundle.model.rotations import rotation_matrices
 
 __all__ = ["ProblemPriors", "robust_similarity"]
 

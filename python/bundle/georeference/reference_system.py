@@ -28,9 +28,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bundle.base.words import plural
 from bundle.errors import InputError, brief, first_line
 from bundle.georeference.area_of_use import FARTHEST, MARGIN, SURE, AreaOfUse
-from bundle.words import plural
 
 if TYPE_CHECKING:
     from pyproj import CRS, Transformer

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.georeference.similarity import Similarity
-from bundle.problem import Problem
-from bundle.rig_arrays import placed
-from bundle.rotations import (
+from bundle.model.problem import Problem
+from bundle.model.rig_arrays import placed
+from bundle.model.rotations import (
     quaternion_from_matrix,
     quaternion_inverse,
     quaternion_multiply,

@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from bundle.errors import InputError
 from bundle.georeference.correspondences import Correspondences
 from bundle.georeference.similarity import Similarity, umeyama
-from bundle.losses import evaluate_loss
-from bundle.rotations import quaternion_from_vector, rotation_matrices
+from bundle.model.losses import evaluate_loss
+from bundle.model.rotations import quaternion_from_vector, rotation_matrices
 
 __all__ = ["SimilarityFit", "fit_similarity"]
 

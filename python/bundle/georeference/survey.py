@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.georeference.alignment_result import ControlPointError, as_triple
 from bundle.georeference.control_point import GroundControlPoint, Sigma
@@ -18,9 +19,8 @@ from bundle.georeference.image_index import ImageIndex
 from bundle.georeference.leave_one_out import leave_one_out
 from bundle.georeference.matched_positions import case_notes, matched, too_few
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
-from bundle.problem import Problem
-from bundle.rotations import rotation_matrices
-from bundle.words import plural
+from bundle.model.problem import Problem
+from bundle.model.rotations import rotation_matrices
 
 __all__ = ["Survey", "control_point_error", "notes_on_targets", "surveyed"]
 

@@ -28,8 +28,8 @@ from bundle.georeference.position_prior import UNKNOWN
 from bundle.georeference.similarity import Similarity
 from bundle.georeference.survey import control_point_error, surveyed
 from bundle.georeference.triangulated_targets import Triangulated, triangulate
-from bundle.graph import PriorFactor
-from bundle.problem import Problem
+from bundle.graphs.factors.factors import PriorFactor
+from bundle.model.problem import Problem
 
 __all__ = ["TargetPriors"]
 

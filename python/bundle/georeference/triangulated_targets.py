@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.cameras import camera_models, project
 from bundle.georeference.control_point import GroundControlPoint, Measurement
 from bundle.georeference.image_index import ImageIndex
-from bundle.problem import Problem
-from bundle.rotations import rotation_matrices
+from bundle.model.cameras import camera_models, project
+from bundle.model.problem import Problem
+from bundle.model.rotations import rotation_matrices
 
 __all__ = ["Triangulated", "direction_of", "triangulate"]
 

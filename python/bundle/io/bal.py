@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
-from bundle.cameras import param_kinds
 from bundle.errors import InputError, shown
-from bundle.io import problem_source
-from bundle.io.problem_source import LOST_SIGMAS, BalSource
-from bundle.problem import Problem
+from bundle.model.cameras import param_kinds
+from bundle.model.problem import Problem
+from bundle.model.pycolmap import problem_source
+from bundle.model.pycolmap.problem_source import LOST_SIGMAS, BalSource
 
 __all__ = ["check_refined", "load", "losses", "problem_of", "radial_params", "save", "save_like"]
 

@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from bundle.io.model_files import missing_model_files
+from bundle.io.atomic.model_files import missing_model_files
 
 __all__ = ["GEOREFERENCE", "georeference_of", "owner_of", "path_beside", "remove_georeference"]
 

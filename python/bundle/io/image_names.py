@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from bundle.errors import InputError, shown
-from bundle.io.model_files import is_text_model
+from bundle.io.atomic.model_files import is_text_model
 
 __all__ = ["has_same_images"]
 

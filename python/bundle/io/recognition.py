@@ -6,8 +6,8 @@ import os
 import re
 from pathlib import Path
 
+from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
 from bundle.io.file_names import format_of_name
-from bundle.io.model_files import MODEL_FILES, missing_model_files
 
 __all__ = [
     "SEQUENCE_FILES",

@@ -1,19 +1,23 @@
-"""What stands for a problem or a path wherever a user hands one in."""
+"""Problems, their paths and pycolmap reconstructions, as users hand them in."""
 
 from __future__ import annotations
 
 import os
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.paths import is_path
 from bundle.errors import InputError, brief
-from bundle.problem import Problem
+from bundle.model import reprojection
+from bundle.model.problem import Problem
 
 if TYPE_CHECKING:
     import pycolmap
 
-__all__ = ["Source", "as_path", "as_problem", "is_path"]
+__all__ = ["Source", "as_problem", "reprojection_errors"]
 
 Source: TypeAlias = "Problem | str | os.PathLike[str] | pycolmap.Reconstruction"
 """A problem, the path of one, or a reconstruction in memory."""
@@ -33,7 +37,7 @@ def as_problem(source: Source, name: str = "problem") -> Problem:
     if isinstance(source, Problem):
         return source
     if is_path(source):
-        from bundle.io import load
+        from bundle.io.open import load
 
         return load(source)
     # Whoever holds a reconstruction has imported pycolmap, which takes a while.
@@ -46,33 +50,35 @@ def as_problem(source: Source, name: str = "problem") -> Problem:
     )
 
 
-def as_path(path: Any, name: str = "path") -> Path:
-    """Return a path that the system can be asked for.
-
-    Raises:
-        InputError: it is no path, is empty, or holds characters that no path has.
-    """
-    if not is_path(path):
-        raise InputError(f"{name}: expected a path, found {brief(path)}")
-    text = os.fspath(path)
-    if text == "":
-        raise InputError(f"{name}: expected a path, found an empty one")
-    try:
-        valid = b"\0" not in os.fsencode(text)
-    except UnicodeEncodeError:
-        valid = False
-    if not valid:
-        raise InputError(f"{name}: expected a path of this system, found {brief(text)}")
-    return Path(text)
-
-
-def is_path(value: Any) -> TypeGuard[str | os.PathLike[str]]:
-    """Whether a value is a path by its type, and not one of bytes."""
-    return isinstance(value, str) or (
-        isinstance(value, os.PathLike) and isinstance(os.fspath(value), str)
-    )
-
-
 def _hint(source: Any) -> str:
     problem = getattr(source, "problem", None)
     return "; pass its .problem" if isinstance(problem, Problem) else ""
+
+
+def reprojection_errors(
+    problem: Source, *, cheirality: str = "auto", num_threads: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the reprojection error of each observation at the problem's own values.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        cheirality: with "zero" no lens sees farther than COLMAP lets it.
+        num_threads: 0: all cores.
+
+    Returns:
+        Errors ||r|| in pixels, (num_observations,): projection minus measurement. Also defined for
+        points behind their camera, by the formula; NaN where there is no projection. And a mask,
+        (num_observations,), of points that the camera does not see: behind it, or where the formula
+        of a wide lens, which goes on past 90 degrees, has ended.
+
+    Raises:
+        InputError: an observed image has a camera model that is not supported.
+        OSError: the path cannot be read.
+
+    Example:
+        >>> errors, behind = bundle.reprojection_errors(result.problem)
+        >>> outliers = (errors > 4.0) | behind
+    """
+    return reprojection.reprojection_errors(
+        as_problem(problem), cheirality=cheirality, num_threads=num_threads
+    )

@@ -1,1 +1,1 @@
-"""What a user reads: tables and sentences for people, JSON for programs."""
+"""Results shown: terminal, JSON, HTML pages."""

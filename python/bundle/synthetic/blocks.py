@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from bundle import _core
 from bundle.errors import InputError
-from bundle.problem import Problem
-from bundle.rotations import quaternion_from_matrix, rotate
+from bundle.interface.scene_options import SceneOptions
+from bundle.model.problem import Problem
+from bundle.model.rotations import quaternion_from_matrix, rotate
 from bundle.synthetic.intrinsics import draw_intrinsics
 from bundle.synthetic.noise import measure
 from bundle.synthetic.orbit import Orbit
 from bundle.synthetic.photo_collection import PhotoCollection
 from bundle.synthetic.scene import Pairs, Points, Scene
-from bundle.synthetic.scene_options import SceneOptions
 from bundle.synthetic.street import Street
 from bundle.synthetic.tracks import select_observations, wanted_lengths
 from bundle.synthetic.visibility import Visibility

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.rotations import dot
+from bundle.model.rotations import dot
 
 __all__ = ["Body", "random_directions"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.cameras import camera_models
+from bundle.model.cameras import camera_models
 from bundle.synthetic.scene import Images
 
 __all__ = ["FOCAL_PARAMS", "RADIAL_PARAMS", "TANGENTIAL_PARAMS", "Intrinsics", "draw_intrinsics"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.synthetic.scene_options import SceneOptions
+from bundle.interface.scene_options import SceneOptions
 
 __all__ = ["measure"]
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.rotations import dot, look_along
+from bundle.interface.scene_options import SceneOptions
+from bundle.model.rotations import dot, look_along
 from bundle.synthetic.body import Body, random_directions
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
-from bundle.synthetic.scene_options import SceneOptions
 
 __all__ = ["Orbit"]
 

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.rotations import dot, look_along
+from bundle.interface.scene_options import SceneOptions
+from bundle.model.rotations import dot, look_along
 from bundle.synthetic.body import Body
 from bundle.synthetic.scene import Images, Pairs, Points, Scene
-from bundle.synthetic.scene_options import SceneOptions
 
 __all__ = ["PhotoCollection"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.problem import Problem
-from bundle.reprojection import ReprojectionError, counted_errors, reprojection_errors
+from bundle.model.problem import Problem
+from bundle.model.reprojection import ReprojectionError, counted_errors, reprojection_errors
 
 __all__ = ["ErrorTally", "SceneTally"]
 

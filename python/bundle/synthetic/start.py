@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.problem import Problem
-from bundle.rotations import (
+from bundle.interface.scene_options import SceneOptions
+from bundle.model.problem import Problem
+from bundle.model.rotations import (
     dot,
     quaternion_from_vector,
     quaternion_inverse,
@@ -19,7 +20,6 @@ from bundle.rotations import (
     quaternion_rotate,
 )
 from bundle.synthetic.intrinsics import FOCAL_PARAMS, RADIAL_PARAMS, TANGENTIAL_PARAMS, Intrinsics
-from bundle.synthetic.scene_options import SceneOptions
 
 __all__ = ["Start", "median_distance"]
 

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
-from bundle.io import atomic, bal
+from bundle.io import bal
+from bundle.io.atomic import atomic_write as atomic
 from bundle.synthetic.blocks import SceneInBlocks
 from bundle.synthetic.scene_tally import ErrorTally, SceneTally
 from bundle.synthetic.start import Start, median_distance

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.display import Display, Displayed
-from bundle.problem import Problem
+from bundle.base.display import Display, Displayed
+from bundle.base.words import contents, plural
+from bundle.interface.scene_options import SceneOptions
+from bundle.model.problem import Problem
 from bundle.synthetic.blocks import SceneInBlocks
-from bundle.synthetic.scene_options import SceneOptions
 from bundle.synthetic.start import Start, median_distance
-from bundle.words import contents, plural
 
 __all__ = ["SyntheticScene", "assemble", "synthesize"]
 

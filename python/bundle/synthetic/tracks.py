@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.components import component_roots
+from bundle.base.components import component_roots
 from bundle.errors import InputError
+from bundle.interface.scene_options import MIN_OBSERVATIONS_PER_IMAGE, MIN_TRACK_LENGTH
 from bundle.synthetic.scene import Pairs
-from bundle.synthetic.scene_options import MIN_OBSERVATIONS_PER_IMAGE, MIN_TRACK_LENGTH
 
 __all__ = ["components", "select_observations", "wanted_lengths"]
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle import _core
+from bundle.interface.scene_options import MIN_OBSERVATIONS_PER_IMAGE
 from bundle.synthetic.cells import Cells
 from bundle.synthetic.intrinsics import Intrinsics
 from bundle.synthetic.scene import Pairs, Points, Scene
-from bundle.synthetic.scene_options import MIN_OBSERVATIONS_PER_IMAGE
 
 __all__ = ["Visibility"]
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.rotations import (
+from bundle.model.rotations import (
     quaternion_inverse,
     quaternion_multiply,
     quaternion_rotate,

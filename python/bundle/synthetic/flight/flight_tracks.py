@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.rigid_motions import inverse_poses, multiply_poses
-from bundle.rotations import rotation_matrices
+from bundle.model.rigid_motions import inverse_poses, multiply_poses
+from bundle.model.rotations import rotation_matrices
 from bundle.synthetic.flight.motions import Surroundings
 
 __all__ = ["Pinhole", "Tracked", "follow"]

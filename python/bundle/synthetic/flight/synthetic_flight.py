@@ -13,14 +13,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.inertial import ImuNoise
-from bundle.rigid_motions import inverse_poses
-from bundle.rotations import quaternion_from_matrix
+from bundle.interface.flight_options import FlightOptions
+from bundle.io.sequences.sequence_folder import save_sequence
+from bundle.io.sequences.trajectory_files import Trajectory, save_ground_truth
+from bundle.model.rigid_motions import inverse_poses
+from bundle.model.rotations import quaternion_from_matrix
+from bundle.model.sequence.calibration import Calibration
+from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.sequence import Sequence
 from bundle.synthetic.flight.body_motion import imu_samples, motion_at
 from bundle.synthetic.flight.flight_tracks import Pinhole, Tracked, follow
 from bundle.synthetic.flight.motions import control_points, surroundings
-from bundle.synthetic.flight_options import FlightOptions
-from bundle.vio import Calibration, Sequence, Trajectory, save_ground_truth, save_sequence
 
 __all__ = ["SyntheticFlight", "save_flight", "synthesize_flight"]
 

@@ -1,0 +1,1 @@
+"""Determined and undetermined parameters, uncertainty, statistics."""

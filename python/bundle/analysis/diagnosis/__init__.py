@@ -1,0 +1,1 @@
+"""Undetermined parameters and weak modes (bundle diagnose)."""

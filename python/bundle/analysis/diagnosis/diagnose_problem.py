@@ -1,0 +1,230 @@
+"""What a problem's observations determine: rank, conditioning, pieces, points and images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle import _core
+from bundle.analysis.diagnosis.collapsed import collapsed_clusters
+from bundle.analysis.diagnosis.component_modes import component_modes, rotation_modes
+from bundle.analysis.diagnosis.diagnose_graph import diagnose_graph
+from bundle.analysis.diagnosis.diagnosis_result import Component, Diagnosis
+from bundle.analysis.diagnosis.equation_counts import EquationCounts
+from bundle.analysis.diagnosis.findings import findings
+from bundle.analysis.diagnosis.graph_diagnosis import GraphDiagnosis
+from bundle.analysis.diagnosis.modes import null_modes, weak_modes
+from bundle.analysis.diagnosis.point_checks import check_points
+from bundle.analysis.diagnosis.scale_drift import scale_drift
+from bundle.analysis.diagnosis.track_table import FEW_SHARED, TrackTable
+from bundle.analysis.diagnosis.unknowns import Unknowns
+from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.options import SolveOptions
+from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.io.source import Source, as_problem
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.problem import Problem
+from bundle.solving.free_degrees import gauge_freedom
+from bundle.solving.result import Result
+from bundle.solving.solver import prepare
+
+if TYPE_CHECKING:
+    from bundle.graphs.factors.factors import Factor
+    from bundle.solving.constraints.applied import Applied
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.constraints.rules import Rule
+    from bundle.solving.placement import Prior
+
+__all__ = ["diagnose"]
+
+FEW_OBSERVATIONS = 10
+"""An image with fewer observations hardly holds its pose."""
+
+
+@overload
+def diagnose(
+    problem: PoseGraph | PoseGraphResult,
+    options: PoseGraphOptions | None = None,
+    **changes: Any,
+) -> GraphDiagnosis: ...
+
+
+@overload
+def diagnose(
+    problem: Source | Result,
+    options: SolveOptions | None = None,
+    *,
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    align: bool | None = None,
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] | Applied = (),
+    **changes: Any,
+) -> Diagnosis: ...
+
+
+def diagnose(
+    problem: Source | Result | PoseGraph | PoseGraphResult,
+    options: SolveOptions | PoseGraphOptions | None = None,
+    *,
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    align: bool | None = None,
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] | Applied = (),
+    **changes: Any,
+) -> Diagnosis | GraphDiagnosis:
+    """Find what the observations determine and what they do not, at the values of a problem.
+
+    The reduced camera system (points eliminated, those without parallax taken out exactly) is
+    scaled to a diagonal of ones. Its null directions are compared with what moving, turning and
+    scaling the world does; those beyond, and weak ones, are named by what moves and why. Nothing is
+    solved: the diagnosis is that of the linearisation, so that a problem far from its solution may
+    look better or worse than it is there.
+
+    Of a pose graph, the result of a solve of one, or a g2o file the result is a
+    :class:`GraphDiagnosis`: rank from what the information of the edges leaves open, weak joints by
+    pose and edge, condition numbers, and edges that the others contradict. ``options`` are then
+    :class:`bundle.PoseGraphOptions`, of which error, information and loss count; of a result its
+    own, with the weights that its solve ended with.
+
+    Args:
+        problem: left untouched; a problem, the result of a solve, a path or a
+            pycolmap.Reconstruction.
+        options: what is refined and what is fixed, and the loss, as in :func:`bundle.solve`; of a
+            result its own. The gauge is left free unless another one than "auto" is asked for.
+        factors: beside the observations, as in :func:`bundle.solve`.
+        priors: measured positions and control points, likewise.
+        align: likewise.
+        bounds: likewise.
+        constraints: likewise.
+        **changes: options by name, in place of those in ``options``.
+
+    Raises:
+        InputError: as :func:`bundle.solve`.
+        OSError: the path cannot be read.
+
+    Example:
+        >>> bundle.diagnose("sparse/0").nullity
+        7
+    """
+    if is_graph(problem):
+        refuse_for_graphs(
+            factors=factors, priors=priors, align=align, bounds=bounds, constraints=constraints
+        )
+        return diagnose_graph(problem, options, **changes)  # type: ignore[arg-type]
+    drift = None
+    if isinstance(problem, Result):
+        drift = scale_drift(problem)
+        options = problem.options.replace(gauge="auto") if options is None else options
+        problem = problem.problem
+    problem = as_problem(problem)  # type: ignore[arg-type]
+    options = SolveOptions.of(options, changes, "diagnose")  # type: ignore[arg-type]
+    if options.gauge == "auto":
+        options = options.replace(gauge="none")
+    ready = prepare(problem, options, factors, priors, align, bounds, constraints)
+    start, options = ready.start, ready.options
+
+    tracks = TrackTable(start)
+    found = _core.reduced_spectrum(
+        start, options.asdict(), tracks.pieces, ready.limits, ready.core_factors()
+    )
+    expected = int(found["expected_nullity"])
+    if ready.known is not None:
+        expected = _expected_beside_factors(start, options, ready.known.factors, tracks, found)
+    unknowns = Unknowns(start, found)
+    collapsed = collapsed_clusters(start, tracks)
+    counts = EquationCounts(unknowns, tracks)
+    modes = null_modes(unknowns, found["null_directions"], tracks, collapsed, counts)
+    components = _components(start, tracks)
+    apart = component_modes(start, tracks, components)
+    is_loose = found["nullity"] > expected
+    short = {mode.image_ids for mode in modes if mode.kind == "underdetermined"}
+    turning = [
+        mode for mode in rotation_modes(start, tracks, counts) if mode.image_ids not in short
+    ]
+    modes = [*(apart if is_loose else ()), *turning, *modes]
+    modes += weak_modes(unknowns, found["eigenvalues"], found["directions"], tracks, modes)
+    points = check_points(start, tracks)
+    null = np.asarray(found["null_points"], np.int64)
+    # At a camera, any ray fits: that is another matter than rays that are one.
+    parallel = np.setdiff1d(start.point_ids[null[tracks.lengths[null] > 1]], points.at_cameras)
+    parts: dict[str, Any] = {
+        "nullity": int(found["nullity"]),
+        "expected_nullity": expected,
+        "nullity_is_exact": bool(found["nullity_is_exact"]),
+        "components": components,
+        "weak_modes": tuple(modes),
+        "points_without_parallax": parallel,
+        "collapsed": collapsed,
+        "condition_number": _condition(found),
+        "condition_number_unscaled": float(found["condition_number_unscaled"]),
+        "eigenvalues": found["eigenvalues"],
+        "max_null_eigenvalue": float(found["max_null_eigenvalue"]),
+        "unobserved_points": points.unobserved,
+        "points_seen_once": np.setdiff1d(points.seen_once, _held_points(start, options)),
+        "points_seen_twice": points.seen_twice,
+        "points_at_cameras": points.at_cameras,
+        "points_at_infinity": np.setdiff1d(points.at_infinity, parallel),
+        "images_with_few_observations": start.image_ids[_observations(start) < FEW_OBSERVATIONS],
+        "images_with_few_shared_points": start.image_ids[
+            (tracks.shared < FEW_SHARED) & (_observations(start) > 0) & ~_held(start, options)
+        ],
+    }
+    bare = Diagnosis(**parts, findings=())
+    said = findings(bare, start, tracks, unknowns, found, apart, drift)
+    return Diagnosis(**parts, findings=said)
+
+
+def _held(problem: Problem, options: SolveOptions) -> NDArray[np.bool_]:
+    """Return which images have a pose that is held."""
+    if "poses" not in options.refine:
+        return np.ones(problem.num_images, bool)
+    return np.asarray(np.isin(problem.image_ids, options.fixed_image_ids))
+
+
+def _held_points(problem: Problem, options: SolveOptions) -> NDArray[np.int64]:
+    """Return the ids of points that are held."""
+    if "points" not in options.refine:
+        return problem.point_ids
+    return np.array(options.fixed_point_ids, np.int64)
+
+
+def _expected_beside_factors(
+    problem: Problem,
+    options: SolveOptions,
+    factors: tuple[Factor, ...],
+    tracks: TrackTable,
+    found: dict[str, Any],
+) -> int:
+    """Return the similarities of the world that neither observations nor factors see."""
+    if tracks.pieces.max(initial=-1) > 0:  # of several pieces, gauge_freedom counts all
+        return int(found["num_gauge"])
+    return gauge_freedom(problem, options, factors=factors).degrees
+
+
+def _components(problem: Problem, tracks: TrackTable) -> tuple[Component, ...]:
+    pieces = tracks.pieces
+    of_point = np.full(problem.num_points, -1)
+    of_point[tracks.points] = pieces[tracks.images]
+    return tuple(
+        Component(
+            image_ids=tuple(sorted(problem.image_ids[pieces == piece].tolist())),
+            num_points=int((of_point == piece).sum()),
+        )
+        for piece in range(pieces.max(initial=-1) + 1)
+    )
+
+
+def _condition(found: dict[str, Any]) -> float:
+    values = found["eigenvalues"]
+    return float(found["max_eigenvalue"] / values[0]) if len(values) else math.nan
+
+
+def _observations(problem: Problem) -> NDArray[np.int64]:
+    return np.bincount(problem.observation_image, minlength=problem.num_images)

@@ -1,0 +1,82 @@
+"""Equations and unknowns of each piece of the world: fewer equations leave it open, whatever it is.
+
+An observation gives two equations. A point that two images see has three unknowns, an image six, a
+camera its parameters that are refined; seven unknowns of a piece are the gauge's. Where equations
+are fewer than the rest, the values at hand say nothing of how the images stand: two images that
+stand at one place because nothing tells otherwise are no panorama.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bundle.analysis.diagnosis.diagnosis_result import WeakMode
+from bundle.analysis.diagnosis.id_lists import named, sorted_ids
+from bundle.analysis.diagnosis.track_table import TrackTable
+from bundle.analysis.diagnosis.unknowns import Unknowns
+from bundle.base.words import plural
+
+__all__ = ["EquationCounts"]
+
+_GAUGE = 7
+
+
+@dataclass(frozen=True)
+class _Count:
+    equations: int
+    unknowns: int
+    points: int
+
+
+class EquationCounts:
+    """Which pieces have fewer equations than unknowns.
+
+    Pieces with frames of rigs, and those that share a camera with another piece, are left out.
+    """
+
+    def __init__(self, unknowns: Unknowns, tracks: TrackTable) -> None:
+        self._unknowns, self._pieces = unknowns, tracks.pieces
+        self._short: dict[int, _Count] = {}
+        problem = unknowns.problem
+        if problem.num_frames or not problem.num_images:
+            return
+        size = int(tracks.pieces.max(initial=-1)) + 1
+        counted = tracks.lengths[tracks.points] > 1
+        images = tracks.images[counted]
+        equations = 2 * np.bincount(tracks.pieces[images], minlength=size)
+        firsts = np.flatnonzero(np.diff(tracks.points[counted], prepend=-1))
+        points = np.bincount(tracks.pieces[images[firsts]], minlength=size)
+        poses = unknowns.index[unknowns.of_pose]
+        free = 3 * points + np.bincount(tracks.pieces[poses], minlength=size)[:size]
+        for camera in np.unique(unknowns.index[unknowns.of_camera]).tolist():
+            used = np.unique(tracks.pieces[unknowns.images_of_cameras([camera])])
+            own = used[used >= 0]
+            if len(own) == 1:
+                free[own[0]] += int((unknowns.of_camera & (unknowns.index == camera)).sum())
+        for piece in np.flatnonzero(equations < free - _GAUGE).tolist():
+            self._short[piece] = _Count(
+                int(equations[piece]), int(free[piece]) - _GAUGE, int(points[piece])
+            )
+
+    def mode(self, images: np.ndarray, dimension: int) -> WeakMode | None:
+        """Return what a deficiency of these images is where their piece is short; else None."""
+        pieces = np.unique(self._pieces[images])
+        if len(pieces) != 1 or int(pieces[0]) not in self._short:
+            return None
+        count = self._short[int(pieces[0])]
+        ids = sorted_ids(
+            self._unknowns.problem.image_ids, np.flatnonzero(self._pieces == pieces[0])
+        )
+        return WeakMode(
+            kind="underdetermined",
+            sentence=f"Underdetermined: {named('image', ids)} with "
+            f"{plural(count.points, 'common point')} give {count.equations} equations for "
+            f"{count.unknowns} unknowns beyond the gauge. Match more points, or hold intrinsics "
+            "(--refine poses,points).",
+            image_ids=ids,
+            camera_ids=(),
+            eigenvalue=0.0,
+            dimension=dimension,
+        )

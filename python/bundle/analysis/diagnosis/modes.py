@@ -1,0 +1,257 @@
+"""Directions that observations do not determine, in words.
+
+Null directions come as any basis of their space. Two unknowns belong together where the projector
+onto the space couples them: its blocks are those of independent deficiencies, and the trace of each
+is its dimension, whatever the basis. What a deficiency is follows from what moves (parameters of
+cameras, poses or both), from how these images look at the scene (viewing.py) and from which points
+hold them together (track_table.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.analysis.diagnosis.diagnosis_result import CollapsedCluster, WeakMode
+from bundle.analysis.diagnosis.equation_counts import EquationCounts
+from bundle.analysis.diagnosis.id_lists import named, sorted_ids
+from bundle.analysis.diagnosis.mode_sentences import (
+    camera_ids,
+    dominant_parts,
+    mode_against_poses,
+    mode_of_poses,
+    part_names,
+)
+from bundle.analysis.diagnosis.track_table import TrackTable
+from bundle.analysis.diagnosis.unknowns import CameraPart, Unknowns
+from bundle.analysis.diagnosis.viewing import Viewing, viewing
+from bundle.base.components import component_roots
+from bundle.base.words import plural
+from bundle.model.problem import Problem
+
+__all__ = ["null_modes", "weak_modes"]
+
+COUPLED = 1e-3
+"""Entries of the projector below are zero."""
+WEAK = 1e-4
+"""Eigenvalues above are no weakness."""
+UNCERTAIN = 1e-3
+"""Of the focal length: a share that one weak direction leaves open at one pixel of noise."""
+Floats = NDArray[np.float64]
+
+
+def null_modes(
+    unknowns: Unknowns,
+    directions: Floats,
+    tracks: TrackTable,
+    collapsed: tuple[CollapsedCluster, ...],
+    counts: EquationCounts,
+) -> list[WeakMode]:
+    """Return the deficiencies behind null directions beyond the gauge, (num_unknowns, count)."""
+    modes = list(_unseen(unknowns, tracks))
+    for rows in _blocks(unknowns, directions):
+        own = directions[rows]
+        dimension = round(float((own**2).sum()))
+        if dimension == 0:  # what is left of a block by rounding
+            continue
+        # The direction of the block that moves the most.
+        _, _, across = np.linalg.svd(own, full_matrices=False)
+        strongest = np.zeros(len(directions))
+        strongest[rows] = own @ across[0]
+        modes.append(_describe(unknowns, strongest, rows, dimension, tracks, counts))
+    return _without_collapsed(unknowns.problem, modes, collapsed)
+
+
+def weak_modes(
+    unknowns: Unknowns,
+    eigenvalues: Floats,
+    directions: Floats,
+    tracks: TrackTable,
+    known: Sequence[WeakMode],
+) -> list[WeakMode]:
+    """Return the weak directions that have a known cause, those of one cause as one.
+
+    Long chains and loose ends have small eigenvalues of their own, and nothing is wrong with them:
+    a direction counts where it leaves a focal length open because of how the images look.
+
+    Args:
+        unknowns: of the columns.
+        eigenvalues: ascending.
+        directions: a column each.
+        tracks: of the problem.
+        known: null modes; causes that these have are not repeated.
+    """
+    by_cause: dict[str, _Weakness] = {}
+    for value, direction in zip(eigenvalues.tolist(), directions.T, strict=True):
+        if value > WEAK:
+            break
+        parts = unknowns.camera_parts(direction / np.sqrt(value))
+        focal = [part for part in parts if unknowns.parameter_kind(part) == "focal"]
+        shares = [abs(part.amount) / unknowns.focal(part.camera) for part in focal]
+        if not shares or max(shares) < UNCERTAIN:
+            continue
+        moved = [part for part, share in zip(focal, shares, strict=True) if share > max(shares) / 3]
+        cameras = sorted({part.camera for part in moved})
+        # Points are determined by all images that see them: it is their configuration that counts.
+        pieces = np.unique(tracks.pieces[unknowns.images_of_cameras(cameras)])
+        look = viewing(unknowns.problem, np.flatnonzero(np.isin(tracks.pieces, pieces)))
+        if look is None or not look.cause or look.cause in {mode.kind for mode in known}:
+            continue
+        found = by_cause.setdefault(look.cause, _Weakness(look, value, cameras, parts))
+        for part in focal:
+            found.squares[part.camera] = found.squares.get(part.camera, 0.0) + part.amount**2
+    return [_weak(unknowns, weakness) for weakness in by_cause.values()]
+
+
+@dataclass
+class _Weakness:
+    """Weak directions of one cause: the first, and squares of what all leave open, by camera."""
+
+    look: Viewing
+    eigenvalue: float
+    cameras: list[int]
+    parts: list[CameraPart]
+    squares: dict[int, float] = field(default_factory=dict)
+
+
+def _weak(unknowns: Unknowns, weakness: _Weakness) -> WeakMode:
+    camera = max(weakness.cameras, key=lambda one: weakness.squares[one] / unknowns.focal(one) ** 2)
+    known = (
+        f"At 1 px of noise this leaves {weakness.squares[camera] ** 0.5:.3g} px of a focal length "
+        f"of {unknowns.focal(camera):.4g} px open."
+    )
+    images = unknowns.images_of_cameras(weakness.cameras)
+    look, value = weakness.look, weakness.eigenvalue
+    return mode_against_poses(
+        unknowns, weakness.parts, weakness.cameras, images, look, value, 1, known
+    )
+
+
+def _without_collapsed(
+    problem: Problem, modes: list[WeakMode], collapsed: tuple[CollapsedCluster, ...]
+) -> list[WeakMode]:
+    """Return the modes, those of images on which points have collapsed as one."""
+    images = {image for cluster in collapsed for image in cluster.image_ids}
+    own = np.isin(problem.image_ids, sorted(images))
+    cameras = set(problem.camera_ids[problem.image_camera[own]].tolist())
+    concerned = [
+        mode for mode in modes if images & {*mode.image_ids} or cameras & {*mode.camera_ids}
+    ]
+    if not concerned:
+        return modes
+    dimension = sum(mode.dimension for mode in concerned)
+    named_images = tuple(sorted({image for mode in concerned for image in mode.image_ids}))
+    named_cameras = tuple(sorted({key for mode in concerned for key in mode.camera_ids}))
+    return [
+        WeakMode(
+            kind="collapsed_scale",
+            sentence=f"{plural(dimension, 'null direction')} of images on which points have "
+            f"collapsed in scale, and of their cameras ({named('image', named_images)}): beside "
+            "derivatives that large, what the other observations say is lost to rounding.",
+            image_ids=named_images,
+            camera_ids=named_cameras,
+            eigenvalue=0.0,
+            dimension=dimension,
+        ),
+        *(mode for mode in modes if mode not in concerned),
+    ]
+
+
+def _unseen(unknowns: Unknowns, tracks: TrackTable) -> Iterator[WeakMode]:
+    """Yield what no observation determines at all."""
+    problem = unknowns.problem
+    entities = unknowns.entities()
+    for entity in np.unique(entities[unknowns.unseen]):
+        rows = np.flatnonzero((entities == entity) & unknowns.unseen)
+        if unknowns.of_camera[rows[0]]:
+            camera = int(unknowns.index[rows[0]])
+            names = ", ".join(
+                unknowns.parameter_name(CameraPart(camera, int(unknowns.coordinate[row]), 0, 0))
+                for row in rows
+            )
+            key = int(problem.camera_ids[camera])
+            yield WeakMode(
+                kind="unobserved_parameter",
+                sentence=f"Unobserved: {names} of camera {key}, which no observation depends on. "
+                f"Hold it (--set 'camera {key}: {names.replace(' ', '')} fixed').",
+                image_ids=(),
+                camera_ids=(key,),
+                eigenvalue=0.0,
+                dimension=len(rows),
+            )
+            continue
+        images = unknowns.images(rows)
+        ids = sorted_ids(problem.image_ids, images)
+        shared = int(tracks.shared[images].sum())
+        yield WeakMode(
+            kind="unobserved_pose",
+            sentence=f"{named('Image', ids)}: nothing determines the pose in "
+            f"{plural(len(rows), 'direction')}; {plural(shared, 'point')} shared with "
+            "other images.",
+            image_ids=ids,
+            camera_ids=(),
+            eigenvalue=0.0,
+            dimension=len(rows),
+        )
+
+
+def _blocks(unknowns: Unknowns, directions: Floats) -> Iterator[NDArray[np.int64]]:
+    """Yield the unknowns of each independent part of the space."""
+    entities = unknowns.entities()
+    active = np.flatnonzero((directions**2).sum(axis=1) > COUPLED**2)
+    if not len(active):
+        return
+    used, numbers = np.unique(entities[active], return_inverse=True)
+    ends: list[NDArray[np.int64]] = []
+    for one in range(len(used)):
+        coupled = np.abs(directions[active[numbers == one]] @ directions[active].T) > COUPLED
+        others = np.unique(numbers[coupled.any(axis=0)])
+        ends.append(np.stack([np.full(len(others), one), others], axis=1))
+    pairs = np.concatenate(ends)
+    roots = component_roots(pairs.ravel(), np.arange(0, 2 * len(pairs), 2), len(used))
+    for root in np.unique(roots):
+        yield active[roots[numbers] == root]
+
+
+def _describe(
+    unknowns: Unknowns,
+    direction: Floats,
+    rows: NDArray[np.int64],
+    dimension: int,
+    tracks: TrackTable,
+    counts: EquationCounts,
+) -> WeakMode:
+    parts = unknowns.camera_parts(direction)
+    poses = rows[unknowns.of_pose[rows]]
+    images = unknowns.images(poses)
+    if not parts:
+        return mode_of_poses(unknowns, images, direction, dimension, tracks)
+    dominant = dominant_parts(parts)
+    cameras = sorted({part.camera for part in dominant})
+    if not len(poses):
+        kind = "unobserved_parameter"
+        names = part_names(unknowns, dominant, spoken=False)
+        key = ", ".join(str(unknowns.problem.camera_ids[camera]) for camera in cameras)
+        reason = (
+            "no observation depends on it"
+            if len(dominant) == 1
+            else ("the observations depend on one combination of them only")
+        )
+        return WeakMode(
+            kind=kind,
+            sentence=f"Unobserved: {names} of {named('camera', camera_ids(unknowns, cameras))}; "
+            f"{reason}. Hold one of them (--set 'camera {key}: {names.split(', ')[-1]} fixed').",
+            image_ids=(),
+            camera_ids=camera_ids(unknowns, cameras),
+            eigenvalue=0.0,
+            dimension=dimension,
+        )
+    seen = unknowns.images_of_cameras(cameras)
+    short = counts.mode(images, dimension)
+    if short is not None:
+        return short
+    look = viewing(unknowns.problem, seen)
+    return mode_against_poses(unknowns, parts, cameras, images, look, 0.0, dimension, "")

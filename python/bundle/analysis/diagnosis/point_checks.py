@@ -1,0 +1,63 @@
+"""Points that the observations do not determine, or hardly.
+
+The rays to a point from the centres of its cameras, as unit vectors u_i, differ by no more than
+2 max |u_i - mean u| and by no less than max |u_i - mean u|: an angle, for small ones, without the
+square of the pairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.analysis.diagnosis.track_table import TrackTable
+from bundle.model.problem import Problem
+
+__all__ = ["PointChecks", "check_points"]
+
+AT_CAMERA = 1e-6
+"""Of the median distance of points from their cameras."""
+PARALLEL = 1e-4
+"""Radians: rays that differ by less put a point beyond ten thousand baselines."""
+
+Ids = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class PointChecks:
+    """Ids of points; see :class:`bundle.analysis.diagnosis.diagnosis_result.Diagnosis`."""
+
+    unobserved: Ids
+    seen_once: Ids
+    seen_twice: Ids
+    at_cameras: Ids
+    at_infinity: Ids
+
+
+def check_points(problem: Problem, tracks: TrackTable) -> PointChecks:
+    """Return the points by what is the matter with them."""
+    lengths, images, points = tracks.lengths, tracks.images, tracks.points
+    rays = problem.points[points] - problem.projection_centers[images]
+    distances = np.linalg.norm(rays, axis=1)
+    usual = float(np.median(distances)) if len(distances) else 0.0
+    at_camera = np.zeros(problem.num_points, bool)
+    at_camera[points[distances <= AT_CAMERA * usual]] = True
+    far = np.zeros(problem.num_points, bool)
+    if len(points):
+        rays /= np.maximum(distances, np.finfo(float).tiny)[:, None]
+        starts = np.flatnonzero(np.diff(points, prepend=-1))
+        counts = np.diff(starts, append=len(points))
+        mean = np.add.reduceat(rays, starts) / counts[:, None]
+        off = np.linalg.norm(rays - np.repeat(mean, counts, axis=0), axis=1)
+        spread = np.maximum.reduceat(off, starts)
+        far[points[starts]] = (spread < PARALLEL / 2) & (counts > 1)
+    ids = problem.point_ids
+    return PointChecks(
+        unobserved=ids[lengths == 0],
+        seen_once=ids[lengths == 1],
+        seen_twice=ids[lengths == 2],
+        at_cameras=ids[at_camera],
+        at_infinity=ids[far & ~at_camera],
+    )

@@ -1,0 +1,121 @@
+"""What the unknowns of the reduced camera system are, by cameras and images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.model.cameras import camera_models, param_kinds, project
+from bundle.model.problem import Problem
+
+__all__ = ["CameraPart", "Unknowns"]
+
+_IMAGE, _FRAME, _SENSOR, _CAMERA = range(4)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CameraPart:
+    """How much a direction moves a parameter of a camera.
+
+    Attributes:
+        camera: its index.
+        parameter: its number in the model.
+        amount: by how much, in the parameter's unit.
+        pixels: by how much that moves a pixel at the rim of what the camera observes.
+    """
+
+    camera: int
+    parameter: int
+    amount: float
+    pixels: float
+
+
+class Unknowns:
+    """The columns of the reduced camera system, and directions in them.
+
+    Args:
+        problem: whose.
+        found: what `_core.reduced_spectrum` returned.
+    """
+
+    def __init__(self, problem: Problem, found: dict[str, Any]) -> None:
+        self.problem = problem
+        self.kind, self.index, self.coordinate = np.asarray(found["unknowns"]).reshape(-1, 3).T
+        self.scale: Floats = found["scale"]
+        self.unseen: NDArray[np.bool_] = found["unseen"].astype(bool)
+        self._rims: dict[int, Floats] = {}
+
+    @property
+    def of_camera(self) -> NDArray[np.bool_]:
+        """Which are parameters of one camera."""
+        return np.asarray(self.kind == _CAMERA)
+
+    @property
+    def of_pose(self) -> NDArray[np.bool_]:
+        """Which are entries of a pose."""
+        return np.asarray(self.kind <= _SENSOR)
+
+    def entities(self) -> NDArray[np.int64]:
+        """Return a number for each unknown, the same for those of one pose or camera."""
+        _, numbers = np.unique(np.stack([self.kind, self.index]), axis=1, return_inverse=True)
+        return np.asarray(numbers, np.int64).ravel()
+
+    def images(self, chosen: NDArray[Any]) -> NDArray[np.int64]:
+        """Return the images whose poses are among the chosen unknowns, ascending."""
+        kind, index = self.kind[chosen], self.index[chosen]
+        images = [np.unique(index[kind == _IMAGE])]
+        if self.problem.num_frames:
+            frames = np.isin(self.problem.image_frame, index[kind == _FRAME])
+            sensors = np.isin(self.problem.image_sensor, index[kind == _SENSOR])
+            images.append(np.flatnonzero(frames | sensors))
+        return np.unique(np.concatenate(images)).astype(np.int64)
+
+    def images_of_cameras(self, cameras: list[int]) -> NDArray[np.int64]:
+        """Return the images that these cameras took."""
+        return np.flatnonzero(np.isin(self.problem.image_camera, cameras))
+
+    def camera_parts(self, direction: Floats) -> list[CameraPart]:
+        """Return what a direction in the scaled unknowns does to the cameras."""
+        parts = []
+        for row in np.flatnonzero(self.of_camera & (direction != 0)):
+            camera, parameter = int(self.index[row]), int(self.coordinate[row])
+            amount = float(direction[row] * self.scale[row])
+            pixels = abs(amount) * float(self._rim(camera)[parameter])
+            parts.append(CameraPart(camera, parameter, amount, pixels))
+        return parts
+
+    def parameter_name(self, part: CameraPart) -> str:
+        """Return COLMAP's name of the parameter."""
+        return camera_models()[self.problem.camera_models[part.camera]][part.parameter]
+
+    def parameter_kind(self, part: CameraPart) -> str:
+        """Return "focal", "principal_point" or another kind."""
+        return param_kinds(self.problem.camera_models[part.camera])[part.parameter]
+
+    def focal(self, camera: int) -> float:
+        """Return the mean focal length of a camera in pixels; 1 where its model has none."""
+        kinds = param_kinds(self.problem.camera_models[camera])
+        rows = [j for j, kind in enumerate(kinds) if kind == "focal"]
+        return float(self.problem.camera_params[camera, rows].mean()) if rows else 1.0
+
+    def _rim(self, camera: int) -> Floats:
+        """Return pixels by a unit of each parameter, at the rim of what the camera observes."""
+        if camera in self._rims:
+            return self._rims[camera]
+        problem, model = self.problem, self.problem.camera_models[camera]
+        params = problem.camera_params[camera, : len(camera_models()[model])]
+        own = problem.image_camera[problem.observation_image] == camera
+        rays = np.ones((1, 3))
+        if own.any():
+            xy = problem.observation_xy[own]
+            rays[0, :2] = np.quantile(np.abs(xy - np.median(xy, axis=0)), 0.95, axis=0)
+            rays[0, :2] /= self.focal(camera)
+        change = project(model, params, rays, jacobians=True).d_params[0]
+        size: Floats = np.linalg.norm(np.nan_to_num(change), axis=0)
+        self._rims[camera] = size
+        return size

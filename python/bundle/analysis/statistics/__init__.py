@@ -1,0 +1,1 @@
+"""Counts, tracks, lenses and suspicions of a model (bundle info)."""

@@ -1,0 +1,206 @@
+"""Counts, distributions and reprojection errors of a problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.analysis.statistics.covisibility import Covisibility, covisibility
+from bundle.analysis.statistics.depths import Depths, depths_of_observations, summarize
+from bundle.analysis.statistics.rig_summary import RigSummary, rig_summaries
+from bundle.analysis.statistics.suspicions import Suspicion, count_repeated, suspicions
+from bundle.base.display import Display, Displayed
+from bundle.base.words import number, pixels, plural
+from bundle.errors import InputError
+from bundle.io.source import Source, as_problem
+from bundle.model.cameras import camera_models, param_kinds
+from bundle.model.problem import Problem
+from bundle.model.reprojection import (
+    ReprojectionError,
+    reprojection_errors,
+    resolve_cheirality,
+    summarize_errors,
+)
+from bundle.model.worst_images import ImageError, worst_of_errors
+
+__all__ = ["CameraGroup", "Description", "Distribution", "describe"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distribution:
+    """How whole numbers are distributed; every statistic is NaN where there is none.
+
+    ``histogram`` holds (low, high, count) with both ends inside; each bin is twice as wide as the
+    one before it: 0, 1, 2, 3-4, 5-8, 9-16, ... Empty bins outside the range are left out.
+    """
+
+    min: float
+    median: float
+    mean: float
+    max: float
+    histogram: tuple[tuple[int, int, int], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraGroup:
+    """The cameras of one model.
+
+    Attributes:
+        model: COLMAP's name.
+        num_cameras: cameras of this model.
+        num_images: images that use one of them.
+        images_per_camera: min and max number of images that share one of them.
+        focal: smallest and largest focal length in pixels; None for a model bundle does not know.
+        supported: whether bundle can refine this model.
+    """
+
+    model: str
+    num_cameras: int
+    num_images: int
+    images_per_camera: tuple[int, int]
+    focal: tuple[float, float] | None
+    supported: bool
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Description(Displayed):
+    """What is in a problem.
+
+    Attributes:
+        cameras: one entry per camera model, the most used first.
+        track_length: observations per point.
+        observations_per_image: observations per image.
+        covisibility: which images see common points.
+        reprojection_error: pixels, at the problem's values; None where a camera model is unknown.
+        depths: of observed points before their cameras, in the reconstruction's length unit.
+        num_repeated_observations: those whose track visited the same image before; COLMAP makes
+            such tracks, and they are no fault.
+        worst_images: those with the largest errors; empty where a camera model is unknown.
+        suspicions: what looks wrong, gravest first.
+        rigs: those of several sensors, by id.
+    """
+
+    cameras: tuple[CameraGroup, ...]
+    track_length: Distribution
+    observations_per_image: Distribution
+    covisibility: Covisibility
+    reprojection_error: ReprojectionError | None
+    depths: Depths
+    num_repeated_observations: int
+    worst_images: tuple[ImageError, ...]
+    suspicions: tuple[Suspicion, ...]
+    rigs: tuple[RigSummary, ...] = ()
+
+    def _display(self) -> Display:
+        error = self.reprojection_error
+        models = ", ".join(f"{plural(g.num_cameras, 'camera')} {g.model}" for g in self.cameras)
+        rmse = "unknown" if error is None else f"RMSE {pixels(error.rmse)} px"
+        pieces = plural(len(self.covisibility.component_sizes), "connected piece")
+        facts = [
+            ("cameras", models or "none"),
+            ("track length", f"mean {number(self.track_length.mean)}"),
+            ("observations", f"mean {number(self.observations_per_image.mean)} per image"),
+            ("covisibility", pieces),
+            ("error", rmse),
+        ]
+        facts += [
+            (
+                "rig",
+                f"{rig.rig_id}: {plural(len(rig.sensors), 'sensor')}, "
+                f"{plural(rig.num_frames, 'frame')}",
+            )
+            for rig in self.rigs
+        ]
+        facts += [("suspicion", suspicion.sentence) for suspicion in self.suspicions]
+        return Display(title="Description", facts=tuple(facts))
+
+
+# Numbers of a legal problem may be as large as a double: what overflows is infinite, and said so.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def describe(problem: Source) -> Description:
+    """Describe a problem: what `bundle info` says.
+
+    Args:
+        problem: also one that cannot be refined, the path of one, or a pycolmap.Reconstruction.
+
+    Returns:
+        A :class:`Description`; nothing of the problem is changed or kept.
+
+    Raises:
+        InputError: this is no problem.
+        OSError: the path cannot be read.
+    """
+    problem = as_problem(problem)
+    graph = covisibility(problem)
+    depths = depths_of_observations(problem)
+    errors: NDArray[np.float64] | None
+    try:
+        errors, behind = reprojection_errors(problem)
+        error = summarize_errors(errors.copy(), behind, resolve_cheirality(problem, "auto"))
+        worst = worst_of_errors(problem, errors, behind)
+    except InputError:  # an unsupported camera model, which `suspicions` names
+        errors, error, worst = None, None, ()
+        behind = np.zeros(problem.num_observations, bool)
+    return Description(
+        cameras=_camera_groups(problem),
+        track_length=_distribution(_counts(problem.observation_point, problem.num_points)),
+        observations_per_image=_distribution(
+            _counts(problem.observation_image, problem.num_images)
+        ),
+        covisibility=graph,
+        reprojection_error=error,
+        depths=summarize(depths),
+        num_repeated_observations=count_repeated(problem),
+        worst_images=worst,
+        suspicions=suspicions(problem, graph, errors, behind, depths),
+        rigs=rig_summaries(problem),
+    )
+
+
+def _counts(index: NDArray[np.int32], size: int) -> NDArray[np.int64]:
+    return np.bincount(index, minlength=size)
+
+
+def _distribution(values: NDArray[np.int64]) -> Distribution:
+    if len(values) == 0:
+        nan = float("nan")
+        return Distribution(min=nan, median=nan, mean=nan, max=nan, histogram=())
+    # Bin of v: 0, 1 and then 1 + ceil(log2(v)).
+    exponent = np.ceil(np.log2(np.maximum(values, 1))).astype(np.int64)
+    counts = np.bincount(np.where(values == 0, 0, 1 + exponent))
+    filled = np.flatnonzero(counts)
+    edges = [(0, 0), (1, 1)] + [(2**k // 2 + 1, 2**k) for k in range(1, len(counts))]
+    histogram = tuple((*edges[b], int(counts[b])) for b in range(filled[0], filled[-1] + 1))
+    return Distribution(
+        min=float(values.min()),
+        median=float(np.median(values)),
+        mean=float(values.mean()),
+        max=float(values.max()),
+        histogram=histogram,
+    )
+
+
+def _camera_groups(problem: Problem) -> tuple[CameraGroup, ...]:
+    models = np.array(problem.camera_models, dtype=str)
+    images = np.bincount(problem.image_camera, minlength=problem.num_cameras)
+    groups = [
+        CameraGroup(
+            model=str(model),
+            num_cameras=int((members := models == model).sum()),
+            num_images=int(images[members].sum()),
+            images_per_camera=(int(images[members].min()), int(images[members].max())),
+            focal=_focal_range(str(model), problem.camera_params[members]),
+            supported=str(model) in camera_models(),
+        )
+        for model in np.unique(models)
+    ]
+    return tuple(sorted(groups, key=lambda group: (-group.num_images, group.model)))
+
+
+def _focal_range(model: str, params: NDArray[np.float64]) -> tuple[float, float] | None:
+    if model not in camera_models():
+        return None
+    focal = params[:, [i for i, kind in enumerate(param_kinds(model)) if kind == "focal"]]
+    return (float(focal.min()), float(focal.max())) if focal.size else None

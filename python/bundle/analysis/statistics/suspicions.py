@@ -1,0 +1,311 @@
+"""What looks wrong with a problem: each check one function, each finding one sentence."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.analysis.statistics.covisibility import Covisibility
+from bundle.analysis.statistics.depths import COLLAPSED, collapsed_observations
+from bundle.analysis.statistics.lenses import Lens, lenses
+from bundle.base.words import plural
+from bundle.model.cameras import camera_models
+from bundle.model.problem import Problem
+
+__all__ = ["Suspicion", "count_repeated", "suspicions"]
+
+FEW_OBSERVATIONS = 10
+"""An image with fewer observations hardly holds its pose."""
+GROSS_ERROR_PIXELS, GROSS_ERROR_MEDIANS = 10.0, 20.0
+"""An error is gross beyond both: so many pixels, and so many times the median error."""
+FAR_POINT = 1000.0
+"""A point is far beyond so many times the median distance from the middle of the scene."""
+FAR_SCENE = 1e5
+"""A scene is far from its origin beyond so many times its own size."""
+FOCAL_RATIO = 0.1, 10.0
+"""Believable focal lengths, in image sizes: COLMAP's min_ and max_focal_length_ratio."""
+QUATERNION_TOLERANCE = 1e-6
+NAMED = 5
+"""Ids that a sentence names."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suspicion:
+    """One thing that looks wrong.
+
+    Attributes:
+        kind: a stable name for programs, such as "points_seen_once".
+        count: how many there are.
+        of: what ``ids`` are: "image", "point" or "camera".
+        ids: the first few ids concerned, at most 5.
+        sentence: the finding in words.
+    """
+
+    kind: str
+    count: int
+    of: str
+    ids: tuple[int, ...]
+    sentence: str
+
+
+def suspicions(
+    problem: Problem,
+    graph: Covisibility,
+    errors: NDArray[np.float64] | None,
+    behind: NDArray[np.bool_],
+    depths: NDArray[np.float64],
+) -> tuple[Suspicion, ...]:
+    """Return what looks wrong, gravest first.
+
+    Args:
+        problem: the problem.
+        graph: its covisibility.
+        errors: (num_observations,) reprojection errors in pixels; None where they do not exist.
+        behind: (num_observations,) whether the point is behind the camera.
+        depths: (num_observations,) of the points before their cameras.
+    """
+    return (
+        *_empty(problem),
+        *_models(problem),
+        *_images(problem, graph),
+        *_lenses(problem, lenses(problem)),
+        *_quaternions(problem),
+        *_collapsed(problem, depths),
+        *_observations(problem, errors, behind),
+        *_points(problem),
+        *_positions(problem),
+        *_unused_cameras(problem),
+    )
+
+
+def _empty(problem: Problem) -> Iterator[Suspicion]:
+    if problem.num_observations == 0:
+        yield Suspicion(
+            kind="no_observations",
+            count=1,
+            of="image",
+            ids=(),
+            sentence="There are no observations: nothing can be refined.",
+        )
+
+
+def _models(problem: Problem) -> Iterator[Suspicion]:
+    unknown = np.array([model not in camera_models() for model in problem.camera_models], bool)
+    if unknown.any():
+        names = sorted({problem.camera_models[i] for i in np.flatnonzero(unknown)})
+        yield _suspicion(
+            "unsupported_camera_models",
+            "camera",
+            problem.camera_ids[unknown],
+            ("camera has", "cameras have"),
+            f"a model that cannot be refined yet ({', '.join(names)})",
+        )
+
+
+def _images(problem: Problem, graph: Covisibility) -> Iterator[Suspicion]:
+    observations = np.bincount(problem.observation_image, minlength=problem.num_images)
+    empty = observations == 0
+    if empty.any():
+        yield _suspicion(
+            "images_without_observations",
+            "image",
+            problem.image_ids[empty],
+            ("image has", "images have"),
+            "no observation: nothing holds the pose",
+        )
+    few = ~empty & (observations < FEW_OBSERVATIONS)
+    if few.any():
+        yield _suspicion(
+            "images_with_few_observations",
+            "image",
+            problem.image_ids[few],
+            ("image has", "images have"),
+            f"fewer than {FEW_OBSERVATIONS} observations",
+        )
+    names = Counter(name for name in problem.image_names if name)
+    twice = np.array([names[name] > 1 for name in problem.image_names], bool)
+    if twice.any():
+        yield _suspicion(
+            "images_of_one_name",
+            "image",
+            problem.image_ids[twice],
+            ("image has", "images have"),
+            "the name of another one: what names an image means neither",
+        )
+    if len(graph.component_sizes) > 1:
+        sizes = ", ".join(map(str, graph.component_sizes[:NAMED]))
+        more = ", ..." if len(graph.component_sizes) > NAMED else ""
+        apart = problem.image_ids[graph.component > 0]
+        yield Suspicion(
+            kind="disconnected",
+            count=len(graph.component_sizes),
+            of="image",
+            ids=_first(apart),
+            sentence=f"The images fall into {len(graph.component_sizes)} pieces without common "
+            f"points (of {sizes}{more} images): their relative position and scale are arbitrary.",
+        )
+
+
+def _lenses(problem: Problem, lens: Lens) -> Iterator[Suspicion]:
+    low, high = FOCAL_RATIO
+    with np.errstate(invalid="ignore", divide="ignore"):
+        absurd = (lens.focal < low * lens.size) | (lens.focal > high * lens.size)
+        folded = lens.farthest > lens.fold
+    if absurd.any():
+        yield _suspicion(
+            "absurd_focal_lengths",
+            "camera",
+            problem.camera_ids[absurd],
+            ("camera has", "cameras have"),
+            f"a focal length below {low:g} or above {high:g} image sizes",
+        )
+    if folded.any():
+        yield _suspicion(
+            "folding_distortion",
+            "camera",
+            problem.camera_ids[folded],
+            ("camera has", "cameras have"),
+            "a radial distortion that folds back inside the image: no point projects to its outer "
+            "observations",
+        )
+
+
+def _quaternions(problem: Problem) -> Iterator[Suspicion]:
+    norm = np.linalg.norm(problem.cam_from_world[:, :4], axis=1)
+    off = np.abs(norm - 1.0) > QUATERNION_TOLERANCE
+    if off.any():
+        yield _suspicion(
+            "quaternions_not_normalised",
+            "image",
+            problem.image_ids[off],
+            ("image has", "images have"),
+            "a rotation quaternion that is not normalised",
+        )
+
+
+def _observations(
+    problem: Problem, errors: NDArray[np.float64] | None, behind: NDArray[np.bool_]
+) -> Iterator[Suspicion]:
+    lies = ("observation lies", "observations lie")
+    has = ("observation has", "observations have")
+    checks = [("observations_behind_camera", behind, lies, "behind the camera")]
+    if errors is not None:
+        undefined = np.isnan(errors)
+        checks.append(("projections_undefined", undefined, has, "a point without a projection"))
+        limit, gross = _gross(np.where(behind, np.nan, errors))
+        off = f"an error of more than {limit:.0f} px"
+        checks.append(("gross_errors", gross, has, off))
+    size = problem.camera_sizes[problem.image_camera[problem.observation_image]]
+    xy = problem.observation_xy
+    outside = np.any(((xy < 0) | (xy > size)) & (size > 0), axis=1)
+    checks.append(("observations_outside_image", np.asarray(outside), lies, "outside the image"))
+    for kind, mask, verbs, what in checks:
+        if mask.any():
+            images = problem.image_ids[np.unique(problem.observation_image[mask])]
+            yield _suspicion(kind, "image", images, verbs, what, count=int(mask.sum()))
+
+
+def _gross(errors: NDArray[np.float64]) -> tuple[float, NDArray[np.bool_]]:
+    """Return the limit and what exceeds it; NaN is no error, and infinity no usual one."""
+    known = errors[np.isfinite(errors)]
+    median = float(np.median(known)) if len(known) else 0.0
+    limit = max(GROSS_ERROR_PIXELS, GROSS_ERROR_MEDIANS * median)
+    return limit, errors > limit
+
+
+def count_repeated(problem: Problem) -> int:
+    """Return how many observations have the image and point of an earlier one."""
+    size = max(problem.num_images, 1)
+    code = problem.observation_point.astype(np.int64) * size + problem.observation_image
+    return len(code) - len(np.unique(code))
+
+
+def _collapsed(problem: Problem, depths: NDArray[np.float64]) -> Iterator[Suspicion]:
+    mask = collapsed_observations(problem, depths)
+    if mask.any():
+        points = problem.point_ids[np.unique(problem.observation_point[mask])]
+        images = len(np.unique(problem.observation_image[mask]))
+        yield _suspicion(
+            "collapsed_points",
+            "point",
+            points,
+            ("point has", "points have"),
+            f"collapsed onto cameras: {plural(int(mask.sum()), 'observation')} in "
+            f"{plural(images, 'image')} with a depth below {COLLAPSED:g} of the median",
+        )
+
+
+def _points(problem: Problem) -> Iterator[Suspicion]:
+    length = np.bincount(problem.observation_point, minlength=problem.num_points)
+    is_are = ("point is", "points are")
+    for kind, mask, what in (
+        ("points_not_seen", length == 0, "not observed by any registered image"),
+        ("points_seen_once", length == 1, "seen only once: the depth is free"),
+    ):
+        if mask.any():
+            yield _suspicion(kind, "point", problem.point_ids[mask], is_are, what)
+
+
+def _positions(problem: Problem) -> Iterator[Suspicion]:
+    if problem.num_points == 0:
+        return
+    middle = np.median(problem.points, axis=0)
+    distance = np.linalg.norm(problem.points - middle, axis=1)
+    size = float(np.median(distance))
+    far = distance > FAR_POINT * size
+    if size > 0 and far.any():
+        yield _suspicion(
+            "far_points",
+            "point",
+            problem.point_ids[far],
+            ("point lies", "points lie"),
+            f"more than {FAR_POINT:g} times the size of the scene away from it",
+        )
+    offset = float(np.linalg.norm(middle))
+    if offset > FAR_SCENE * size > 0:
+        yield Suspicion(
+            kind="far_from_origin",
+            count=1,
+            of="point",
+            ids=(),
+            sentence=f"The scene lies {offset:.3g} units from the origin but measures only "
+            f"{size:.3g}: digits are lost; subtract an offset.",
+        )
+
+
+def _unused_cameras(problem: Problem) -> Iterator[Suspicion]:
+    unused = np.bincount(problem.image_camera, minlength=problem.num_cameras) == 0
+    if unused.any():
+        yield _suspicion(
+            "unused_cameras",
+            "camera",
+            problem.camera_ids[unused],
+            ("camera is", "cameras are"),
+            "used by no registered image",
+        )
+
+
+def _suspicion(
+    kind: str,
+    of: str,
+    ids: NDArray[np.int64],
+    verbs: tuple[str, str],
+    what: str,
+    *,
+    count: int | None = None,
+) -> Suspicion:
+    """Return "3 images have no observation (images 4, 7, 9)."; `ids` are all that are concerned."""
+    total = len(ids) if count is None else count
+    named = _first(ids)
+    noun = of if len(ids) == 1 else f"{of}s"
+    listed = ", ".join(map(str, named)) + (", ..." if len(ids) > len(named) else "")
+    sentence = f"{total} {verbs[total != 1]} {what} ({noun} {listed})."
+    return Suspicion(kind=kind, count=total, of=of, ids=named, sentence=sentence)
+
+
+def _first(ids: NDArray[np.int64]) -> tuple[int, ...]:
+    return tuple(int(entry) for entry in ids[:NAMED])

@@ -1,0 +1,1 @@
+"""Covariances of poses, cameras and points."""

@@ -1,0 +1,387 @@
+"""Covariances of a problem at its own values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle import _core
+from bundle.analysis.uncertainty.covariance_result import Covariance
+from bundle.analysis.uncertainty.far_points import note_on_far_points
+from bundle.analysis.uncertainty.graph_covariance import GraphCovariance, graph_covariance
+from bundle.base.arrays import freeze
+from bundle.base.words import not_converged
+from bundle.errors import InputError, brief
+from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.covariance_choices import GAUGES, PARTS, ROBUST, SCALES, one_of, parts_of
+from bundle.interface.options import SolveOptions
+from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.io.source import Source, as_problem
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.problem import Problem
+from bundle.solving.result import Result
+from bundle.solving.solver import prepare
+
+if TYPE_CHECKING:
+    from bundle.graphs.factors.factors import Factor
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.constraints.rules import Rule
+    from bundle.solving.placement import Prior
+
+__all__ = ["covariance"]
+
+AT_MINIMUM = 1e-4
+"""What a further step would take off the cost, beside the cost, at what counts as a minimum."""
+
+LARGEST = 1e50
+"""Coordinates beyond this have fourth powers, which gauges need, near the end of doubles."""
+
+
+@overload
+def covariance(
+    problem: PoseGraph | PoseGraphResult,
+    options: PoseGraphOptions | None = None,
+    *,
+    relative: Iterable[tuple[int, int]] = (),
+    gauge: str | None = None,
+    scale: str = "unit",
+    **changes: Any,
+) -> GraphCovariance: ...
+
+
+@overload
+def covariance(
+    problem: Source | Result,
+    options: SolveOptions | None = None,
+    *,
+    of: str | Iterable[str] = PARTS,
+    relative: Iterable[tuple[int, int]] = (),
+    gauge: str | None = None,
+    scale: str = "unit",
+    robust: str = "weights",
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] = (),
+    **changes: Any,
+) -> Covariance: ...
+
+
+def covariance(
+    problem: Source | Result | PoseGraph | PoseGraphResult,
+    options: SolveOptions | PoseGraphOptions | None = None,
+    *,
+    of: str | Iterable[str] = PARTS,
+    relative: Iterable[tuple[int, int]] = (),
+    gauge: str | None = None,
+    scale: str = "unit",
+    robust: str = "weights",
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    bounds: Mapping[tuple[str, int], tuple[ArrayLike, ArrayLike]] | None = None,
+    constraints: Constraints | Iterable[str | Rule] = (),
+    **changes: Any,
+) -> Covariance | GraphCovariance:
+    """Compute how certain poses, points and intrinsics are: marginal covariances.
+
+    With residuals of known sigma, H = J^T J over all that is free is the information, and blocks of
+    its inverse are covariances: of a pose with all points and intrinsics estimated beside it. The
+    problem should be a minimum of what a solve with the same options minimises; where it is not,
+    ``notes`` says so.
+
+    The world of images alone may move, turn and scale: H is singular. ``gauge`` says how that is
+    resolved. "inner" gives the pseudo-inverse of H, the covariance of least trace (S-transformation
+    of Baarda; Triggs et al. 2000, section 9); what is fixed, priors and metric rigs are found to
+    hold what they hold. "two_cameras" and "three_points" hold what the same gauges of a solve do,
+    so that these images or points have none. "none": priors and fixed parts hold everything.
+    Angles, ratios of lengths and relative poses, but for the scale, do not depend on it, with one
+    exception: "three_points" holds two numbers more than are free, the shape of a triangle, which
+    makes all covariances smaller than they are. A note says so.
+
+    Points without parallax are left out along the direction that nothing sees, exactly and without
+    damping: ``null_point_ids`` names them. They take no part in the inner constraints.
+
+    Of a pose graph, the result of a solve of one, or a g2o file the result is a
+    :class:`GraphCovariance`: of each pose, a right perturbation X Exp(d) in the frame of the body,
+    by the information of the edges. ``options`` are then :class:`bundle.PoseGraphOptions`, of which
+    error, information and loss count (a loss takes weight from edges, which makes poses less
+    certain); of a result its own, with the weights that its solve ended with. ``gauge`` is "first"
+    (the default: held as a solve does, by the first pose of each component without a fixed one),
+    "inner" (the pseudo-inverse) or "none" (fixed poses hold everything); ``relative`` has pairs of
+    pose ids, for the covariance of X_a^-1 X_b.
+
+    Args:
+        problem: also the path of one, or a pycolmap.Reconstruction; of a :class:`Result` its
+            refined problem under its options.
+        options: what is refined, held and of which loss; the defaults of :class:`SolveOptions` if
+            not given. How to solve does not matter.
+        of: some of "poses", "points", "intrinsics".
+        relative: pairs (a, b) of image ids, for the covariance of cam_b_from_cam_a.
+        gauge: "inner" (the default), "two_cameras", "three_points" or "none".
+        scale: "unit": residuals have sigma 1 px, or what ``observation_sigma`` says; "sigma0":
+            these times sigma0, estimated from the residuals. Priors keep their sigmas.
+        robust: what a loss means. "weights": its weights rho' make an observation less certain;
+            "sandwich": H^-1 (sum psi psi^T) H^-1, with psi the gradient of an observation, which
+            holds for independent residuals of any distribution and has a scale of its own.
+        factors: beside the observations, as in :func:`bundle.solve`.
+        priors: measured positions and control points, in the frame of the problem, which they do
+            not move.
+        bounds: of camera parameters; one on an active bound is held.
+        constraints: rules, as in :func:`bundle.solve`.
+        **changes: options by name, in place of those in ``options``.
+
+    Raises:
+        InputError: an argument is wrong; there are no observations; a coordinate exceeds 1e50; the
+            gauge leaves something free; something beyond the gauge is not determined; no degrees of
+            freedom for sigma0; a factor couples a point with something else that is free, or is a
+            function in Python.
+        KeyboardInterrupt: Ctrl-C.
+        MemoryError: memory or a limit of it does not suffice.
+        OSError: the path cannot be read.
+
+    Example:
+        >>> cov = bundle.covariance("sparse/0", scale="sigma0")
+        >>> cov.pose(7)[3:, 3:]
+    """
+    if is_graph(problem):
+        refuse_for_graphs(
+            of=None if of is PARTS else of,
+            robust=None if robust == "weights" else robust,
+            factors=factors,
+            priors=priors,
+            bounds=bounds,
+            constraints=constraints,
+        )
+        return graph_covariance(
+            problem,
+            options,  # type: ignore[arg-type]
+            relative=relative,
+            gauge="first" if gauge is None else gauge,
+            scale=scale,
+            **changes,
+        )
+    if isinstance(problem, Result):
+        _check_same_factors(problem, factors, priors, constraints)
+        options = problem.options if options is None else options
+        problem = problem.problem
+    problem = as_problem(problem)  # type: ignore[arg-type]
+    options = SolveOptions.of(options, changes, "covariance")  # type: ignore[arg-type]
+    gauge = one_of("gauge", "inner" if gauge is None else gauge, GAUGES)
+    recipe = _Recipe(
+        given=problem,
+        options=options.replace(gauge="none" if gauge == "inner" else gauge),
+        of=parts_of("of", of),
+        gauge=gauge,
+        scale=one_of("scale", scale, SCALES),
+        robust=one_of("robust", robust, ROBUST),
+        factors=tuple(factors),
+        priors=tuple(priors),
+        bounds=bounds,
+        constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),
+    )
+    if recipe.robust == "sandwich" and recipe.scale == "sigma0":
+        raise InputError("scale: expected unit with the sandwich, whose scale is that of residuals")
+    return recipe.compute(list(relative))
+
+
+def _check_same_factors(result: Result, *given: Iterable[Any]) -> None:
+    """Refuse a result of a solve with factors without them: it is no minimum of anything else."""
+    if len(result.factor_costs_after) and not any(_is_given(one) for one in given):
+        raise InputError(
+            f"problem: expected the factors, priors or constraints of the solve "
+            f"({len(result.factor_costs_after)}) beside its result, found none"
+        )
+
+
+def _is_given(values: Iterable[Any]) -> bool:
+    return not (isinstance(values, tuple | list) and not values)
+
+
+@dataclass(frozen=True)
+class _Recipe:
+    """All that a covariance is computed from; it pickles."""
+
+    given: Problem
+    options: SolveOptions
+    of: tuple[str, ...]
+    gauge: str
+    scale: str
+    robust: str
+    factors: tuple[Any, ...]
+    priors: tuple[Any, ...]
+    bounds: Any
+    constraints: Any
+
+    def compute(self, pairs: list[tuple[int, int]]) -> Covariance:
+        """Return the covariance, with the relative poses of these pairs of image ids."""
+        rows = _rows_of(self.given, pairs)
+        if not self.given.num_observations:
+            raise InputError("problem: expected observations, found none")
+        _refuse_huge(self.given)
+        align = False if self.priors else None
+        ready = prepare(
+            self.given,
+            self.options,
+            self.factors,
+            self.priors,
+            align,
+            self.bounds,
+            self.constraints,
+        )
+        factors = ready.core_factors()
+
+        def run(problem: Problem, options: SolveOptions) -> dict[str, Any]:
+            return _core.covariance(
+                problem,
+                options.asdict(),
+                ready.limits,
+                factors,
+                self.gauge == "inner",
+                self.robust == "sandwich",
+                "points" in self.of,
+                rows,
+            )
+
+        out = run(ready.start, ready.options)
+        dof = out["num_residuals"] - out["num_parameters"] + out["gauge_degrees"]
+        if dof < 0:  # what the factor of a matrix of rounding errors says means nothing
+            raise InputError(
+                f"problem: expected at least as many residuals as parameters, found "
+                f"{out['num_residuals']} for {out['num_parameters'] - out['gauge_degrees']} "
+                f"(bundle diagnose says what is not determined)"
+            )
+        sigma0 = float(np.sqrt(out["weighted_squares"] / dof)) if dof > 0 else float("nan")
+        notes = list(out["warnings"])
+        if out["gauge_degrees"] > 0 and (
+            far := note_on_far_points(ready.start, out["null_points"])
+        ):
+            notes.append(far)
+        cost = 0.5 * out["weighted_squares"]
+        # Control points start where the rays of their pixels meet, not where a solve had put them.
+        if ready.placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
+            share = 100 * out["predicted_decrease"] / cost if cost > 0 else float("inf")
+            notes.append(not_converged(share, self.options.loss == "trivial"))
+        factor = 1.0
+        if self.scale == "sigma0":
+            if not dof > 0:
+                raise InputError(
+                    f"scale: expected degrees of freedom to estimate sigma0 from, found {dof} "
+                    f"({out['num_residuals']} residuals); use unit"
+                )
+            if factors is None:
+                factor = sigma0 * sigma0
+            else:
+                out = run(*_scaled(ready.start, ready.options, sigma0))
+        return self._result(out, pairs, dof, sigma0, factor, tuple(notes))
+
+    def _result(
+        self,
+        out: dict[str, Any],
+        pairs: list[tuple[int, int]],
+        dof: int,
+        sigma0: float,
+        factor: float,
+        notes: tuple[str, ...],
+    ) -> Covariance:
+        problem = self.given
+        _refuse_rounding(problem, out)
+        num_points = problem.num_points  # control points of the start come after them
+
+        def some(part: str, ids: NDArray[Any], values: NDArray[Any]) -> tuple[Any, Any]:
+            count = len(ids) if part in self.of else 0
+            scaled = values[:count] if factor == 1 else freeze(values[:count] * factor)
+            return freeze(np.array(ids[:count], np.int64)), scaled
+
+        points = out.get("points", np.zeros((0, 3, 3)))
+        sensors = np.stack([problem.sensor_rig_ids, problem.sensor_camera_ids], axis=1)
+        names = {
+            "pose": some("poses", problem.image_ids, out["poses"]),
+            "frame": some("poses", problem.frame_ids, out["frames"]),
+            "sensor": some("poses", sensors, out["sensors"]),
+            "camera": some("intrinsics", problem.camera_ids, out["cameras"]),
+            "point": some("points", problem.point_ids, points),
+        }
+        null = out["null_points"]
+        relative = out["relative"]
+        return Covariance(
+            **{f"{name}_ids": ids for name, (ids, _) in names.items()},
+            **{f"{name}_covariance": values for name, (_, values) in names.items()},
+            relative_ids=freeze(np.array(pairs, np.int64).reshape(-1, 2)),
+            relative_covariance=relative if factor == 1 else freeze(relative * factor),
+            null_point_ids=freeze(np.array(problem.point_ids[null[null < num_points]], np.int64)),
+            sigma0=sigma0,
+            dof=dof,
+            gauge=self.gauge,
+            scale=self.scale,
+            robust=self.robust,
+            notes=notes,
+            _relative=replace(self, of=("poses",)).compute,
+        )
+
+
+def _rows_of(problem: Problem, pairs: list[Any]) -> list[tuple[int, int]]:
+    """Return pairs of image ids as places in the problem's arrays."""
+    place = {key: row for row, key in enumerate(problem.image_ids.tolist())}
+    rows = []
+    for number_of, pair in enumerate(pairs):
+        try:
+            a, b = pair
+        except (TypeError, ValueError):
+            a, b = None, None
+        for one in (a, b):
+            if not isinstance(one, int | np.integer) or int(one) not in place:
+                raise InputError(
+                    f"relative: expected pairs of image ids, found {brief(pair)} at [{number_of}]"
+                )
+        rows.append((place[int(a)], place[int(b)]))
+    return rows
+
+
+def _refuse_huge(problem: Problem) -> None:
+    """Refuse coordinates whose powers leave the range of doubles, naming the first."""
+    for kind, ids, coordinates in (
+        ("point", problem.point_ids, problem.points),
+        ("image", problem.image_ids, problem.cam_from_world[:, 4:]),
+    ):
+        sizes = np.abs(coordinates).max(axis=1, initial=0.0)
+        for row in np.flatnonzero(sizes > LARGEST)[:1]:
+            raise InputError(
+                f"{kind} {ids[row]}: expected coordinates of at most {LARGEST:g}, found "
+                f"{sizes[row]:g}; covariances need their fourth powers"
+            )
+
+
+def _refuse_rounding(problem: Problem, out: dict[str, Any]) -> None:
+    """Refuse variances that are no variances: negative, or no numbers where something is seen."""
+    seen = np.zeros(problem.num_images, bool)
+    seen[problem.observation_image] = True
+    for kind, ids, blocks, known in (
+        ("image", problem.image_ids, out["poses"], seen),
+        ("camera", problem.camera_ids, out["cameras"], False),
+        ("point", problem.point_ids, out.get("points", np.zeros((0, 3, 3))), False),
+    ):
+        variances = np.diagonal(blocks, axis1=1, axis2=2)[: len(ids)]
+        wrong = (variances < 0) | np.isinf(variances)
+        no_number = np.isnan(variances).any(axis=1) & known
+        for row in np.flatnonzero(wrong.any(axis=1) | no_number[: len(wrong)])[:1]:
+            raise InputError(
+                f"{kind} {ids[row]}: expected variances, found {variances[row].min():g}, which is "
+                "rounding alone: the problem has no digits left; bundle diagnose says why"
+            )
+
+
+def _scaled(problem: Problem, options: SolveOptions, sigma0: float) -> tuple[Problem, SolveOptions]:
+    """Return the problem with observations whose sigmas are sigma0 times theirs.
+
+    The weights of a loss stay what they are: it counts in the old sigmas.
+    """
+    old = problem.observation_sigma
+    sigmas = np.full(problem.num_observations, sigma0) if old is None else sigma0 * old
+    if options.loss != "trivial":
+        options = options.replace(loss_scale=options.loss_scale / sigma0)
+    return problem.replace(observation_sigma=sigmas), options

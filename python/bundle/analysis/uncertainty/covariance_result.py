@@ -1,0 +1,166 @@
+"""Covariances by the ids of what they are of."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arrays import refrozen
+from bundle.base.display import Display, Displayed
+from bundle.base.words import number, plural
+from bundle.errors import InputError, brief
+from bundle.io.atomic import atomic_write as atomic
+
+__all__ = ["Covariance"]
+
+_Floats = NDArray[np.float64]
+_Ids = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Covariance(Displayed):
+    """Marginal covariances of a solution: of each block, with all else estimated beside it.
+
+    A pose has (w, t): w [rad] is the left perturbation of cam_from_world, R to Exp(w) R, and t its
+    translation in the unit of the model. What is held has covariance 0, parameters of cameras NaN;
+    what nothing observes has NaN. What was not asked for has no entries.
+
+    Attributes:
+        pose_ids: (n,) ids of images.
+        pose_covariance: (n, 6, 6) of (w, t).
+        point_ids: (n,) ids of points.
+        point_covariance: (n, 3, 3); NaN where nothing says where along its rays a point is.
+        camera_ids: (n,) ids of cameras.
+        camera_covariance: (n, k, k) over all parameters of the model in COLMAP's order, NaN where
+            they are held and beyond the model's.
+        frame_ids: (n,) ids of frames of rigs of several sensors.
+        frame_covariance: (n, 6, 6) of rig_from_world, as of poses.
+        sensor_ids: (n, 2) ids of rigs and cameras.
+        sensor_covariance: (n, 6, 6) of sensor_from_rig, as of poses.
+        relative_ids: (m, 2) ids of images a and b.
+        relative_covariance: (m, 6, 6) of cam_b_from_cam_a, as of poses.
+        null_point_ids: ids of the points without parallax: along a direction that nothing sees
+            they were left out.
+        sigma0: root of the weighted squares of all residuals over their degrees of freedom: 1 where
+            the sigmas that were assumed are right. NaN without degrees of freedom.
+        dof: residuals, those of priors included, less the parameters that they determine.
+        gauge: how the world was held.
+        scale: "unit": residuals have the sigmas assumed (1 px where none is given); "sigma0": those
+            of observations times sigma0.
+        robust: "weights" or "sandwich".
+        notes: sentences about what to know of it.
+    """
+
+    pose_ids: _Ids
+    pose_covariance: _Floats
+    point_ids: _Ids
+    point_covariance: _Floats
+    camera_ids: _Ids
+    camera_covariance: _Floats
+    frame_ids: _Ids
+    frame_covariance: _Floats
+    sensor_ids: _Ids
+    sensor_covariance: _Floats
+    relative_ids: _Ids
+    relative_covariance: _Floats
+    null_point_ids: _Ids
+    sigma0: float
+    dof: int
+    gauge: str
+    scale: str
+    robust: str
+    notes: tuple[str, ...] = ()
+    _relative: Callable[[list[tuple[int, int]]], Covariance] | None = field(
+        default=None, repr=False, compare=False
+    )
+
+    def pose(self, image_id: int) -> _Floats:
+        """Return the (6, 6) covariance of an image's pose.
+
+        Raises:
+            InputError: there is no such image, or poses were not asked for.
+        """
+        return self._one("image", self.pose_ids, self.pose_covariance, image_id)
+
+    def point(self, point_id: int) -> _Floats:
+        """Return the (3, 3) covariance of a point.
+
+        Raises:
+            InputError: there is no such point, or points were not asked for.
+        """
+        return self._one("point", self.point_ids, self.point_covariance, point_id)
+
+    def camera(self, camera_id: int) -> _Floats:
+        """Return the (k, k) covariance of a camera's parameters.
+
+        Raises:
+            InputError: there is no such camera, or intrinsics were not asked for.
+        """
+        return self._one("camera", self.camera_ids, self.camera_covariance, camera_id)
+
+    def relative(self, id_a: int, id_b: int) -> _Floats:
+        """Return the (6, 6) covariance of cam_b_from_cam_a.
+
+        It does not depend on the gauge, but for the length of the translation where nothing gives
+        the scale. Pairs that were not asked for are computed now, which takes about a step of a
+        solve.
+
+        Raises:
+            InputError: there is no such image.
+        """
+        found = np.flatnonzero((self.relative_ids == (id_a, id_b)).all(axis=1))
+        if found.size:
+            of_pair: _Floats = self.relative_covariance[found[0]]
+            return of_pair
+        if self._relative is None:
+            raise InputError(f"relative: expected a pair of {self.relative_ids.tolist()}")
+        alone: _Floats = self._relative([(id_a, id_b)]).relative_covariance[0]
+        return alone
+
+    def save(self, path: str | Path) -> None:
+        """Write all arrays, and what they were computed for, to an .npz file, whole or not at all.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        with atomic.replace_file(Path(path)) as temporary, temporary.open("wb") as stream:
+            np.savez(stream, **self._arrays())
+
+    def _arrays(self) -> dict[str, Any]:
+        fields = (f.name for f in dataclasses.fields(self) if f.name[0] != "_")
+        return {name: np.asarray(getattr(self, name)) for name in fields}
+
+    @staticmethod
+    def _one(kind: str, ids: _Ids, values: _Floats, wanted: int) -> _Floats:
+        found = np.flatnonzero(ids == wanted) if isinstance(wanted, int | np.integer) else ()
+        if not len(found):
+            known = f"one of {plural(len(ids), kind)}" if len(ids) else f"no {kind} (see of=)"
+            raise InputError(f"{kind}: expected the id of {known}, found {brief(wanted)}")
+        one: _Floats = values[found[0]]
+        return one
+
+    def __getstate__(self) -> dict[str, Any]:
+        return dict(self.__dict__)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(refrozen(state))
+
+    def _display(self) -> Display:
+        facts = [
+            ("gauge", self.gauge.replace("_", " ")),
+            ("scale", self.scale),
+            ("sigma0", f"{number(self.sigma0)} ({plural(self.dof, 'degree')} of freedom)"),
+        ]
+        if self.robust == "sandwich":
+            facts.append(("robust", "sandwich"))
+        counts = ((self.pose_ids, "pose"), (self.point_ids, "point"), (self.camera_ids, "camera"))
+        facts += [("of", plural(len(ids), name)) for ids, name in counts if len(ids)]
+        if len(self.null_point_ids):
+            facts.append(("without parallax", plural(len(self.null_point_ids), "point")))
+        return Display(title="Covariance", facts=tuple(facts))

@@ -1,0 +1,1 @@
+"""Checked arguments, wording, tables, paths: what every room may use."""

@@ -1,0 +1,144 @@
+"""Modules by public and former names: ``import bundle.losses``, pickles of earlier states.
+
+A pickle names the module of each class. Those that were written before the modules moved to their
+rooms load by this table.
+"""
+
+from __future__ import annotations
+
+import importlib
+from importlib.abc import Loader
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+from bundle import _MODULES
+
+__all__ = ["FORMER", "spec_of"]
+
+FORMER = {
+    "camera_edits.camera_sharing": "editing.cameras.camera_sharing",
+    "camera_edits.edit_record": "editing.cameras.edit_record",
+    "camera_edits.model_change": "editing.cameras.model_change",
+    "cameras": "model.cameras",
+    "comparison.compare_methods": "planning.comparison.compare_methods",
+    "comparison.comparison_result": "planning.comparison.comparison_result",
+    "comparison.graph_comparison": "planning.comparison.graph_comparison",
+    "constraint_record": "solving.constraints.constraint_record",
+    "constraints.rule_list": "solving.constraints.rule_list",
+    "constraints.rules": "solving.constraints.rules",
+    "diagnosis.diagnose_problem": "analysis.diagnosis.diagnose_problem",
+    "diagnosis.diagnosis_result": "analysis.diagnosis.diagnosis_result",
+    "diagnosis.graph_diagnosis": "analysis.diagnosis.graph_diagnosis",
+    "files": "io.files",
+    "filters.msckf": "inertial.filters.msckf",
+    "filters.track_linearization": "inertial.filters.track_linearization",
+    "free_degrees": "solving.free_degrees",
+    "graph.digits": "graphs.factors.digits",
+    "graph.factor_graph": "graphs.factors.factor_graph",
+    "graph.factors": "graphs.factors.factors",
+    "graph.function_factor": "graphs.factors.function_factor",
+    "graph.graph_result": "graphs.factors.graph_result",
+    "graph.incremental_smoother": "graphs.factors.incremental_smoother",
+    "graph.linear_prior": "graphs.factors.linear_prior",
+    "graph.problem_factors": "graphs.factors.problem_factors",
+    "graph.spectrum": "graphs.factors.spectrum",
+    "graph.square_root_prior": "graphs.factors.square_root_prior",
+    "headers": "base.headers",
+    "html": "reports.page",
+    "inertial.imu_factors": "inertial.preintegration.imu_factors",
+    "inertial.imu_noise": "model.sequence.imu_noise",
+    "inertial.imu_samples": "model.sequence.imu_samples",
+    "inertial.motion_excitation": "inertial.preintegration.motion_excitation",
+    "inertial.preintegration": "inertial.preintegration.preintegration",
+    "inertial.propagation": "inertial.preintegration.propagation",
+    "inertial.repropagation": "inertial.preintegration.repropagation",
+    "inspection.graph_inspection": "planning.inspection.graph_inspection",
+    "inspection.inspection_result": "planning.inspection.inspection_result",
+    "inspection.pose_graph_inspection": "planning.inspection.pose_graph_inspection",
+    "inspection.problem_inspection": "planning.inspection.problem_inspection",
+    "loops.loop_closing": "graphs.loops.loop_closing",
+    "loops.loop_graph": "graphs.loops.loop_graph",
+    "merging.merge_models": "editing.merging.merge_models",
+    "merging.merge_result": "editing.merging.merge_result",
+    "options": "interface.options",
+    "pose_graph.pose_graph_arrays": "model.pose_graph_arrays",
+    "pose_graph.pose_graph_result": "graphs.pose_graphs.pose_graph_result",
+    "pose_graph.solve_pose_graph": "graphs.pose_graphs.solve_pose_graph",
+    "pose_graph_options": "interface.pose_graph_options",
+    "problem": "model.problem",
+    "process_record": "interface.process_record",
+    "reprojection": "model.reprojection",
+    "restrictions": "solving.constraints.restrictions",
+    "result": "solving.result",
+    "rig_config": "editing.rig_config",
+    "round_record": "solving.round_record",
+    "rounds.adjust_and_filter": "solving.rounds.adjust_and_filter",
+    "rounds.filtering": "solving.rounds.filtering",
+    "rounds.local_part": "solving.rounds.local_part",
+    "rounds.round_options": "interface.round_options",
+    "solve_record": "interface.solve_record",
+    "solver": "solving.solver",
+    "statistics.description": "analysis.statistics.description",
+    "summary": "interface.summary",
+    "synthetic.flight_options": "interface.flight_options",
+    "synthetic.scene_options": "interface.scene_options",
+    "termination": "interface.termination",
+    "two_loops.closure_loop": "inertial.two_loops.closure_loop",
+    "two_loops.pose_publisher": "inertial.two_loops.pose_publisher",
+    "two_loops.window_loop": "inertial.two_loops.window_loop",
+    "uncertainty.compute_covariance": "analysis.uncertainty.compute_covariance",
+    "uncertainty.covariance_choices": "interface.covariance_choices",
+    "uncertainty.covariance_result": "analysis.uncertainty.covariance_result",
+    "uncertainty.graph_covariance": "analysis.uncertainty.graph_covariance",
+    "vio.calibration": "model.sequence.calibration",
+    "vio.initialize": "inertial.vio.initialize",
+    "vio.keyframe_record": "inertial.vio.keyframe_record",
+    "vio.landmark_table": "inertial.vio.landmark_table",
+    "vio.odometry": "inertial.vio.odometry",
+    "vio.sequence": "model.sequence.sequence",
+    "vio.sequence_folder": "io.sequences.sequence_folder",
+    "vio.sliding_window": "inertial.vio.sliding_window",
+    "vio.trajectory_comparison": "inertial.vio.trajectory_comparison",
+    "vio.trajectory_files": "io.sequences.trajectory_files",
+    "vio.window_frame": "inertial.vio.window_frame",
+    "vio.window_options": "interface.window_options",
+}
+"""Former modules of public classes and of what they hold, without the package's name."""
+
+
+def spec_of(name: str) -> ModuleSpec | None:
+    """Return the spec of a module by its public or former name; None: there is no such name."""
+    short = name.removeprefix("bundle.")
+    place = _MODULES.get(short) or FORMER.get(short)
+    if place is not None:
+        return ModuleSpec(name, _SameModule(f"bundle.{place}"))
+    if any(former.startswith(f"{short}.") for former in FORMER):  # the package of one
+        return ModuleSpec(name, _EmptyPackage(), is_package=True)
+    return None
+
+
+class _SameModule(Loader):
+    """Loader that gives the module of another name."""
+
+    def __init__(self, place: str) -> None:
+        self.place = place
+
+    def create_module(self, _spec: ModuleSpec) -> ModuleType:
+        """Return the module itself."""
+        module = importlib.import_module(self.place)
+        self.own = module.__spec__
+        return module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Restore the module's own spec, which the import system replaced."""
+        module.__spec__ = self.own
+
+
+class _EmptyPackage(Loader):
+    """Loader of a package with nothing but former modules."""
+
+    def create_module(self, _spec: ModuleSpec) -> None:
+        """Let the import system make one."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Do nothing."""

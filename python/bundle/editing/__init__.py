@@ -1,0 +1,1 @@
+"""Models changed before a solve: lenses, sharing, rigs, merging."""

@@ -1,0 +1,1 @@
+"""Cameras that change their model, are shared or split."""

@@ -1,0 +1,165 @@
+"""Several cameras become one, and one camera becomes several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arguments import as_integers
+from bundle.errors import InputError
+from bundle.io.source import Source, as_problem
+from bundle.model.cameras import camera_models, param_kinds
+from bundle.model.problem import Problem
+
+__all__ = ["share_cameras", "split_cameras"]
+
+MAX_ID = 2**32 - 2
+"""COLMAP's largest id of a camera."""
+
+
+def share_cameras(problem: Source, camera_ids: Iterable[int] | None = None) -> Problem:
+    """Make several cameras one: that with the lowest id, which all of their images get.
+
+    Its parameters are the means of theirs, weighted by the numbers of their observations; where no
+    camera has one, all count the same. Poses and points stay, so that errors grow where cameras
+    differed: solve again.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        camera_ids: at least two; None: all.
+
+    Raises:
+        InputError: there is no such camera, they differ in model or image size, there are fewer
+            than two, or one is a sensor of a rig of several.
+        OSError: the path cannot be read.
+    """
+    problem = as_problem(problem)
+    cameras = _chosen(problem, camera_ids)
+    first = int(cameras[0])
+    _check_alike(problem, cameras)
+    _check_rigs(problem, np.flatnonzero(np.isin(problem.image_camera, cameras)))
+    params = problem.camera_params.copy()
+    params[first] = _mean(problem, cameras)
+    stays = np.ones(problem.num_cameras, bool)
+    stays[cameras[1:]] = False
+    index = np.cumsum(stays, dtype=np.int32) - np.int32(1)
+    index[cameras] = index[first]
+    return problem.replace(
+        image_camera=index[problem.image_camera],
+        **_cameras(problem, np.flatnonzero(stays), params),
+    )
+
+
+def split_cameras(problem: Source) -> Problem:
+    """Give every image a camera of its own.
+
+    The first image of a camera keeps it; each other one gets a copy, whose id is the next above all
+    ids there are, or the lowest that is free where COLMAP has none above. Cameras without an image
+    stay.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+
+    Raises:
+        InputError: a rig of several sensors took an image: its sensors are cameras.
+        OSError: the path cannot be read.
+    """
+    problem = as_problem(problem)
+    _, owners = np.unique(problem.image_camera, return_index=True)
+    copies = np.setdiff1d(np.arange(problem.num_images), owners)
+    if not len(copies):
+        return problem
+    _check_rigs(problem, copies)
+    image_camera = problem.image_camera.copy()
+    image_camera[copies] = problem.num_cameras + np.arange(len(copies))
+    rows = np.concatenate([np.arange(problem.num_cameras), problem.image_camera[copies]])
+    ids = np.concatenate([problem.camera_ids, _free_ids(problem.camera_ids, len(copies))])
+    return problem.replace(
+        image_camera=image_camera,
+        **{**_cameras(problem, rows, problem.camera_params), "camera_ids": ids},
+    )
+
+
+def _cameras(
+    problem: Problem, rows: NDArray[np.int64], params: NDArray[np.float64]
+) -> dict[str, Any]:
+    """Return what a problem has of some cameras."""
+    return {
+        "camera_ids": problem.camera_ids[rows],
+        "camera_models": tuple(problem.camera_models[row] for row in rows.tolist()),
+        "camera_params": params[rows],
+        "camera_sizes": problem.camera_sizes[rows],
+    }
+
+
+def _chosen(problem: Problem, camera_ids: Iterable[int] | None) -> NDArray[np.int64]:
+    """Return indices of cameras in the order of their ids."""
+    wanted = problem.camera_ids if camera_ids is None else as_integers("camera_ids", camera_ids)
+    ids = np.unique(wanted)
+    unknown = ids[~np.isin(ids, problem.camera_ids)]
+    if len(unknown):
+        raise InputError(f"camera_ids: there is no camera {unknown[0]} in the problem")
+    if len(ids) < 2:
+        raise InputError(f"camera_ids: expected at least two cameras to share, found {len(ids)}")
+    order = np.argsort(problem.camera_ids)
+    return order[np.isin(problem.camera_ids[order], ids)]
+
+
+def _check_rigs(problem: Problem, images: NDArray[np.int64]) -> None:
+    """Refuse images whose camera a rig says."""
+    if not len(problem.image_frame):
+        return
+    framed = images[problem.image_frame[images] >= 0]
+    if len(framed):
+        raise InputError(
+            f"image {problem.image_ids[framed[0]]}: expected an image of no rig of several "
+            f"sensors to get another camera, found one of frame "
+            f"{problem.frame_ids[problem.image_frame[framed[0]]]}"
+        )
+
+
+def _check_alike(problem: Problem, cameras: NDArray[np.int64]) -> None:
+    first = int(cameras[0])
+    for camera in cameras[1:].tolist():
+        for what, values in (
+            ("model", problem.camera_models),
+            ("size", [f"{width} x {height}" for width, height in problem.camera_sizes.tolist()]),
+        ):
+            if values[camera] != values[first]:
+                raise InputError(
+                    f"camera {problem.camera_ids[camera]}: expected the {what} of camera "
+                    f"{problem.camera_ids[first]} ({values[first]}) to share it, "
+                    f"found {values[camera]}"
+                )
+
+
+def _mean(problem: Problem, cameras: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the mean of parameters, bit for bit where all are the same."""
+    params = problem.camera_params[cameras]
+    camera_of = problem.image_camera[problem.observation_image]
+    weights = np.bincount(camera_of, minlength=problem.num_cameras)[cameras].astype(float)
+    if not weights.any():
+        weights[:] = 1.0
+    first = params[0]
+    kinds = np.array(param_kinds(problem.camera_models[int(cameras[0])]))
+    metadata = np.flatnonzero(kinds == "metadata")
+    if (params[:, metadata] != first[metadata]).any():
+        names = camera_models()[problem.camera_models[int(cameras[0])]]
+        raise InputError(
+            f"camera {problem.camera_ids[cameras[0]]}: expected cameras to share with the same "
+            f"{' and '.join(names[index] for index in metadata)}, found others"
+        )
+    # About the first, so that what is equal stays.
+    mean: NDArray[np.float64] = first + weights @ (params - first) / weights.sum()
+    return mean
+
+
+def _free_ids(taken: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Return ids above all that are taken; where there is no room, the lowest that are free."""
+    start = int(taken.max(initial=0)) + 1
+    if start + count - 1 <= MAX_ID:
+        return np.arange(start, start + count, dtype=np.int64)
+    return np.setdiff1d(np.arange(1, count + len(taken) + 1, dtype=np.int64), taken)[:count]

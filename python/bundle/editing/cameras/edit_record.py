@@ -1,0 +1,97 @@
+"""What the command line does to the cameras of its input before anything else."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from bundle.editing.cameras.camera_sharing import share_cameras, split_cameras
+from bundle.editing.cameras.model_change import CameraModelChange, change_camera_model
+from bundle.model.problem import Problem
+from bundle.model.reprojection import ReprojectionError, reprojection_error
+
+__all__ = ["CameraEdits", "edit_cameras"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraEdits:
+    """A problem with other cameras.
+
+    Attributes:
+        problem: the new problem.
+        model: that all cameras got; None: they kept theirs.
+        changes: what became of those that had another one.
+        shared_camera_id: the camera that others became; None: none did.
+        shared_camera_ids: all of these, itself included.
+        num_copies: cameras that images got for themselves; None: nothing was split.
+        before: reprojection errors of the problem that was given.
+        after: of the new one.
+        warnings: of fits that are bad, one sentence each.
+    """
+
+    problem: Problem
+    model: str | None
+    changes: tuple[CameraModelChange, ...]
+    shared_camera_id: int | None
+    shared_camera_ids: tuple[int, ...]
+    num_copies: int | None
+    before: ReprojectionError
+    after: ReprojectionError
+    warnings: tuple[str, ...]
+
+    def asdict(self) -> dict[str, Any]:
+        """Return all but the problem, for JSON."""
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        errors = {name: dataclasses.asdict(fields.pop(name)) for name in ("before", "after")}
+        del fields["problem"]
+        return fields | {
+            "changes": [dataclasses.asdict(change) for change in self.changes],
+            "reprojection_error": errors,
+        }
+
+
+def edit_cameras(
+    problem: Problem,
+    model: str | None = None,
+    share: Iterable[int] | bool = False,
+    split: bool = False,
+) -> CameraEdits | None:
+    """Change models, then share or split cameras; None where nothing is asked for.
+
+    Args:
+        problem: left untouched.
+        model: of all cameras; None: as they are.
+        share: ids of cameras that become one; True: all.
+        split: give each image a camera of its own.
+
+    Raises:
+        InputError: see the functions that do it.
+    """
+    if model is None and share is False and not split:
+        return None
+    edited = problem
+    changes: tuple[CameraModelChange, ...] = ()
+    warnings: tuple[str, ...] = ()
+    if model is not None:
+        changed = change_camera_model(problem, model)
+        edited, changes, warnings = changed.problem, changed.changes, changed.warnings
+    shared: list[int] = []
+    if share is not False:
+        shared = sorted(problem.camera_ids.tolist() if share is True else set(share))
+        edited = share_cameras(edited, shared)
+    before_split = edited.num_cameras
+    if split:
+        edited = split_cameras(edited)
+    return CameraEdits(
+        problem=edited,
+        model=model,
+        changes=changes,
+        shared_camera_id=shared[0] if shared else None,
+        shared_camera_ids=tuple(shared),
+        num_copies=edited.num_cameras - before_split if split else None,
+        before=reprojection_error(problem),
+        after=reprojection_error(edited),
+        warnings=warnings,
+    )

@@ -1,0 +1,187 @@
+"""The lens of one model that is nearest to given pixels of given rays.
+
+    min over p  sum_i |project(p, ray_i) - xy_i|^2,
+
+by Levenberg and Marquardt's method with the columns scaled by their norms (Marquardt 1963; Moré
+1978). Each step is the least-squares solution of
+
+    [J; sqrt(lambda) D] step = [-r; 0],
+
+by orthogonal factorisation: polynomials of a high degree are too ill-conditioned for the normal
+equations. Of [J r] only the triangle R of its factor QR is needed for that. A lens that is
+symmetric about its axis is nearest to one that is so too: then the principal point and the
+coefficients of the others stay. Some models are far from linear, or have derivatives that vanish,
+at their neutral parameters, so that a fit starts from several lenses and the best one counts.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.editing.cameras.exact_image import (
+    asymmetric_params,
+    extras_of,
+    focal_and_center,
+    is_symmetric,
+)
+from bundle.model.cameras import param_kinds, project
+
+__all__ = ["LensFit", "fit_lens"]
+
+MAX_ITERATIONS = 200
+
+TOLERANCE = 1e-6
+"""Share of the cost below which a gain is none."""
+
+SMALLEST = 1e-6
+"""Pixels that do not matter."""
+
+_STARTS: dict[str, tuple[tuple[float, ...], ...]] = {
+    "omega": ((0.1,), (0.5,), (0.9,), (1.5,)),
+    "division": ((0.0,), (-0.2,)),
+    "alpha": ((0.2, 1.0), (0.5, 1.0), (0.7, 1.5)),
+}
+"""Coefficients of the models whose first coefficient has this name, to start from."""
+
+_BOUNDS = {"omega": (0.0101, 3.1), "alpha": (0.0, 1.0), "beta": (1e-3, np.inf)}
+"""COLMAP's formula of FOV jumps at 0.01 and has other signs below (see ``fov.h``)."""
+
+
+class LensFit(NamedTuple):
+    """Parameters, and whether they are a minimum to the precision of the numbers."""
+
+    params: NDArray[np.float64]
+    converged: bool
+
+
+def fit_lens(
+    model: str,
+    lens: tuple[str, NDArray[np.float64]],
+    rays: NDArray[np.float64],
+    xy: NDArray[np.float64],
+) -> LensFit | None:
+    """Fit a lens to pixels of rays.
+
+    Args:
+        model: of the lens that is wanted, any but EQUIRECTANGULAR.
+        lens: model and parameters of the lens whose pixels these are, to start from.
+        rays: (N, 3) directions that the wanted model sees.
+        xy: (N, 2) their pixels.
+
+    Returns:
+        The fit; None if no start has an image of all rays.
+    """
+    free = np.arange(len(param_kinds(model)))
+    if is_symmetric(*lens):
+        free = np.setdiff1d(free, asymmetric_params(model))
+    best: tuple[float, LensFit] | None = None
+    for start in _starts(model, *lens):
+        cost, fit = _minimize(model, start, rays, xy, free)
+        if np.isfinite(cost) and (best is None or cost < best[0]):
+            best = cost, fit
+    return None if best is None else best[1]
+
+
+def _starts(
+    model: str, old_model: str, old_params: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Return lenses of a model that have the focal length and the principal point of another."""
+    fx, fy, cx, cy = focal_and_center(old_model, old_params)
+    num_focal = param_kinds(model).count("focal")
+    focal = (fx, fy) if num_focal == 2 else (np.sqrt(fx * fy),)
+    names = tuple(extras_of(model))
+    choices = _STARTS.get(names[0], ()) if names else ()
+    if not choices:
+        old = extras_of(old_model, old_params)
+        shared = tuple(old.get(name, 0.0) for name in names)
+        choices = tuple(dict.fromkeys([shared, (0.0,) * len(names)]))
+    starts = []
+    for extras in choices:
+        scale = 1.0
+        if names[:1] == ("omega",):  # the focal length of the lens on its axis
+            scale = extras[0] / (2 * np.tan(extras[0] / 2))
+        starts.append(np.array([*(scale * f for f in focal), cx, cy, *extras]))
+    return starts
+
+
+def _minimize(
+    model: str,
+    params: NDArray[np.float64],
+    rays: NDArray[np.float64],
+    xy: NDArray[np.float64],
+    free: NDArray[np.int64],
+) -> tuple[float, LensFit]:
+    """Return the cost at the end, infinite where the start has no image, and the fit."""
+    lower, upper = _bounds(model)
+    cost, triangle = _linearized(model, params, rays, xy, free)
+    smallest = len(xy) * SMALLEST**2
+    damping, converged = 1e-3, cost <= smallest
+    for _ in range(MAX_ITERATIONS):
+        if converged or not np.isfinite(cost):
+            break
+        step = _step(triangle, damping, lower[free] - params[free], upper[free] - params[free])
+        candidate = params.copy()
+        candidate[free] = np.clip(params[free] + step, lower[free], upper[free])
+        new_cost, new_triangle = _linearized(model, candidate, rays, xy, free)
+        if new_cost < cost:
+            converged = cost - new_cost <= TOLERANCE * cost or new_cost <= smallest
+            params, cost, triangle = candidate, new_cost, new_triangle
+            damping = max(damping / 10, 1e-15)
+        else:
+            moved = np.abs(candidate[free] - params[free]) * np.linalg.norm(triangle, axis=0)[:-1]
+            converged = bool(moved.max() <= SMALLEST * np.sqrt(len(xy)))
+            damping *= 10
+    return cost, LensFit(params, bool(converged))
+
+
+def _step(
+    triangle: NDArray[np.float64],
+    damping: float,
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return a step; parameters on a bound beyond which it would go do not take part in it."""
+    scale = np.linalg.norm(triangle[:, :-1], axis=0)
+    scale[scale == 0] = 1.0
+    rows = np.vstack([triangle[:, :-1], np.diag(np.sqrt(damping) * scale)])
+    target = np.concatenate([triangle[:, -1], np.zeros(len(scale))])
+    moves = np.ones(len(scale), bool)
+    while True:
+        step = np.zeros(len(scale))
+        step[moves] = np.linalg.lstsq(rows[:, moves], target, rcond=None)[0]
+        beyond = ((lower == 0) & (step < 0)) | ((upper == 0) & (step > 0))
+        if not beyond.any():
+            return step
+        moves &= ~beyond
+
+
+def _bounds(model: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    extras = [_BOUNDS.get(name, (-np.inf, np.inf)) for name in extras_of(model)]
+    others = len(param_kinds(model)) - len(extras)
+    bounds = np.array([(-np.inf, np.inf)] * others + extras)
+    return bounds[:, 0], bounds[:, 1]
+
+
+def _linearized(
+    model: str,
+    params: NDArray[np.float64],
+    rays: NDArray[np.float64],
+    xy: NDArray[np.float64],
+    free: NDArray[np.int64],
+) -> tuple[float, NDArray[np.float64]]:
+    """Return the cost sum |r|^2, infinite where there is none, and the triangle of [J -r]."""
+    focal = np.array(param_kinds(model)) == "focal"
+    projected = project(model, params, rays, jacobians=True)
+    residual = (projected.xy - xy).ravel()
+    system = np.column_stack(
+        [projected.d_params[:, :, free].reshape(len(residual), len(free)), -residual]
+    )
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = float(residual @ residual)
+    if not (params[focal] > 0).all() or not np.isfinite(cost) or not np.isfinite(system).all():
+        return np.inf, system
+    triangle: NDArray[np.float64] = np.asarray(np.linalg.qr(system, mode="r"))
+    return cost, triangle

@@ -1,0 +1,238 @@
+"""Cameras that go on with another model, from the same pixels as before.
+
+Where the new model can be the old lens, it is (``exact_image``). Elsewhere its parameters are
+fitted (``lens_fit``) to the part of the image that has observations (``lens_region``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arguments import as_integers
+from bundle.base.display import Display, Displayed
+from bundle.base.words import pixels, plural
+from bundle.editing.cameras.exact_image import exact_params
+from bundle.editing.cameras.lens_fit import fit_lens
+from bundle.editing.cameras.lens_region import lens_region
+from bundle.errors import InputError
+from bundle.interface.option_fields import choice
+from bundle.io.source import Source, as_problem
+from bundle.model.cameras import camera_models, project
+from bundle.model.problem import Problem
+
+__all__ = ["CameraModelChange", "ChangedModels", "change_camera_model"]
+
+BAD_FIT = 1.0
+"""Pixels of an observation above which a fit is warned of."""
+
+MOST_WARNINGS = 5
+
+_SPHERE = "EQUIRECTANGULAR"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraModelChange:
+    """What became of one camera.
+
+    Attributes:
+        camera_id: of the problem.
+        old_model: COLMAP's name.
+        new_model: likewise.
+        before: old parameters by name.
+        after: new ones.
+        exact: the new lens is the old one; otherwise it was fitted.
+        converged: the fit ended in a minimum; True where nothing was fitted.
+        rms: root mean square of the distance of old and new pixels, over the pixels of the
+            camera's observations, or over those it was fitted to if it has none. 0 where exact.
+        max: the largest distance.
+        num_observations: observations compared; 0: pixels of the grid were.
+        num_without_ray: further observations, at pixels that no ray of the old lens has.
+    """
+
+    camera_id: int
+    old_model: str
+    new_model: str
+    before: dict[str, float]
+    after: dict[str, float]
+    exact: bool
+    converged: bool
+    rms: float
+    max: float
+    num_observations: int
+    num_without_ray: int
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class ChangedModels(Displayed):
+    """A problem whose cameras have another model.
+
+    Attributes:
+        problem: the new problem; the one that was given if no camera changed.
+        changes: one for each camera that had another model.
+        warnings: one sentence for each of the worst fits that are off by more than a pixel or
+            did not converge.
+    """
+
+    problem: Problem
+    changes: tuple[CameraModelChange, ...]
+    warnings: tuple[str, ...]
+
+    def _display(self) -> Display:
+        rows = tuple(
+            (f"{change.camera_id} {change.old_model}", pixels(change.rms), pixels(change.max))
+            for change in self.changes[:10]
+        )
+        model = f" {self.changes[0].new_model}" if self.changes else ""
+        return Display(
+            title=f"{plural(len(self.changes), 'camera')} changed{f' to{model}' if model else ''}",
+            facts=tuple(("warning", sentence) for sentence in self.warnings),
+            head=("camera", "rms [px]", "max [px]") if rows else (),
+            rows=rows,
+        )
+
+
+def change_camera_model(
+    problem: Source, model: str, camera_ids: Iterable[int] | None = None
+) -> ChangedModels:
+    """Give cameras another model whose pixels are those of the old one, as far as it can.
+
+    Exact wherever the new model can be the old lens: a larger model of the same family, or a
+    smaller one if what it lacks is zero. Elsewhere fitted over the image, as far out as there are
+    observations, with the error of the fit. Poses and points stay. See docs/lenses.md.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        model: COLMAP's name, of ``bundle.camera_models()``.
+        camera_ids: of the cameras that change; None: all.
+
+    Raises:
+        InputError: there is no such model or camera; the model, or the old one, is EQUIRECTANGULAR,
+            which is no lens; observations lie 90 degrees and more from the axis, where the new
+            model has no image; or no fit exists.
+        OSError: the path cannot be read.
+
+    Example:
+        >>> changed = bundle.change_camera_model("sparse/0", "OPENCV")
+        >>> result = bundle.solve(changed.problem)
+    """
+    problem = as_problem(problem)
+    model = choice("model", model, camera_models())
+    cameras = [
+        camera for camera in _cameras(problem, camera_ids) if problem.camera_models[camera] != model
+    ]
+    if not cameras:
+        return ChangedModels(problem=problem, changes=(), warnings=())
+    names = camera_models()
+    models = list(problem.camera_models)
+    params = np.zeros((problem.num_cameras, max(problem.camera_params.shape[1], len(names[model]))))
+    params[:, : problem.camera_params.shape[1]] = problem.camera_params
+    observed = _ObservedPixels(problem)
+    changes = []
+    for camera in cameras:
+        new, change = _changed(problem, camera, model, observed.of(camera))
+        changes.append(change)
+        models[camera] = model
+        params[camera] = 0.0
+        params[camera, : len(new)] = new
+    width = max(len(names[name]) for name in models)
+    return ChangedModels(
+        problem=problem.replace(camera_models=tuple(models), camera_params=params[:, :width]),
+        changes=tuple(changes),
+        warnings=_warnings(changes),
+    )
+
+
+class _ObservedPixels:
+    """The pixels of the observations of each camera."""
+
+    def __init__(self, problem: Problem) -> None:
+        camera = problem.image_camera[problem.observation_image]
+        self._order = np.argsort(camera, kind="stable")
+        self._ends = np.cumsum(np.bincount(camera, minlength=problem.num_cameras))
+        self._xy = problem.observation_xy
+
+    def of(self, camera: int) -> NDArray[np.float64]:
+        start = self._ends[camera - 1] if camera else 0
+        return self._xy[self._order[start : self._ends[camera]]]
+
+
+def _cameras(problem: Problem, camera_ids: Iterable[int] | None) -> list[int]:
+    """Return the indices of cameras by their ids.
+
+    Raises:
+        InputError: there is no such camera.
+    """
+    if camera_ids is None:
+        return list(range(problem.num_cameras))
+    index = {key: camera for camera, key in enumerate(problem.camera_ids.tolist())}
+    found = dict.fromkeys(as_integers("camera_ids", camera_ids).ravel().tolist())
+    for key in found:
+        if key not in index:
+            raise InputError(f"camera_ids: there is no camera {key} in the problem")
+    return [index[key] for key in found]
+
+
+def _changed(
+    problem: Problem, camera: int, model: str, observed: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], CameraModelChange]:
+    """Return new parameters of a camera and what became of it."""
+    old_model, camera_id = problem.camera_models[camera], int(problem.camera_ids[camera])
+    if _SPHERE in (model, old_model):
+        raise InputError(
+            f"camera {camera_id}: expected models of lenses, found {old_model} to become {model}: "
+            f"{_SPHERE} is an image of the whole sphere"
+        )
+    names = camera_models()
+    old = problem.camera_params[camera, : len(names[old_model])]
+    new = exact_params(old_model, old, model)
+    exact, converged, errors = new is not None, True, np.zeros(1)
+    num_observations, num_without_ray = len(observed), 0
+    if new is None:
+        what = f"camera {camera_id} ({old_model})"
+        region = lens_region(what, old_model, old, model, problem.camera_sizes[camera], observed)
+        fit = fit_lens(model, (old_model, old), region.grid_rays, region.grid)
+        if fit is None:
+            raise InputError(f"{what}: found no lens of model {model} that is near to it")
+        new, converged = fit
+        num_observations, num_without_ray = len(region.observed), region.num_without_ray
+        rays, xy = region.grid_rays, region.grid
+        if num_observations:
+            rays, xy = region.observed_rays, region.observed
+        errors = np.linalg.norm(project(model, new, rays)[0] - xy, axis=1)
+        if np.isnan(errors).any():
+            raise InputError(
+                f"{what}: expected {model} to have an image of "
+                f"{plural(len(xy), 'observation')}, found none of {np.isnan(errors).sum()}"
+            )
+    return new, CameraModelChange(
+        camera_id=camera_id,
+        old_model=old_model,
+        new_model=model,
+        before=dict(zip(names[old_model], old.tolist(), strict=True)),
+        after=dict(zip(names[model], new.tolist(), strict=True)),
+        exact=exact,
+        converged=converged,
+        rms=float(np.sqrt(np.mean(errors**2))),
+        max=float(errors.max()),
+        num_observations=num_observations,
+        num_without_ray=num_without_ray,
+    )
+
+
+def _warnings(changes: list[CameraModelChange]) -> tuple[str, ...]:
+    bad = [change for change in changes if change.max > BAD_FIT or not change.converged]
+    bad.sort(key=lambda change: -change.max)
+    sentences = [
+        f"Camera {change.camera_id}: {change.new_model} is off from {change.old_model} by up to "
+        f"{pixels(change.max)} px (rms {pixels(change.rms)} px)"
+        f"{'' if change.converged else '; the fit did not converge'}."
+        for change in bad[:MOST_WARNINGS]
+    ]
+    if len(bad) > MOST_WARNINGS:
+        others = plural(len(bad) - MOST_WARNINGS, "other camera")
+        sentences.append(f"{others} as well: off by more than {BAD_FIT:g} px or not converged.")
+    return tuple(sentences)

@@ -1,0 +1,155 @@
+"""The rays that a camera sees at given pixels: the inverse of a projection.
+
+No model but the simplest has one in closed form. A ray at the angle theta to the axis is sought by
+Newton's method in the chart
+
+    w = theta (cos phi, sin phi),   d(w) = (S w_1, S w_2, cos theta),   S = sin(theta) / theta,
+
+which is regular on the axis and beyond 90 degrees. With e = (cos theta - S) / theta^2
+
+    dd/dw_j = (S e_j + e w_j w, -S w_j),
+
+where e_j is the j-th unit vector, and the chain rule gives the 2x2 Jacobian of the pixels. A step
+is halved until it lowers the distance to the pixel and stays where the lens is unfolded. Beyond
+the fold the determinant of the Jacobian is not positive: images of rays are mirrored there, and a
+pixel that only such rays have counts as without a ray. It starts at the angle that the undistorted
+lens has, nearer to the axis where that is beyond the fold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.editing.cameras.exact_image import PERSPECTIVE, focal_and_center
+from bundle.model.cameras import project
+
+__all__ = ["angles", "pixel_rays"]
+
+MAX_ITERATIONS = 60
+MAX_HALVINGS = 12
+MAX_STEP = 0.3
+"""Radians that one step may go."""
+
+PRECISION = 1e-9
+"""Focal lengths by which the projection of a ray may miss its pixel."""
+
+
+def pixel_rays(
+    model: str, params: NDArray[np.float64], xy: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the unit vectors that a camera sees at pixels.
+
+    Args:
+        model: any but EQUIRECTANGULAR.
+        params: its parameters, without padding.
+        xy: (N, 2) pixels.
+
+    Returns:
+        Rays (N, 3), and whether there is one (N,); where there is none the ray has no meaning.
+    """
+    fx, fy, cx, cy = focal_and_center(model, params)
+    chart = (xy - (cx, cy)) / (fx, fy)
+    radius = np.hypot(chart[:, 0], chart[:, 1])
+    start = np.arctan(radius) if model in PERSPECTIVE else np.minimum(radius, np.pi / 2)
+    chart *= (start / np.where(radius > 0, radius, 1))[:, None]
+    focal = min(fx, fy)
+    error, jacobian = _distance(model, params, xy, chart)
+    for _ in range(MAX_HALVINGS):
+        beyond = ~_unfolded(error, jacobian)
+        if not beyond.any():
+            break
+        chart[beyond] /= 2
+        error[beyond], jacobian[beyond] = _distance(model, params, xy[beyond], chart[beyond])
+    for _ in range(MAX_ITERATIONS):
+        active = np.flatnonzero(np.linalg.norm(error, axis=1) > 1e-4 * PRECISION * focal)
+        if not len(active):
+            break
+        if not _newton_step(model, params, xy, chart, error, jacobian, active):
+            break
+    close = np.linalg.norm(error, axis=1) <= PRECISION * focal
+    return _directions(chart), close & _unfolded(error, jacobian)
+
+
+def angles(rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the angle of each ray to the optical axis, in radians."""
+    return np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+
+
+def _newton_step(
+    model: str,
+    params: NDArray[np.float64],
+    xy: NDArray[np.float64],
+    chart: NDArray[np.float64],
+    error: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    active: NDArray[np.int64],
+) -> bool:
+    """Move the rays of `active` pixels in place; return whether any came closer."""
+    active = active[_unfolded(error[active], jacobian[active])]
+    step = -np.linalg.solve(jacobian[active], error[active][:, :, None])[:, :, 0]
+    length = np.linalg.norm(step, axis=1)
+    step *= (MAX_STEP / np.maximum(length, MAX_STEP))[:, None]
+    before = np.linalg.norm(error[active], axis=1)
+    improved = False
+    for _ in range(MAX_HALVINGS):
+        if not len(active):
+            break
+        tried = chart[active] + step
+        new_error, new_jacobian = _distance(model, params, xy[active], tried)
+        better = np.linalg.norm(new_error, axis=1) < before
+        better &= _unfolded(new_error, new_jacobian)
+        rows = active[better]
+        chart[rows], error[rows], jacobian[rows] = (
+            tried[better],
+            new_error[better],
+            new_jacobian[better],
+        )
+        improved = improved or bool(better.any())
+        active, step, before = active[~better], step[~better] / 2, before[~better]
+    return improved
+
+
+def _unfolded(error: NDArray[np.float64], jacobian: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell whether rays have an image, and one that is not mirrored."""
+    unfolded: NDArray[np.bool_] = np.isfinite(error).all(axis=1) & (np.linalg.det(jacobian) > 0)
+    return unfolded
+
+
+def _distance(
+    model: str,
+    params: NDArray[np.float64],
+    xy: NDArray[np.float64],
+    chart: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return projection minus pixel, nan where the lens does not see, and the 2x2 Jacobian."""
+    rays, by_chart = _directions(chart), _chart_jacobian(chart)
+    projected = project(model, params, rays, jacobians=True)
+    error = projected.xy - xy
+    if model in PERSPECTIVE:
+        error[~projected.valid] = np.nan
+    jacobian = projected.d_point @ by_chart
+    return error, np.where(np.isfinite(jacobian), jacobian, 0.0)
+
+
+def _directions(chart: NDArray[np.float64]) -> NDArray[np.float64]:
+    angle = np.hypot(chart[:, 0], chart[:, 1])
+    return np.column_stack([chart * np.sinc(angle / np.pi)[:, None], np.cos(angle)])
+
+
+def _chart_jacobian(chart: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivatives of the rays by the chart, (N, 3, 2)."""
+    square = (chart**2).sum(axis=1)
+    angle = np.sqrt(square)
+    ratio = np.sinc(angle / np.pi)
+    near = square < 1e-4
+    bend = np.where(
+        near,
+        -1 / 3 + square / 30 - square**2 / 840,
+        (np.cos(angle) - ratio) / np.where(near, 1, square),
+    )
+    jacobian = np.empty((len(chart), 3, 2))
+    jacobian[:, :2] = bend[:, None, None] * chart[:, :, None] * chart[:, None, :]
+    jacobian[:, [0, 1], [0, 1]] += ratio[:, None]
+    jacobian[:, 2] = -ratio[:, None] * chart
+    return jacobian

@@ -1,0 +1,192 @@
+"""Two reconstructions of partly the same images made one.
+
+Each model has a gauge of its own, 7 free degrees; what both see determines the 7 between them
+(``frame_of_a``), so that the merged model has one gauge again. Models with rigs, whose scale may be
+known, are refused.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import plural
+from bundle.editing.merging.disagreement import disagreements
+from bundle.editing.merging.frame_of_a import DEGREES, find_similarity
+from bundle.editing.merging.joining import join
+from bundle.editing.merging.merge_result import Merge
+from bundle.editing.merging.shared import shared_keypoints
+from bundle.errors import InputError
+from bundle.georeference.similar_problem import moved
+from bundle.interface.option_fields import number
+from bundle.io.source import Source, as_problem
+from bundle.model.problem import Problem
+
+__all__ = ["MAX_ERROR", "merge"]
+
+MAX_ERROR = 8.0
+"""Pixels. Larger than what a filter allows, as models that meet bend each in its own way."""
+
+
+def merge(a: Source, b: Source, *, max_error: float = MAX_ERROR) -> Merge:
+    """Make two reconstructions of partly the same images one, without adjusting anything.
+
+    Images of the same name are the same. They keep A's pose and camera, and B's other images of
+    such a camera take A's. B moves into the frame of A by the similarity that shared points and
+    centres of shared images agree on. Points that meet at a keypoint of a shared image are joined,
+    A's coordinates staying, if their projections differ by at most ``max_error``; others stay apart
+    and leave such keypoints to A. Follow it with bundle adjustment.
+
+    Args:
+        a: a Problem, the path of a COLMAP model, or a pycolmap.Reconstruction; left untouched.
+        b: the same; its ids change where A has them.
+        max_error: pixels, the median over the images of both tracks.
+
+    Raises:
+        InputError: a model is none of COLMAP's or has rigs, the shared images leave the similarity
+            open, or no shared points agree.
+        OSError: a path cannot be read.
+
+    Example:
+        >>> merged = bundle.merge("sparse/0", "sparse/1")
+        >>> result = bundle.solve(merged.problem, loss="huber")
+        >>> bundle.save(result.problem, "sparse/merged")
+    """
+    limit = number("max_error", max_error, above=0)
+    first, second = as_problem(a, "a"), as_problem(b, "b")
+    rows = _shared_images(_rows("a", first), _rows("b", second))
+    images = np.array(rows, np.int64).reshape(-1, 2)
+    ids = list(
+        zip(
+            first.image_ids[images[:, 0]].tolist(),
+            second.image_ids[images[:, 1]].tolist(),
+            strict=True,
+        )
+    )
+    model_a = first.to_pycolmap()
+    shared = shared_keypoints(model_a, second.to_pycolmap(), ids)
+    point_a = _indices(first.point_ids, shared.point_a)
+    point_b = _indices(second.point_ids, shared.point_b)
+    similarity = find_similarity(
+        first, second, images, np.column_stack([shared.image, point_a, point_b])
+    )
+    second = moved(second, similarity)
+    pairs = np.unique(np.column_stack([point_b, point_a]), axis=0)
+    distance = disagreements(first, second, pairs[:, ::-1])
+    one = distance <= limit
+    if len(pairs) and not one.any():
+        raise InputError(
+            f"b: expected points within {limit:g} pixels of those of the first model once it is "
+            f"aligned, found none among {len(pairs)} that shared images see in both models; "
+            f"the nearest differs by {distance.min():.4g}"
+        )
+    meetings: dict[int, Counter[int]] = defaultdict(Counter)
+    for other, point in zip(shared.point_a.tolist(), shared.point_b.tolist(), strict=True):
+        meetings[point][other] += 1
+    agreeing = [(int(second.point_ids[i]), int(first.point_ids[j])) for i, j in pairs[one].tolist()]
+    cameras, notes = _cameras(first, second, images)
+    counts = join(
+        model_a,
+        second.to_pycolmap(),
+        images=ids,
+        keypoints=shared.keypoints,
+        meetings=meetings,
+        agreeing=set(agreeing),
+        cameras=cameras,
+    )
+    if not counts.num_images:
+        notes.append("Every image of B is in A: only points and observations were added.")
+    apart = second.points[pairs[one, 0]] - first.points[pairs[one, 1]]
+    centers = second.projection_centers[images[:, 1]] - first.projection_centers[images[:, 0]]
+    return Merge(
+        problem=Problem.from_pycolmap(model_a),
+        similarity=similarity,
+        shared_images=tuple(first.image_names[row] for row in images[:, 0]),
+        num_pairs=len(pairs),
+        free_before=2 * DEGREES,
+        determined=DEGREES,
+        rms_points=_root_mean_square((apart**2).sum(axis=1)),
+        rms_pixels=_root_mean_square(distance[one] ** 2),
+        rms_centers=_root_mean_square((centers**2).sum(axis=1)),
+        counts=counts,
+        notes=tuple(notes),
+    )
+
+
+def _rows(name: str, problem: Problem) -> dict[str, int]:
+    """Return the images by name."""
+    if problem.num_images and not any(problem.image_names):
+        raise InputError(
+            f"{name}: expected images with names, by which the same image is found in both "
+            "models, found a model without, as BAL files are"
+        )
+    if problem.num_frames:
+        raise InputError(
+            f"{name}: expected a model without rigs, found {plural(problem.num_frames, 'frame')} "
+            f"of {plural(problem.num_rigs, 'rig')}: those cannot be merged yet"
+        )
+    rows: dict[str, int] = {}
+    for row, image in enumerate(problem.image_names):
+        if image and rows.setdefault(image, row) != row:
+            raise InputError(
+                f"{name}: expected images with names of their own, found {image} for images "
+                f"{problem.image_ids[rows[image]]} and {problem.image_ids[row]}"
+            )
+    return rows
+
+
+def _shared_images(a: dict[str, int], b: dict[str, int]) -> list[tuple[int, int]]:
+    shared = [(row, b[name]) for name, row in a.items() if name in b]
+    if not shared:
+        raise InputError(
+            "b: expected images of the same names as in the first model, found none among "
+            f"{len(a)} and {len(b)}, which determine 0 of the {DEGREES} degrees of freedom "
+            "between the models"
+        )
+    return shared
+
+
+def _indices(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+    order = np.argsort(ids)
+    found: NDArray[np.int64] = order[np.searchsorted(ids, wanted, sorter=order)]
+    return found
+
+
+def _cameras(a: Problem, b: Problem, images: NDArray[np.int64]) -> tuple[dict[int, int], list[str]]:
+    """Return which cameras of A take over images of B, by ids, and what to say of that.
+
+    A camera of B goes to the one that most of its shared images have in A, the least id of several;
+    not to one of another image size.
+    """
+    votes: dict[int, Counter[int]] = defaultdict(Counter)
+    for row_a, row_b in images.tolist():
+        votes[int(b.image_camera[row_b])][int(a.image_camera[row_a])] += 1
+    others = set(range(b.num_images)) - set(images[:, 1].tolist())
+    needed = {int(b.image_camera[row]) for row in others}
+    taken, notes = {}, []
+    for old in sorted(votes.keys() & needed):
+        found = votes[old]
+        new = min(found, key=lambda camera: (-found[camera], int(a.camera_ids[camera])))
+        names = f"camera {b.camera_ids[old]} of B", f"camera {a.camera_ids[new]} of A"
+        if (a.camera_sizes[new] != b.camera_sizes[old]).any():
+            notes.append(f"Of another image size than {names[1]}, {names[0]} stays.")
+            continue
+        taken[int(b.camera_ids[old])] = int(a.camera_ids[new])
+        models = b.camera_models[old], a.camera_models[new]
+        if models[0] != models[1]:
+            notes.append(
+                f"Images of {names[0]} ({models[0]}) take {names[1]}, another model "
+                f"({models[1]}): adjust before judging errors."
+            )
+        if len(found) > 1:
+            notes.append(
+                f"Shared images of {names[0]} have {len(found)} cameras in A; its other images "
+                f"take {names[1]}."
+            )
+    return taken, notes
+
+
+def _root_mean_square(squares: NDArray[np.float64]) -> float:
+    return float(np.sqrt(squares.mean())) if len(squares) else float("nan")

@@ -1,0 +1,85 @@
+"""Pictures of problems, orderings and comparisons: functions of a Matplotlib axis.
+
+``figure()`` makes one, and what it returns saves PNG and SVG::
+
+    made, axes = bundle.pictures.figure()
+    bundle.pictures.draw_covisibility(axes[0, 0], problem)
+    made.savefig("covisibility.svg")
+
+Matplotlib is not installed with bundle: ``pip install matplotlib``.
+"""
+
+from bundle.figures.matplotlib.charts import (
+    draw_breakdown,
+    draw_column_counts,
+    draw_cost_against_time,
+    draw_flops,
+    draw_performance_profile,
+)
+from bundle.figures.matplotlib.covisibility_graph import draw_covisibility
+from bundle.figures.matplotlib.figure import figure
+from bundle.figures.matplotlib.line_pictures import draw_lines
+from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
+from bundle.figures.matplotlib.placement_pictures import (
+    draw_correlations,
+    draw_position_errors,
+    draw_target_errors,
+)
+from bundle.figures.matplotlib.problem_patterns import (
+    ORDERINGS,
+    information_pattern,
+    order_blocks,
+    reduced_pattern,
+)
+from bundle.figures.matplotlib.projection_pictures import (
+    draw_projection_uncertainty,
+    draw_uncertainty_against_distance,
+)
+from bundle.figures.matplotlib.residual_pictures import (
+    draw_image_residuals,
+    draw_radial_profile,
+    draw_residual_cells,
+    draw_residual_directions,
+    draw_residual_histogram,
+    draw_residual_lengths,
+    draw_residual_vectors,
+    draw_track_lengths,
+    draw_triangulation_angles,
+)
+from bundle.figures.matplotlib.scene_pictures import draw_lens_curves, draw_scene
+from bundle.figures.matplotlib.spy import draw_orderings, spy, spy_factor
+
+__all__ = [
+    "ORDERINGS",
+    "MatrixPattern",
+    "draw_breakdown",
+    "draw_column_counts",
+    "draw_correlations",
+    "draw_cost_against_time",
+    "draw_covisibility",
+    "draw_flops",
+    "draw_image_residuals",
+    "draw_lens_curves",
+    "draw_lines",
+    "draw_orderings",
+    "draw_performance_profile",
+    "draw_position_errors",
+    "draw_projection_uncertainty",
+    "draw_radial_profile",
+    "draw_residual_cells",
+    "draw_residual_directions",
+    "draw_residual_histogram",
+    "draw_residual_lengths",
+    "draw_residual_vectors",
+    "draw_scene",
+    "draw_target_errors",
+    "draw_track_lengths",
+    "draw_triangulation_angles",
+    "draw_uncertainty_against_distance",
+    "figure",
+    "information_pattern",
+    "order_blocks",
+    "reduced_pattern",
+    "spy",
+    "spy_factor",
+]

@@ -1,0 +1,59 @@
+"""The matrices of a problem and the orders of their blocks, ready to be drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.arguments import check_type
+from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
+from bundle.interface.option_fields import choice
+from bundle.interface.options import SolveOptions
+from bundle.model.problem import Problem
+from bundle.solving.solver import resolve_defaults
+
+__all__ = ["ORDERINGS", "information_pattern", "order_blocks", "reduced_pattern"]
+
+ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
+"""Orders of the blocks of S, all by CHOLMOD but the first."""
+
+
+def reduced_pattern(problem: Problem, options: SolveOptions | None = None) -> MatrixPattern:
+    """Return where the reduced camera system S is not zero: two images meet if they share points.
+
+    Raises:
+        InputError: the options make no sense for the problem.
+    """
+    given = _given(problem, options)
+    return MatrixPattern.of(_core.reduced_pattern(problem, given))
+
+
+def information_pattern(problem: Problem, options: SolveOptions | None = None) -> MatrixPattern:
+    """Return where the information matrix is not zero: an arrowhead, points first, then cameras.
+
+    Raises:
+        InputError: the options make no sense for the problem.
+    """
+    given = _given(problem, options)
+    return MatrixPattern.of(_core.full_pattern(problem, given))
+
+
+def order_blocks(pattern: MatrixPattern, ordering: str) -> NDArray[np.int32]:
+    """Return the blocks of a pattern in the order that a method eliminates them.
+
+    Raises:
+        InputError: there is no method of that name.
+    """
+    check_type("pattern", pattern, MatrixPattern)
+    return _core.order_blocks(
+        pattern.sizes.astype(np.int32),
+        pattern.column_begin,
+        pattern.rows.astype(np.int32),
+        choice("ordering", ordering, ORDERINGS),
+    )
+
+
+def _given(problem: Problem, options: SolveOptions | None) -> dict[str, object]:
+    check_type("problem", problem, Problem)
+    return resolve_defaults(problem, SolveOptions.of(options, {}, "options")).asdict()

@@ -1,0 +1,1 @@
+"""Factors, pose graphs, loop closing."""

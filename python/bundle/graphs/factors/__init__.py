@@ -1,0 +1,1 @@
+"""Factor graphs: variables on manifolds, factors between them, one solve."""

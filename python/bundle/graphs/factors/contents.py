@@ -1,0 +1,252 @@
+"""The variables and factors of a graph, and their checks when they are added."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Self
+from weakref import WeakKeyDictionary
+
+from numpy.typing import ArrayLike
+
+from bundle import _core
+from bundle.base.arguments import check_type
+from bundle.base.display import Displayed
+from bundle.base.words import plural
+from bundle.errors import InputError, brief, nearest
+from bundle.graphs.factors.anchored import AnchoredFactor
+from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.variables import (
+    Array,
+    Key,
+    Values,
+    Variable,
+    as_keys,
+    check_key,
+    variable_name,
+)
+
+__all__ = ["GraphContents", "factor_name"]
+
+
+class GraphContents(Displayed):
+    """Variables and factors, without what is computed from them (:class:`bundle.FactorGraph`)."""
+
+    def __init__(self) -> None:
+        self._variables: dict[Key, Variable] = {}
+        self._factors: list[Factor] = []
+        self._in_priors: WeakKeyDictionary[Factor, str] = WeakKeyDictionary()
+        self._as_tuples: tuple[tuple[Key, ...], tuple[Factor, ...]] = (), ()
+
+    def __copy__(self) -> Self:
+        return self.with_values({})
+
+    def add_variable(
+        self,
+        key: Key,
+        value: ArrayLike,
+        manifold: str = "euclidean",
+        *,
+        fixed: bool | Iterable[int] = False,
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+    ) -> None:
+        """Add a variable.
+
+        Args:
+            key: a name: any hashable object.
+            value: where a solve starts, as the manifold stores it; a quaternion of any norm but 0.
+            manifold: "euclidean", "so2", "so3", "se2" or "se3".
+            fixed: True to keep it where it is, or the tangent coordinates that stay.
+            lower: bound of each number of a Euclidean variable, or one for all. A step that would
+                leave a bound ends on it; bounds that are equal hold the number.
+            upper: likewise.
+
+        Raises:
+            InputError: the key is taken, the value is none of the manifold, or the bounds exclude
+                it.
+        """
+        check_key("key", key)
+        if key in self._variables:
+            raise InputError(f"{variable_name(key)}: expected a new key, found one of the graph")
+        self._variables[key] = Variable.make(key, value, manifold, fixed, lower, upper)
+
+    def add_factor(self, factor: Factor) -> None:
+        """Add a factor of variables that are in the graph.
+
+        Raises:
+            InputError: it is no factor, a key is unknown, or its numbers do not fit the variables:
+                a wrong size, an information matrix that is asymmetric, singular or indefinite. Or
+                it would count twice: a prior of :meth:`bundle.FactorGraph.marginalize` beside a
+                factor that it was made of, or two priors made of the same factor.
+        """
+        check_type("factor", factor, Factor)
+        position = len(self._factors)
+        name = factor_name(position, factor)
+        for key in factor.keys:
+            self._known(name, key)
+        if isinstance(factor, AnchoredFactor):
+            for key, manifold in factor.manifolds.items():
+                if manifold != self._variables[key].manifold:
+                    raise InputError(
+                        f"{name}: {variable_name(key)}: expected manifold "
+                        f"{self._variables[key].manifold}, found {manifold}; give manifolds="
+                    )
+        self._refuse_double_counting(name, factor)
+        if factor.kind != "function":  # which is called first when its values are meant
+            variables, (given,) = self._core(factor.keys, [position], [factor])
+            _core.factor_function(variables, given)
+        self._factors.append(factor)
+        self._remember(factor)
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The variables, in the order in which they were added."""
+        return self._tuples()[0]
+
+    @property
+    def variables(self) -> Mapping[Key, Variable]:
+        """The variables by key."""
+        return dict(self._variables)
+
+    @property
+    def factors(self) -> tuple[Factor, ...]:
+        """The factors, in the order in which they were added."""
+        return self._tuples()[1]
+
+    @property
+    def values(self) -> Mapping[Key, Array]:
+        """The values of the variables, where a solve starts; changes as the graph does."""
+        return Values(self._variables)
+
+    def with_values(self, values: Mapping[Key, ArrayLike]) -> Self:
+        """Return the graph with other values, such as the result of a solve.
+
+        Args:
+            values: by key; variables that are not in it keep theirs.
+
+        Raises:
+            InputError: a key is unknown, or a value is none of its manifold.
+        """
+        if not isinstance(values, Mapping):
+            raise InputError(f"values: expected a dict by key, found {brief(values)}")
+        graph = type(self)()
+        graph._variables, graph._factors = dict(self._variables), list(self._factors)
+        graph._in_priors = self._in_priors.copy()
+        for key, value in values.items():
+            old = graph._known("values", key)
+            bounds = (old.lower, old.upper) if len(old.lower) else (None, None)
+            fixed = tuple(i for i, held in enumerate(old.held) if held)
+            new = Variable.make(key, value, old.manifold, fixed, *bounds)
+            if len(new.value) != len(old.value):
+                raise InputError(
+                    f"values: {variable_name(key)}: expected {plural(len(old.value), 'number')}, "
+                    f"found {len(new.value)}"
+                )
+            graph._variables[key] = new
+        return graph
+
+    def without(self, keys: Iterable[Key]) -> Self:
+        """Return the graph without some variables and without every factor that touches one.
+
+        Raises:
+            InputError: a key is unknown.
+        """
+        gone = set(self._checked_keys(keys))
+        graph = type(self)()
+        graph._variables = {k: v for k, v in self._variables.items() if k not in gone}
+        graph._factors = [f for f in self._factors if gone.isdisjoint(f.keys)]
+        for factor in graph._factors:
+            graph._remember(factor)
+        return graph
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_in_priors": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, _in_priors=WeakKeyDictionary())
+
+    def _refuse_double_counting(self, name: str, factor: Factor) -> None:
+        """Refuse a factor that a prior of the graph contains, and a prior of factors in it."""
+        sources = factor.sources if isinstance(factor, AnchoredFactor) else ()
+        for source in (factor, *sources):
+            if source in self._in_priors:
+                raise InputError(
+                    f"{name}: expected every factor to count once, found {source.name} "
+                    f"marginalised into {self._in_priors[source]} of the graph already"
+                )
+        if not sources:
+            return
+        places = {id(member): i for i, member in enumerate(self._factors)}
+        for source in sources:
+            if id(source) in places:
+                raise InputError(
+                    f"{name}: expected every factor to count once, found "
+                    f"{factor_name(places[id(source)], source)}, of which it was made, in the "
+                    "graph; add it to the graph without(...) the variables that it eliminated"
+                )
+
+    def _remember(self, factor: Factor) -> None:
+        """Note which factors a prior of the graph contains."""
+        if isinstance(factor, AnchoredFactor):
+            for source in factor.sources:
+                self._in_priors[source] = factor.name
+
+    def _tuples(self) -> tuple[tuple[Key, ...], tuple[Factor, ...]]:
+        """Return keys and factors, which are only ever added; made anew once some were."""
+        keys, factors = self._as_tuples
+        if len(factors) != len(self._factors):
+            factors = tuple(self._factors)
+        if len(keys) != len(self._variables):
+            keys = tuple(self._variables)
+        self._as_tuples = keys, factors
+        return keys, factors
+
+    def _core(
+        self,
+        keys: Iterable[Key] | None = None,
+        positions: Iterable[int] | None = None,
+        factors: Iterable[Factor] | None = None,
+    ) -> tuple[list[Any], list[Any]]:
+        """Return variables and factors as ``_core`` takes them; all if none are given."""
+        factors = list(self._factors if factors is None else factors)
+        members = list(self._variables if keys is None else keys)
+        positions = range(len(factors)) if positions is None else positions
+        places = {key: i for i, key in enumerate(members)}
+        described = []
+        for position, factor in zip(positions, factors, strict=True):
+            name = factor_name(position, factor)
+            sizes = tuple(len(self._variables[key].coordinates) for key in factor.keys)
+            described.append((
+                factor.kind,
+                name,
+                [places[key] for key in factor.keys],
+                factor.loss,
+                factor.loss_scale,
+                factor.core_arguments(name, sizes),
+            ))  # fmt: skip
+        return [self._variables[key].core() for key in members], described
+
+    def core(self) -> tuple[list[Any], list[Any]]:
+        """Return variables and factors as ``_core`` takes them."""
+        return self._core()
+
+    def _known(self, argument: str, key: Key) -> Variable:
+        check_key(argument, key)
+        if key not in self._variables:
+            words = [known for known in self._variables if isinstance(known, str)]
+            hint = nearest(key, words) if isinstance(key, str) else ""
+            raise InputError(f"{argument}: there is no {variable_name(key)}{hint}")
+        return self._variables[key]
+
+    def _checked_keys(self, keys: Iterable[Key]) -> tuple[Key, ...]:
+        found = as_keys("keys", keys, ordered=False)
+        if not found:
+            raise InputError("keys: expected at least one variable, found none")
+        for key in found:
+            self._known("keys", key)
+        return found
+
+
+def factor_name(position: int, factor: Factor) -> str:
+    """Return how messages name a factor of a graph."""
+    return f"factor {position}, {factor.name}"

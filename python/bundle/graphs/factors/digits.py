@@ -1,0 +1,72 @@
+"""How many digits of a step the linear algebra leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
+
+__all__ = ["DigitsLeft"]
+
+DIGITS = 16
+ENOUGH = 4
+
+
+@dataclass(frozen=True, repr=False)
+class DigitsLeft(Displayed):
+    """Digits of a step by normal equations and by a QR factorisation.
+
+    J is the whitened Jacobian, its columns scaled to norm 1: units do not count. Normal equations
+    square it, and lose twice as many digits as J has decades between its singular values.
+
+    Attributes:
+        condition_number: kappa(J), largest over least singular value, to a few percent; infinite
+            where columns depend on each other, as those of a graph without a prior.
+        rank: of J, as the QR factorisation sees it.
+        num_columns: free coordinates.
+    """
+
+    condition_number: float
+    rank: int
+    num_columns: int
+
+    @staticmethod
+    def of(largest: float, least: float, num_columns: int, dependent: Sequence[int]) -> DigitsLeft:
+        """Return what two singular values say, and the columns that depend on others."""
+        rank = num_columns - len(dependent)
+        condition = largest / least if least > 0 and rank == num_columns else math.inf
+        return DigitsLeft(max(condition, 1.0), rank, num_columns)
+
+    @property
+    def normal_equations(self) -> int:
+        """16 - 2 log10 kappa, at least 0."""
+        return self._digits(2)
+
+    @property
+    def square_root(self) -> int:
+        """16 - log10 kappa, at least 0."""
+        return self._digits(1)
+
+    @property
+    def needs_square_root(self) -> bool:
+        """True where normal equations leave fewer than 4 digits, and J has full rank."""
+        return self.rank == self.num_columns and self.normal_equations < ENOUGH
+
+    def _digits(self, power: int) -> int:
+        if math.isinf(self.condition_number):
+            return 0
+        return max(0, round(DIGITS - power * math.log10(self.condition_number)))
+
+    def _display(self) -> Display:
+        return Display(
+            title="DigitsLeft",
+            facts=(
+                ("condition of J", f"{self.condition_number:.1e}"),
+                ("rank", f"{self.rank} of {plural(self.num_columns, 'free coordinate')}"),
+                ("normal equations", plural(self.normal_equations, "digit")),
+                ("square root", plural(self.square_root, "digit")),
+            ),
+        )

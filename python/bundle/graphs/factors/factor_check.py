@@ -1,0 +1,216 @@
+"""Jacobians of factors against differences, by the checker for any residual.
+
+A factor's Jacobian J at X is by the tangent coordinates at X. At each of its samples X the checker
+is given the residual as a function of s, the value being X Exp(s - c) with a constant c: its
+Jacobian at s = c is J itself, whatever mistake is in it. Euclidean variables are given to it as
+they are.
+
+The checker takes the size of a parameter for its scale: it makes its first steps in proportion. A
+parameter that is zero has none. So c is 1 for an angle, and for a translation the length of the
+variable's own (1 if that is zero).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bundle import _core
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
+from bundle.checking.columns import Block
+from bundle.checking.function import UserFunction
+from bundle.checking.gradient_report import GradientReport
+from bundle.checking.manifolds import Manifold
+from bundle.checking.residual_blocks import Layout, sample
+from bundle.checking.sample_check import SamplePoint, check_samples
+from bundle.errors import InputError, brief, check_keywords
+from bundle.graphs.factors.other_coordinates import other_coordinates
+from bundle.graphs.factors.variables import Array, Variable
+from bundle.interface.check_defaults import TOLERANCE
+from bundle.interface.option_fields import number
+
+__all__ = ["FactorCheck", "check_each"]
+
+_SETTINGS = {"num_samples": 3, "radius": 0.1, "seed": 0, "tolerance": TOLERANCE}
+"""Default settings of the check."""
+
+FactorFunction = Callable[[list[Array]], tuple[Array, list[Array]] | None]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FactorCheck(Displayed):
+    """What a check of factors found. True if every Jacobian is right.
+
+    Attributes:
+        reports: one a factor, by its name in the graph.
+    """
+
+    reports: Mapping[str, GradientReport]
+
+    @property
+    def ok(self) -> bool:
+        """Whether the verdict is "correct"."""
+        return self.verdict == "correct"
+
+    @property
+    def verdict(self) -> str:
+        """The worst of the factors' verdicts: "wrong", "undecided" or "correct"."""
+        found = {report.verdict for report in self.reports.values()}
+        return next((name for name in ("wrong", "undecided") if name in found), "correct")
+
+    def __bool__(self) -> bool:
+        return self.ok
+
+    @property
+    def wrong(self) -> dict[str, GradientReport]:
+        """The reports of the factors with which something is wrong."""
+        return self._with_verdict("wrong")
+
+    @property
+    def undecided(self) -> dict[str, GradientReport]:
+        """The reports of the factors of which nothing can be said."""
+        return self._with_verdict("undecided")
+
+    def _with_verdict(self, verdict: str) -> dict[str, GradientReport]:
+        return {name: r for name, r in self.reports.items() if r.verdict == verdict}
+
+    def __str__(self) -> str:
+        parts = [repr(self).splitlines()[0]]
+        for name, report in (self.wrong | self.undecided).items():
+            parts.append(f"{name}\n{report}")
+        return "\n\n".join(parts)
+
+    def _display(self) -> Display:
+        wrong, undecided = self.wrong, self.undecided
+        verdict = f"{len(wrong)} with wrong Jacobians" if wrong else "all Jacobians right"
+        if undecided:
+            verdict = f"{verdict}, " if wrong else ""
+            verdict += f"{len(undecided)} undecided"
+        facts = [
+            (name, ", ".join(sorted(report.kinds)))
+            for name, report in list((wrong | undecided).items())[:10]
+        ]
+        return Display(
+            title=f"FactorCheck: {plural(len(self.reports), 'factor')}, {verdict}",
+            facts=tuple(facts),
+        )
+
+
+def check_each(
+    factors: Sequence[tuple[str, list[Variable], FactorFunction]], settings: Mapping[str, Any]
+) -> FactorCheck:
+    """Check factors, given by name, variables and function of their values.
+
+    Raises:
+        InputError: a setting does not exist or is out of range.
+    """
+    check_keywords("check_gradients", settings, {name: name for name in _SETTINGS})
+    given = dict(_SETTINGS) | dict(settings)
+    num_samples = number("num_samples", given["num_samples"], minimum=1, whole=True)
+    radius = number("radius", given["radius"], minimum=0)
+    seed = number("seed", given["seed"], minimum=0, maximum=math.inf, whole=True)
+    tolerance = number("tolerance", given["tolerance"], above=0)
+    reports = {}
+    for name, variables, function in factors:
+        rng = np.random.default_rng(seed)
+        values = [[variable.value for variable in variables]]
+        for _ in range(num_samples - 1):
+            values.append([_sample(variable, radius, rng) for variable in variables])
+        points: list[SamplePoint] = []
+        for at in values:
+            size = points[0].user.num_residuals if points else 0
+            here = _InTangentCoordinates(name, variables, at, function, size)
+            points.append(SamplePoint(UserFunction(here, here.origins, size), here.origins))
+        reports[name] = check_samples(points, _layout(variables, values), tolerance=tolerance)
+    return FactorCheck(reports)
+
+
+# Of the value and of the tangent coordinates: where the translation is.
+_TRANSLATIONS = {"se2": (slice(0, 2), slice(0, 2)), "se3": (slice(4, 7), slice(3, 6))}
+
+
+def _sample(variable: Variable, radius: float, rng: np.random.Generator) -> Array:
+    """Return a value near that of the variable."""
+    if variable.manifold == "euclidean":
+        return sample(Manifold.parse(None, len(variable.value)), variable.value, radius, rng)
+    step = (
+        radius * _origin(variable, variable.value) * rng.standard_normal(len(variable.coordinates))
+    )
+    return _core.retract(variable.manifold, variable.value, step)
+
+
+def _origin(variable: Variable, value: Array) -> Array:
+    """Return where the checker is: the value, or the c at which the step is zero."""
+    if variable.manifold == "euclidean":
+        return value
+    origin = np.ones(len(variable.coordinates))
+    if variable.manifold in _TRANSLATIONS:
+        stored, tangent = _TRANSLATIONS[variable.manifold]
+        length = float(np.linalg.norm(value[stored]))
+        if length > 0 and np.isfinite(length):
+            origin[tangent] = length
+    return origin
+
+
+def _layout(variables: Sequence[Variable], values: Sequence[Sequence[Array]]) -> Layout:
+    """Return names, and blocks that know what else one may have differentiated by."""
+    names = [
+        (brief(v.key), [f"{brief(v.key)} {coordinate}" for coordinate in v.coordinates])
+        for v in variables
+    ]
+    layout = Layout.make([_origin(v, v.value) for v in variables], None, names)
+    blocks: list[Block] = []
+    for b, (variable, whole) in enumerate(zip(variables, layout.blocks, strict=True)):
+        if variable.manifold == "euclidean":
+            blocks.append(whole)
+            continue
+        other = other_coordinates(variable.manifold, np.array([at[b] for at in values]))
+        turns = "tangent" if variable.manifold == "so3" else ""
+        blocks.append(replace(whole, rotation=turns, conventions=other))
+        if variable.manifold in _TRANSLATIONS:
+            part = _TRANSLATIONS[variable.manifold][1]
+            begin, end = whole.start + part.start, whole.start + part.stop
+            blocks.append(Block(f"{whole.name} translation", begin, end))
+        if variable.manifold == "se3":
+            blocks.append(Block(f"{whole.name} rotation", whole.start, whole.start + 3, "tangent"))
+    is_step = [v.manifold != "euclidean" for v in variables for _ in v.coordinates]
+    return replace(layout, blocks=blocks, is_step=np.array(is_step))
+
+
+class _InTangentCoordinates:
+    """The factor as a function of the steps that its variables take from values."""
+
+    def __init__(
+        self,
+        name: str,
+        variables: list[Variable],
+        values: list[Array],
+        function: FactorFunction,
+        num_residuals: int,
+    ) -> None:
+        self.name, self.variables, self.values, self.function = name, variables, values, function
+        self.origins = [_origin(v, x) for v, x in zip(variables, values, strict=True)]
+        self.num_residuals = num_residuals
+
+    def __call__(self, blocks: list[Array]) -> tuple[Array, list[Array]]:
+        values = [
+            block
+            if variable.manifold == "euclidean"
+            else _core.retract(variable.manifold, value, block - origin)
+            for variable, value, origin, block in zip(
+                self.variables, self.values, self.origins, blocks, strict=True
+            )
+        ]
+        answer = self.function(values)
+        if answer is not None:
+            self.num_residuals = len(answer[0])
+            return answer
+        if not self.num_residuals:
+            raise InputError(f"{self.name}: the residual has no value at the start")
+        shape = self.num_residuals
+        return np.full(shape, np.nan), [np.full((shape, len(b)), np.nan) for b in blocks]

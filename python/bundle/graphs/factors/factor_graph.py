@@ -1,0 +1,231 @@
+"""A factor graph: what to estimate, what is known of it, and everything that is asked of both."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any
+
+from bundle import _core
+from bundle.base.arguments import as_flag, check_function
+from bundle.base.display import Display
+from bundle.base.words import plural
+from bundle.errors import InputError, brief
+from bundle.graphs.factors.check_solve import Conditioning, SolvedGraph, checked
+from bundle.graphs.factors.contents import factor_name
+from bundle.graphs.factors.digits import DigitsLeft
+from bundle.graphs.factors.factor_check import FactorCheck, check_each
+from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.graph_result import GraphResult
+from bundle.graphs.factors.marginals import GraphMarginals
+from bundle.graphs.factors.variables import Variable, as_list
+from bundle.interface.graph_options import GraphOptions
+from bundle.interface.options import SolveOptions
+from bundle.interface.solve_record import Progress, record_fields
+
+__all__ = ["FactorGraph"]
+
+_OF_OTHERS = (
+    "linear_solver_ordering",
+    "loss",
+    "loss_scale",
+    "refine",
+    "fixed_camera_ids",
+    "fixed_image_ids",
+    "fixed_point_ids",
+    "refine_sensor_from_rig",
+    "fixed_sensors",
+    "gauge",
+    "cheirality",
+)
+"""Options that say something of reconstructions, and nothing of a factor graph."""
+
+_MOST_COLUMNS_LOOKED_AT = 3000
+"""A QR factorisation of so many columns takes about as long as some steps."""
+
+
+class FactorGraph(GraphMarginals):
+    """Variables on manifolds and factors between them: a least-squares problem of any structure.
+
+    A variable X moves by its tangent coordinates delta to X Exp(delta). Residuals are
+    differentiated and information matrices are ordered by these:
+
+    ===========  =========================  ==================================================
+    manifold     value                      tangent coordinates
+    ===========  =========================  ==================================================
+    euclidean    n numbers                  the same n
+    so2          angle                      angle
+    so3          qx qy qz qw                rotation vector (3)
+    se2          x y angle                  x y angle, in the frame of X
+    se3          qx qy qz qw tx ty tz       rotation (3), then translation (3), in the frame of X
+    ===========  =========================  ==================================================
+
+    Angles are radians. The information matrix of a graph is Lambda = J^T J and its vector
+    eta = -J^T r, with J and r of all factors at the variables' values, whitened, losses applied:
+    the cost is 1/2 delta^T Lambda delta - eta^T delta and a constant, to second order. Example::
+
+        graph = bundle.FactorGraph()
+        graph.add_variable("a", [0, 0, 0], "se2", fixed=True)
+        graph.add_variable("b", [1.1, 0, 0], "se2")
+        graph.add_factor(bundle.BetweenFactor("a", "b", [1, 0, 0], information=100))
+        graph.solve().values["b"]
+    """
+
+    def solve(
+        self,
+        options: SolveOptions | None = None,
+        *,
+        progress: Progress | None = None,
+        square_root: bool | None = None,
+        **changes: Any,
+    ) -> GraphResult:
+        """Minimise 1/2 sum rho(||r||^2) over the factors, from the variables' values.
+
+        By Ceres and normal equations, or, with ``square_root``, by the same trust region over a
+        sparse QR factorisation of the whitened Jacobian: slower, on one thread, with twice the
+        digits (:meth:`digits`), without bounds. A graph whose factors are linear ends at its
+        minimum to rounding, whatever the tolerances: a last step by QR takes it there.
+
+        The graph keeps its values; :meth:`with_values` takes over those of the result. The GIL is
+        released but for factors in Python. Ctrl-C stops the solve and keeps the best state; not
+        converging is a result as well.
+
+        Args:
+            options: how to solve. Those that concern reconstructions must have their defaults;
+                trust_region_strategy_type may be "gauss_newton", too.
+            progress: called after each iteration, as by :func:`bundle.solve`.
+            square_root: True for QR, False for normal equations. If not given, QR where normal
+                equations would leave fewer than 4 digits; looked for in graphs of at most 3000 free
+                coordinates without bounds and without functions in Python, where options leave the
+                linear solver and backend open.
+            **changes: options by name, in place of those in ``options``.
+
+        Raises:
+            InputError: a free variable has no factor, a residual or Jacobian has no finite value at
+                the start or the wrong shape, or options exclude each other. What a function of
+                yours raises comes through.
+            KeyboardInterrupt: Ctrl-C before the start was evaluated.
+        """
+        options = GraphOptions.of(options, changes, "solve")
+        check_function("progress", progress)
+        defaults = SolveOptions()
+        for option in _OF_OTHERS:
+            if getattr(options, option) != getattr(defaults, option):
+                raise InputError(
+                    f"{option}: expected the default for a factor graph, "
+                    f"found {brief(getattr(options, option))}"
+                )
+        cores = _core.hardware_threads()
+        options = options.replace(num_threads=min(options.num_threads or cores, cores))
+        as_core = options.asdict() | {"gauge": "none", "cheirality": "algebraic"}
+        factors = list(self._factors)  # before the variables: the graph may grow meanwhile
+        variables = dict(self._variables)
+        keys = list(variables)
+        core = self._core(keys, factors=factors)
+        by_root, why, conditioning = self._choose_square_root(square_root, options, core, factors)
+        output = _core.solve_graph(*core, as_core, progress, by_root)
+        if why:
+            output["summary"]["linear_solver_choice"] = why
+        if options.check_solution:
+            output["summary"] = checked(output, SolvedGraph(variables, factors, core, conditioning))
+        return GraphResult(
+            values=dict(zip(keys, output["values"], strict=True)),
+            options=options,
+            **record_fields(output),
+        )
+
+    def digits(self) -> DigitsLeft:
+        """Return how many digits of a step normal equations and a QR factorisation leave.
+
+        Raises:
+            InputError: nothing is free, or a factor has no finite value.
+        """
+        return DigitsLeft.of(*_core.graph_conditioning(*self._core()))
+
+    def _choose_square_root(
+        self, wanted: bool | None, options: SolveOptions, core: Any, factors: list[Factor]
+    ) -> tuple[bool, str, Conditioning | None]:
+        """Return whether to solve by QR, a sentence why if that was chosen here, and from what."""
+        if wanted is not None:
+            by_root = as_flag("square_root", wanted)
+            for option in ("backend", "linear_solver_type"):
+                if by_root and getattr(options, option) != "auto":
+                    raise InputError(
+                        f"{option}: expected auto with square_root, "
+                        f"found {getattr(options, option)}"
+                    )
+            return by_root, "", None
+        variables = self._variables.values()
+        free = sum(len(v.coordinates) - sum(v.held) for v in variables)
+        if (
+            not 0 < free <= _MOST_COLUMNS_LOOKED_AT
+            or not options.backend == options.linear_solver_type == "auto"
+            or any(len(v.lower) for v in variables)
+            or any(factor.kind == "function" for factor in factors)
+        ):
+            return False, "", None
+        found = _core.graph_conditioning(*core)
+        digits = DigitsLeft.of(*found)
+        if not digits.needs_square_root:
+            return False, "", found
+        why = (
+            f"Normal equations would leave {plural(digits.normal_equations, 'digit')} of a step, "
+            f"a QR factorisation {digits.square_root}."
+        )
+        return True, why, found
+
+    def cost(self) -> float:
+        """Return 1/2 sum rho(||r||^2) at the variables' values."""
+        return _core.graph_cost(*self._core())
+
+    def check_gradients(
+        self, factors: Iterable[Factor] | Factor | None = None, **settings: Any
+    ) -> FactorCheck:
+        """Check the Jacobians of factors as :func:`bundle.check_gradients` does.
+
+        Args:
+            factors: of the graph; all if not given.
+            **settings: num_samples (3 if not given), radius, seed, tolerance of
+                :func:`bundle.check_gradients`; the radius is that of tangent coordinates, and of
+                Euclidean variables relative to their values.
+
+        Returns:
+            A report that is true if all is well, and explains itself when printed.
+
+        Raises:
+            InputError: a factor is not of the graph, or a function answers with wrong shapes.
+        """
+        wanted = [factors] if isinstance(factors, Factor) else factors
+        every = {id(factor): i for i, factor in enumerate(self._factors)}
+        chosen = list(range(len(self._factors)))
+        if wanted is not None:
+            for factor in (wanted := as_list("factors", "factors", wanted)):
+                if id(factor) not in every:
+                    raise InputError(f"factors: expected some of the graph, found {brief(factor)}")
+            chosen = [every[id(factor)] for factor in wanted]
+        return check_each(
+            [(factor_name(i, self._factors[i]), *self._one(i)) for i in chosen], settings
+        )
+
+    def _one(self, position: int) -> tuple[list[Variable], Any]:
+        """Return the variables of a factor, and its function of their values."""
+        factor = self._factors[position]
+        variables, (given,) = self._core(factor.keys, [position], [factor])
+        return (
+            [self._variables[key] for key in factor.keys],
+            _core.factor_function(variables, given),
+        )
+
+    def _display(self) -> Display:
+        manifolds = Counter(variable.manifold for variable in self._variables.values())
+        kinds = Counter(type(factor).__name__ for factor in self._factors)
+        size = sum(len(v.coordinates) - sum(v.held) for v in self._variables.values())
+        return Display(
+            title=f"FactorGraph: {plural(len(self._variables), 'variable')}, "
+            f"{plural(len(self._factors), 'factor')}",
+            facts=(
+                ("variables", ", ".join(f"{n} {name}" for name, n in manifolds.items()) or "none"),
+                ("factors", ", ".join(f"{n} {name}" for name, n in kinds.items()) or "none"),
+                ("free", plural(size, "coordinate")),
+            ),
+        )

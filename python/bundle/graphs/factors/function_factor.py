@@ -1,0 +1,131 @@
+"""A factor whose residual and Jacobians are a Python function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from bundle.base.arguments import as_array
+from bundle.base.words import plural
+from bundle.errors import InputError, brief
+from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.variables import Array, Key, as_keys, variable_name
+
+__all__ = ["FunctionFactor"]
+
+FactorFunction = Callable[[list[Array]], tuple[Any, Sequence[Any]]]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FunctionFactor(Factor):
+    """A residual of your own: ``function(values) -> (residual, jacobians)``.
+
+    ``values`` is a list of arrays, one a key, each as its manifold stores the variable: (n,) for
+    "euclidean", (angle,) for "so2", (qx, qy, qz, qw) for "so3", (x, y, angle) for "se2",
+    (qx, qy, qz, qw, tx, ty, tz) for "se3"; quaternions have norm 1. The function returns the
+    residual (m,), whitened, and a list of Jacobians, one a key. Jacobian k has shape (m, d) with d
+    the tangent size of variable k: it is the derivative of the residual by the tangent coordinates
+    of X, by which X moves to X Exp(delta), at delta = 0:
+
+    - "euclidean": delta (n) is added; the usual Jacobian;
+    - "so2": delta (1) is added to the angle;
+    - "so3": delta (3) is a rotation vector in the frame of X: R becomes R Exp(delta);
+    - "se2": delta = (x, y, angle) in the frame of X: the translation t becomes t + R (x, y) to
+      first order, the angle grows by delta's;
+    - "se3": delta = (rotation (3), translation (3)) in the frame of X: R becomes R Exp(rotation),
+      t becomes t + R translation to first order.
+
+    Check them with :meth:`bundle.FactorGraph.check_gradients`. The function is called from the
+    thread that solves, with the GIL; a graph with such a factor is evaluated on one thread. What it
+    raises ends the solve and comes out of it.
+
+    Attributes:
+        keys: the variables.
+        function: of their values, as above. m must not change between calls. A residual that is not
+            finite rejects the step that led there.
+
+    Raises:
+        InputError: the keys are no list, or the function cannot be called. A solve raises it where
+            the function answers with other shapes; the message names factor and variable.
+    """
+
+    keys: tuple[Key, ...]
+    function: FactorFunction
+
+    kind = "function"
+
+    seconds_a_call = np.inf
+    """The least of all calls within solves."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "keys", as_keys("FunctionFactor: keys", self.keys))
+        super().__post_init__()
+        if not self.keys:
+            raise InputError("FunctionFactor: keys: expected at least one variable, found none")
+        if not callable(self.function):
+            raise InputError(f"{self.name}: expected a function, found {brief(self.function)}")
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:
+        """See :meth:`Factor.core_arguments`."""
+        return (_CheckedFunction(self, name, sizes),)
+
+
+class _CheckedFunction:
+    """Calls the user's function and checks what it answers, in the form ``_core`` wants."""
+
+    def __init__(self, factor: FunctionFactor, name: str, sizes: tuple[int, ...]) -> None:
+        self.factor, self.name, self.sizes = factor, name, sizes
+        self.num_residuals = 0
+
+    def __call__(self, values: list[Array], jacobians: bool) -> tuple[Array, Any] | None:
+        began = perf_counter()
+        answer = self.factor.function(values)
+        seconds = min(self.factor.seconds_a_call, perf_counter() - began)
+        self.factor._set("seconds_a_call", seconds)
+        if not isinstance(answer, tuple | list) or len(answer) != 2:
+            raise InputError(
+                f"{self.name}: expected (residual, list of Jacobians), "
+                f"found {type(answer).__name__}"
+            )
+        residual = as_array(f"{self.name}: residual", answer[0])
+        if residual.size != max(residual.shape, default=1):  # a column is a row as well
+            raise InputError(
+                f"{self.name}: residual: expected numbers in one row, found shape {residual.shape}"
+            )
+        residual = residual.reshape(-1)
+        if not self.num_residuals:
+            if not len(residual):
+                raise InputError(f"{self.name}: expected at least one residual, found none")
+            self.num_residuals = len(residual)
+        if len(residual) != self.num_residuals:
+            raise InputError(
+                f"{self.name}: expected {plural(self.num_residuals, 'residual')} as before, "
+                f"found {len(residual)}"
+            )
+        if not np.isfinite(residual).all():
+            return None
+        return residual, self._jacobians(answer[1]) if jacobians else None
+
+    def _jacobians(self, given: Any) -> list[Array]:
+        if not isinstance(given, list | tuple) or len(given) != len(self.sizes):
+            found = f"{len(given)}" if isinstance(given, list | tuple) else brief(given)
+            raise InputError(
+                f"{self.name}: expected a list of {plural(len(self.sizes), 'Jacobian')}, one a "
+                f"variable, found {found}"
+            )
+        matrices = []
+        for key, size, jacobian in zip(self.factor.keys, self.sizes, given, strict=True):
+            where = f"{self.name}: {variable_name(key)}: Jacobian"
+            matrix = as_array(where, jacobian)
+            expected = (self.num_residuals, size)
+            if matrix.ndim == 1 and self.num_residuals == 1:
+                matrix = matrix.reshape(1, -1)
+            if matrix.shape != expected:
+                hint = " (transposed?)" if matrix.shape == expected[::-1] else ""
+                raise InputError(f"{where}: expected shape {expected}, found {matrix.shape}{hint}")
+            matrices.append(matrix)
+        return matrices

@@ -1,0 +1,95 @@
+"""A dense quadratic prior on several variables, as marginalisation leaves it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bundle.errors import InputError
+from bundle.graphs.factors.anchored import AnchoredFactor
+from bundle.graphs.factors.variables import Array, Key
+
+__all__ = ["LinearPrior"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LinearPrior(AnchoredFactor):
+    """The cost 1/2 d^T Lambda d - eta^T d of d = Log(X*^-1 X) over several variables.
+
+    As a factor it costs this and a constant that makes its minimum 0. Lambda may be singular: what
+    a gauge leaves free stays free.
+
+    Attributes:
+        Lambda: (n, n) symmetric positive semidefinite, n the sum of the tangent sizes, variables in
+            the order of ``keys``.
+        eta: (n,), in the range of Lambda.
+        linearization_point: the values X* by key, as the manifolds store them.
+        keys: the variables.
+        manifolds: by key, "euclidean" where not given.
+
+    Beside these it has ``spectrum`` (:class:`bundle.PriorSpectrum` of Lambda), ``cost_jump`` of the
+    last re-anchoring and, where :meth:`bundle.FactorGraph.marginalize` made it, ``sources``.
+
+    Raises:
+        InputError: shapes, keys or manifolds do not fit each other; a Lambda that is asymmetric or
+            indefinite is refused by :meth:`bundle.FactorGraph.add_factor`.
+    """
+
+    Lambda: ArrayLike
+    eta: ArrayLike
+    linearization_point: Mapping[Key, ArrayLike]
+    keys: tuple[Key, ...]
+    manifolds: Mapping[Key, str] = field(default_factory=dict, kw_only=True)
+
+    kind = "linear"
+
+    def __post_init__(self) -> None:
+        self._keys_first()
+        super().__post_init__()
+        self._freeze_matrix("Lambda")
+        self._freeze_row("eta")
+        size = self._check_anchor()
+        if np.shape(self.Lambda) != (size, size) or np.shape(self.eta) != (size,):
+            raise InputError(
+                f"{self.name}: expected Lambda of shape {(size, size)} and eta of {(size,)}, "
+                f"found {np.shape(self.Lambda)} and {np.shape(self.eta)}"
+            )
+
+    def reanchor(self, values: Mapping[Key, ArrayLike]) -> LinearPrior:
+        """Return the same prior about other values: eta - Lambda d, Lambda unchanged.
+
+        On Euclidean variables the cost is the same function, without the constant that it leaves
+        out: 1/2 d^T Lambda d - eta^T d, ``cost_jump`` of the result. As a factor, whose minimum is
+        0 about any point, it costs the same before and after. On curved manifolds the quadratic
+        form is carried over as it is; its Jacobians stay those of the first linearization point.
+
+        Args:
+            values: new linearization points by key; keys that are not the prior's are ignored.
+
+        Raises:
+            InputError: a value is missing or none of its manifold.
+        """
+        points, step = self._step_to(values)
+        slope = np.asarray(self.Lambda) @ step
+        eta = np.asarray(self.eta)
+        moved = LinearPrior(
+            self.Lambda,
+            eta - slope,
+            points,
+            self.keys,
+            manifolds=self.manifolds,
+            loss=self.loss,
+            loss_scale=self.loss_scale,
+        )
+        return self._moved(moved, float(step @ (slope / 2 - eta)))
+
+    def _matrix(self) -> Array:
+        return np.asarray(self.Lambda)
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return [self.linearization_point[key] for key in self.keys], self.Lambda, self.eta

@@ -1,0 +1,178 @@
+"""Factors beside the observations of a reconstruction: their keys name what it consists of.
+
+=====================================  =========  ===========================================
+key                                    manifold   value
+=====================================  =========  ===========================================
+``("image", image_id)``                se3        cam_from_world: qx qy qz qw tx ty tz
+``("frame", frame_id)``                se3        rig_from_world, the same numbers
+``("sensor", (rig_id, camera_id))``    se3        sensor_from_rig, the same numbers
+``("camera", camera_id)``              euclidean  the camera's parameters, in COLMAP's order
+``("point", point_id)``                euclidean  x y z
+=====================================  =========  ===========================================
+
+A factor of an image of a rig moves its frame, and its sensor where that is refined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arguments import check_type
+from bundle.errors import InputError, brief
+from bundle.graphs.factors.check_solve import spot_checked, time_for_checks
+from bundle.graphs.factors.factor_check import FactorCheck
+from bundle.graphs.factors.factor_graph import FactorGraph
+from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.variables import Array, Key, as_list
+from bundle.interface.solve_record import with_warnings
+from bundle.model.problem import Problem
+from bundle.model.problem_keys import ProblemKeys, parameter_names
+
+__all__ = ["ProblemFactors", "check_factors", "checked_solve"]
+
+KINDS = ("image", "camera", "point", "frame", "sensor")
+_POSES = {"image": "cam_from_world", "frame": "rig_from_world", "sensor": "sensor_from_rig"}
+
+
+ADVICE = "bundle.check_factors(problem, factors)"
+
+
+def check_factors(problem: Problem, factors: Iterable[Factor], **settings: Any) -> FactorCheck:
+    """Check the Jacobians of factors of :func:`bundle.solve` as ``check_gradients`` does.
+
+    Args:
+        problem: checked at its values; left untouched.
+        factors: as :func:`bundle.solve` takes them.
+        **settings: of :meth:`bundle.FactorGraph.check_gradients`.
+
+    Returns:
+        A report that is true if all is well, and explains itself when printed.
+
+    Raises:
+        InputError: these are no factors, a key names nothing of the problem, a factor does not fit
+            its variables, or a function answers with wrong shapes.
+    """
+    check_type("problem", problem, Problem)
+    return ProblemFactors(problem, factors).graph.check_gradients(**settings)
+
+
+def checked_solve(
+    start: Problem, factors: Iterable[Factor], output: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the fields of a solve's summary, with a warning if a function's Jacobian is wrong.
+
+    Args:
+        start: what was solved.
+        factors: all of them.
+        output: what the core's solver returned.
+    """
+    factors = list(factors)
+    known = ProblemFactors(start, [factor for factor in factors if factor.kind == "function"])
+    if not known.factors:
+        return dict(output["summary"])
+    ends = known.values_in(output)
+    variables = {
+        key: variable.holding(_stayed(variable.value, ends[key], variable.manifold))
+        for key, variable in known.graph.variables.items()
+    }
+    if output["summary"]["num_successful_steps"] <= 1:  # the start alone
+        variables = dict(known.graph.variables)
+    seconds = time_for_checks(output)
+    sentence = spot_checked(output, factors, variables, ends, seconds, ADVICE)
+    return with_warnings(output["summary"], {"wrong_factor": sentence})
+
+
+def _stayed(start: Array, end: Array, manifold: str) -> NDArray[np.bool_]:
+    """Return the numbers that a solve has held; what is held is for no Jacobian to know."""
+    same = np.abs(end - start) <= 1e-12 * np.abs(start).max(initial=1e-300)
+    return same if manifold == "euclidean" else np.full(6, same.all())
+
+
+class ProblemFactors:
+    """Factors whose variables are those of a problem, checked.
+
+    Raises:
+        InputError: these are no factors, a key names nothing of the problem, or a factor does not
+            fit its variables.
+    """
+
+    def __init__(self, problem: Problem, factors: Iterable[Factor]) -> None:
+        self._problem = problem
+        self._keys = ProblemKeys(problem, KINDS, "variable")
+        self._graph = FactorGraph()
+        self._places: list[tuple[str, int]] = []
+        for position, factor in enumerate(as_list("factors", "factors", factors)):
+            if not isinstance(factor, Factor):
+                raise InputError(
+                    f"factors: expected factors such as PriorFactor, found {brief(factor)} "
+                    f"at [{position}]"
+                )
+            for key in factor.keys:
+                self._add(f"factor {position}, {factor.name}", key)
+            self._graph.add_factor(factor)
+
+    @property
+    def graph(self) -> FactorGraph:
+        """The factors and their variables, at the problem's values."""
+        return self._graph
+
+    def values_in(self, output: Mapping[str, Any]) -> dict[Key, Array]:
+        """Return the values of the variables in what the core's solver returned, by key."""
+        arrays = {**_POSES, "camera": "camera_params", "point": "points"}
+        return {
+            key: np.asarray(output[arrays[kind]])[index][: len(value)]
+            for (kind, index), (key, value) in zip(
+                self._places, self._graph.values.items(), strict=True
+            )
+        }
+
+    @property
+    def factors(self) -> tuple[Factor, ...]:
+        """They themselves."""
+        return self._graph.factors
+
+    @property
+    def locate(self) -> bool:
+        """Whether some of them say where images or points are."""
+        return any(kind != "camera" for kind, _ in self._places)
+
+    def information(self) -> tuple[list[tuple[str, int, int]], Array]:
+        """Return kind, index and tangent size of the variables, and what factors know of them.
+
+        The information matrix (n, n) is in the variables' tangent coordinates, n the sum of their
+        sizes; see :meth:`bundle.FactorGraph.information`.
+        """
+        values = self._graph.values
+        variables = [
+            (kind, index, 6 if kind in _POSES else len(values[key]))
+            for (kind, index), key in zip(self._places, self._graph.keys, strict=True)
+        ]
+        return variables, self._graph.information()[0]
+
+    def core(self) -> tuple[list[Any], list[Any], list[tuple[str, int]]] | None:
+        """Return what ``_core.solve`` takes: variables, factors and what the variables are."""
+        if not self._graph.factors:
+            return None
+        return (*self._graph.core(), self._places)
+
+    def _add(self, name: str, key: Key) -> None:
+        kind, index = self._keys.find(name, key)
+        if key in self._graph.values:
+            return
+        value, manifold = self._value(name, kind, index)
+        self._graph.add_variable(key, value, manifold)
+        self._places.append((kind, index))
+
+    def _value(self, name: str, kind: str, index: int) -> tuple[Array, str]:
+        problem = self._problem
+        if kind in _POSES:
+            pose: Array = getattr(problem, _POSES[kind])[index]
+            return pose, "se3"
+        if kind == "point":
+            return problem.points[index], "euclidean"
+        parameters = parameter_names(name, problem, index)
+        return problem.camera_params[index, : len(parameters)], "euclidean"

@@ -1,0 +1,325 @@
+"""A spot check of the factors in Python, where a solve began and where it ended.
+
+Their Jacobians J are held against differences of the residual r. Along one tangent coordinate e of
+a variable X, with s its natural size (a radian, the length of a translation, the number itself),
+
+    D(h) = (r(X Exp(h s e)) - r(X Exp(-h s e))) / 2 h s,    R = D(h/2) + (D(h/2) - D(h)) / 3,
+
+R = J e + O(h^4), and u = |D(h/2) - D(h)| + n / h s is far above its error wherever r is smooth at
+the scale of h. n = eps (|r| + sum |J| size) is what rounding may change. Row by row, as the rows of
+a whitened residual have different sizes, a step is *conclusive* if u is below a hundredth of |R|.
+An entry J agrees with it if
+
+    |J - R| < 1e-3 max(|J|, |R|) + 4 u + |r(+h/2) - 2 r(0) + r(-h/2)| / h s,
+
+the last term being half the difference of the slopes on both sides, within which any number is a
+slope at a kink. A conclusive step that agrees acquits the entry; two that agree with each other,
+100 times apart or more, and not with J convict it. Everything else leaves it undecided. So a
+residual would have to mislead at every scale, and a right Jacobian is not accused; what is wrong by
+less than one in a thousand is left to :meth:`bundle.FactorGraph.check_gradients`.
+
+Factors with one code and the same kinds of variables are one kind. Some of each are checked, spread
+over all, for as long as the time allows: first every kind once. A function that is too slow for all
+its columns is checked along one direction of all of them together.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from bundle import _core
+from bundle.base.words import plural
+from bundle.graphs.factors.variables import Array
+
+__all__ = ["Candidate", "Kind", "code_of", "spot_check"]
+
+MOVES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-2)
+CONCLUSIVE = 0.01
+TOLERANCE = 1e-3
+SAFETY = 4.0
+SAME_DIFFERENCES = 0.02
+NEGLIGIBLE = 1e-9
+MOST_OF_A_KIND = 12
+CONVICTED_SHARE = 0.25
+SAME_FACTOR = 0.01
+
+Evaluate = Callable[[list[Array], bool], tuple[Array, Any] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A factor that may be checked.
+
+    Attributes:
+        name: of the factor.
+        evaluate: the residual and, if wanted, the Jacobians at values of its variables.
+        variables: of each its name, manifold and the names of its tangent coordinates.
+        free: of each the coordinates that a solve moves.
+        points: values of the variables: where to check.
+        seconds_a_call: that its function has taken.
+    """
+
+    name: str
+    evaluate: Evaluate
+    variables: Sequence[tuple[str, str, Sequence[str]]]
+    free: Sequence[Sequence[int]]
+    points: Sequence[list[Array]]
+    seconds_a_call: float
+
+
+@dataclass(eq=False)
+class Kind:
+    """Factors that run one code, and what became of their columns.
+
+    Attributes:
+        members: the factors.
+        candidate: what a member is to the check.
+        decided: how many were, by variable and coordinate.
+        convicted: those that were, with the factor by which they are off.
+    """
+
+    members: Sequence[Any]
+    candidate: Callable[[Any], Candidate]
+    decided: dict[tuple[int, int], int] = field(default_factory=dict)
+    convicted: dict[tuple[int, int], list[tuple[Candidate, float | None]]] = field(
+        default_factory=dict
+    )
+
+    def is_wrong(self, column: tuple[int, int]) -> bool:
+        """Return whether enough of those decided were convicted."""
+        count = len(self.convicted.get(column, ()))
+        return count > 0 and count >= CONVICTED_SHARE * self.decided[column]
+
+
+def code_of(function: Any) -> Any:
+    """Return what tells functions of one code from others: closures and methods share theirs."""
+    while isinstance(function, functools.partial):
+        function = function.func
+    function = getattr(function, "__func__", function)
+    return getattr(function, "__code__", type(function))
+
+
+def spot_check(kinds: Sequence[Kind], seconds: float, advice: str) -> str:
+    """Return a sentence about the first kind of factor with wrong Jacobians; "" if there is none.
+
+    Args:
+        kinds: the factors.
+        seconds: that it may take.
+        advice: the call that names the mistake.
+    """
+    end = perf_counter() + seconds
+    for turn in range(MOST_OF_A_KIND):
+        for kind in kinds:
+            count = min(len(kind.members), MOST_OF_A_KIND)
+            if turn >= count:
+                continue
+            candidate = kind.candidate(kind.members[turn * len(kind.members) // count])
+            for values in candidate.points:
+                try:
+                    _check(kind, candidate, values, end - perf_counter())
+                except KeyboardInterrupt:  # the solve is done: its result counts
+                    return _sentence(kinds, advice)
+                except Exception:  # of the user's function, beside the path
+                    continue
+        if perf_counter() > end:
+            break
+    return _sentence(kinds, advice)
+
+
+def _check(kind: Kind, candidate: Candidate, values: list[Array], left: float) -> None:
+    columns = [(b, j) for b, free in enumerate(candidate.free) for j in free]
+    if (1 + 4 * len(columns)) * candidate.seconds_a_call > left:
+        columns = [_ALL]
+    if 5 * candidate.seconds_a_call > left or not columns:
+        return
+    answer = candidate.evaluate([value.copy() for value in values], True)
+    if answer is None:
+        return
+    residual, jacobians = answer[0], [np.asarray(matrix) for matrix in answer[1]]
+    line = _Line(candidate, values, residual, jacobians, perf_counter() + left)
+    for column in columns:
+        agrees, convicted, factor = line.compare(column)
+        if not agrees and not convicted:
+            continue
+        kind.decided[column] = kind.decided.get(column, 0) + 1
+        if convicted:
+            kind.convicted.setdefault(column, []).append((candidate, factor))
+
+
+_ALL = (-1, -1)
+"""In place of a column: one direction of them all."""
+
+
+class _Line:
+    """A factor at values, along its columns."""
+
+    def __init__(
+        self,
+        candidate: Candidate,
+        values: list[Array],
+        residual: Array,
+        jacobians: list[Array],
+        end: float,
+    ) -> None:
+        self.end = end
+        self.candidate, self.values = candidate, values
+        self.residual, self.jacobians = residual, jacobians
+        self.sizes = [
+            _sizes(manifold, value)
+            for (_, manifold, _), value in zip(candidate.variables, values, strict=True)
+        ]
+        moved = sum(
+            (np.abs(matrix) @ size for matrix, size in zip(jacobians, self.sizes, strict=True)),
+            np.abs(residual),
+        )
+        self.noise = np.finfo(float).eps * moved
+
+    def compare(self, column: tuple[int, int]) -> tuple[bool, bool, float | None]:
+        """Return whether a column agrees, whether it is convicted, and of what factor."""
+        step = self._step(column)
+        claimed = np.zeros_like(self.residual)
+        for matrix, part in zip(self.jacobians, step, strict=True):
+            if part.any():
+                claimed += matrix @ part
+        acquitted = np.zeros(len(claimed), bool)
+        convicted = np.zeros(len(claimed), bool)
+        suspicious = np.full(len(claimed), np.nan)
+        found = np.zeros_like(claimed)
+        for move in MOVES:
+            if perf_counter() > self.end:
+                break
+            differences = self._differentiate(step, move)
+            if differences is None:
+                continue
+            right, doubt, fold = differences
+            larger = np.maximum(np.abs(claimed), np.abs(right))
+            error = np.abs(claimed - right)
+            conclusive = doubt < CONCLUSIVE * np.abs(right)
+            agrees = error < TOLERANCE * larger + SAFETY * doubt + fold
+            acquitted |= (conclusive & agrees) | (larger == 0)
+            with np.errstate(invalid="ignore"):
+                again = np.abs(right - suspicious) < SAME_DIFFERENCES * np.abs(right)
+            against = conclusive & ~agrees
+            convicted |= against & again
+            found[against] = right[against]
+            suspicious[against] = right[against]
+            small = larger + doubt < NEGLIGIBLE * larger.max()
+            if (acquitted | small).all():
+                break
+        convicted &= ~acquitted
+        if not convicted.any():
+            return bool(acquitted.any()), False, None
+        return False, True, _factor(claimed, np.where(convicted, found, claimed), convicted)
+
+    def _step(self, column: tuple[int, int]) -> list[Array]:
+        """Return a step of natural size along a column, of each variable."""
+        step = [np.zeros_like(size) for size in self.sizes]
+        if column != _ALL:
+            variable, coordinate = column
+            step[variable][coordinate] = self.sizes[variable][coordinate]
+            return step
+        signs = np.random.default_rng(0)
+        effects = [
+            np.linalg.norm(matrix, axis=0) * size
+            for matrix, size in zip(self.jacobians, self.sizes, strict=True)
+        ]
+        typical = np.median(np.concatenate([e[e > 0] for e in effects] or [np.ones(1)]))
+        for b, free in enumerate(self.candidate.free):
+            for j in free:
+                share = min(1.0, typical / effects[b][j]) if effects[b][j] > 0 else 1.0
+                step[b][j] = signs.choice((-1.0, 1.0)) * self.sizes[b][j] * share
+        return step
+
+    def _differentiate(self, step: list[Array], move: float) -> tuple[Array, Array, Array] | None:
+        """Return R, u and the fold; None where there is no value."""
+        coarse, fine = self._both_sides(step, move), self._both_sides(step, move / 2)
+        if coarse is None or fine is None:
+            return None
+        by_coarse = (coarse[0] - coarse[1]) / (2 * move)
+        by_fine = (fine[0] - fine[1]) / move
+        change = by_fine - by_coarse
+        fold = np.abs((fine[0] - self.residual) + (fine[1] - self.residual)) / move
+        return by_fine + change / 3, np.abs(change) + self.noise / move, fold
+
+    def _both_sides(self, step: list[Array], move: float) -> tuple[Array, Array] | None:
+        sides = []
+        for sign in (move, -move):
+            values = [
+                value.copy()
+                if not part.any()
+                else value + sign * part
+                if manifold == "euclidean"
+                else _core.retract(manifold, value, sign * part)
+                for (_, manifold, _), value, part in zip(
+                    self.candidate.variables, self.values, step, strict=True
+                )
+            ]
+            answer = self.candidate.evaluate(values, False)
+            if answer is None:
+                return None
+            sides.append(answer[0])
+        return sides[0], sides[1]
+
+
+def _sizes(manifold: str, value: Array) -> Array:
+    """Return the natural size of each tangent coordinate."""
+    if manifold == "euclidean":
+        length = float(np.linalg.norm(value))
+        return np.where(value != 0, np.abs(value), length if length > 0 else 1.0)
+    if manifold in ("so2", "so3"):
+        return np.ones(1 if manifold == "so2" else 3)
+    stored, turn = (value[:2], 1) if manifold == "se2" else (value[4:], 3)
+    length = float(np.linalg.norm(stored))
+    along = np.full(len(stored), length if length > 0 else 1.0)
+    parts = (along, np.ones(turn)) if manifold == "se2" else (np.ones(turn), along)
+    return np.concatenate(parts)
+
+
+def _factor(claimed: Array, found: Array, convicted: Array) -> float | None:
+    """Return by what the rows convicted are to be divided, if that is one number."""
+    right, given = found[convicted], claimed[convicted]
+    factor = float(given @ right / (right @ right))
+    same = np.abs(given - factor * right) <= SAME_FACTOR * np.abs(given).max()
+    return factor if same.all() else None
+
+
+def _sentence(kinds: Sequence[Kind], advice: str) -> str:
+    for kind in kinds:
+        wrong = [column for column in kind.convicted if kind.is_wrong(column)]
+        columns = [column for column in wrong if column != _ALL] or wrong
+        if columns:
+            return _about(kind, columns, advice)
+    return ""
+
+
+def _about(kind: Kind, columns: list[tuple[int, int]], advice: str) -> str:
+    convicted = [entry for column in columns for entry in kind.convicted[column]]
+    candidate = convicted[0][0]
+    factors = {None if factor is None else f"{factor + 0.0:.3g}" for _, factor in convicted}
+    (first, *others) = factors
+    if others or first is None:
+        how = "differ from differences of the residual"
+    else:
+        how = f"are {first} times what differences of the residual give"
+    others_like = len(kind.members) - 1
+    alike = f", as perhaps in {plural(others_like, 'other')} of its code" if others_like else ""
+    return (
+        f"A Jacobian is wrong: the derivatives of {candidate.name} by "
+        f"{'; '.join(_names(candidate, columns))} {how}{alike}; {advice} names the mistake."
+    )
+
+
+def _names(candidate: Candidate, columns: list[tuple[int, int]]) -> Iterator[str]:
+    if _ALL in columns:
+        yield "its variables"
+        return
+    for b, (name, _, coordinates) in enumerate(candidate.variables):
+        own = [coordinates[j] for variable, j in columns if variable == b]
+        if own:
+            yield f"{name} ({', '.join(own)})"

@@ -1,0 +1,243 @@
+"""What a model says of the relative poses of its images, from the points that they share.
+
+A point X that images i and j see, x = R_j X + t_j in the frame of j, is carried by the one and
+seen by the other. If j moves against i by d = (w, t, l), rotation, translation and log scale in its
+own frame, x moves by G d, G = [-[x]x, I, x]. An image sees that as an angle: with u the direction
+of the point from it, at the distance r, and f its focal length, pixels move by f / r (I - u u^T) of
+what the point moves, exactly so in the middle of the image and nearly so elsewhere. So
+
+    W = sum over points  w_X G^T (f_i^2 / r_i^2 (I - u_i u_i^T) + f_j^2 / r_j^2 (I - u_j u_j^T)) G,
+
+all in the frame of j. Neither sees that its own camera grows about its own centre, but together
+they see all seven numbers: growth about one centre is growth about the other and a shift along the
+baseline. So W says little of the scale where the parallax is small, which is where a monocular
+model drifts.
+
+A track of n images brings 2 n - 3 measurements more than its point has coordinates, and pairs of
+them would count these again and again: with p pairs of it in use, 4 p numbers, each weighs
+
+    w_X = (2 n - 3) / (4 p).
+
+That holds a point fast while it is carried, so W is somewhat too large. :mod:`.loop_graph` finds
+by how much from the closures.
+
+Where a drifted model comes back to a place, points seen on both passes fit one of them at most. Of
+two images that do not both fit a point it counts where their own rays meet, if they do: so images
+of one pass are joined by what they share, and those of two passes, whose rays miss each other, are
+not joined by the drift. For an edge at least half of the shared points have to count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from bundle.model.cameras import camera_models, param_kinds
+from bundle.model.problem import Problem
+from bundle.model.reprojection import reprojection_errors
+from bundle.model.rotations import cross_matrices, dot, quaternion_inverse, quaternion_rotate
+
+__all__ = ["MIN_SHARED", "CovisibilityEdges", "covisibility_edges", "fitting_observations"]
+
+Array = NDArray[np.float64]
+
+MIN_SHARED = 6
+"""Points that two images share, at least, for an edge."""
+MOST_NEIGHBOURS = 10
+"""Images after it on a point's track, in the order of images, that an image makes pairs with."""
+MAX_ERROR = 4.0
+"""Pixels that an observation which takes part may be off, or so many medians if that is more."""
+MEDIANS = 5.0
+LEAST_SINE = 0.02
+"""Of the angle of two rays that tell where they meet."""
+_ROWS = 50_000
+
+
+@dataclass(frozen=True)
+class CovisibilityEdges:
+    """Pairs of images that share points.
+
+    Attributes:
+        pairs: (m, 2) indices of images, ascending.
+        num_shared: (m,) points that count.
+        information: (m, 7, 7) of the second image against the first, in the frame of the second:
+            rotation, translation, log scale; observations have a sigma of 1 px, or their own.
+    """
+
+    pairs: NDArray[np.int64]
+    num_shared: NDArray[np.int64]
+    information: Array
+
+
+def fitting_observations(problem: Problem) -> NDArray[np.bool_]:
+    """Return which observations (num_observations,) the model explains."""
+    errors, unseen = reprojection_errors(problem)
+    known = np.isfinite(errors) & ~unseen
+    fits: NDArray[np.bool_] = known & (errors <= _limit(errors[known]))
+    return fits
+
+
+def covisibility_edges(problem: Problem, fitting: NDArray[np.bool_]) -> CovisibilityEdges:
+    """Return the edges between images that share enough points; see the head of the file.
+
+    Args:
+        problem: left untouched.
+        fitting: (num_observations,) observations that the model explains.
+    """
+    views = _views(problem, fitting)
+    point, image = views.point, views.image
+    length = np.bincount(point, minlength=problem.num_points).astype(np.float64)
+    weight = np.maximum(2 * length - 3, 0.0) / np.maximum(4 * _pairs_per_track(length), 1.0)
+    sums = _Sums()
+    for lag in range(1, min(MOST_NEIGHBOURS, max(len(point) - 1, 0)) + 1):
+        first = np.flatnonzero((point[:-lag] == point[lag:]) & (image[:-lag] != image[lag:]))
+        for begin in range(0, len(first), _ROWS):
+            i = first[begin : begin + _ROWS]
+            block, counts = _information(views, i, i + lag)
+            code = image[i] * problem.num_images + image[i + lag]
+            sums.add(code, weight[point[i], None, None] * block, counts)
+    code, block, counted, shared = sums.all()
+    kept = (counted >= MIN_SHARED) & (2 * counted >= shared)
+    pairs = np.stack(np.divmod(code[kept], max(problem.num_images, 1)), axis=1)
+    return CovisibilityEdges(pairs, counted[kept], block[kept])
+
+
+class _Views(NamedTuple):
+    """Observations sorted by point, then image: who sees what in which direction of the world."""
+
+    image: NDArray[np.int64]
+    point: NDArray[np.int64]
+    fits: NDArray[np.bool_]
+    center: Array
+    rotation: Array  # quaternions of cam_from_world
+    to_point: Array  # from the centre, as the model has it
+    ray: Array  # unit vector, as the pixel has it; nan where it is not known
+    weight: Array  # focal length in sigmas
+    limit: Array  # of errors, as an angle
+
+
+def _views(problem: Problem, fitting: NDArray[np.bool_]) -> _Views:
+    order = np.lexsort((problem.observation_image, problem.observation_point))
+    image = problem.observation_image[order].astype(np.int64)
+    point = problem.observation_point[order].astype(np.int64)
+    poses = problem.cam_from_world[image]
+    rotation = poses[:, :4] / np.linalg.norm(poses[:, :4], axis=1, keepdims=True)
+    center = -quaternion_rotate(quaternion_inverse(rotation), poses[:, 4:])
+    local, focal = np.full((len(order), 3), np.nan), np.ones(len(order))
+    camera, xy = problem.image_camera[image], problem.observation_xy[order]
+    for index in np.unique(camera).tolist():
+        mine = camera == index
+        model = problem.camera_models[index]
+        params = problem.camera_params[index, : len(camera_models()[model])]
+        lens = pycolmap.Camera(model=model, width=1, height=1, params=params.tolist())
+        local[mine] = np.column_stack([lens.cam_from_img(xy[mine]), np.ones(int(mine.sum()))])
+        kinds = np.array(param_kinds(model))
+        focal[mine] = params[kinds == "focal"].mean()
+    local /= np.linalg.norm(local, axis=1, keepdims=True)
+    errors, _ = reprojection_errors(problem)
+    sigma = problem.observation_sigma
+    return _Views(
+        image=image,
+        point=point,
+        fits=fitting[order],
+        center=center,
+        rotation=rotation,
+        to_point=problem.points[point] - center,
+        ray=quaternion_rotate(quaternion_inverse(rotation), local),
+        weight=focal if sigma is None else focal / sigma[order],
+        limit=_limit(errors[np.isfinite(errors)]) / focal,
+    )
+
+
+def _information(
+    views: _Views, i: NDArray[np.int64], j: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return what pairs of observations say (n, 7, 7), and which of them count."""
+    both = views.fits[i] & views.fits[j]
+    met, of_i, of_j = _meet(views, i, j)
+    from_i = np.where(both[:, None], views.to_point[i], of_i)
+    from_j = np.where(both[:, None], views.to_point[j], of_j)
+    counts = both | met
+    from_i[~counts] = from_j[~counts] = 1.0
+    turn = views.rotation[j]
+    seen = np.zeros((len(i), 3, 3))
+    for ends, of_end in ((i, from_i), (j, from_j)):
+        x = quaternion_rotate(turn, of_end)
+        squared = dot(x, x)[:, None, None]
+        across = np.eye(3) - x[:, :, None] * x[:, None, :] / squared
+        seen += (views.weight[ends] ** 2)[:, None, None] / squared * across
+    x = quaternion_rotate(turn, from_j)
+    g = np.zeros((len(i), 3, 7))
+    g[:, :, :3] = -cross_matrices(x)
+    g[:, :, 3:6] = np.eye(3)
+    g[:, :, 6] = x
+    block = np.swapaxes(g, 1, 2) @ seen @ g
+    block[~counts] = 0.0
+    return block, counts
+
+
+def _meet(
+    views: _Views, i: NDArray[np.int64], j: NDArray[np.int64]
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Return whether pairs of rays meet before both cameras, and from the centres to there."""
+    u, v = views.ray[i], views.ray[j]
+    b = views.center[j] - views.center[i]
+    cosine, along_u, along_v = dot(u, v), dot(b, u), dot(b, v)
+    sine_squared = 1 - cosine**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        s = (along_u - cosine * along_v) / sine_squared
+        t = (cosine * along_u - along_v) / sine_squared
+        of_i, of_j = s[:, None] * u, t[:, None] * v
+        apart = b + of_j - of_i
+        miss = 0.5 * np.sqrt(dot(apart, apart))
+        near = miss <= np.minimum(s * views.limit[i], t * views.limit[j])
+        meet: NDArray[np.bool_] = near & (s > 0) & (t > 0) & (sine_squared > LEAST_SINE**2)
+    return meet, of_i, of_j
+
+
+class _Sums:
+    """Sums of blocks by pair of images, a chunk after the other."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[NDArray[np.int64], Array, NDArray[np.int64]]] = []
+
+    def add(self, code: NDArray[np.int64], block: Array, counts: NDArray[np.bool_]) -> None:
+        """Add blocks (n, 7, 7) and whether they count to the sums of their pairs."""
+        both = np.stack([counts, np.ones_like(counts)], axis=1).astype(np.int64)
+        self._parts.append(_summed(code, block, both))
+
+    def all(self) -> tuple[NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Return pairs, ascending, their sums, how many counted, and how many there were."""
+        if not self._parts:
+            none = np.empty(0, np.int64)
+            return none, np.empty((0, 7, 7)), none, none
+        code, block, both = _summed(
+            *(np.concatenate(part) for part in zip(*self._parts, strict=True))
+        )
+        return code, block, both[:, 0], both[:, 1]
+
+
+def _summed(
+    code: NDArray[np.int64], block: Array, counts: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
+    order = np.argsort(code, kind="stable")
+    found, starts = np.unique(code[order], return_index=True)
+    if not len(found):
+        return found, block[:0], counts[:0]
+    return found, np.add.reduceat(block[order], starts), np.add.reduceat(counts[order], starts)
+
+
+def _limit(errors: Array) -> float:
+    """Return the error in pixels beyond which a model does not explain a pixel."""
+    return max(MAX_ERROR, MEDIANS * float(np.median(errors))) if len(errors) else MAX_ERROR
+
+
+def _pairs_per_track(length: Array) -> Array:
+    """Return how many pairs of observations of tracks of these lengths are in use."""
+    lags = np.minimum(np.maximum(length - 1, 0), MOST_NEIGHBOURS)
+    pairs: Array = lags * length - 0.5 * lags * (lags + 1)
+    return pairs

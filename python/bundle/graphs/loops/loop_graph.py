@@ -1,0 +1,307 @@
+"""Loops of a drifted model closed by a graph of its images, its points carried along.
+
+The graph has a node per image, or per frame of a rig, an edge between images that share points
+(:mod:`.covisibility_edges`), at the relative pose that the model has, and the closures. Without
+rigs nodes may grow (:mod:`.similarity_graph`): a closure measures a translation in the unit that
+the model has around its first image, and no scale.
+
+What the model's edges know is divided by a variance factor: a model that has drifted is wrong by
+more than its reprojection errors say, as what bent it (outliers, calibration, a tracker that lost
+half its points) is in none of them, and a graph as stiff as these errors ask for would reject every
+closure. Factors of 1, 10, ... 10^6 are tried in turn.
+
+First the graph is solved with a robust loss of the closures, with the least factor with which at
+least half of them end within the error that 99.95 % of right ones have. Those outside are rejected.
+Then it is solved from the start without these and without a loss, with the least factor with which
+three in four of the others fit: the stiffest graph is nearest to the model. Closures that fit then
+are taken back, and it is solved once more. (Graduated
+non-convexity, the better one for pose graphs, begins at the solution without a loss, where a soft
+graph has bent to the wrong closures as well.)
+
+Then every image has a similarity from the old world to the new one, which carries the points
+(:mod:`.carried_points`).
+
+Bundle adjustment starts there. Where the two images of a closure share points it needs no more than
+this start. Where they share fewer than ``MIN_SHARED``, nothing in the pixels would keep the loop
+closed, and the closure goes on as a factor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.components import component_roots
+from bundle.graphs.factors.factors import RelativePoseFactor
+from bundle.graphs.loops.carried_points import carry
+from bundle.graphs.loops.covisibility_edges import (
+    MIN_SHARED,
+    covisibility_edges,
+    fitting_observations,
+)
+from bundle.graphs.loops.loop_closing import LoopClosing, LoopClosure
+from bundle.graphs.loops.loop_edges import Closures, as_closures, images_of
+from bundle.graphs.loops.similarity_graph import Nodes, SimilarityGraph
+from bundle.graphs.pose_graphs.gnc import QUANTILES
+from bundle.interface.loop_losses import LOOP_LOSSES
+from bundle.interface.option_fields import choice, number
+from bundle.io.source import Source, as_problem
+from bundle.model.losses import evaluate_loss
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.problem import Problem
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
+from bundle.model.rotations import cross_matrices, rotation_matrices
+
+__all__ = ["close_loops"]
+
+Array = NDArray[np.float64]
+
+VARIANCE_FACTORS = tuple(10.0**power for power in range(7))
+MOST_FIT = 0.75
+"""Share of the right closures that have to fit in the end."""
+ROUGH, FINE = 1e-6, 1e-10
+
+
+def close_loops(
+    problem: Source,
+    closures: Closures,
+    *,
+    loss: str = "cauchy",
+    loss_scale: float = 1.0,
+) -> LoopClosing:
+    """Bend a model so that its loops close, before bundle adjustment.
+
+    Bundle adjustment of a model that has drifted round a loop ends in a wrong minimum: too far from
+    the right one. A graph of the images' poses with measured relative poses between images at the
+    ends of the loop gets near it. Images without rigs change their scale as well, as monocular
+    models drift in it; images of a rig move with their frame, and scales stay.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        closures: a :class:`bundle.PoseGraph`, or a g2o file, of which the edges count, all of them,
+            and its poses do not: its ids are ids of images, and edge i j measures the pose of
+            camera j in the frame of camera i (camera_i_from_camera_j: x right, y down, z forward;
+            translation in the length unit of the model around image i).
+        loss: robust loss by which right closures are told from wrong ones: "huber", "soft_l1" or
+            "cauchy"; at least half of them have to be right. "trivial" takes all. The model's own
+            edges have none.
+        loss_scale: sigmas at which it bends. A closure is right within 4.9 times as many (the
+            norm that 99.95 % of right ones have).
+
+    Returns:
+        The moved problem, and what became of each closure.
+
+    Raises:
+        InputError: an edge names no image, or two of one frame, with file and line; the graph is of
+            the plane or without edges; an information matrix is none; an option is wrong.
+        OSError: a path cannot be read.
+
+    Example:
+        >>> closed = bundle.close_loops("drifted", "closures.g2o")
+        >>> result = bundle.solve(closed.problem, factors=closed.factors)
+    """
+    problem = as_problem(problem)
+    loss = choice("loss", loss, LOOP_LOSSES)
+    scale = number("loss_scale", loss_scale, above=0)
+    given = as_closures(closures)
+    return _Closing(problem, given, loss, scale).result()
+
+
+class _Closing:
+    def __init__(self, problem: Problem, given: PoseGraph, loss: str, scale: float) -> None:
+        self.problem, self.given, self.loss, self.scale = problem, given, loss, scale
+        self.limit = scale**2 * QUANTILES[6]
+        ends = images_of(given, problem)
+        self.ends = ends
+        self.fitting = fitting_observations(problem)
+        model = covisibility_edges(problem, self.fitting)
+        cameras = inverse_poses(unit_poses(problem.cam_from_world))
+        self.node_of, nodes = _nodes(problem, cameras)
+        self.mounts = multiply_poses(inverse_poses(nodes[self.node_of]), cameras)
+        pairs = model.pairs
+        if problem.num_frames:  # what a rig's frame sees is no edge
+            between = self.node_of[pairs[:, 0]] != self.node_of[pairs[:, 1]]
+        else:
+            between = np.ones(len(pairs), bool)
+        pairs, known = pairs[between], model.information[between]
+        self.num_edges = len(pairs)
+        images = np.concatenate([pairs, ends])
+        measured = multiply_poses(inverse_poses(cameras[pairs[:, 0]]), cameras[pairs[:, 1]])
+        padded = np.zeros((len(ends), 7, 7))
+        padded[:, :6, :6] = given.information
+        self.start = Nodes(nodes, np.ones(len(nodes)))
+        edges = self.node_of[images]
+        self.component = component_roots(edges.ravel(), np.arange(0, edges.size, 2), len(nodes))
+        self.graph = SimilarityGraph(
+            edges=edges,
+            mounts=self.mounts[images],
+            measurements=np.concatenate([measured, unit_poses(given.measurements)]),
+            information=np.concatenate([known, padded]),
+            held=self.component == np.arange(len(nodes)),
+            has_free_scales=problem.num_frames == 0,
+        )
+        self.closes = np.arange(len(edges)) >= self.num_edges
+
+    def result(self) -> LoopClosing:
+        right = self._right_closures()
+        factor, nodes = self._solved(right)
+        if (self._fits(nodes) & ~right).any():
+            right |= self._fits(nodes)
+            factor, nodes = self._solved(right)
+        weights = np.where(self.closes, 0.0, 1.0)
+        weights[self.closes] = right
+        moved, num_carried = carry(
+            self.problem, self.node_of, self.mounts, (self.start, nodes), self.fitting
+        )
+        records = self._records(nodes, weights, self._is_loose())
+        graph = self._softened(factor)
+        return LoopClosing(
+            problem=moved,
+            initial_problem=self.problem,
+            closures=records,
+            factors=self._factors(nodes, records),
+            num_nodes=len(self.component),
+            num_edges=self.num_edges,
+            num_components=int(graph.held.sum()),
+            has_free_scales=graph.has_free_scales,
+            scale_range=(float(nodes.scales.min()), float(nodes.scales.max())),
+            variance_factor=factor,
+            cost_before=self._cost(graph.chi2(self.start), weights),
+            cost_after=self._cost(graph.chi2(nodes), weights),
+            num_carried_points=num_carried,
+        )
+
+    def _softened(self, factor: float) -> SimilarityGraph:
+        information = self.graph.information.copy()
+        information[: self.num_edges] /= factor
+        return SimilarityGraph(**{**vars(self.graph), "information": information})
+
+    def _right_closures(self) -> NDArray[np.bool_]:
+        """Return the closures (m,) that end within the limit under the loss."""
+        right = np.ones(len(self.ends), bool)
+        if self.loss == "trivial":
+            return right
+        most = -1
+        for factor in VARIANCE_FACTORS:
+            nodes = self._softened(factor).solve(self.start, self._weigh, ROUGH)
+            fits = self._fits(nodes)
+            if fits.sum() > most:
+                most, right = int(fits.sum()), fits
+            if 2 * fits.sum() >= len(fits):
+                break
+        return right
+
+    def _solved(self, right: NDArray[np.bool_]) -> tuple[float, Nodes]:
+        """Return the variance factor, and nodes with the right closures and no loss."""
+        weights = np.where(self.closes, 0.0, 1.0)
+        weights[self.closes] = right
+        for factor in VARIANCE_FACTORS:
+            graph = self._softened(factor)
+            nodes = graph.solve(self.start, lambda chi2: (weights * chi2, weights), FINE)
+            if (self._fits(nodes) & right).sum() >= MOST_FIT * right.sum():
+                break
+        return factor, nodes
+
+    def _fits(self, nodes: Nodes) -> NDArray[np.bool_]:
+        fits: NDArray[np.bool_] = self.graph.chi2(nodes)[self.closes] <= self.limit
+        return fits
+
+    def _weigh(self, chi2: Array) -> tuple[Array, Array]:
+        """Return rho and rho' of each edge under the loss of closures."""
+        rho, weights = chi2.copy(), np.ones(len(chi2))
+        bent = evaluate_loss(self.loss, self.scale, chi2[self.closes])
+        rho[self.closes], weights[self.closes] = bent[:, 0], bent[:, 1]
+        return rho, weights
+
+    @staticmethod
+    def _cost(chi2: Array, weights: Array) -> float:
+        return 0.5 * float((weights * chi2).sum())
+
+    def _is_loose(self) -> NDArray[np.bool_]:
+        """Return which closures (m,) join images that share too few points."""
+        problem = self.problem
+        code = problem.observation_image.astype(np.int64) * problem.num_points
+        seen = np.unique(code + problem.observation_point)
+        image, point = np.divmod(seen, max(problem.num_points, 1))
+        first = np.searchsorted(image, np.arange(problem.num_images + 1))
+        shared = [
+            len(np.intersect1d(point[first[a] : first[a + 1]], point[first[b] : first[b + 1]]))
+            for a, b in self.ends.tolist()
+        ]
+        return np.array(shared) < MIN_SHARED
+
+    def _records(
+        self, nodes: Nodes, weights: Array, is_loose: NDArray[np.bool_]
+    ) -> tuple[LoopClosure, ...]:
+        before, after = self.graph.residuals(self.start), self.graph.residuals(nodes)
+        chi2_before, chi2_after = self.graph.chi2(self.start), self.graph.chi2(nodes)
+        used = weights > 0
+        ids = self.problem.image_ids
+        records = []
+        for closure, (a, b) in enumerate(self.ends.tolist()):
+            edge = self.num_edges + closure
+            record = LoopClosure(
+                image_ids=(int(ids[a]), int(ids[b])),
+                line=int(self.given.edge_lines[closure]),
+                used=bool(used[edge]),
+                rotation_before=float(np.degrees(np.linalg.norm(before[edge, :3]))),
+                rotation_after=float(np.degrees(np.linalg.norm(after[edge, :3]))),
+                translation_before=float(np.linalg.norm(before[edge, 3:6])),
+                translation_after=float(np.linalg.norm(after[edge, 3:6])),
+                chi2_before=float(chi2_before[edge]),
+                chi2_after=float(chi2_after[edge]),
+                is_factor=bool(used[edge] and is_loose[closure] and self._is_definite(closure)),
+            )
+            records.append(record)
+        return tuple(records)
+
+    def _is_definite(self, closure: int) -> bool:
+        values = np.linalg.eigvalsh(self.given.information[closure])
+        return bool(values[0] > 1e-12 * values[-1])
+
+    def _factors(
+        self, nodes: Nodes, records: tuple[LoopClosure, ...]
+    ) -> tuple[RelativePoseFactor, ...]:
+        """Return the closures that stay, as cam_b_from_cam_a in the new unit of image a.
+
+        With B A^-1 = (Z E)^-1 the factor's error Log(Z B A^-1) is -Ad(Z) Log E, to first order.
+        """
+        factors = []
+        for closure, record in enumerate(records):
+            if not record.is_factor:
+                continue
+            unit = float(nodes.scales[self.node_of[self.ends[closure, 0]]])
+            z = unit_poses(self.given.measurements[closure : closure + 1])
+            shrink = np.diag([1.0] * 3 + [1.0 / unit] * 3)
+            information = shrink @ self.given.information[closure] @ shrink
+            z[:, 4:] *= unit
+            turn = rotation_matrices(z[:, :4])[0]
+            adjoint = np.zeros((6, 6))
+            adjoint[:3, :3] = adjoint[3:, 3:] = turn
+            adjoint[3:, :3] = cross_matrices(z[0, 4:]) @ turn
+            back = np.linalg.inv(adjoint)
+            information = back.T @ information @ back
+            a, b = record.image_ids
+            factors.append(
+                RelativePoseFactor(
+                    ("image", a),
+                    ("image", b),
+                    inverse_poses(z)[0],
+                    0.5 * (information + information.T),
+                )
+            )
+        return tuple(factors)
+
+
+def _nodes(problem: Problem, cameras: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return the node of each image, and the poses of nodes: frames, and images without one."""
+    if not problem.num_frames:
+        return np.arange(problem.num_images), cameras
+    own = problem.image_frame < 0
+    key = np.where(own, problem.num_frames + np.arange(problem.num_images), problem.image_frame)
+    found, first, node_of = np.unique(key, return_index=True, return_inverse=True)
+    frames = inverse_poses(unit_poses(problem.rig_from_world))
+    poses = cameras[first]
+    framed = found < problem.num_frames
+    poses[framed] = frames[found[framed]]
+    return node_of.astype(np.int64), poses

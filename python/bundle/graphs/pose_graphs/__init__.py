@@ -1,0 +1,1 @@
+"""Pose graphs: starts, robust solves, consistency."""

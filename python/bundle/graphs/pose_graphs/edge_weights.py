@@ -1,0 +1,123 @@
+"""What a loss leaves of the information of edges, for what is computed at given poses."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.arguments import check_type
+from bundle.base.paths import as_path, is_path
+from bundle.errors import InputError
+from bundle.graphs.pose_graphs.gnc import QUANTILES
+from bundle.graphs.pose_graphs.information import checked_information
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.io.g2o_files import load_g2o
+from bundle.io.recognition import is_pose_graph_file
+from bundle.model.pose_graph_arrays import PoseGraph
+
+__all__ = ["WeightedGraph", "is_graph", "refuse_for_graphs", "weighted_graph"]
+
+
+@dataclasses.dataclass(frozen=True)
+class WeightedGraph:
+    """A graph with its weights multiplied into the information.
+
+    Attributes:
+        given: as it came.
+        graph: without the edges of weight 0.
+        edges: (k,) positions in ``given`` of the edges of ``graph``.
+        weights: (m,) of the edges of ``given``.
+        options: as used.
+    """
+
+    given: PoseGraph
+    graph: PoseGraph
+    edges: NDArray[np.int64]
+    weights: NDArray[np.float64]
+    options: PoseGraphOptions
+
+
+def is_graph(source: object) -> bool:
+    """Tell whether something is a pose graph, the result of a solve of one, or the path of one."""
+    return isinstance(source, PoseGraph | PoseGraphResult) or is_pose_graph_file(source)
+
+
+def refuse_for_graphs(**given: Any) -> None:
+    """Refuse arguments that only reconstructions have, where they are not empty.
+
+    Raises:
+        InputError: one is not; the message names it.
+    """
+    for name, value in given.items():
+        if value is not None and not (isinstance(value, tuple | list | dict) and not value):
+            raise InputError(f"{name}: expected with a reconstruction only, found a pose graph")
+
+
+def weighted_graph(
+    source: Any, options: PoseGraphOptions | None, changes: dict[str, Any], caller: str
+) -> WeightedGraph:
+    """Return a graph at its poses with the weights that a loss gives its edges there.
+
+    Args:
+        source: a graph, the path of one, or the result of a solve, which brings its weights and
+            its options unless others are given.
+        options: error, information and loss count.
+        changes: options by name, in place of those in ``options``.
+        caller: for messages.
+
+    Raises:
+        InputError: an option is wrong, or the information of an edge is none.
+        OSError: the path cannot be read.
+    """
+    weights = None
+    if isinstance(source, PoseGraphResult):
+        if options is None and not changes:
+            weights = source.weights
+        options = source.options if options is None else options
+        source = source.problem
+    elif is_path(source):
+        source = load_g2o(as_path(source))
+    check_type("graph", source, PoseGraph)
+    graph: PoseGraph = source
+    if options is not None and not isinstance(options, PoseGraphOptions):
+        raise InputError(f"options: expected PoseGraphOptions, found {type(options).__name__}")
+    options = PoseGraphOptions.of(options, changes, caller)
+    cores = _core.hardware_threads()
+    options = options.replace(num_threads=min(options.num_threads or cores, cores))
+    if options.loss == "auto" and weights is None:
+        raise InputError(
+            "loss: expected the name of one, found auto; the result of a solve has what it took"
+        )
+    weighed = checked_information(graph, options.information)
+    if options.consistency and weights is None:
+        raise InputError("consistency: expected the result of a solve with it, found a graph")
+    if weights is None:
+        weights = _weights(weighed, options)
+    kept = np.flatnonzero(weights > 0)
+    used = weighed.replace(
+        edges=weighed.edges[kept],
+        measurements=weighed.measurements[kept],
+        information=weights[kept, None, None] * weighed.information[kept],
+        edge_lines=weighed.edge_lines[kept],
+    )
+    return WeightedGraph(graph, used, kept, weights, options)
+
+
+def _weights(graph: PoseGraph, options: PoseGraphOptions) -> NDArray[np.float64]:
+    weights = np.ones(graph.num_edges)
+    if options.loss == "trivial":
+        return weights
+    doubted = graph.is_closure if options.loss_on == "closures" else np.ones(graph.num_edges, bool)
+    chi2 = _core.edge_chi2(graph, options.error)
+    if options.loss == "gnc_tls":
+        beyond = options.loss_scale**2 * QUANTILES[graph.tangent_size]
+        weights[doubted] = chi2[doubted] <= beyond
+        return weights
+    for edge in np.flatnonzero(doubted).tolist():
+        weights[edge] = _core.edge_loss(options.loss, options.loss_scale, float(chi2[edge]))[1]
+    return weights

@@ -1,0 +1,169 @@
+"""Truncated least squares over poses: graduated from several starts, the least cost taken.
+
+Graduated non-convexity (``gnc``) begins where the truncated loss is convex for the largest error
+that it knows of. Errors after a solve with all edges are no measure of that: where odometry is
+weak, wrong closures have bent it, and their own errors are small. It is the largest error that
+closures have before they pull, where the trusted edges alone put the poses (if these join all of
+them; else at the start). From there the weights graduate twice: with first weights by the errors
+there, and by those of a solve with all edges.
+
+Where the solve with all edges leaves nothing to be doubted, all are in. Otherwise there is a third
+set, which starts with the trusted edges alone, and there may be sets that the caller proposes. All
+are improved by single edges (``truncated_search``); the one of the least truncated cost is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.arrays import freeze
+from bundle.graphs.pose_graphs.gnc import QUANTILES, graduate
+from bundle.graphs.pose_graphs.truncated_search import Settled, TruncatedSearch
+from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.interface.solve_record import Progress
+from bundle.model.pose_graph_arrays import PoseGraph
+
+__all__ = ["Proposal", "solve_gnc"]
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Proposal = tuple[Flags, Floats]
+"""Edges that are in, and poses."""
+
+HOPELESS = 2.0
+"""A set whose cost is so many times the least is not improved."""
+
+
+class _Interrupted(Exception):  # noqa: N818  (a way out, no error)
+    """The user has stopped a solve."""
+
+
+class _Solves:
+    """Solves of one graph with weights of its edges, and what the last one returned."""
+
+    def __init__(
+        self,
+        graph: PoseGraph,
+        held: Flags,
+        options: PoseGraphOptions,
+        progress: Progress | None,
+    ) -> None:
+        self.graph, self.held, self.progress = graph, held, progress
+        self.plain = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
+        self.rough = self.plain.replace(function_tolerance=max(self.plain.function_tolerance, 1e-6))
+        self.output: dict[str, Any] = {}
+
+    def solve(self, weights: Floats, poses: Floats) -> tuple[Floats, Floats]:
+        return self._run(weights, poses, self.rough)
+
+    def finish(self, weights: Floats, poses: Floats) -> None:
+        self._run(weights, poses, self.plain)
+
+    def _run(
+        self, weights: Floats, poses: Floats, options: PoseGraphOptions
+    ) -> tuple[Floats, Floats]:
+        weighed = self.graph.replace(
+            poses=poses, information=weights[:, None, None] * self.graph.information
+        )
+        none = np.zeros(self.graph.num_edges, bool)
+        self.output = _core.solve_pose_graph(
+            weighed, self.held, none, options.asdict(), self.progress
+        )
+        if self.output["summary"]["interrupted"]:
+            raise _Interrupted
+        poses = self.output["poses"]
+        return poses, _core.edge_chi2(self.graph.replace(poses=poses), options.error)
+
+
+def solve_gnc(
+    graph: PoseGraph,
+    held: Flags,
+    doubted: Flags,
+    options: PoseGraphOptions,
+    progress: Progress | None,
+    proposals: Iterable[Proposal] = (),
+) -> dict[str, Any]:
+    """Solve with weights in between, then once more with edges in or out.
+
+    Args:
+        graph: its information as a solve takes it, its poses where the solve starts.
+        held: (n,) poses that stay.
+        doubted: (m,) edges that may be out.
+        options: with loss "gnc_tls".
+        progress: called after each iteration of each solve.
+        proposals: more sets to look at.
+
+    Returns:
+        What the last solve returned, with chi2, weights and costs of the truncated loss.
+    """
+    c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
+    before = _core.edge_chi2(graph, options.error)
+    solves = _Solves(graph, held, options, progress)
+    search = TruncatedSearch(
+        graph, options.error, doubted, c_squared, solves.solve, options.num_threads or 1
+    )
+    weights = np.ones(graph.num_edges)
+    try:
+        best = _best_set(search, solves, held, proposals)
+        weights = best.used.astype(float)
+        solves.finish(weights, best.poses)
+    except _Interrupted:
+        pass
+    after = _core.edge_chi2(graph.replace(poses=solves.output["poses"]), options.error)
+    costs = {"initial_cost": search.cost(before) / 2, "final_cost": search.cost(after) / 2}
+    return solves.output | {
+        "chi2_before": freeze(before.copy()),
+        "chi2_after": freeze(after.copy()),
+        "weights": freeze(weights),
+        "summary": solves.output["summary"] | costs,
+    }
+
+
+def _best_set(
+    search: TruncatedSearch, solves: _Solves, held: Flags, proposals: Iterable[Proposal]
+) -> Settled:
+    graph, doubted = search.graph, search.doubted
+    every = solves.solve(np.ones(graph.num_edges), graph.poses)
+    if not search.doubt(*every):
+        return search.settle(np.ones(graph.num_edges, bool), every[0])
+    start, before = graph.poses, _core.edge_chi2(graph, search.error)
+    found = []
+    if _joins_all(graph, held, ~doubted):
+        start, before = solves.solve((~doubted).astype(float), start)
+        found.append(search.settle(~doubted, start))
+    largest = float(before[doubted].max(initial=0.0))
+    for poses, chi2 in ((start, before), every):
+        found.append(_graduated(search, solves, poses, chi2, largest))
+    found += [search.settle(used | ~doubted, poses) for used, poses in proposals]
+    found.sort(key=lambda state: state.cost)
+    best = search.improve(found[0])
+    for k, state in enumerate(found[1:], 1):
+        is_new = all((state.used != other.used).any() for other in found[:k])
+        if is_new and state.cost < HOPELESS * found[0].cost:
+            best = min(best, search.improve(state), key=lambda one: one.cost)
+    return best
+
+
+def _graduated(
+    search: TruncatedSearch, solves: _Solves, poses: Floats, chi2: Floats, largest: float
+) -> Settled:
+    """Return the set that weights end at which start with these errors at these poses."""
+
+    def solve(weights: Floats) -> Floats:
+        nonlocal poses, chi2
+        poses, chi2 = solves.solve(weights, poses)
+        return chi2
+
+    weights, _ = graduate(chi2, search.doubted, search.c_squared, solve, largest)
+    return search.settle(weights > 0.5, poses)
+
+
+def _joins_all(graph: PoseGraph, held: Flags, trusted: Flags) -> bool:
+    """Tell whether trusted edges alone join every pose to one that is held."""
+    root = np.asarray(_core.pose_components(graph.num_poses, graph.edges[trusted]))
+    return bool(np.isin(root, root[held]).all())

@@ -1,0 +1,115 @@
+"""The chain of odometry: poses along it, and how uncertain one of them is as seen from another.
+
+Pose q of the chain is O_q = O_{q-1} Z_q, with an error on the right of each measurement, Z_t
+Exp(e_t) with e_t ~ N(0, Sigma_t), Sigma_t the inverse of its information. As X Exp(d) =
+Exp(Ad_X d) X, an error of step t moves every later pose as one rigid body, by w_t in the frame of
+the chain:
+
+    O_q -> Exp(w_t) O_q  for q >= t,     w_t = Ad(O_t) e_t.
+
+Steps are independent, so covariances of w add up, and those of the steps between p and q are
+
+    sum_{p < t <= q} Cov(w_t) = W_q - W_p,     W_q = sum_{t <= q} Ad(O_t) Sigma_t Ad(O_t)^T,
+
+a difference of two prefix sums: no chain is walked twice. An edge that is written against the
+direction of the chain measures the inverse: Z^-1 Exp(e) with e of covariance Ad(Z) Sigma Ad(Z)^T.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.errors import InputError
+from bundle.graphs.pose_graphs.adjoints import adjoints
+from bundle.model.pose_graph_arrays import PoseGraph
+
+__all__ = ["OdometryChain", "edge_covariance", "odometry_chain"]
+
+Floats = NDArray[np.float64]
+
+SINGULAR = 1e-14
+"""Least eigenvalue of information with a diagonal of ones that can still be inverted."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometryChain:
+    """A graph's odometry, around the centre of its poses.
+
+    Attributes:
+        poses: (n, 3) or (n, 7) in the order of the graph's poses.
+        place: (n,) of each pose along the chain, 0 first.
+        accumulated: (n, d, d) W by place: zero at the first.
+    """
+
+    poses: Floats
+    place: NDArray[np.intp]
+    accumulated: Floats
+
+
+def odometry_chain(graph: PoseGraph, num_threads: int) -> OdometryChain:
+    """Compose the first edges between consecutive ids.
+
+    Raises:
+        InputError: ids are missing, two consecutive ids have no edge, or the information of such
+            an edge is singular.
+    """
+    order = np.argsort(graph.ids, kind="stable")
+    ids = graph.ids[order]
+    if (np.diff(ids) != 1).any():
+        k = int(np.argmax(np.diff(ids) != 1))
+        raise InputError(
+            f"consistency: expected odometry without gaps, found id {ids[k]} followed by "
+            f"{ids[k + 1]}"
+        )
+    first, second = _core.odometry_gap(graph)
+    if first >= 0:
+        raise InputError(
+            "consistency: expected odometry without gaps, found no edge between "
+            f"{graph.ids[first]} and {graph.ids[second]}"
+        )
+    held = np.zeros(graph.num_poses, bool)
+    held[order[0]] = True
+    poses = np.array(_core.initial_poses(graph, held, "odometry", num_threads))
+    position = slice(0, 2) if graph.dimension == 2 else slice(4, 7)
+    poses[:, position] -= poses[:, position].mean(axis=0)  # short levers, fewer digits lost
+    place = np.empty(graph.num_poses, np.intp)
+    place[order] = np.arange(graph.num_poses)
+
+    ends = place[graph.edges]
+    steps = np.flatnonzero(~graph.is_closure)
+    later, which = np.unique(ends[steps].max(axis=1), return_index=True)  # the first of each
+    steps = steps[which]
+    covariance = edge_covariance(graph, steps)
+    back = ends[steps, 0] > ends[steps, 1]
+    # Seen from the end of the edge that is later along the chain, then from the chain's frame.
+    turned = adjoints(graph.measurements[steps[back]])
+    covariance[back] = turned @ covariance[back] @ turned.transpose(0, 2, 1)
+    moved = adjoints(poses[order[later]])
+    d = graph.tangent_size
+    accumulated = np.zeros((graph.num_poses, d, d))
+    accumulated[1:] = np.cumsum(moved @ covariance @ moved.transpose(0, 2, 1), axis=0)
+    return OdometryChain(poses=poses, place=place, accumulated=accumulated)
+
+
+def edge_covariance(graph: PoseGraph, edges: NDArray[np.intp]) -> Floats:
+    """Return the covariances (k, d, d) of some edges, by tangent coordinates.
+
+    Raises:
+        InputError: information is singular; the message names the edge.
+    """
+    information = graph.information[edges]
+    diagonal = np.diagonal(information, axis1=1, axis2=2)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1))
+    scaled = scale[:, :, None] * information * scale[:, None, :]
+    singular = np.linalg.eigvalsh(scaled)[:, 0] < SINGULAR
+    if singular.any():
+        name = graph.edge_name(int(edges[np.argmax(singular)]))
+        raise InputError(
+            f"consistency: {name}: expected information that has an inverse, found a singular one"
+        )
+    inverse: Floats = scale[:, :, None] * np.linalg.inv(scaled) * scale[:, None, :]
+    return inverse

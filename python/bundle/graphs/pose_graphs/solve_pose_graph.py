@@ -1,0 +1,233 @@
+"""A pose graph and options in, a refined graph and its story out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.arguments import check_function, check_type
+from bundle.base.words import plural
+from bundle.errors import InputError
+from bundle.graphs.pose_graphs.consistency import closure_consistency
+from bundle.graphs.pose_graphs.consistent_solve import solve_consistent
+from bundle.graphs.pose_graphs.gnc import QUANTILES
+from bundle.graphs.pose_graphs.gnc_solve import Proposal, solve_gnc
+from bundle.graphs.pose_graphs.information import checked_information
+from bundle.graphs.pose_graphs.loss_choice import choose_loss, loss_cost
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult, PoseGraphSummary
+from bundle.graphs.pose_graphs.truncated_search import find_doubt
+from bundle.interface.option_fields import choice
+from bundle.interface.pose_graph_options import POSE_ERRORS, PoseGraphOptions
+from bundle.interface.solve_record import Progress, record_fields, with_warnings
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.starts import choose_start, lower_start, started
+
+__all__ = ["initial_poses", "pose_graph_chi2", "solve_pose_graph"]
+
+SUSPICIOUS_STEPS = "suspicious_steps"
+SEVERAL_COMPONENTS = "several_components"
+LOCAL_MINIMUM = "local_minimum"
+BETTER_START = "better_start"
+
+MOST_CHECKED = 2500
+"""Closures whose consistency ``auto`` looks at: three million pairs, some seconds."""
+
+BEYOND_DOUBT = {3: 30.664849706213598, 6: 38.25833637720969}
+"""Of chi2, by degrees of freedom: beyond it is one right edge in a million."""
+
+
+def solve_pose_graph(
+    graph: PoseGraph,
+    options: PoseGraphOptions | None = None,
+    *,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> PoseGraphResult:
+    """Refine a pose graph: minimise 1/2 sum rho(r^T Omega r) over its edges.
+
+    Fixed poses stay. A connected component without one would float: its first pose is held, which
+    takes 3 degrees of freedom away in the plane and 6 in space, and no more; the summary counts
+    them and says which. The GIL is released; Ctrl-C keeps the best state.
+
+    Args:
+        graph: left untouched.
+        options: how to solve; the defaults of :class:`PoseGraphOptions` if not given.
+        progress: called after each iteration, as by :func:`bundle.solve`.
+        **changes: options by name, in place of those in ``options``.
+
+    Raises:
+        InputError: an information matrix is asymmetric or indefinite, the message names the edge;
+            odometry was asked for, or ``consistency``, but its chain has gaps; an option is wrong.
+        KeyboardInterrupt: Ctrl-C before the start was evaluated.
+    """
+    check_type("graph", graph, PoseGraph)
+    options = PoseGraphOptions.of(options, changes, "solve")
+    check_function("progress", progress)
+    cores = _core.hardware_threads()
+    options = options.replace(num_threads=min(options.num_threads or cores, cores))
+    if options.consistency:
+        return solve_consistent(graph, options, lambda kept, how: _refined(kept, how, progress))
+    return _refined(graph, options, progress)[0]
+
+
+def _refined(
+    graph: PoseGraph, options: PoseGraphOptions, progress: Progress | None
+) -> tuple[PoseGraphResult, NDArray[np.float64]]:
+    """Return the result of a solve with all edges, and the poses it started from."""
+    weighed = checked_information(graph, options.information)
+    held, num_components, for_gauge = _core.hold_poses(weighed)
+    doubted = _robust_edges(graph, options)
+    if options.init == "auto":
+        start = choose_start(weighed, held, doubted, options)
+    else:
+        start = started(weighed, held, options.init, options.num_threads)
+    started_graph = weighed.replace(poses=start.poses)
+    c_squared = options.loss_scale**2 * QUANTILES[graph.tangent_size]
+    proposals: list[Proposal] = []
+
+    def solve(how: PoseGraphOptions) -> dict[str, Any]:
+        if how.loss == "gnc_tls":
+            return solve_gnc(started_graph, held, doubted, how, progress, proposals)
+        found = _core.solve_pose_graph(started_graph, held, doubted, how.asdict(), progress)
+        if options.loss == "auto" and how.loss != "trivial":
+            proposals.append((found["chi2_after"] <= c_squared, found["poses"]))
+            agreed = _consistent_set(weighed, options.num_threads)
+            if agreed is not None:
+                proposals.append((agreed, start.poses))
+        return found
+
+    def doubts(found: dict[str, Any]) -> str:
+        there = weighed.replace(poses=found["poses"])
+        chi2 = found["chi2_after"]
+        return find_doubt(there, options.error, doubted, chi2, c_squared, options.num_threads)
+
+    if options.loss == "auto":
+        used, output, why = choose_loss(solve, doubted, options, c_squared, doubts)
+    else:
+        used, output, why = options, solve(options), ""
+
+    def cost(chi2: NDArray[np.float64]) -> float:
+        return loss_cost(chi2, doubted, used, c_squared)
+
+    record = record_fields(output)
+    rejected = _rejected(graph, output, doubted, used)
+    advice = "the edges' Jacobians are bundle's own: please report it"
+    warnings = {
+        SUSPICIOUS_STEPS: _core.watch_convergence(output["iterations"], advice),
+        SEVERAL_COMPONENTS: _about_components(num_components),
+    }
+    if not output["summary"]["interrupted"] and used.max_num_iterations > 0:
+        lower = lower_start(weighed, held, doubted, start, used, output, cost)
+        has_converged = output["summary"]["termination_type"] == "CONVERGENCE"
+        if lower and has_converged:
+            warnings[LOCAL_MINIMUM] = f"This is a local minimum: {lower}"
+        elif lower:
+            warnings[BETTER_START] = f"Not converged: {lower}"
+    summary = PoseGraphSummary(
+        **with_warnings(output["summary"], warnings),
+        num_rejected_edges=len(rejected),
+        chi2_initial=float(output["chi2_before"].sum()),
+        chi2_final=float(output["chi2_after"].sum()),
+        init=start.init,
+        init_choice=start.reason,
+        loss=used.loss,
+        loss_choice=why,
+        num_components=num_components,
+        num_gauge_freedoms=graph.tangent_size * len(for_gauge),
+        held_pose_ids=tuple(int(graph.ids[pose]) for pose in for_gauge),
+    )
+    result = PoseGraphResult(
+        problem=graph.replace(poses=output["poses"], has_poses=True),
+        initial_problem=graph,
+        options=options,
+        chi2_before=output["chi2_before"],
+        chi2_after=output["chi2_after"],
+        weights=output["weights"],
+        rejected=rejected,
+        **record | {"summary": summary},
+    )
+    return result, start.poses
+
+
+def initial_poses(graph: PoseGraph, init: str = "chordal") -> NDArray[np.float64]:
+    """Return poses from the edges alone, around the fixed poses or the first of each component.
+
+    Args:
+        graph: left untouched.
+        init: "odometry", "spanning_tree" or "chordal".
+
+    Raises:
+        InputError: as :func:`solve_pose_graph`.
+    """
+    check_type("graph", graph, PoseGraph)
+    init = choice("init", init, ("odometry", "spanning_tree", "chordal"))
+    held, _, _ = _core.hold_poses(graph)
+    return started(checked_information(graph, "file"), held, init, 1).poses
+
+
+def pose_graph_chi2(graph: PoseGraph, error: str = "log") -> NDArray[np.float64]:
+    """Return r^T Omega r of each edge at the graph's poses: (m,).
+
+    Args:
+        graph: left untouched.
+        error: "log", "g2o" or "ceres", as in :class:`PoseGraphOptions`.
+
+    Raises:
+        InputError: an information matrix is asymmetric or indefinite.
+    """
+    check_type("graph", graph, PoseGraph)
+    error = choice("error", error, POSE_ERRORS)
+    return _core.edge_chi2(checked_information(graph, "file"), error)
+
+
+def _consistent_set(graph: PoseGraph, num_threads: int) -> NDArray[np.bool_] | None:
+    """Return the edges without closures that contradict the others; None where none can be told."""
+    if int(graph.is_closure.sum()) > MOST_CHECKED:
+        return None
+    try:
+        found = closure_consistency(graph, num_threads)
+    except InputError:
+        return None
+    used = np.ones(graph.num_edges, bool)
+    used[[entry.edge for entry in found.left_out]] = False
+    return used
+
+
+def _rejected(
+    graph: PoseGraph,
+    output: dict[str, Any],
+    doubted: NDArray[np.bool_],
+    options: PoseGraphOptions,
+) -> tuple[int, ...]:
+    """Return the edges that the loss has put out of action: weight below 1/2, error beyond doubt.
+
+    A weight alone does not tell: some losses take weight from every edge.
+    """
+    if options.loss == "trivial":
+        return ()
+    out = doubted & (output["weights"] < 0.5)
+    if options.loss != "gnc_tls":
+        out &= output["chi2_after"] > BEYOND_DOUBT[graph.tangent_size]
+    worst_first = np.argsort(-output["chi2_after"], kind="stable")
+    return tuple(int(edge) for edge in worst_first if out[edge])
+
+
+def _robust_edges(graph: PoseGraph, options: PoseGraphOptions) -> NDArray[np.bool_]:
+    if options.loss == "trivial":
+        return np.zeros(graph.num_edges, bool)
+    if options.loss_on == "all":
+        return np.ones(graph.num_edges, bool)
+    return graph.is_closure
+
+
+def _about_components(num_components: int) -> str:
+    if num_components == 1:
+        return ""
+    held = plural(num_components, "component")
+    return (
+        f"The graph has {held} that no edge joins: each floats by itself, about its fixed poses "
+        "or its first one; where they are to each other is not known."
+    )

@@ -1,0 +1,229 @@
+"""Sets of closures of low truncated cost: solve, sort, and try what a single edge would gain.
+
+With S the doubted edges that are in, the truncated cost of ``loss_choice`` is the least, over sets
+S and poses, of the sum of chi2 over trusted edges and S, plus c^2 for each edge outside.
+
+*Settling* a set solves with it, puts each edge in or out by its chi2, and repeats: the cost never
+rises. A settled set may still hold a wrong closure whose error weak edges have taken over: its own
+chi2 is small, and that of the edges around it large. Covariances say what the sum would fall by
+without it. With A the whitened Jacobian of an edge by the relative pose that it measures, C_ij the
+covariance of that pose and r the whitened error, to first order
+
+    an edge that is in   lowers the sum by  r^T K^+ r,   K = I - A C_ij A^T,   if it is taken out;
+    an edge that is out  raises the sum by  r^T P^-1 r,  P = I + A C_ij A^T,   if it is put in
+
+(the first is Baarda's test, ``graph_covariance.cpp``). So an edge with a test above c^2 is better
+out, and one whose price is below c^2 better in. *Improving* tries such edges, the largest gain
+first, settles each, and keeps what the truncated cost itself says is lower.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.words import number, plural
+from bundle.graphs.pose_graphs.gnc import chi2_quantile
+from bundle.model.pose_graph_arrays import PoseGraph
+
+__all__ = ["Settled", "TruncatedSearch", "find_doubt", "flip_gains"]
+
+MOST_SETTLES = 10
+MOST_FLIPS = 20
+MOST_TRIES = 4
+"""Edges that are tried before a set counts as improved."""
+
+LOWER = 1e-6
+"""Relative decrease of the truncated cost below which nothing has improved."""
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settled:
+    """A set of edges, and the poses of a solve with them.
+
+    Attributes:
+        cost: sum of chi2, of doubted edges at most c^2 (twice the truncated cost).
+        poses: as those of a graph.
+        chi2: (m,) of all edges there.
+        used: (m,) True where an edge is in.
+    """
+
+    cost: float
+    poses: Floats
+    chi2: Floats
+    used: Flags
+
+
+class TruncatedSearch:
+    """A search for sets of low truncated cost.
+
+    Args:
+        graph: its information as a solve takes it.
+        error: of its edges.
+        doubted: (m,) True where an edge may be out.
+        c_squared: price of an edge that is out.
+        solve: of weights (m,) and poses to poses and chi2 (m,) of all edges.
+        num_threads: of covariances.
+    """
+
+    def __init__(
+        self,
+        graph: PoseGraph,
+        error: str,
+        doubted: Flags,
+        c_squared: float,
+        solve: Callable[[Floats, Floats], tuple[Floats, Floats]],
+        num_threads: int = 1,
+    ) -> None:
+        self.graph, self.error, self.doubted = graph, error, doubted
+        self.c_squared, self._solve, self._threads = c_squared, solve, num_threads
+
+    def cost(self, chi2: Floats) -> float:
+        """Return the sum of chi2, of doubted edges at most c^2."""
+        return float(np.where(self.doubted, np.minimum(chi2, self.c_squared), chi2).sum())
+
+    def doubt(self, poses: Floats, chi2: Floats) -> str:
+        """Return :func:`find_doubt` of a solve with all edges."""
+        there = self.graph.replace(poses=poses)
+        return find_doubt(there, self.error, self.doubted, chi2, self.c_squared, self._threads)
+
+    def settle(self, used: Flags, poses: Floats) -> Settled:
+        """Solve and sort in turn until the set stays, or its cost does not fall any more."""
+        best: Settled | None = None
+        for _ in range(MOST_SETTLES):
+            poses, chi2 = self._solve(used.astype(float), poses)
+            found = Settled(cost=self.cost(chi2), poses=poses, chi2=chi2, used=used)
+            if best is not None and not found.cost < best.cost:
+                return best
+            best = found
+            sorted_ = ~self.doubted | (chi2 <= self.c_squared)
+            if (sorted_ == used).all():
+                break
+            used = sorted_
+        assert best is not None
+        return best
+
+    def improve(self, state: Settled) -> Settled:
+        """Put edges in or out one after the other as long as the cost falls."""
+        for _ in range(MOST_FLIPS):
+            better = self._flipped(state)
+            if better is None:
+                break
+            state = better
+        return state
+
+    def _flipped(self, state: Settled) -> Settled | None:
+        gains = flip_gains(
+            self.graph.replace(poses=state.poses),
+            self.error,
+            self.doubted,
+            state.used,
+            self.c_squared,
+            self._threads,
+        )
+        for edge in np.argsort(-gains, kind="stable")[:MOST_TRIES]:
+            if not gains[edge] > 0:
+                break
+            used = state.used.copy()
+            used[edge] = not used[edge]
+            found = self.settle(used, state.poses)
+            if found.cost < (1 - LOWER) * state.cost:
+                return found
+        return None
+
+
+def find_doubt(
+    graph: PoseGraph,
+    error: str,
+    doubted: Flags,
+    chi2: Floats,
+    c_squared: float,
+    num_threads: int = 1,
+) -> str:
+    """Return what shows, after a solve with all edges, that some are wrong; "" if nothing does.
+
+    Args:
+        graph: at the poses of that solve.
+        error: of its edges.
+        doubted: (m,) True where an edge may be wrong.
+        chi2: (m,) there.
+        c_squared: chi2 that a right edge does not exceed.
+        num_threads: of covariances.
+
+    Returns:
+        Words that follow "without a loss".
+    """
+    beyond = int((doubted & (chi2 > c_squared)).sum())
+    if beyond:
+        have = "has" if beyond == 1 else "have"
+        return f"{plural(beyond, 'edge')} {have} a chi2 above {number(c_squared)}"
+    degrees = graph.tangent_size * (graph.num_edges - graph.num_poses + graph.num_components)
+    if chi2.sum() > chi2_quantile(degrees):
+        return f"chi2 is {number(chi2.sum())} with {plural(degrees, 'degree')} of freedom"
+    every = np.ones(graph.num_edges, bool)
+    gains = flip_gains(graph, error, doubted, every, c_squared, num_threads)
+    masked = int((gains > 0).sum())
+    if not masked:
+        return ""
+    return f"chi2 would fall by more than {number(c_squared)} without {plural(masked, 'edge')}"
+
+
+def flip_gains(
+    graph: PoseGraph,
+    error: str,
+    doubted: Flags,
+    used: Flags,
+    c_squared: float,
+    num_threads: int = 1,
+) -> Floats:
+    """Return by how much the sum falls, to first order, where a doubted edge goes in or out.
+
+    Args:
+        graph: at a minimum of the edges that are used.
+        error: of its edges.
+        doubted: (m,) others have -inf.
+        used: (m,) True where an edge is in.
+        c_squared: price of an edge that is out.
+        num_threads: of covariances.
+    """
+    gains = np.full(graph.num_edges, -np.inf)
+    inside, outside = np.flatnonzero(used), np.flatnonzero(doubted & ~used)
+    found = _core.graph_covariance(
+        graph.replace(
+            edges=graph.edges[inside],
+            measurements=graph.measurements[inside],
+            information=graph.information[inside],
+            edge_lines=graph.edge_lines[inside],
+        ),
+        error,
+        inner=False,
+        of_edges=True,
+        relative=[(int(i), int(j)) for i, j in graph.edges[outside]],
+        num_threads=num_threads,
+    )
+    if found["undetermined_pose"] >= 0:
+        return gains
+    test = np.asarray(found["edge_test"])
+    gains[inside] = np.where(np.isfinite(test), test - c_squared, -np.inf)
+    for edge, covariance in zip(outside, found["relative"], strict=True):
+        gains[edge] = c_squared - _price(graph, error, int(edge), covariance)
+    gains[~doubted] = -np.inf
+    return gains
+
+
+def _price(graph: PoseGraph, error: str, edge: int, covariance: Floats) -> float:
+    """Return r^T P^-1 r, as r^T (Omega^-1 + E C E^T)^-1 r without inverting the information."""
+    first, second = graph.edges[edge]
+    residual, _, jacobian = _core.relative_pose_error(
+        error, graph.poses[first], graph.poses[second], graph.measurements[edge]
+    )
+    information = graph.information[edge]
+    spread = np.eye(len(residual)) + jacobian @ covariance @ jacobian.T @ information
+    return float(residual @ information @ np.linalg.solve(spread, residual))

@@ -1,0 +1,1 @@
+"""Updates of a filter by tracks (MSCKF)."""

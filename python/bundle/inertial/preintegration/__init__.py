@@ -1,0 +1,1 @@
+"""IMU samples between two states as one factor."""

@@ -1,0 +1,135 @@
+"""Factors of an IMU: the motion between two states, and biases that walk."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bundle.base.arguments import check_type
+from bundle.base.arrays import freeze
+from bundle.errors import InputError
+from bundle.graphs.factors.factors import Factor
+from bundle.graphs.factors.variables import Key
+from bundle.inertial.preintegration.preintegration import Preintegration, as_vector
+from bundle.interface.option_fields import number
+from bundle.model.sequence.imu_noise import ImuNoise
+
+__all__ = ["BiasWalkFactor", "ImuFactor"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ImuFactor(Factor):
+    """What an IMU measured between two states i and j.
+
+    With R, p, v of i (world_from_imu) and R', p', v' of j, T seconds apart, g gravity, and dR, dp,
+    dv the preintegrated motion corrected to the biases of i, the error is, in this order,
+    Log(dR^T R^T R'), R^T (p' - p - v T - 1/2 g T^2) - dp and R^T (v' - v - g T) - dv.
+
+    Attributes:
+        pose_i: key of the pose world_from_imu of i, on se3; positions in metres.
+        velocity_i: key of its velocity in the world, Euclidean (3,), m/s.
+        bias_i: key of its biases, Euclidean (6,): gyroscope (rad/s), accelerometer (m/s^2).
+        pose_j: key of the pose of j.
+        velocity_j: key of the velocity of j.
+        motion: a :class:`bundle.Preintegration`; the factor keeps a copy.
+        gravity: (3,) m/s^2 in the world.
+        gravity_key: key of a variable for gravity: its vector on a Euclidean (3,) variable, or on
+            so3 a rotation Q of ``gravity``, Q g, of which two coordinates count where ``gravity``
+            stands along an axis: hold the third. None: gravity is known.
+        scale_key: key of a Euclidean (1,) variable s: positions of the poses are s p in metres, for
+            poses of cameras that know no unit. Velocities stay m/s. None: they are metres.
+
+    Raises:
+        InputError: a key is there twice, or gravity is not three finite numbers; what does not fit
+            the variables is refused by :meth:`bundle.FactorGraph.add_factor`, and so is a motion
+            whose covariance is not positive definite.
+    """
+
+    pose_i: Key
+    velocity_i: Key
+    bias_i: Key
+    pose_j: Key
+    velocity_j: Key
+    motion: Preintegration
+    gravity: ArrayLike = field(default=(0.0, 0.0, -9.81), kw_only=True)
+    gravity_key: Key | None = field(default=None, kw_only=True)
+    scale_key: Key | None = field(default=None, kw_only=True)
+
+    kind = "imu"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(set(self.keys)) < len(self.keys):
+            raise InputError(f"{self.name}: expected different variables, found one twice")
+        check_type(f"{self.name}: motion", self.motion, Preintegration)
+        self._set("motion", copy.copy(self.motion))
+        self._set("gravity", freeze(as_vector(f"{self.name}: gravity", self.gravity).copy()))
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The variables, in the order of the Jacobians."""
+        optional = (key for key in (self.gravity_key, self.scale_key) if key is not None)
+        return (
+            self.pose_i,
+            self.velocity_i,
+            self.bias_i,
+            self.pose_j,
+            self.velocity_j,
+            *optional,
+        )
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        return (
+            self.motion.core_motion(),
+            self.gravity,
+            self.gravity_key is not None,
+            self.scale_key is not None,
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BiasWalkFactor(Factor):
+    """Biases of two states: e = bias_j - bias_i, a random walk with sigma = density sqrt(T).
+
+    Attributes:
+        bias_i: key of the biases of i, Euclidean (6,): gyroscope (rad/s), accelerometer (m/s^2).
+        bias_j: key of those of j.
+        noise: a :class:`bundle.ImuNoise`, whose random walks are above 0.
+        duration: T, seconds from i to j, above 0.
+
+    Raises:
+        InputError: a number is out of its range, or both keys are the same.
+    """
+
+    bias_i: Key
+    bias_j: Key
+    noise: ImuNoise
+    duration: float
+
+    kind = "between"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.bias_i == self.bias_j:
+            raise InputError(f"{self.name}: expected two different variables, found one twice")
+        check_type(f"{self.name}: noise", self.noise, ImuNoise)
+        self._set("duration", number(f"{self.name}: duration", self.duration, above=0))
+        for walk in ("gyro_bias_random_walk", "accel_bias_random_walk"):
+            number(f"{self.name}: {walk}", getattr(self.noise, walk), above=0)
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The variables, in the order of the Jacobians."""
+        return self.bias_i, self.bias_j
+
+    def core_arguments(self, name: str, sizes: tuple[int, ...]) -> tuple[Any, ...]:  # noqa: ARG002
+        """See :meth:`Factor.core_arguments`."""
+        walks = [self.noise.gyro_bias_random_walk] * 3 + [self.noise.accel_bias_random_walk] * 3
+        sigmas = np.array(walks) * math.sqrt(self.duration)
+        return np.zeros(6), np.diag(1 / sigmas**2)

@@ -1,0 +1,69 @@
+"""Whether a motion shows what gravity hides: the scale of what a camera sees.
+
+An accelerometer measures metres only where the acceleration changes. The spread of |a| - |g| says
+how much it does: at rest, on a straight road or in a hover it is noise, and scale and accelerometer
+bias cannot be told apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bundle.base.arguments import as_array
+from bundle.base.display import Display, Displayed
+from bundle.errors import InputError
+
+__all__ = ["HEALTHY", "UNOBSERVABLE", "Excitation", "excitation"]
+
+HEALTHY, UNOBSERVABLE = 0.5, 0.05  # m/s^2
+
+
+@dataclass(frozen=True, repr=False)
+class Excitation(Displayed):
+    """How much the acceleration of some samples changes.
+
+    Attributes:
+        spread: standard deviation of |a| - |g|, in m/s^2.
+        verdict: "healthy" above 0.5 m/s^2, "unobservable" below 0.05: the samples do not determine
+            the scale, which should be held; "marginal" between.
+        num_samples: how many there are.
+    """
+
+    spread: float
+    verdict: str
+    num_samples: int
+
+    def _display(self) -> Display:
+        return Display(
+            title=f"Excitation: {self.verdict}",
+            facts=(
+                ("std(|a| - g)", f"{self.spread:.3g} m/s^2 of {self.num_samples} samples"),
+                ("bounds", f"healthy above {HEALTHY:g}, unobservable below {UNOBSERVABLE:g}"),
+            ),
+        )
+
+
+def excitation(accel: ArrayLike) -> Excitation:
+    """Return how much samples of an accelerometer change, and whether scale is observable.
+
+    Args:
+        accel: (n, 3) m/s^2, specific force, all samples of a window; at least 2.
+
+    Raises:
+        InputError: another shape, numbers that are not finite, or fewer than 2 samples.
+    """
+    samples = as_array("accel", accel)
+    if samples.ndim != 2 or samples.shape[1] != 3 or len(samples) < 2:
+        raise InputError(f"accel: expected shape (n, 3) with n of 2 or more, found {samples.shape}")
+    spread = float(np.sqrt(np.einsum("ij,ij->i", samples, samples)).std())
+    if not np.isfinite(spread):
+        row = int(np.flatnonzero(~np.isfinite(samples).all(axis=1))[0])
+        raise InputError(f"accel[{row}]: expected finite numbers, found {samples[row].tolist()}")
+    if spread > HEALTHY:
+        verdict = "healthy"
+    else:
+        verdict = "unobservable" if spread < UNOBSERVABLE else "marginal"
+    return Excitation(spread, verdict, len(samples))

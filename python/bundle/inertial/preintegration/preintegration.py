@@ -1,0 +1,294 @@
+"""IMU samples between two states as one relative motion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle import _core
+from bundle.base.arguments import as_array, check_type
+from bundle.base.display import Display, Displayed
+from bundle.errors import InputError
+from bundle.inertial.preintegration.repropagation import Repropagation
+from bundle.interface.option_fields import choice, number
+from bundle.model.sequence.imu_noise import ImuNoise
+
+__all__ = ["RULES", "Preintegration", "as_vector"]
+
+Array = NDArray[np.float64]
+
+RULES = ("zero_order_hold", "midpoint")
+
+
+def as_vector(name: str, value: ArrayLike, size: int = 3) -> Array:
+    """Return finite numbers as an array (size,).
+
+    Raises:
+        InputError: these are none, or not as many.
+    """
+    vector = as_array(name, value)
+    if vector.shape != (size,):
+        raise InputError(f"{name}: expected shape ({size},), found {vector.shape}")
+    if not np.isfinite(vector).all():
+        raise InputError(f"{name}: expected finite numbers, found {vector.tolist()}")
+    return vector
+
+
+class Preintegration(Displayed):
+    """The motion between two states as the IMU knows it, in the IMU's frame at the first.
+
+    With f and w a sample of accelerometer and gyroscope without its bias, an interval dt takes the
+    motion (R, v, p), which starts at (I, 0, 0), first to p + v dt + 1/2 R f dt^2, then to
+    v + R f dt, then to R Exp(w dt). Gravity is left to the states (:class:`ImuFactor`). Forster,
+    Carlone, Dellaert and Scaramuzza, "On-Manifold Preintegration for Real-Time Visual-Inertial
+    Odometry", TRO 2017; ``cpp/core/inertial/preintegration.cpp`` has the derivation.
+
+    The samples are kept: :meth:`corrected` follows new biases to first order,
+    :meth:`needs_repropagation` says when that is too little, :meth:`repropagated` integrates again.
+    Example::
+
+        motion = bundle.Preintegration(noise, gyro_bias, accel_bias)
+        motion.integrate(gyro, accel, dt)
+        graph.add_factor(bundle.ImuFactor("x0", "v0", "b0", "x1", "v1", motion))
+
+    Args:
+        noise: a :class:`bundle.ImuNoise`.
+        gyro_bias: (3,) rad/s, taken from each sample.
+        accel_bias: (3,) m/s^2.
+        rule: "zero_order_hold", a sample holds for the interval that follows it, or "midpoint", the
+            mean of the samples at both ends of an interval.
+
+    Raises:
+        InputError: a bias is not three finite numbers, or there is no such rule.
+    """
+
+    def __init__(
+        self,
+        noise: ImuNoise,
+        gyro_bias: ArrayLike = (0.0, 0.0, 0.0),
+        accel_bias: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        rule: str = "zero_order_hold",
+    ) -> None:
+        check_type("Preintegration: noise", noise, ImuNoise)
+        self._noise = noise
+        self._rule = choice("Preintegration: rule", rule, RULES)
+        self._gyro_bias = as_vector("Preintegration: gyro_bias", gyro_bias).copy()
+        self._accel_bias = as_vector("Preintegration: accel_bias", accel_bias).copy()
+        for bias in (self._gyro_bias, self._accel_bias):
+            bias.flags.writeable = False
+        self._motion = _core.Preintegration(
+            noise.astuple(), self._gyro_bias, self._accel_bias, self._rule
+        )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        state = (self._noise, self._gyro_bias, self._accel_bias, self._rule, self.samples)
+        return _restored, state
+
+    def integrate(self, gyro: ArrayLike, accel: ArrayLike, dt: ArrayLike) -> None:
+        """Integrate the samples that follow those before.
+
+        Args:
+            gyro: (n, 3) rad/s. By midpoint (n + 1, 3), a sample at each end of an interval: the
+                first row of a call is the last one of the call before.
+            accel: m/s^2, likewise: specific force, about +9.81 upwards at rest.
+            dt: (n,) seconds, each above 0.
+
+        Raises:
+            InputError: shapes do not fit, a number is not finite, or a time is not above 0; nothing
+                is integrated then.
+        """
+        self._motion.integrate(as_array("gyro", gyro), as_array("accel", accel), as_array("dt", dt))
+
+    def append(self, following: Preintegration) -> None:
+        """Integrate the samples of the interval that follows, at the biases of this one.
+
+        Raises:
+            InputError: it was integrated by another rule.
+        """
+        check_type("append", following, Preintegration)
+        self._motion.append(following._motion)
+
+    def repropagated(self, gyro_bias: ArrayLike, accel_bias: ArrayLike) -> Preintegration:
+        """Return the same samples integrated at other biases.
+
+        Raises:
+            InputError: a bias is not three finite numbers.
+        """
+        again = Preintegration(self._noise, gyro_bias, accel_bias, rule=self._rule)
+        again._motion = self._motion.repropagated(again._gyro_bias, again._accel_bias)
+        return again
+
+    def corrected(self, gyro_bias: ArrayLike, accel_bias: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return rotation (3, 3), velocity (3,) and position (3,) at new biases, to first order.
+
+        Exact in the accelerometer's bias.
+
+        Raises:
+            InputError: a bias is not three finite numbers.
+        """
+        return self._motion.corrected(
+            as_vector("gyro_bias", gyro_bias), as_vector("accel_bias", accel_bias)
+        )
+
+    def needs_repropagation(
+        self, gyro_bias: ArrayLike, *, accel_bias_sigma: float = 0.01
+    ) -> Repropagation:
+        """Tell whether a new gyroscope bias is too far for :meth:`corrected`.
+
+        It is where the error of the first order tilts gravity by more than the accelerometer's bias
+        leaves open (``bundle.inertial.preintegration.repropagation`` has the closed form).
+
+        Args:
+            gyro_bias: (3,) rad/s.
+            accel_bias_sigma: what is open of the accelerometer's bias, in m/s^2.
+
+        Returns:
+            True or false as a condition, with its ``reason``.
+
+        Raises:
+            InputError: these are no finite numbers, or the sigma is not above 0.
+        """
+        change = float(np.linalg.norm(as_vector("gyro_bias", gyro_bias) - self._gyro_bias))
+        sigma = number("accel_bias_sigma", accel_bias_sigma, above=0)
+        return Repropagation.of(change, self.duration, self._motion.turned, sigma)
+
+    def predict(self, state: ArrayLike, gravity: ArrayLike = (0.0, 0.0, -9.81)) -> Array:
+        """Return the state (16,) at the end of the motion that starts at another.
+
+        Args:
+            state: (16,) qx qy qz qw, position, velocity, gyroscope bias, accelerometer bias:
+                world_from_imu, m, m/s, rad/s, m/s^2. The motion is corrected to its biases.
+            gravity: (3,) m/s^2 in the world.
+
+        Raises:
+            InputError: these are not as many finite numbers.
+        """
+        return self._motion.predict(as_vector("state", state, 16), as_vector("gravity", gravity))
+
+    @property
+    def noise(self) -> ImuNoise:
+        """Of the IMU."""
+        return self._noise
+
+    @property
+    def rule(self) -> str:
+        """How the motion between two samples is taken: one of RULES."""
+        return self._rule
+
+    @property
+    def gyro_bias(self) -> Array:
+        """(3,) rad/s, that of the integration."""
+        return self._gyro_bias
+
+    @property
+    def accel_bias(self) -> Array:
+        """(3,) m/s^2, that of the integration."""
+        return self._accel_bias
+
+    @property
+    def samples(self) -> Array:
+        """(n, 10): dt, gyro, accel, and accel at the interval's end; by midpoint gyro is a mean."""
+        return self._motion.samples
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        return self._motion.duration
+
+    @property
+    def delta_rotation(self) -> Array:
+        """(3, 3), the frame at the end as seen from that at the start."""
+        return self._motion.delta_rotation
+
+    @property
+    def delta_velocity(self) -> Array:
+        """(3,) m/s, without gravity."""
+        return self._motion.delta_velocity
+
+    @property
+    def delta_position(self) -> Array:
+        """(3,) m, without gravity and the velocity at the start."""
+        return self._motion.delta_position
+
+    @property
+    def covariance(self) -> Array:
+        """(9, 9) of rotation (R Exp(d), radians), position (m) and velocity (m/s)."""
+        return self._motion.covariance
+
+    @property
+    def combined_covariance(self) -> Array:
+        """(15, 15): the same, then gyroscope and accelerometer bias at the end.
+
+        The biases walk from those at the start with the densities of the noise, and act on the
+        motion meanwhile: the covariance of the residual of :class:`bundle.ImuFactor` with the
+        change of the biases below it.
+        """
+        return self._motion.combined_covariance()
+
+    @property
+    def sqrt_information(self) -> Array:
+        """(9, 9) upper triangular W with W^T W the inverse of the covariance.
+
+        Raises:
+            InputError: the covariance is not positive definite, as of no samples.
+        """
+        return self._motion.sqrt_information
+
+    @property
+    def d_rotation_d_gyro_bias(self) -> Array:
+        """(3, 3) J: a bias change d makes the rotation R Exp(J d)."""
+        return self._motion.d_rotation_d_gyro_bias
+
+    @property
+    def d_velocity_d_gyro_bias(self) -> Array:
+        """(3, 3)."""
+        return self._motion.d_velocity_d_gyro_bias
+
+    @property
+    def d_velocity_d_accel_bias(self) -> Array:
+        """(3, 3)."""
+        return self._motion.d_velocity_d_accel_bias
+
+    @property
+    def d_position_d_gyro_bias(self) -> Array:
+        """(3, 3)."""
+        return self._motion.d_position_d_gyro_bias
+
+    @property
+    def d_position_d_accel_bias(self) -> Array:
+        """(3, 3)."""
+        return self._motion.d_position_d_accel_bias
+
+    def core_motion(self) -> _core.Preintegration:
+        """Return a copy for the core, which later samples do not reach."""
+        return self._motion.copy()
+
+    def _display(self) -> Display:
+        count = len(self.samples)
+        sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0)).reshape(3, 3).max(axis=1)
+        rotation = np.degrees(np.arccos(np.clip((np.trace(self.delta_rotation) - 1) / 2, -1, 1)))
+        return Display(
+            title=f"Preintegration: {count} samples in {self.duration:.6g} s, {self._rule}",
+            facts=(
+                ("rotation", f"{rotation:.3f} degrees, sigma {np.degrees(sigmas[0]):.2g}"),
+                ("position", f"{_row(self.delta_position)} m, sigma {sigmas[1]:.2g}"),
+                ("velocity", f"{_row(self.delta_velocity)} m/s, sigma {sigmas[2]:.2g}"),
+                ("gyroscope bias", f"{_row(self._gyro_bias)} rad/s"),
+                ("accelerometer bias", f"{_row(self._accel_bias)} m/s^2"),
+            ),
+        )
+
+
+def _row(vector: Array) -> str:
+    return " ".join(f"{value:.4g}" for value in vector)
+
+
+def _restored(
+    noise: ImuNoise, gyro_bias: Array, accel_bias: Array, rule: str, samples: Array
+) -> Preintegration:
+    motion = Preintegration(noise, gyro_bias, accel_bias, rule=rule)
+    motion._motion.append_samples(samples)
+    return motion

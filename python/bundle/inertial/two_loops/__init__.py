@@ -1,0 +1,36 @@
+"""Two loops: poses at the rate of the IMU, whatever a window and a pose graph behind it take.
+
+A :class:`PosePublisher` answers each IMU sample with a pose and never waits. A
+:class:`WindowLoop` and a :class:`ClosureLoop` solve on threads of their own and leave dated results
+in rings, of which the publisher takes the newest. :func:`run_two_loops` replays a sequence through
+all three.
+"""
+
+from bundle.inertial.two_loops.closure_files import load_closures
+from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop, Keyframe
+from bundle.inertial.two_loops.deadline_priority import deadline_priority
+from bundle.inertial.two_loops.pose_publisher import PosePublisher, PublishedPose, Solution
+from bundle.inertial.two_loops.process_solver import ProcessSolver
+from bundle.inertial.two_loops.replay import LoopStatistics, TwoLoopsResult, run_two_loops
+from bundle.inertial.two_loops.ring import Ring
+from bundle.inertial.two_loops.window_loop import WindowLoop
+from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
+
+__all__ = [
+    "Closure",
+    "ClosureLoop",
+    "Correction",
+    "Keyframe",
+    "LoopStatistics",
+    "PosePublisher",
+    "ProcessSolver",
+    "PublishedPose",
+    "Ring",
+    "Solution",
+    "TwoLoopsResult",
+    "WindowLoop",
+    "YawMotion",
+    "deadline_priority",
+    "load_closures",
+    "run_two_loops",
+]

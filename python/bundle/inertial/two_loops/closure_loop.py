@@ -1,0 +1,261 @@
+"""The loop of closures: a pose graph of keyframes that grows, solved on a thread of its own.
+
+Consecutive keyframes are joined by their relative motion in the window's world, which stays what it
+was when they came; a keyframe that the ring has lost is bridged by that of its neighbours. A solve
+holds the first keyframe and gives the newest one, X, of which the window says O. The correction is
+the motion about the vertical that takes O to X, dated at that keyframe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle.base.arguments import as_array, check_function, check_type
+from bundle.base.display import Display
+from bundle.errors import InputError
+from bundle.inertial.preintegration.preintegration import as_vector
+from bundle.inertial.two_loops.loop_thread import SolveLoop
+from bundle.inertial.two_loops.ring import Ring
+from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
+from bundle.solving.solver import solve
+
+__all__ = ["Closure", "ClosureLoop", "Keyframe", "solved_on_one_thread"]
+
+Array = NDArray[np.float64]
+
+_FIRST_ROWS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """A keyframe of a window.
+
+    Attributes:
+        timestamp_ns: after that of the keyframe before.
+        pose: (7,) world_from_imu in the window's world, qx qy qz qw tx ty tz.
+        information: (6, 6) of the motion since the keyframe before, rotation first, or a number:
+            times the identity.
+
+    Raises:
+        InputError: these are no finite numbers.
+    """
+
+    timestamp_ns: int
+    pose: ArrayLike
+    information: ArrayLike = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "timestamp_ns", int(self.timestamp_ns))
+        object.__setattr__(self, "pose", _as_pose("Keyframe: pose", self.pose))
+        matrix = _as_information("Keyframe: information", self.information)
+        object.__setattr__(self, "information", matrix)
+
+
+@dataclass(frozen=True, eq=False)
+class Closure:
+    """A place that was recognised: the relative pose of two keyframes.
+
+    Attributes:
+        first_ns: time of a keyframe.
+        second_ns: time of another.
+        measurement: (7,) of the second in the frame of the first.
+        information: (6, 6), rotation first, or a number.
+
+    Raises:
+        InputError: these are no finite numbers, or both times are the same.
+    """
+
+    first_ns: int
+    second_ns: int
+    measurement: ArrayLike
+    information: ArrayLike = 1.0
+
+    def __post_init__(self) -> None:
+        if self.first_ns == self.second_ns:
+            raise InputError("Closure: expected two different keyframes, found one twice")
+        measurement = _as_pose("Closure: measurement", self.measurement)
+        object.__setattr__(self, "measurement", measurement)
+        matrix = _as_information("Closure: information", self.information)
+        object.__setattr__(self, "information", matrix)
+
+
+class ClosureLoop(SolveLoop):
+    """Solves a pose graph whenever a closure arrives, and corrects a publisher.
+
+    The solve releases the interpreter, and the loop's own work per solve are copies of arrays:
+    however long it takes, it delays no pose.
+
+    Args:
+        corrections: the ring of a :class:`PosePublisher`.
+        solver: takes a :class:`bundle.PoseGraph`, the first pose fixed, and returns its refined
+            poses (n, 7); None: :func:`bundle.solve` on one thread.
+        capacity: keyframes, and closures, that wait during a solve.
+
+    Raises:
+        InputError: an argument is none of these.
+    """
+
+    def __init__(
+        self,
+        corrections: Ring[Correction],
+        *,
+        solver: Callable[[PoseGraph], Array] | None = None,
+        capacity: int = 64,
+    ) -> None:
+        check_type("ClosureLoop: corrections", corrections, Ring)
+        check_function("ClosureLoop: solver", solver)
+        self._corrections = corrections
+        self._solver = solver or solved_on_one_thread
+        self._keyframes: Ring[Keyframe] = Ring(capacity)
+        self._closures: Ring[Closure] = Ring(capacity)
+        self._places: dict[int, int] = {}  # by timestamp
+        self._window_poses = _Rows(7)
+        self._poses = _Rows(7)  # in the graph's world
+        self._edges = _Rows(2)
+        self._measurements = _Rows(7)
+        self._information = _Rows(36)
+        self._newest_ns = 0
+        self._last_put_ns: int | None = None
+        self._num_closures = self._num_unknown = 0
+        self._start("bundle closures")
+
+    @property
+    def num_lost(self) -> int:
+        """Keyframes and closures that the rings have forgotten during a solve."""
+        return self._keyframes.num_lost + self._closures.num_lost
+
+    @property
+    def num_closures(self) -> int:
+        """Closures that the graph has."""
+        return self._num_closures
+
+    @property
+    def num_unknown(self) -> int:
+        """Closures between keyframes that are not known, or were lost."""
+        return self._num_unknown
+
+    def put_keyframe(self, keyframe: Keyframe) -> None:
+        """Hand over a keyframe; returns at once.
+
+        Raises:
+            InputError: its time is not after that of the keyframe before.
+        """
+        check_type("ClosureLoop.put_keyframe", keyframe, Keyframe)
+        if self._last_put_ns is not None and keyframe.timestamp_ns <= self._last_put_ns:
+            raise InputError(
+                f"Keyframe: timestamp_ns: expected after {self._last_put_ns}, "
+                f"found {keyframe.timestamp_ns}"
+            )
+        self._last_put_ns = keyframe.timestamp_ns
+        self._keyframes.put(keyframe)
+        self._worker.notify()
+
+    def put_closure(self, closure: Closure) -> None:
+        """Hand over a closure, after its keyframes; returns at once."""
+        check_type("ClosureLoop.put_closure", closure, Closure)
+        self._closures.put(closure)
+        self._worker.notify()
+
+    def _work(self) -> None:
+        closures = self._closures.take_all()  # before the keyframes, which were put earlier
+        for keyframe in self._keyframes.take_all():
+            self._add_keyframe(keyframe)
+        known = [self._add_closure(closure) for closure in closures]
+        if not any(known):
+            return
+        count = len(self._poses.rows)
+        fixed = np.zeros(count, bool)
+        fixed[0] = True
+        graph = PoseGraph(
+            poses=self._poses.rows.copy(),
+            edges=self._edges.rows.astype(np.int32),
+            measurements=self._measurements.rows.copy(),
+            information=self._information.rows.reshape(-1, 6, 6).copy(),
+            fixed=fixed,
+        )
+        refined = self._solver(graph)
+        self._poses.rows[:] = refined
+        self._num_solves += 1
+        motion = YawMotion.between(self._window_poses.rows[-1], refined[-1])
+        self._corrections.put(Correction(self._newest_ns, motion, count, self._num_closures))
+
+    def _add_keyframe(self, keyframe: Keyframe) -> None:
+        pose = np.asarray(keyframe.pose)[None]
+        place = len(self._places)
+        if place:
+            moved = multiply_poses(inverse_poses(self._window_poses.rows[-1:]), pose)
+            self._edges.append((place - 1, place))
+            self._measurements.append(moved[0])
+            self._information.append(np.asarray(keyframe.information).ravel())
+            self._poses.append(multiply_poses(self._poses.rows[-1:], moved)[0])
+        else:
+            self._poses.append(pose[0])
+        self._window_poses.append(pose[0])
+        self._places[keyframe.timestamp_ns] = place
+        self._newest_ns = keyframe.timestamp_ns
+
+    def _add_closure(self, closure: Closure) -> bool:
+        places = [self._places.get(int(t)) for t in (closure.first_ns, closure.second_ns)]
+        if places[0] is None or places[1] is None:
+            self._num_unknown += 1
+            return False
+        self._edges.append((places[0], places[1]))
+        self._measurements.append(closure.measurement)
+        self._information.append(np.asarray(closure.information).ravel())
+        self._num_closures += 1
+        return True
+
+    def _display(self) -> Display:
+        return Display(
+            title=f"ClosureLoop: {len(self._places)} keyframes, {self._num_closures} closures",
+            facts=(
+                ("solves", str(self._num_solves)),
+                ("lost", f"{self.num_lost}, closures of unknown keyframes {self._num_unknown}"),
+            ),
+        )
+
+
+class _Rows:
+    """Rows of an array that grows, without a copy of all at each."""
+
+    def __init__(self, width: int) -> None:
+        self._all = np.empty((_FIRST_ROWS, width))
+        self._count = 0
+
+    @property
+    def rows(self) -> Array:
+        return self._all[: self._count]
+
+    def append(self, row: ArrayLike) -> None:
+        if self._count == len(self._all):
+            self._all = np.vstack([self._all, np.empty_like(self._all)])
+        self._all[self._count] = row
+        self._count += 1
+
+
+def solved_on_one_thread(graph: PoseGraph) -> Array:
+    """Return the refined poses (n, 7)."""
+    return solve(graph, num_threads=1).problem.poses
+
+
+def _as_pose(name: str, value: ArrayLike) -> Array:
+    pose = as_vector(name, value, 7)
+    if not pose[:4].any():
+        raise InputError(f"{name}: expected a quaternion qx qy qz qw, found one of norm 0")
+    unit: Array = unit_poses(pose[None])[0]
+    return unit
+
+
+def _as_information(name: str, value: ArrayLike) -> Array:
+    matrix = as_array(name, value)
+    if matrix.ndim == 0:
+        matrix = float(matrix) * np.eye(6)
+    if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
+        raise InputError(f"{name}: expected finite numbers (6, 6) or one, found {matrix.shape}")
+    return matrix

@@ -1,0 +1,293 @@
+"""A sequence through two loops: a pose per IMU sample, a window and a graph of closures behind it.
+
+Samples come in their order, an image once the samples have reached it. In real time they come when
+they would from the sensors, each loop takes the time that it takes, and a pose is late by the time
+between its sample and its return. Otherwise the next sample waits until both loops have nothing to
+do: the poses are then the same in each run, as those of sensors that wait for the solver.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arguments import check_type
+from bundle.base.display import Display, Displayed
+from bundle.errors import InputError
+from bundle.inertial.two_loops.closure_loop import Closure, ClosureLoop
+from bundle.inertial.two_loops.deadline_priority import deadline_priority
+from bundle.inertial.two_loops.pose_publisher import PosePublisher
+from bundle.inertial.two_loops.process_solver import ProcessSolver
+from bundle.inertial.two_loops.window_driver import WindowDriver
+from bundle.inertial.two_loops.window_loop import WindowLoop
+from bundle.inertial.two_loops.yaw_motion import YawMotion
+from bundle.inertial.vio.odometry import OdometryResult
+from bundle.inertial.vio.window_run import WindowRun
+from bundle.interface.option_fields import number
+from bundle.interface.window_options import WindowOptions
+from bundle.io.sequences.trajectory_files import Trajectory
+from bundle.model.sequence.sequence import Sequence
+
+__all__ = ["LATE", "LoopStatistics", "TwoLoopsResult", "run_two_loops"]
+
+Array = NDArray[np.float64]
+
+LATE = 5e-3
+"""Seconds after its sample from which on a pose counts as late."""
+
+
+@dataclass(frozen=True)
+class LoopStatistics:
+    """What the loops of a replay did.
+
+    Attributes:
+        real_time: samples came at the sensors' rate.
+        first_in_line: the system let the publishing thread come before others; None if not asked.
+        num_poses: published.
+        lateness: seconds: p50, p95, max; None unless in real time.
+        num_late: poses that were late by more than 5 ms; None unless in real time.
+        num_corrections: of the graph, that were composed into the anchor.
+        largest_shift: m by which a correction's share moved a pose, at most.
+        largest_turn: radians, likewise.
+        num_closures: that the graph has.
+        num_closures_unknown: without keyframes near both ends, or lost by a ring.
+        num_graph_solves: of the graph of closures.
+        num_window_solves: of the window.
+        num_window_late: solves of the window that took longer than an image's interval.
+        longest_window_solve: seconds; None unless in real time.
+        num_images_left_out: by a window that drained to the newest image.
+        num_solutions_refused: older than the samples that are kept.
+        num_lost: records that a full ring has forgotten.
+    """
+
+    real_time: bool
+    first_in_line: bool | None
+    num_poses: int
+    lateness: dict[str, float] | None
+    num_late: int | None
+    num_corrections: int
+    largest_shift: float
+    largest_turn: float
+    num_closures: int
+    num_closures_unknown: int
+    num_graph_solves: int
+    num_window_solves: int
+    num_window_late: int
+    longest_window_solve: float | None
+    num_images_left_out: int
+    num_solutions_refused: int
+    num_lost: int
+
+    def asdict(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TwoLoopsResult(Displayed):
+    """What a replay published.
+
+    Attributes:
+        published: a state per IMU sample, corrected by closures.
+        odometry: of the window, which closures do not touch.
+        correction: from the window's world to the published one, at the end.
+        statistics: of the loops.
+    """
+
+    published: Trajectory
+    odometry: OdometryResult
+    correction: YawMotion
+    statistics: LoopStatistics
+
+    def _display(self) -> Display:
+        found = self.statistics
+        late = "not in real time" if found.num_late is None else f"{found.num_late} late"
+        return Display(
+            title=f"Two loops: {found.num_poses} poses, {late}",
+            facts=(
+                ("closures", f"{found.num_closures}, {found.num_corrections} corrections"),
+                ("largest share", f"{found.largest_shift:.3g} m, {found.largest_turn:.3g} rad"),
+                ("window", f"{found.num_window_solves} solves, {found.num_window_late} late"),
+            ),
+        )
+
+
+def run_two_loops(
+    sequence: Sequence,
+    options: WindowOptions | None = None,
+    *,
+    closures: Iterable[Closure] = (),
+    real_time: bool = False,
+    num_shares: int = 100,
+    solver: Callable[..., Array] | None = None,
+    progress: Callable[[int, int], bool] | None = None,
+    **changes: Any,
+) -> TwoLoopsResult:
+    """Replay a sequence and publish a pose per IMU sample.
+
+    Args:
+        sequence: IMU samples, tracks and calibration.
+        options: of the window, or some of its fields by name.
+        closures: places that were recognised, at any times of the sequence; each is known once a
+            keyframe is not before its later end.
+        real_time: samples come at the sensors' rate, else as fast as the loops take them.
+        num_shares: poses over which a correction is spread.
+        solver: of the pose graph, as :class:`ClosureLoop` takes it; None: :func:`bundle.solve`, in
+            real time by a process of its own.
+        progress: called about 10 times a second of the sequence with (samples done, in all); False
+            ends the replay there.
+        **changes: fields of the options.
+
+    Raises:
+        InputError: no start is found, no sample follows it, or an argument is wrong.
+    """
+    options = WindowOptions.of(options, changes, "run_two_loops")
+    shares = number("run_two_loops: num_shares", num_shares, whole=True, minimum=1)
+    given = tuple(closures)
+    for closure in given:
+        check_type("run_two_loops: closures", closure, Closure)
+    given = tuple(sorted(given, key=lambda closure: max(closure.first_ns, closure.second_ns)))
+    driver = WindowDriver(WindowRun(sequence, options), given)
+    replay = _Replay(sequence, driver, shares)
+    began = time.perf_counter()
+    with ExitStack() as stack:
+        if solver is None and real_time and given:
+            solver = ProcessSolver()
+            stack.callback(solver.close)
+        replay.run(real_time, solver, progress)
+    return replay.result(time.perf_counter() - began)
+
+
+class _Replay:
+    def __init__(self, sequence: Sequence, driver: WindowDriver, num_shares: int) -> None:
+        self.sequence, self.driver = sequence, driver
+        newest = driver.run.window.frames[-1]
+        self.publisher = PosePublisher(
+            newest.stamp, newest.state, gravity=driver.run.window.gravity, num_shares=num_shares
+        )
+        stamps = sequence.imu_timestamps_ns
+        self.first = int(np.searchsorted(stamps, newest.stamp, "right"))
+        if self.first == len(stamps):
+            raise InputError("sequence: expected IMU samples after the start, found none")
+        self.stamps: list[int] = []
+        self.states: list[Array] = []
+        self.late: list[float] = []
+        self.largest_shift = self.largest_turn = 0.0
+        self.message, self.interrupted = "done", False
+
+    def run(
+        self,
+        real_time: bool,
+        solver: Callable[..., Array] | None,
+        progress: Callable[[int, int], bool] | None,
+    ) -> None:
+        """Publish all samples, then end the loops."""
+        driver, publisher = self.driver, self.publisher
+        self.real_time = real_time
+        self.graph = ClosureLoop(publisher.corrections, solver=solver)
+        driver.join(self.graph)
+        rate = driver.run.window.options.frame_rate
+        self.loop = WindowLoop(driver.solve, publisher.solutions, budget=1 / rate)
+        self.first_in_line: bool | None = None
+        try:
+            if real_time:
+                with deadline_priority() as self.first_in_line:
+                    self._publish_all(rate, progress)
+            else:
+                self._publish_all(rate, progress)
+        except KeyboardInterrupt:  # what is published stays
+            self.message, self.interrupted = "interrupted", True
+        finally:
+            try:
+                self.loop.close()
+            finally:
+                self.graph.close(1.0 if self.interrupted else None)
+
+    def _publish_all(self, rate: float, progress: Callable[[int, int], bool] | None) -> None:
+        sequence, images = self.sequence, self.driver.run.images
+        waiting = images.after(self.driver.run.next_image, rate)
+        arrivals = images.stamps[waiting].tolist()
+        stamps, count = sequence.imu_timestamps_ns, len(sequence.imu_timestamps_ns)
+        every = max(1, round(0.1 * (count - 1) / max(sequence.duration, 1e-9)))
+        begun, origin, image = time.monotonic(), int(stamps[self.first]), 0
+        for k in range(self.first, count):
+            due = begun + 1e-9 * (int(stamps[k]) - origin)
+            if self.real_time:
+                time.sleep(max(0.0, due - time.monotonic()))
+            self._publish(k)
+            self.late.append(time.monotonic() - due)
+            while image < len(waiting) and arrivals[image] <= stamps[k]:
+                self.loop.put(waiting[image])
+                image += 1
+                if not self.real_time:
+                    self.loop.settle()
+                    self.graph.settle()
+            if progress is not None and k % every == 0 and not progress(k + 1, count):
+                self.message = "stopped by the caller"
+                return
+
+    def _publish(self, k: int) -> None:
+        sequence = self.sequence
+        pose = self.publisher.publish(
+            int(sequence.imu_timestamps_ns[k]), sequence.gyro[k], sequence.accel[k]
+        )
+        self.stamps.append(pose.timestamp_ns)
+        self.states.append(pose.state)
+        self.largest_shift = max(self.largest_shift, pose.shift)
+        self.largest_turn = max(self.largest_turn, pose.turn)
+
+    def result(self, seconds: float) -> TwoLoopsResult:
+        """Return what was published, once the loops have ended."""
+        run = self.driver.run
+        trajectory, failure = run.trajectory(), run.failure()
+        odometry = OdometryResult(
+            trajectory,
+            run.records(),
+            run.start,
+            not failure,
+            self.interrupted,
+            failure or self.message,
+            len(trajectory),
+            seconds,
+            run.window.options,
+        )
+        return TwoLoopsResult(
+            Trajectory(np.array(self.stamps, np.int64), np.array(self.states).reshape(-1, 16)),
+            odometry,
+            self.publisher.target,
+            self._statistics(),
+        )
+
+    def _statistics(self) -> LoopStatistics:
+        late, graph, loop, publisher = np.array(self.late), self.graph, self.loop, self.publisher
+        lateness = None
+        if self.real_time and len(late):
+            p50, p95, most = np.percentile(late, [50, 95, 100]).tolist()
+            lateness = {"p50": p50, "p95": p95, "max": most}
+        return LoopStatistics(
+            real_time=self.real_time,
+            first_in_line=self.first_in_line,
+            num_poses=len(self.stamps),
+            lateness=lateness,
+            num_late=int((late > LATE).sum()) if self.real_time else None,
+            num_corrections=publisher.num_corrections,
+            largest_shift=self.largest_shift,
+            largest_turn=self.largest_turn,
+            num_closures=graph.num_closures,
+            num_closures_unknown=graph.num_unknown
+            + self.driver.num_outside
+            + self.driver.num_closures_left,
+            num_graph_solves=graph.num_solves,
+            num_window_solves=loop.num_solves,
+            num_window_late=loop.num_late if self.real_time else 0,
+            longest_window_solve=loop.longest if self.real_time else None,
+            num_images_left_out=self.driver.num_left_out,
+            num_solutions_refused=publisher.num_refused,
+            num_lost=graph.num_lost + loop.num_lost_frames,
+        )

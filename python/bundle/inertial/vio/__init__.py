@@ -1,0 +1,1 @@
+"""Visual-inertial odometry by sliding windows."""

@@ -1,0 +1,240 @@
+"""The first states of a sequence: from rest, or from motion by tracks and IMU samples together.
+
+A sequence that begins at rest has its tilt and gyroscope bias from the samples
+(:mod:`bundle.inertial.vio.static_start`). Otherwise spans of two seconds are tried, one after the
+other, until the linear start of one (:mod:`bundle.inertial.vio.linear_start`) passes every test:
+
+* tracks: enough of them are seen by three images;
+* parallax: rays, turned by the gyroscope, still move between a point's first and last image:
+  without translation there is neither depth nor scale;
+* before the camera: points that come out behind it say that the minimum is a wrong one;
+* biases of a size that sensors have;
+* certain: the way is known to a tenth of its length. It is not where nothing accelerates.
+
+The world of a start has z up and its origin at the first image; its yaw is that of the shortest
+rotation which levels the IMU.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bundle.base.arguments import check_type
+from bundle.base.display import Display, Displayed
+from bundle.inertial.vio.linear_start import LinearStart, Observations, solve_linear_start
+from bundle.inertial.vio.sequence_images import SequenceImages
+from bundle.inertial.vio.static_start import find_static_start, level_quaternion
+from bundle.interface.option_fields import number
+from bundle.model.rotations import (
+    quaternion_from_matrix,
+    quaternion_multiply,
+    quaternion_rotate,
+    rotation_matrices,
+)
+from bundle.model.sequence.calibration import Calibration
+from bundle.model.sequence.sequence import Sequence
+
+__all__ = ["VioStart", "find_start", "initialize_vio"]
+
+Array = np.ndarray[Any, Any]
+
+SPAN, STRIDE, LATEST = 2.0, 0.5, 30.0  # s: of a try, between tries, until none is made any more
+IMAGES = 12
+LEAST_TRACKS, LEAST_VIEWS = 10, 3
+LEAST_PARALLAX = 8.0  # sigmas
+MOST_BEHIND = 0.02
+MOST_GYRO_BIAS, MOST_ACCEL_BIAS = 0.5, 0.3  # rad/s, m/s^2
+MOST_SCALE_SIGMA = 0.1
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class VioStart(Displayed):
+    """The first states of a sequence, or why there are none.
+
+    Attributes:
+        kind: "static", "moving", or "none".
+        reason: why "none" (the last span's): "too few tracks", "no parallax", "points behind the
+            camera", "biases too large", "no excitation"; empty otherwise.
+        images: (k,) indices of the images, as :meth:`Sequence.frames` counts them.
+        timestamps_ns: (k,) on the clock of the IMU.
+        states: (k, 16) rows qx qy qz qw, position [m], velocity [m/s], gyroscope and accelerometer
+            bias; world_from_imu, the world's z axis up.
+        track_ids: (m,) of the points; none from rest.
+        points: (m, 3) in the world [m].
+        gravity_sigma: standard deviation of the tilt [rad]; nan from rest.
+        scale_sigma: of the way between first and last image, relative; nan from rest.
+        median_error: of reprojection, in sigmas; nan from rest.
+    """
+
+    kind: str
+    reason: str
+    images: Array
+    timestamps_ns: Array
+    states: Array
+    track_ids: Array
+    points: Array
+    gravity_sigma: float = float("nan")
+    scale_sigma: float = float("nan")
+    median_error: float = float("nan")
+
+    def __bool__(self) -> bool:
+        return self.kind != "none"
+
+    def _display(self) -> Display:
+        if not self:
+            return Display(title=f"No start: {self.reason}")
+        return Display(
+            title=f"Start of {len(self.states)} images, {self.kind}",
+            facts=(
+                ("points", f"{len(self.points)}"),
+                ("tilt", f"{np.degrees(self.gravity_sigma):.3g} degrees (sigma)"),
+                ("scale", f"{100 * self.scale_sigma:.3g} % (sigma)"),
+            ),
+        )
+
+
+class _Span(NamedTuple):
+    images: Array
+    seen: Observations
+    track_ids: Array
+
+
+def initialize_vio(
+    sequence: Sequence,
+    *,
+    gravity: float = 9.81,
+    integration: str = "zero_order_hold",
+    try_rest: bool = True,
+) -> VioStart:
+    """Find the first states of a sequence, without any knowledge of where it is.
+
+    Args:
+        sequence: IMU samples, tracks and calibration.
+        gravity: its length [m/s^2].
+        integration: rule of preintegration, as of :class:`bundle.Preintegration`.
+        try_rest: look for rest at the start first.
+
+    Returns:
+        A start, true as a condition if there is one.
+
+    Raises:
+        InputError: an argument has another type or range.
+    """
+    check_type("sequence", sequence, Sequence)
+    gravity = number("gravity", gravity, above=0)
+    return find_start(SequenceImages(sequence, integration), gravity, integration, try_rest)
+
+
+def find_start(
+    images: SequenceImages, gravity: float, integration: str, try_rest: bool = True
+) -> VioStart:
+    """Find the first states of a sequence's images, as :func:`initialize_vio`."""
+    stamps = images.stamps
+    rest = find_static_start(images, gravity) if try_rest else None
+    if rest is not None:
+        ends = np.array([rest.first_image, rest.last_image])
+        return VioStart(
+            kind="static",
+            reason="",
+            images=ends,
+            timestamps_ns=stamps[ends],
+            states=np.repeat(rest.state[None], 2, axis=0),
+            track_ids=np.zeros(0, np.int64),
+            points=np.zeros((0, 3)),
+        )
+    covered = np.flatnonzero(images.covered)
+    calibration = images.sequence.calibration
+    reason, begin, next_stamp = "too few tracks", 0, stamps[covered[0]]
+    latest = min(stamps[covered[0]] + round(1e9 * LATEST), stamps[covered[-1]])
+    while next_stamp <= latest:
+        begin = int(np.searchsorted(stamps, next_stamp))
+        next_stamp += round(1e9 * STRIDE)
+        span = _span(images, begin, int(covered[-1]))
+        if span is None:
+            continue
+        found = solve_linear_start(
+            images.intervals(span.images.tolist()),
+            span.seen,
+            np.array(calibration.camera_from_imu),
+            calibration.noise,
+            calibration.pixel_sigma / calibration.focal,
+            np.zeros(3),
+            gravity,
+            integration,
+        )
+        reason = _objection(found, span, calibration)
+        if not reason:
+            return _levelled(found, span, stamps[span.images])
+    nothing = np.zeros(0, np.int64)
+    return VioStart("none", reason, nothing, nothing, np.zeros((0, 16)), nothing, np.zeros((0, 3)))
+
+
+def _span(images: SequenceImages, first: int, end: int) -> _Span | None:
+    """Return images over two seconds and the points that three of them see, if there are enough."""
+    stamps = images.stamps
+    last = int(np.searchsorted(stamps, stamps[first] + round(1e9 * SPAN), "right")) - 1
+    last = min(last, end)
+    chosen = np.unique(np.linspace(first, last, IMAGES).round().astype(int))
+    if len(chosen) < LEAST_VIEWS or stamps[last] - stamps[first] < 0.75e9 * SPAN:
+        return None
+    rows = [np.arange(images.begin[image], images.begin[image + 1]) for image in chosen]
+    place = np.repeat(np.arange(len(chosen)), [len(part) for part in rows])
+    row = np.concatenate(rows)
+    _, point, views = np.unique(images.ids[row], return_inverse=True, return_counts=True)
+    kept = views[point] >= LEAST_VIEWS
+    row, place = row[kept], place[kept]
+    ids, seen_at, point = np.unique(images.ids[row], return_index=True, return_inverse=True)
+    if len(ids) < LEAST_TRACKS:
+        return None
+    order = np.lexsort((place, point))
+    seen = Observations(point[order], place[order], images.xy[row[order]])
+    return _Span(chosen, seen, images.track_ids[row[seen_at]])
+
+
+def _objection(found: LinearStart, span: _Span, calibration: Calibration) -> str:
+    """Return which test a solution fails, or nothing."""
+    seen = span.seen
+    turn = rotation_matrices(np.array(calibration.camera_from_imu)[None, :4])[0]
+    rays = np.column_stack([seen.xy, np.ones(len(seen.xy))]) @ turn
+    rays = np.einsum("nij,nj->ni", found.rotations[seen.image], rays)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    ends = np.append(np.flatnonzero(np.diff(seen.point)), len(rays) - 1)
+    starts = np.append(0, ends[:-1] + 1)
+    angles = np.linalg.norm(np.cross(rays[starts], rays[ends]), axis=1)
+    if np.median(angles) * calibration.focal < LEAST_PARALLAX * calibration.pixel_sigma:
+        return "no parallax"
+    if not np.isfinite(found.positions).all() or np.mean(found.depths <= 0) > MOST_BEHIND:
+        return "points behind the camera"
+    gyro, accel = np.linalg.norm(found.gyro_bias), np.linalg.norm(found.accel_bias)
+    if not (gyro < MOST_GYRO_BIAS and accel < MOST_ACCEL_BIAS):
+        return "biases too large"
+    return "" if found.scale_sigma < MOST_SCALE_SIGMA else "no excitation"
+
+
+def _levelled(found: LinearStart, span: _Span, stamps: Array) -> VioStart:
+    up = level_quaternion(-found.gravity)
+
+    def turned(vectors: Array) -> Array:
+        return quaternion_rotate(np.tile(up, (len(vectors), 1)), vectors)
+
+    count = len(stamps)
+    states = np.empty((count, 16))
+    rotations = quaternion_from_matrix(found.rotations)
+    states[:, :4] = quaternion_multiply(np.tile(up, (count, 1)), rotations)
+    states[:, 4:7], states[:, 7:10] = turned(found.positions), turned(found.velocities)
+    states[:, 10:13], states[:, 13:] = found.gyro_bias, found.accel_bias
+    return VioStart(
+        kind="moving",
+        reason="",
+        images=span.images,
+        timestamps_ns=stamps,
+        states=states,
+        track_ids=span.track_ids,
+        points=turned(found.points),
+        gravity_sigma=found.gravity_sigma,
+        scale_sigma=found.scale_sigma,
+        median_error=float(np.median(np.linalg.norm(found.residuals, axis=1))),
+    )

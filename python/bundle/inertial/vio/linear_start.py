@@ -1,0 +1,291 @@
+"""Velocity, gravity and depths of a sequence that begins in motion, by linear least squares.
+
+Seen from the IMU at the first image, the motion after t seconds is, with the preintegrated dR, dp
+of the gyroscope bias b (rotations need nothing else) and J = d dp / d accelerometer bias a,
+
+    R = dR(b),    p = v t + 1/2 g t^2 + dp(b) + J a.
+
+A point X is seen by the camera (R_c, t_c of camera_from_imu) at y = R_c R^T (X - p) + t_c, and its
+observation (u, w) says y_x - u y_z = 0 and y_y - w y_z = 0: linear in X, v, g and a. So everything
+but b follows from one linear system, in metres, without a vision-only reconstruction whose scale
+would be fitted afterwards (Dong-Si and Mourikis, IROS 2012; Martinelli, IJCV 2014).
+
+* Points are eliminated (Schur complement); gravity has its known length and moves on its sphere by
+  two coordinates, a few times over; a prior holds a, which a second of motion hardly determines.
+* The first system has the observed coordinates in its rows; the next ones are linearised at the
+  solution before, which makes their errors pixels, the last ones with Cauchy's weights.
+* b begins where rays meet best: for the right rotation of a pair of images the normals of the
+  planes through corresponding rays are at right angles to one direction, that of the way between
+  (Kneip, Siegwart and Pollefeys, ECCV 2012). It ends with Gauss-Newton steps on the errors that
+  the linear system leaves (variable projection). Derivatives are numerical: three columns.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.inertial.vio.window_frame import ImuInterval
+from bundle.model.rotations import rotation_matrices
+from bundle.model.sequence.imu_noise import ImuNoise
+
+__all__ = ["LinearStart", "Observations", "solve_linear_start"]
+
+Array = np.ndarray[Any, Any]
+
+PLAIN_ROUNDS, ROUNDS, SPHERE_STEPS, COPLANAR_STEPS = 4, 12, 3, 6
+PAIR_GAPS = (2, 4)  # images apart
+LEAST_COMMON = 8  # rays of a pair, for five unknowns
+STEP = 1e-5  # rad/s, of numerical derivatives
+ACCEL_BIAS_SIGMA = 0.1  # m/s^2
+FAR = 1e-12  # of a point's information, so that one without parallax stays finite
+NEAREST = 0.1  # m: depth below which rows gain no more weight
+
+
+class Observations(NamedTuple):
+    """Rows sorted by point: index of the point, of the image, and normalised coordinates (n, 2)."""
+
+    point: Array
+    image: Array
+    xy: Array
+
+
+class LinearStart(NamedTuple):
+    """What was found, in the IMU's frame at the first image.
+
+    Attributes:
+        gyro_bias, accel_bias: (3,) rad/s, m/s^2.
+        velocity, gravity: (3,) m/s, m/s^2.
+        rotations, positions, velocities: of the images, (k, 3, 3), (k, 3), (k, 3).
+        points: (m, 3).
+        depths: (n,) of each observation [m].
+        predicted: (n, 2) normalised coordinates.
+        residuals: (n, 2) in sigmas, of the last linearisation, with its weights.
+        gravity_sigma: standard deviation of its direction [rad].
+        scale_sigma: of the way from the first image to the last, relative to its length.
+    """
+
+    gyro_bias: Array
+    accel_bias: Array
+    velocity: Array
+    gravity: Array
+    rotations: Array
+    positions: Array
+    velocities: Array
+    points: Array
+    depths: Array
+    predicted: Array
+    residuals: Array
+    gravity_sigma: float
+    scale_sigma: float
+
+
+class _Motion(NamedTuple):
+    """Preintegrated from the first image to each: (k, ...)."""
+
+    time: Array
+    rotation: Array
+    velocity: Array
+    position: Array
+    velocity_by_bias: Array
+    position_by_bias: Array
+
+
+def solve_linear_start(
+    intervals: list[ImuInterval],
+    seen: Observations,
+    camera_from_imu: Array,
+    noise: ImuNoise,
+    sigma: float,
+    gyro_bias: Array,
+    gravity: float,
+    rule: str,
+) -> LinearStart:
+    """Find the start of k images.
+
+    Args:
+        intervals: IMU samples between neighbouring images, k - 1.
+        seen: by two images at least, each point.
+        camera_from_imu: (7,).
+        noise: of the IMU.
+        sigma: of normalised coordinates.
+        gyro_bias: (3,) to begin with.
+        gravity: its length [m/s^2].
+        rule: of preintegration.
+    """
+    system = _System(intervals, seen, camera_from_imu, noise, sigma, gravity, rule)
+    bias = system.coplanar_bias(np.array(gyro_bias, dtype=np.float64))
+    found = system.solve(bias)
+    for turn in range(ROUNDS):
+        system.weigh(found, turn >= PLAIN_ROUNDS)
+        found = system.solve(bias)
+        if turn < PLAIN_ROUNDS:
+            continue
+        left = found.residuals.ravel()
+        columns = [
+            (system.solve(bias + step).residuals.ravel() - left) / STEP for step in STEP * np.eye(3)
+        ]
+        bias = bias + np.linalg.lstsq(np.column_stack(columns), -left, rcond=None)[0]
+        found = system.solve(bias)
+    return found
+
+
+class _System:
+    """The linear system and its weights."""
+
+    def __init__(
+        self,
+        intervals: list[ImuInterval],
+        seen: Observations,
+        camera_from_imu: Array,
+        noise: ImuNoise,
+        sigma: float,
+        gravity: float,
+        rule: str,
+    ) -> None:
+        self.intervals, self.seen, self.noise, self.rule = intervals, seen, noise, rule
+        self.turn = rotation_matrices(camera_from_imu[None, :4])[0]
+        self.shift = camera_from_imu[4:]
+        self.sigma, self.length = sigma, gravity
+        self.begin = np.flatnonzero(np.diff(seen.point, prepend=-1))
+        self.depth = np.ones(len(seen.point))
+        self.line = seen.xy  # coordinates that the rows are built with
+        self.robust = np.ones(len(seen.point))
+
+    def weigh(self, found: LinearStart, is_robust: bool) -> None:
+        """Linearise reprojection errors at a solution; with Cauchy's weights or without."""
+        before = found.depths > NEAREST
+        self.depth = np.where(before, found.depths, NEAREST)
+        self.line = np.where(before[:, None], found.predicted, self.seen.xy)
+        if is_robust:
+            errors = (found.predicted - self.seen.xy) / self.sigma
+            self.robust = 1 / (1 + np.sum(errors**2, axis=1))
+
+    def solve(self, gyro_bias: Array) -> LinearStart:
+        """Return the best of everything else for a bias."""
+        motion = self._motion(gyro_bias)
+        seen, t = self.seen, motion.time
+        back = self.turn @ motion.rotation.transpose(0, 2, 1)  # camera at each image from the first
+        rows = back[seen.image, :2] - self.line[:, :, None] * back[seen.image, 2:]
+        offset = self.shift[:2] - self.line * self.shift[2]
+        offset -= self.depth[:, None] * (seen.xy - self.line)
+        weight = (np.sqrt(self.robust) / (self.depth * self.sigma))[:, None]
+        a = rows * weight[..., None]
+        # The mean of the specific force is -g but for the change of velocity.
+        direction = -motion.velocity[-1] / np.linalg.norm(motion.velocity[-1])
+        for _ in range(SPHERE_STEPS):
+            tangent = np.linalg.svd(direction[None])[2][1:].T  # (3, 2)
+            columns = np.concatenate(
+                [
+                    t[:, None, None] * np.eye(3),
+                    0.5 * self.length * t[:, None, None] ** 2 * tangent,
+                    motion.position_by_bias,
+                ],
+                axis=2,
+            )
+            known = motion.position + 0.5 * self.length * t[:, None] ** 2 * direction
+            b = np.einsum("nij,nj->ni", a, known[seen.image]) - weight * offset
+            c = -a @ columns[seen.image]
+            x, points, covariance = self._least_squares(a, c, b)
+            step = x[3:5]
+            moved = direction + tangent @ step
+            direction = moved / np.linalg.norm(moved)
+        gravity, bias = self.length * direction, x[5:]
+        positions = known + columns @ x
+        residuals = np.einsum("nij,nj->ni", a, points[seen.point]) + c @ x - b
+        away = points[seen.point] - positions[seen.image]
+        local = np.einsum("nij,nj->ni", back[seen.image], away) + self.shift
+        way = float(np.linalg.norm(positions[-1] - positions[0]))
+        end = columns[-1] @ covariance @ columns[-1].T
+        return LinearStart(
+            gyro_bias=gyro_bias.copy(),
+            accel_bias=bias,
+            velocity=x[:3],
+            gravity=gravity,
+            rotations=motion.rotation,
+            positions=positions,
+            velocities=x[:3]
+            + t[:, None] * gravity
+            + motion.velocity
+            + motion.velocity_by_bias @ bias,
+            points=points,
+            depths=local[:, 2],
+            predicted=local[:, :2] / np.where(np.abs(local[:, 2:]) > 1e-9, local[:, 2:], 1e-9),
+            residuals=residuals,
+            gravity_sigma=float(np.sqrt(np.trace(covariance[3:5, 3:5]))),
+            scale_sigma=float(np.sqrt(np.trace(end))) / way if way > 0 else float("inf"),
+        )
+
+    def coplanar_bias(self, bias: Array) -> Array:
+        """Return the bias whose rotations let the rays of each pair of images meet in planes."""
+        seen, count = self.seen, len(self.intervals) + 1
+        rays = np.column_stack([seen.xy, np.ones(len(seen.xy))]) @ self.turn  # in the IMU's frame
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        row = np.full((seen.point[-1] + 1, count), -1)
+        row[seen.point, seen.image] = np.arange(len(seen.point))
+        pairs = []
+        for gap in PAIR_GAPS:
+            for i in range(count - gap):
+                both = np.flatnonzero((row[:, i] >= 0) & (row[:, i + gap] >= 0))
+                if len(both) >= LEAST_COMMON:
+                    pairs.append((i, i + gap, rays[row[both, i]], rays[row[both, i + gap]]))
+
+        def errors(value: Array) -> Array:
+            turns = self._motion(value).rotation
+            parts = []
+            for i, j, first, second in pairs:
+                normals = np.cross(first @ turns[i].T, second @ turns[j].T)
+                way = np.linalg.eigh(normals.T @ normals)[1][:, 0]
+                error = normals @ (way if way[np.argmax(np.abs(way))] > 0 else -way)
+                parts.append(error / np.sqrt(1 + (error / (2 * self.sigma)) ** 2))
+            return np.concatenate(parts)
+
+        for _ in range(COPLANAR_STEPS if pairs else 0):
+            left = errors(bias)
+            columns = [(errors(bias + step) - left) / STEP for step in STEP * np.eye(3)]
+            bias = bias + np.linalg.lstsq(np.column_stack(columns), -left, rcond=None)[0]
+        return bias
+
+    def _least_squares(self, a: Array, c: Array, b: Array) -> tuple[Array, Array, Array]:
+        """Return the unknowns (8,), the points, and the covariance (8, 8) of the unknowns."""
+
+        def by_point(values: Array) -> Array:
+            return np.add.reduceat(values, self.begin, axis=0)
+
+        transposed = a.transpose(0, 2, 1)
+        h = by_point(transposed @ a)
+        h += FAR * np.trace(h, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        coupling = by_point(transposed @ c)
+        right = by_point((transposed @ b[..., None])[..., 0])
+        solved = np.linalg.solve(h, np.concatenate([coupling, right[..., None]], axis=2))
+        prior = np.zeros((8, 8))
+        prior[5:, 5:] = np.eye(3) / ACCEL_BIAS_SIGMA**2
+        information = prior + np.einsum("nij,nik->jk", c, c)
+        information -= np.einsum("mij,mik->jk", coupling, solved[..., :8])
+        vector = np.einsum("nij,ni->j", c, b) - np.einsum("mij,mi->j", coupling, solved[..., 8])
+        information = (information + information.T) / 2
+        covariance = np.linalg.pinv(information, hermitian=True)
+        x = covariance @ vector
+        return x, solved[..., 8] - solved[..., :8] @ x, covariance
+
+    def _motion(self, gyro_bias: Array) -> _Motion:
+        total = Preintegration(self.noise, gyro_bias, rule=self.rule)
+        zero = np.zeros(3)
+        rows: list[tuple[Any, ...]] = [
+            (0.0, np.eye(3), zero, zero, np.zeros((3, 3)), np.zeros((3, 3)))
+        ]
+        for interval in self.intervals:
+            total.integrate(interval.gyro, interval.accel, interval.dt)
+            rows.append(
+                (
+                    total.duration,
+                    total.delta_rotation,
+                    total.delta_velocity,
+                    total.delta_position,
+                    total.d_velocity_d_accel_bias,
+                    total.d_position_d_accel_bias,
+                )
+            )
+        return _Motion(*(np.array(column) for column in zip(*rows, strict=True)))

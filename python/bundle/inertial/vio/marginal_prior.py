@@ -1,0 +1,192 @@
+"""The prior of a window, by the times of its frames.
+
+The core numbers blocks by a frame's place in the window, which changes as the window slides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bundle import _core
+
+__all__ = ["MarginalPrior", "start_prior"]
+
+Array = np.ndarray[Any, Any]
+
+POSE, MOTION = 0, 1
+CAMERA, TIME = "camera", "time offset"
+SIZES = (6, 9)
+REST_SPEED, REST_DISTANCE = 0.01, 0.005  # sigmas of a platform at rest: m/s, m
+CAMERA_TURN, CAMERA_SHIFT = 0.05, 0.05  # sigmas of a camera_from_imu that is refined: rad, m
+
+
+@dataclass(frozen=True, eq=False)
+class MarginalPrior:
+    """A quadratic form of d = (state about points): 1/2 |M d + v|^2, or c - v^T d + 1/2 d^T M d.
+
+    Attributes:
+        keys: (timestamp of a frame in ns, POSE or MOTION), or (CAMERA, 0), (TIME, 0).
+        points: (len(keys), 16), where d is 0.
+        square_root: which of the two forms.
+        matrix, vector, constant: M, v, c.
+        asymmetry: of the information matrix as marginalisation computed it, relative; None for the
+            prior of a start.
+    """
+
+    keys: tuple[tuple[int | str, int], ...]
+    points: Array
+    square_root: bool
+    matrix: Array
+    vector: Array
+    constant: float = 0.0
+    asymmetry: float | None = None
+
+    def frames(self) -> set[int]:
+        """Timestamps of the frames that it touches."""
+        return {key for key, _ in self.keys if isinstance(key, int)}
+
+    def at(self, places: dict[int, int]) -> dict[str, Any]:
+        """Return it as the core takes it, for frames at some places of the window."""
+        count = len(places)
+        special = {CAMERA: 2 * count, TIME: 2 * count + 1}
+        blocks = [
+            2 * places[key] + kind if isinstance(key, int) else special[key]
+            for key, kind in self.keys
+        ]
+        return {
+            "blocks": blocks,
+            "points": self.points,
+            "square_root": self.square_root,
+            "matrix": self.matrix,
+            "vector": self.vector,
+            "constant": self.constant,
+        }
+
+    @classmethod
+    def of(cls, found: dict[str, Any], stamps: list[int]) -> MarginalPrior:
+        """Return what the core's marginalize_window found, for the frames of these stamps.
+
+        It costs nothing at its own minimum.
+        """
+        prior = found["prior"]
+        keys: list[tuple[int | str, int]] = []
+        for block in prior["blocks"]:
+            if block < 2 * len(stamps):
+                keys.append((stamps[block // 2], block % 2))
+            else:
+                keys.append((CAMERA if block == 2 * len(stamps) else TIME, 0))
+        return cls(
+            tuple(keys),
+            prior["points"],
+            prior["square_root"],
+            prior["matrix"],
+            prior["vector"],
+            prior["constant"] - found["least_cost"],
+            found["asymmetry"],
+        )
+
+    def spectrum(self, scaled: bool = False) -> Array:
+        """Eigenvalues of the information matrix, ascending; of a unit diagonal if scaled."""
+        return np.asarray(_core.prior_spectrum(self.matrix, self.square_root, scaled))
+
+    def oldest_ratio(self) -> float:
+        """Smallest eigenvalue beside the largest of what it says of the first frame alone.
+
+        Of the information on that frame with all others given, its diagonal scaled to 1: the IMU
+        and the landmarks that went see all of its 15 coordinates then, so that nothing is 0 but by
+        a loss of digits.
+        """
+        first = self.keys[0][0]
+        count = sum(SIZES[kind] for key, kind in self.keys if key == first)
+        part = self.matrix[:, :count]
+        block = part.T @ part if self.square_root else part[:count]
+        diagonal = np.diag(block)
+        scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 1.0)
+        values = np.linalg.eigvalsh(block * np.outer(scale, scale))
+        return float(values[0] / values[-1])
+
+    def relinearized(self, states: dict[int, Array]) -> MarginalPrior:
+        """Return the same minimum about the current states: v <- v +- M d, M stays."""
+        points, steps = self.points.copy(), []
+        for row, (key, kind) in enumerate(self.keys):
+            if not isinstance(key, int):
+                steps.append(np.zeros(6 if key == CAMERA else 1))
+                continue
+            local = np.asarray(_core.state_coordinates(points[row], states[key]))
+            steps.append(local[:6] if kind == POSE else local[6:])
+            points[row] = states[key]
+        d = np.concatenate(steps)
+        moved = self.matrix @ d
+        if self.square_root:
+            return replace(self, points=points, vector=self.vector + moved)
+        constant = self.constant + float(0.5 * d @ moved - self.vector @ d)
+        return replace(self, points=points, vector=self.vector - moved, constant=constant)
+
+
+def start_prior(
+    stamps: Sequence[int],
+    states: Array,
+    *,
+    position: float,
+    yaw: float,
+    gyro_bias: float,
+    accel_bias: float,
+    at_rest: bool,
+    square_root: bool,
+    camera: Array | None = None,
+) -> MarginalPrior:
+    """Return the prior of the first frames, by sigmas of the first: m, rad, rad/s, m/s^2.
+
+    Zero sigmas of position and yaw mean none. Yaw turns about the world's z: a rotation d of the
+    body turns it by (R^T e_z)^T d. At rest all velocities are zero and all positions the first
+    one's, to 1 cm/s and 5 mm. A camera_from_imu (7,), where it is refined, is what was given to 3
+    degrees and 5 cm: until the platform has turned nothing else tells its place.
+    """
+    frames = len(stamps) if at_rest else 1
+    columns = 15 * frames + (0 if camera is None else 6)
+    root = [np.zeros((0, columns))]
+
+    def add(rows: Array, *blocks: tuple[int, Array]) -> None:
+        out = np.zeros((len(rows), columns))
+        for column, values in blocks:
+            out[:, column : column + values.shape[1]] = values
+        root.append(out)
+
+    eye = np.eye(3)
+    if yaw > 0:
+        add(eye[:1], (0, _rotation(states[0])[2:] / yaw))
+    if position > 0:
+        add(eye, (3, eye / position))
+    add(eye, (9, eye / gyro_bias))
+    add(eye, (12, eye / accel_bias))
+    residual = [np.zeros(sum(len(rows) for rows in root))]
+    for k in range(frames if at_rest else 0):
+        add(eye, (15 * k + 6, eye / REST_SPEED))
+        residual.append(states[k, 7:10] / REST_SPEED)
+        if k:
+            add(eye, (15 * k + 3, eye / REST_DISTANCE), (3, -eye / REST_DISTANCE))
+            residual.append((states[k, 4:7] - states[0, 4:7]) / REST_DISTANCE)
+    keys: list[tuple[int | str, int]]
+    keys = [(stamp, kind) for stamp in stamps[:frames] for kind in (POSE, MOTION)]
+    points = np.repeat(states[:frames], 2, axis=0)
+    if camera is not None:
+        add(eye, (15 * frames, eye / CAMERA_TURN))
+        add(eye, (15 * frames + 3, eye / CAMERA_SHIFT))
+        residual.append(np.zeros(6))
+        keys.append((CAMERA, 0))
+        points = np.vstack([points, np.r_[camera, np.zeros(9)]])
+    rows, v = np.concatenate(root), np.concatenate(residual)
+    if square_root:
+        return MarginalPrior(tuple(keys), points, True, rows, v)
+    constant = 0.5 * float(v @ v)
+    return MarginalPrior(tuple(keys), points, False, rows.T @ rows, -rows.T @ v, constant)
+
+
+def _rotation(state: Array) -> Array:
+    from bundle.model.rotations import rotation_matrices
+
+    return np.asarray(rotation_matrices(np.asarray(state)[None, :4])[0])

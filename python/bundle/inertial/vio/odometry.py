@@ -1,0 +1,114 @@
+"""Visual-inertial odometry over a whole sequence."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bundle.base.display import Display, Displayed
+from bundle.inertial.vio.keyframe_record import KeyframeRecord
+from bundle.inertial.vio.window_run import WindowRun
+from bundle.interface.window_options import WindowOptions
+from bundle.io.sequences.trajectory_files import Trajectory
+from bundle.model.sequence.sequence import Sequence
+
+__all__ = ["OdometryResult", "run_odometry"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OdometryResult(Displayed):
+    """What an odometry found.
+
+    Attributes:
+        trajectory: states when their images were solved for, as a robot has them in time; with
+            ``marginalize="keep"`` those of the last solve, a batch.
+        keyframes: telemetry.
+        start: "static" or "moving": how the first states were found.
+        is_usable: False where the window lost the motion; ``message`` says when.
+        interrupted: Ctrl-C ended it; the trajectory goes as far as it came.
+        message: one sentence.
+        num_images: solved for.
+        solve_time: seconds, without reading.
+        options: as used.
+    """
+
+    trajectory: Trajectory
+    keyframes: tuple[KeyframeRecord, ...]
+    start: str
+    is_usable: bool
+    interrupted: bool
+    message: str
+    num_images: int
+    solve_time: float
+    options: WindowOptions
+
+    def _display(self) -> Display:
+        stamps = self.trajectory.timestamps_ns
+        seconds = 1e-9 * float(stamps[-1] - stamps[0])
+        speed = seconds / self.solve_time if self.solve_time > 0 else float("inf")
+        return Display(
+            title=f"Odometry over {seconds:.2f} s: {self.message}",
+            facts=(
+                ("start", self.start),
+                ("images", f"{self.num_images}, {len(self.keyframes)} keyframes"),
+                ("time", f"{self.solve_time:.3g} s, {speed:.3g} times faster than real time"),
+            ),
+        )
+
+
+def run_odometry(
+    sequence: Sequence,
+    options: WindowOptions | None = None,
+    *,
+    progress: Callable[[int, int, KeyframeRecord | None], bool] | None = None,
+    **changes: Any,
+) -> OdometryResult:
+    """Run a :class:`bundle.SlidingWindow` over a sequence.
+
+    Args:
+        sequence: IMU samples, tracks and calibration.
+        options: of the window, or some of its fields by name.
+        progress: called after each image with (images done, images in all, record of a keyframe or
+            None); False ends the odometry there.
+        **changes: fields of the options.
+
+    Raises:
+        InputError: no start is found, or the options are wrong.
+    """
+    options = WindowOptions.of(options, changes, "run_odometry")
+    began = time.perf_counter()
+    run = WindowRun(sequence, options)
+    window, images = run.window, run.images
+    message, interrupted = "done", False
+    try:
+        for image in images.after(run.next_image, options.frame_rate):
+            record = run.add(image)
+            if run.lost:
+                break
+            if window.was_interrupted:
+                raise KeyboardInterrupt
+            if progress is not None and not progress(image + 1, len(images), record):
+                message = "stopped by the caller"
+                break
+    except KeyboardInterrupt:  # what is solved stays
+        message, interrupted = "interrupted", True
+    trajectory = run.trajectory()
+    if options.marginalize == "keep":
+        stamps = np.array([frame.stamp for frame in window.frames], np.int64)
+        trajectory = Trajectory(stamps, window.states)
+    failure = run.failure()
+    return OdometryResult(
+        trajectory,
+        run.records(),
+        run.start,
+        not failure,
+        interrupted,
+        failure or message,
+        len(trajectory),
+        time.perf_counter() - began,
+        options,
+    )

@@ -1,0 +1,97 @@
+"""Figures of a sequence: rates, overlap, noise while it stands still, excitation.
+
+White noise of density s, sampled at f Hz, has a standard deviation of s sqrt(f) per sample;
+differences of neighbouring samples, divided by sqrt(2), give it without what changes slowly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.inertial.preintegration.motion_excitation import excitation
+from bundle.inertial.vio.rest_at_start import rest_at_start
+from bundle.inertial.vio.sequence_images import SequenceImages
+from bundle.model.sequence.sequence import Sequence
+from bundle.model.sequence.sequence_findings import GAP
+
+__all__ = ["SequenceStatistics", "sequence_statistics"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SequenceStatistics:
+    """Figures of a sequence.
+
+    Attributes:
+        imu_rate, camera_rate: of the median step [Hz].
+        num_imu_gaps, num_image_gaps: steps of more than 2.5 periods.
+        overlap: seconds that both sensors cover.
+        static_start: seconds of rest at the start, 0 if it moves at once.
+        gyro_noise_density, accel_noise_density: measured over the rest at the start; nan without.
+        excitation: standard deviation of the specific force's length over the sequence [m/s^2].
+        verdict: "healthy", "marginal" or "unobservable" (the scale).
+        tracks_per_image, track_length: min, median, mean, max.
+    """
+
+    imu_rate: float
+    camera_rate: float
+    num_imu_gaps: int
+    num_image_gaps: int
+    overlap: float
+    static_start: float
+    gyro_noise_density: float
+    accel_noise_density: float
+    excitation: float
+    verdict: str
+    tracks_per_image: dict[str, float]
+    track_length: dict[str, float]
+
+
+def sequence_statistics(sequence: Sequence) -> SequenceStatistics:
+    """Return the figures of a sequence."""
+    stamps, images = sequence.imu_timestamps_ns, sequence.image_timestamps_ns
+    frames, begin = sequence.frames()
+    steps, image_steps = np.diff(stamps), np.diff(frames)
+    period = float(np.median(steps)) * 1e-9
+    _, rest = rest_at_start(SequenceImages(sequence))
+    still = slice(0, rest)
+    duration = 1e-9 * float(stamps[rest - 1] - stamps[0]) if rest else 0.0
+    excited = excitation(sequence.accel)
+    return SequenceStatistics(
+        imu_rate=1 / period,
+        camera_rate=1e9 / float(np.median(image_steps)) if len(image_steps) else float("nan"),
+        num_imu_gaps=_gaps(steps),
+        num_image_gaps=_gaps(image_steps),
+        overlap=1e-9 * float(min(stamps[-1], images[-1]) - max(stamps[0], images[0])),
+        static_start=duration,
+        gyro_noise_density=_white(sequence.gyro[still], period),
+        accel_noise_density=_white(sequence.accel[still], period),
+        excitation=excited.spread,
+        verdict=excited.verdict,
+        tracks_per_image=_spread(np.diff(begin)),
+        track_length=_spread(np.unique(sequence.track_ids, return_counts=True)[1]),
+    )
+
+
+def _gaps(steps: NDArray[np.int64]) -> int:
+    return int(np.count_nonzero(steps > GAP * np.median(steps))) if len(steps) else 0
+
+
+def _white(values: Array, period: float) -> float:
+    if len(values) < 3:
+        return float("nan")
+    differences = np.diff(values, axis=0)
+    return float(np.sqrt(np.mean(differences.var(axis=0)) / 2 * period))
+
+
+def _spread(counts: NDArray[np.int64]) -> dict[str, float]:
+    return {
+        "min": float(counts.min()),
+        "median": float(np.median(counts)),
+        "mean": float(counts.mean()),
+        "max": float(counts.max()),
+    }

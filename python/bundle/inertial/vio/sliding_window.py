@@ -1,0 +1,353 @@
+"""A sliding window of a visual-inertial odometry: bounded in size and time, and explained.
+
+Each image is solved for together with the keyframes before it, their landmarks and the inertia
+between them. If it is a keyframe it stays; the oldest keyframe then goes, with the landmarks
+anchored in it and its inertia, into a prior on what they touched. If it is none, the next image
+takes its place, and its samples go on in the next one's: nothing of them is lost.
+
+Every observation counts once. Tracks of landmarks that went into the prior begin anew with the
+images to come.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bundle import _core
+from bundle.errors import InputError
+from bundle.inertial.preintegration.preintegration import as_vector
+from bundle.inertial.vio.keyframe_record import KeyframeRecord
+from bundle.inertial.vio.keyframe_rule import keyframe_reason
+from bundle.inertial.vio.landmark_depths import LandmarkDepths
+from bundle.inertial.vio.landmark_table import FrameTracks, LandmarkTable, landmark_table
+from bundle.inertial.vio.marginal_prior import MarginalPrior, start_prior
+from bundle.inertial.vio.steady_speed import steady_speed
+from bundle.inertial.vio.track_numbers import TrackNumbers
+from bundle.inertial.vio.window_arrays import window_arrays
+from bundle.inertial.vio.window_frame import ImuInterval, WindowFrame
+from bundle.inertial.vio.window_telemetry import WindowTelemetry
+from bundle.interface.window_options import WindowOptions
+from bundle.model.sequence.imu_noise import ImuNoise
+
+__all__ = ["SlidingWindow"]
+
+Array = np.ndarray[Any, Any]
+
+# Sigmas beyond which a whole track is taken for wrong.
+OUTLIER = 6.0
+NEGLIGIBLE_ANGLE = 0.02  # rad: 6e-5 rad of error in the first-order correction
+
+
+class SlidingWindow:
+    """Visual-inertial odometry over the last keyframes.
+
+    Args:
+        camera_from_imu: (7,) qx qy qz qw tx ty tz.
+        noise: of the IMU, as its data sheet has it; ``imu_noise_scale`` of the options multiplies
+            the two white noises.
+        focal: pixels per unit of normalised image coordinates, for sigmas and bounds in pixels.
+        gravity: m/s^2 in the world, z up.
+        options: a :class:`bundle.WindowOptions`, or some of its fields by name.
+
+    Raises:
+        InputError: an argument has another shape or value.
+    """
+
+    def __init__(
+        self,
+        camera_from_imu: Any,
+        noise: ImuNoise,
+        focal: float,
+        *,
+        gravity: Any = (0.0, 0.0, -9.81),
+        time_offset: float = 0.0,
+        options: WindowOptions | None = None,
+        **changes: Any,
+    ) -> None:
+        self.options = WindowOptions.of(options, changes, "SlidingWindow")
+        self.camera_from_imu = as_vector("camera_from_imu", camera_from_imu, 7)
+        if not abs(np.linalg.norm(self.camera_from_imu[:4]) - 1) < 1e-3:
+            raise InputError("camera_from_imu: expected a unit quaternion first, x y z w")
+        self.gravity = as_vector("gravity", gravity)
+        self.noise = noise.scaled(self.options.imu_noise_scale, walks=False)
+        self.focal = float(focal)
+        if not self.focal > 0:
+            raise InputError(f"focal: expected pixels above 0, found {focal}")
+        self.sigma = self.options.pixel_sigma / self.focal
+        self.time_offset = float(time_offset)
+        self.frames: list[WindowFrame] = []
+        self.prior: MarginalPrior | None = None
+        self.records: list[KeyframeRecord] = []
+        self.was_interrupted = False
+        self._depths = LandmarkDepths()
+        self._numbers = TrackNumbers()
+        self._telemetry = WindowTelemetry(self)
+
+    @property
+    def stamps(self) -> Array:
+        """Times of the frames, ns (n,)."""
+        return np.array([frame.stamp for frame in self.frames], np.int64)
+
+    @property
+    def states(self) -> Array:
+        """States of the frames (n, 16): qx qy qz qw, position, velocity, two biases."""
+        return np.array([frame.state for frame in self.frames]).reshape(-1, 16)
+
+    @property
+    def covariance(self) -> Array | None:
+        """(15, 15) of the newest state after the last solve, with ``covariance=True``.
+
+        Rotation (R Exp(d), rad), position, velocity, biases. Where the start has no prior on
+        position and yaw, relative to those of the oldest frame; None where it does not exist.
+        """
+        return self._telemetry.covariance
+
+    def start(
+        self,
+        stamps: Any,
+        states: Any,
+        tracks: Sequence[FrameTracks],
+        intervals: Sequence[ImuInterval],
+        *,
+        at_rest: bool = False,
+    ) -> KeyframeRecord:
+        """Begin with keyframes whose states are known about: an initialisation's.
+
+        Args:
+            stamps: ns, ascending (n,).
+            states: (n, 16).
+            tracks: what each image saw.
+            intervals: n - 1 of samples, from each image to the next.
+            at_rest: the platform does not move in these images.
+
+        Raises:
+            InputError: fewer than two keyframes, or sizes that do not fit.
+        """
+        rows = np.asarray(states, float)
+        if rows.ndim != 2 or rows.shape[1] != 16 or len(rows) < 2:
+            raise InputError(f"states: expected two rows of 16 at least, found {rows.shape}")
+        norms = np.linalg.norm(rows[:, :4], axis=1)
+        if not np.all(norms > 0):
+            row = int(np.argmin(norms > 0))
+            raise InputError(f"states[{row}]: expected a quaternion x y z w, found one of norm 0")
+        if not (len(rows) == len(stamps) == len(tracks) == len(intervals) + 1):
+            raise InputError("start: expected a stamp, a state and tracks per image")
+        for k, seen in enumerate(tracks):
+            seen.check(f"tracks[{k}]")
+            if k and not int(stamps[k]) > int(stamps[k - 1]):
+                raise InputError(f"stamps[{k}]: expected more than {stamps[k - 1]}")
+        self.frames = [
+            WindowFrame(int(stamp), row.copy(), self._numbers.of(seen), is_keyframe=True)
+            for stamp, row, seen in zip(stamps, rows, tracks, strict=True)
+        ]
+        for before, frame, interval in zip(self.frames, self.frames[1:], intervals, strict=False):
+            self._attach(frame, interval, before.state)
+        options = self.options
+        self.prior = start_prior(
+            [frame.stamp for frame in self.frames],
+            rows,
+            position=options.start_position_sigma,
+            yaw=np.radians(options.start_yaw_sigma),
+            gyro_bias=options.start_gyro_bias_sigma,
+            accel_bias=options.start_accel_bias_sigma,
+            at_rest=at_rest,
+            square_root=options.prior_form == "square_root",
+            camera=self.camera_from_imu if options.refine_extrinsics else None,
+        )
+        self._anchor(self.prior)
+        self._telemetry.begin()
+        self._solve(generous=True)
+        while self._is_full(len(self.frames)):
+            self._marginalize_oldest()
+        return self._record("start", 0.0)
+
+    def add_frame(
+        self, stamp: int, interval: ImuInterval, tracks: FrameTracks
+    ) -> KeyframeRecord | None:
+        """Take in an image and the samples since the one before; solve.
+
+        Returns:
+            A record if the image became a keyframe.
+
+        Raises:
+            InputError: no start, a stamp that is not later, or samples that are none.
+        """
+        if not self.frames:
+            raise InputError("add_frame: expected a start before")
+        self._telemetry.begin()
+        newest = self.frames[-1]
+        if stamp <= newest.stamp:
+            raise InputError(f"stamp: expected more than {newest.stamp}, found {stamp}")
+        tracks.check(f"tracks of {stamp}")
+        tracks = self._numbers.of(tracks)
+        if not newest.is_keyframe:
+            interval = self._drop_newest().then(interval)
+            newest = self.frames[-1]
+        frame = WindowFrame(int(stamp), newest.state.copy(), tracks)
+        self._attach(frame, interval, newest.state)
+        assert frame.inertia is not None
+        frame.state = frame.inertia.predict(newest.state, self.gravity)
+        self.frames.append(frame)
+        self._telemetry.lap("preintegration")
+        self._solve()
+        reason, parallax = keyframe_reason(
+            newest.tracks,
+            frame.tracks,
+            self.focal,
+            float(np.linalg.norm(frame.state[4:7] - newest.state[4:7])),
+            1e-9 * (frame.stamp - newest.stamp),
+            self.options,
+        )
+        if not reason:
+            return None
+        frame.is_keyframe = True
+        if self._is_full(len(self.frames) - 1):
+            self._marginalize_oldest()
+        return self._record(reason, parallax)
+
+    def _is_full(self, count: int) -> bool:
+        return self.options.marginalize != "keep" and count > self.options.window
+
+    def _attach(self, frame: WindowFrame, interval: ImuInterval, state: Array) -> None:
+        frame.interval = interval
+        frame.inertia = interval.integrated(self.noise, state, self.options.integration)
+
+    def _drop_newest(self) -> ImuInterval:
+        """Forget a frame that is no keyframe; its samples go on."""
+        frame = self.frames.pop()
+        assert frame.interval is not None
+        self._depths.leave(frame, self.frames, self.camera_from_imu)
+        return frame.interval
+
+    def _anchor(self, prior: MarginalPrior | None) -> None:
+        """Keep the first estimates of frames that a prior touches."""
+        touched = prior.frames() if prior is not None else set()
+        for frame in self.frames:
+            if frame.stamp in touched and frame.anchor is None:
+                frame.anchor = frame.state.copy()
+
+    def _priors(self, steady: list[WindowFrame]) -> list[dict[str, Any]]:
+        """Return the prior and, if asked for, that the speed of some frames is steady."""
+        priors, sigma = [self.prior], self.options.steady_speed_sigma
+        if sigma > 0 and self._telemetry.excitation()[1] == "unobservable":
+            priors.append(steady_speed(steady, sigma, self.options.prior_form == "square_root"))
+        places = {frame.stamp: place for place, frame in enumerate(self.frames)}
+        return [prior.at(places) for prior in priors if prior is not None]
+
+    def _table(self) -> tuple[LandmarkTable, Array]:
+        """Return the landmarks of the window, and x, y, 1 / z of each in its anchor."""
+        table = landmark_table([frame.tracks for frame in self.frames])
+        return self._depths.of(table, self.frames, self.camera_from_imu, self.sigma)
+
+    def _solve(self, generous: bool = False) -> None:
+        options = self.options
+        self._repropagate()
+        table, points = self._table()
+        window = window_arrays(self, table, points)
+        if options.jacobians == "relinearize_prior" and self.prior is not None:
+            self.prior = self.prior.relinearized({f.stamp: f.state for f in self.frames})
+        window["priors"] = self._priors(self.frames)
+        self._telemetry.lap("assembly")
+        solved = _core.solve_window(
+            window,
+            {
+                "max_num_iterations": 50 if generous else options.max_num_iterations,
+                "time_budget": 10.0 if generous else options.time_budget,
+                "function_tolerance": options.function_tolerance,
+                "spectrum": options.nullity,
+                "covariance": options.covariance,
+                "expected_imu_cost": self._telemetry.wants_expected_cost(),
+                "fix_gauge": self._telemetry.expected_nullity == 4,
+            },
+            None,
+        )
+        self.was_interrupted |= solved["interrupted"]
+        for frame, state in zip(self.frames, solved["states"], strict=True):
+            frame.state = state
+        self.camera_from_imu = np.array(solved["camera_from_imu"])
+        self.time_offset = solved["time_offset"]
+        self._depths.put(table, self.frames, solved["points"])
+        self._reject(table, solved["residual_norms"])
+        self._telemetry.solved(table, window, solved)
+        self._telemetry.lap("solve")
+
+    def _reject(self, table: LandmarkTable, norms: Array) -> None:
+        """Forget tracks far from where they should be in most of their images, or behind one."""
+        count = np.maximum(np.bincount(table.landmarks, minlength=len(table.ids)), 1)
+        far = np.bincount(table.landmarks, norms > OUTLIER, len(table.ids))
+        behind = np.bincount(table.landmarks, ~np.isfinite(norms), len(table.ids)) > 0
+        wrong = table.ids[(far > 0.5 * count) | behind]
+        self._telemetry.num_rejected_tracks += len(wrong)
+        if len(wrong):
+            self._forget(wrong)
+
+    def _forget(self, ids: Array) -> None:
+        for frame in self.frames:
+            frame.tracks = frame.tracks.without(ids)
+        self._depths.forget(ids)
+
+    def _repropagate(self) -> None:
+        """Integrate intervals anew whose biases have moved too far for a first-order correction."""
+        for before, frame in zip(self.frames, self.frames[1:], strict=False):
+            assert frame.inertia is not None
+            motion, change = frame.inertia, before.state[10:13] - frame.inertia.gyro_bias
+            # A sixth of the squared angle at most, which the closed form need not tell us.
+            if motion.duration**2 * float(change @ change) < NEGLIGIBLE_ANGLE**2:
+                continue
+            if motion.needs_repropagation(before.state[10:13]):
+                frame.inertia = frame.inertia.repropagated(before.state[10:13], before.state[13:16])
+                self._telemetry.num_repropagated += 1
+
+    def _marginalize_oldest(self) -> None:
+        oldest = self.frames[0]
+        if self.options.marginalize == "drop":
+            self.prior = None
+            self._depths.leave(oldest, self.frames[1:], self.camera_from_imu)
+            self.frames.pop(0)
+            self._cut_inertia()
+            self._telemetry.left(oldest, "drop", 0, 0)
+            self._telemetry.lap("marginalization")
+            return
+        table, points = self._table()
+        goes = table.anchors == 0
+        moved = self.focal * table.parallax() >= self.options.marginal_parallax
+        absorbed = goes & moved
+        carried = goes & ~moved
+        kept = table.only(~carried)
+        window = window_arrays(self, kept, points[~carried])
+        window["priors"] = self._priors(self.frames[:2])
+        flags = np.zeros(len(self.frames), np.uint8)
+        flags[0] = 1
+        found = _core.marginalize_window(
+            window,
+            {
+                "states": flags,
+                "landmarks": absorbed[~carried].astype(np.uint8),
+                "imu": flags[: len(self.frames) - 1],
+                "keep_points": self.options.jacobians != "relinearize_prior",
+                "square_root": self.options.prior_form == "square_root",
+                "single_precision": self.options.precision == "single",
+            },
+        )
+        self.prior = MarginalPrior.of(found, [frame.stamp for frame in self.frames])
+        self._anchor(self.prior)
+        self._forget(table.ids[absorbed])
+        self._depths.leave(oldest, self.frames[1:], self.camera_from_imu)
+        self.frames.pop(0)
+        self._cut_inertia()
+        self._telemetry.left(oldest, "marginalize", int(absorbed.sum()), int(carried.sum()))
+        self._telemetry.lap("marginalization")
+
+    def _cut_inertia(self) -> None:
+        """The first frame has none before it."""
+        self._numbers.keep(np.unique(np.concatenate([frame.tracks.ids for frame in self.frames])))
+        self.frames[0].interval = self.frames[0].inertia = None
+
+    def _record(self, reason: str, parallax: float) -> KeyframeRecord:
+        record = self._telemetry.record(reason, parallax, time.perf_counter())
+        self.records.append(record)
+        return record

@@ -1,0 +1,202 @@
+"""Alarms of a window's telemetry.
+
+Some signs are wrong whenever they appear. Others, which a healthy window shows for a moment, count
+once they persist: two keyframes, five without excitation, a trend over fifty.
+
+The cost of a prior is at least 0, and half a chi-square of as many degrees as the window has
+coordinates in it: about 0.1 a coordinate in healthy windows, beyond 1 where wrong tracks or a wrong
+calibration have become part of what is taken for known.
+
+Nothing tells the heading. Its sigma, once a prior gave it one, does not fall: not while the
+platform turns, and not otherwise, but for what single images add to it. Medians of five keyframes
+are free of that.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bundle.interface.window_options import WindowOptions
+
+__all__ = ["INDEFINITE", "WindowAlarms", "walks_down", "yaw_falls"]
+
+Array = np.ndarray[Any, Any]
+
+LARGEST_ASYMMETRY = 1e-9
+SMALLEST_RATIO = 1e-8
+INDEFINITE = -1e-9  # of a unit diagonal: beyond the rounding of double precision
+LARGEST_IMU_EXCESS = 3.0  # up to 1.6 in flights of the noise that the window takes
+LARGEST_GYRO_BIAS, LARGEST_ACCEL_BIAS = 1.0, 2.5  # rad/s, m/s^2: VINS-Mono's signs of failure
+LARGEST_PRIOR_COST = 1.0  # a coordinate
+LEAST_PRIOR_COST = -0.1  # a coordinate: rounding leaves 1e-6
+BIAS_SIGMAS = 4.0
+KEYFRAMES, QUIET_KEYFRAMES = 2, 5  # in a row
+BLOCK, BLOCKS, DECADES = 10, 5, 1.0  # of a ratio's walk
+YAW_MEDIAN, YAW_FALL, YAW_TURN = 5, 0.98, 0.3  # keyframes, share, rad
+
+
+def walks_down(ratios: list[float]) -> bool:
+    """Tell whether ratios fall without turning: the medians of five tens, by a decade in all."""
+    if len(ratios) < BLOCK * BLOCKS:
+        return False
+    last = np.log10(np.maximum(ratios[-BLOCK * BLOCKS :], 1e-300)).reshape(BLOCKS, BLOCK)
+    medians = np.median(last, axis=1)
+    return bool(np.all(np.diff(medians) < 0) and medians[0] - medians[-1] > DECADES)
+
+
+def yaw_falls(sigmas: list[float], turned: list[float]) -> tuple[float, float] | None:
+    """Return a sigma of yaw and the smaller one it fell to while the platform turned, or None.
+
+    Args:
+        sigmas: of the keyframes.
+        turned: angle so far, at each.
+    """
+    if len(sigmas) < 2 * YAW_MEDIAN:
+        return None
+    windows = np.lib.stride_tricks.sliding_window_view(np.array(sigmas), YAW_MEDIAN)
+    medians = np.median(windows, axis=1)
+    largest = int(np.argmax(medians[:-YAW_MEDIAN]))
+    if turned[-1] - turned[largest + YAW_MEDIAN // 2] < YAW_TURN:
+        return None
+    found = float(medians[largest]), float(medians[-1])
+    return found if found[1] < YAW_FALL * found[0] else None
+
+
+class WindowAlarms:
+    """Sentences on one keyframe after another.
+
+    Args:
+        options: of the window.
+        walks: densities of the random walks of both biases.
+    """
+
+    def __init__(self, options: WindowOptions, walks: tuple[float, float]) -> None:
+        self.options, self._walks = options, walks
+        self._start: tuple[int, Array] | None = None
+        self._ratios: list[float] = []
+        self._yaws: list[float] = []
+        self._turned: list[float] = []
+        self._in_a_row: dict[str, int] = {}
+        self._excess: list[float] = []
+
+    def of(
+        self,
+        stamp: int,
+        state: Array,
+        nullity: tuple[int | None, int],
+        prior: dict[str, float | None],
+        prior_cost: tuple[float, int],
+        verdict: str,
+        yaw: tuple[float | None, float],
+    ) -> tuple[str, ...]:
+        """Return the alarms of a keyframe.
+
+        Args:
+            stamp: ns.
+            state: (16,), the newest.
+            nullity: found, and expected.
+            prior: figures of a record.
+            prior_cost: the prior's cost, and its coordinates.
+            verdict: on the excitation.
+            yaw: sigma, and the angle turned so far.
+        """
+        if self._start is None:
+            self._start = stamp, state
+        alarms = [*self._of_prior(nullity, prior, prior_cost), *self._of_biases(stamp, state)]
+        if self._persists("excitation", verdict == "unobservable", QUIET_KEYFRAMES):
+            alarms.append(NO_EXCITATION)
+        if yaw[0] is not None:
+            self._yaws.append(yaw[0])
+            self._turned.append(yaw[1])
+            fall = yaw_falls(self._yaws, self._turned)
+            if fall is not None:
+                before, now = np.degrees(fall)
+                alarms.append(
+                    f"sigma of yaw falls: from {before:.3g} to {now:.3g} degrees while the "
+                    "platform turned; no sensor measures yaw: Jacobians disagree"
+                )
+        return tuple(alarms)
+
+    def of_imu(self, excess: float | None, is_new: bool) -> tuple[str, ...]:
+        """Return the alarm of what the IMU costs, once two checks in a row find too much."""
+        if excess is None:
+            return ()
+        if is_new:
+            self._excess = [*self._excess[-1:], excess]
+        if len(self._excess) < KEYFRAMES or min(self._excess) <= LARGEST_IMU_EXCESS:
+            return ()
+        return (
+            "camera and IMU contradict each other: the IMU costs "
+            f"{excess:.1f} times what its noise explains; camera_from_imu, the time "
+            "offset, the focal length or the noise is wrong",
+        )
+
+    def _persists(self, kind: str, is_seen: bool, count: int = KEYFRAMES) -> bool:
+        self._in_a_row[kind] = self._in_a_row.get(kind, 0) + 1 if is_seen else 0
+        return self._in_a_row[kind] >= count
+
+    def _of_prior(
+        self,
+        nullity: tuple[int | None, int],
+        prior: dict[str, float | None],
+        prior_cost: tuple[float, int],
+    ) -> list[str]:
+        alarms = []
+        if nullity[0] is not None and nullity[0] < nullity[1]:
+            alarms.append(
+                f"nullity {nullity[0]} instead of {nullity[1]}: the window takes as known "
+                "what no sensor measures (position or yaw)"
+            )
+        asymmetry, ratio = prior["prior_asymmetry"], prior["prior_ratio"]
+        if asymmetry is not None and asymmetry > LARGEST_ASYMMETRY:
+            alarms.append(f"prior asymmetric: by {asymmetry:.1e}, too few digits")
+        definiteness = prior["prior_definiteness"]
+        if definiteness is not None and definiteness < INDEFINITE:
+            alarms.append(f"prior not positive: eigenvalue ratio {definiteness:.1e}")
+        elif self._persists("singular", ratio is not None and ratio < SMALLEST_RATIO):
+            alarms.append(f"prior close to singular: eigenvalue ratio {ratio:.1e}")
+        if ratio is not None:
+            self._ratios = [*self._ratios[1 - BLOCK * BLOCKS :], ratio]
+            if walks_down(self._ratios):
+                alarms.append(
+                    f"prior loses digits: its eigenvalue ratio fell from {self._ratios[0]:.1e} to "
+                    f"{ratio:.1e} in {len(self._ratios)} keyframes, without turning"
+                )
+        cost, size = prior_cost
+        if cost < LEAST_PRIOR_COST * size:
+            alarms.append(f"prior costs less than nothing: {cost:.3g}; it has lost its digits")
+        if self._persists("cost", cost > LARGEST_PRIOR_COST * size):
+            alarms.append(
+                f"prior contradicted: it costs {cost:.3g}, with {size} coordinates; wrong tracks "
+                "or a wrong calibration became part of it (a --loss that rejects more, cauchy, "
+                "helps against tracks)"
+            )
+        return alarms
+
+    def _of_biases(self, stamp: int, state: Array) -> list[str]:
+        alarms = []
+        if np.linalg.norm(state[10:13]) > LARGEST_GYRO_BIAS:
+            alarms.append("gyroscope bias above 1 rad/s: the window has lost the motion")
+        if np.linalg.norm(state[13:16]) > LARGEST_ACCEL_BIAS:
+            alarms.append("accelerometer bias above 2.5 m/s^2: the window has lost the motion")
+        assert self._start is not None
+        seconds = 1e-9 * (stamp - self._start[0])
+        for name, unit, flag, part, sigma, walk in (
+            ("gyroscope", "rad/s", "--start-gyro-bias-sigma", slice(10, 13),
+             self.options.start_gyro_bias_sigma, self._walks[0]),
+            ("accelerometer", "m/s^2", "--start-accel-bias-sigma", slice(13, 16),
+             self.options.start_accel_bias_sigma, self._walks[1]),
+        ):  # fmt: skip
+            change = float(np.abs(state[part] - self._start[1][part]).max())
+            bound = float(np.hypot(sigma, walk * np.sqrt(seconds)))
+            if self._persists(name, change > BIAS_SIGMAS * bound):
+                alarms.append(
+                    f"{name} bias beyond what its start allows: {change:.3g} {unit} from there, "
+                    f"{change / bound:.1f} sigmas ({flag}, and its random walk since)"
+                )
+        return alarms
+
+
+NO_EXCITATION = "no excitation: the accelerometer does not tell the scale, which may drift"

@@ -1,0 +1,79 @@
+"""One image of a window: when, where, what it saw, and the inertia since the image before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bundle.inertial.preintegration.preintegration import Preintegration
+from bundle.inertial.vio.landmark_table import FrameTracks
+from bundle.model.sequence.imu_noise import ImuNoise
+
+__all__ = ["ImuInterval", "WindowFrame"]
+
+Array = np.ndarray[Any, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class ImuInterval:
+    """Samples between two images: rates (n, 3) rad/s, forces (n, 3) m/s^2, durations (n,) s.
+
+    By midpoint there are n + 1 rows of rates and forces: a sample at each end of a duration.
+
+    Attributes:
+        doubt: variances of a rotation (rad^2) and of a velocity (m^2/s^2), per axis, by what gaps
+            in the recording may hide.
+    """
+
+    gyro: Array
+    accel: Array
+    dt: Array
+    doubt: tuple[float, float] = (0.0, 0.0)
+
+    def then(self, later: ImuInterval) -> ImuInterval:
+        """Return both, one after the other; by midpoint they share the sample between them."""
+        shared = len(self.gyro) - len(self.dt)
+        return ImuInterval(
+            np.concatenate([self.gyro, later.gyro[shared:]]),
+            np.concatenate([self.accel, later.accel[shared:]]),
+            np.concatenate([self.dt, later.dt]),
+            (self.doubt[0] + later.doubt[0], self.doubt[1] + later.doubt[1]),
+        )
+
+    def integrated(self, noise: ImuNoise, state: Array, rule: str) -> Preintegration:
+        """Return them preintegrated at the biases of a state; doubt spreads over their noise."""
+        if self.doubt != (0.0, 0.0):
+            seconds = float(self.dt.sum())
+            gyro, accel = (
+                float(np.sqrt(density**2 + variance / seconds))
+                for density, variance in zip(noise.astuple()[:2], self.doubt, strict=True)
+            )
+            noise = replace(noise, gyro_noise_density=gyro, accel_noise_density=accel)
+        result = Preintegration(noise, state[10:13], state[13:16], rule=rule)
+        result.integrate(self.gyro, self.accel, self.dt)
+        return result
+
+
+@dataclass(eq=False)
+class WindowFrame:
+    """A frame.
+
+    Attributes:
+        stamp: ns.
+        state: (16,).
+        tracks: what its image saw, without what a prior has absorbed.
+        interval: samples since the frame before; None for the first.
+        inertia: the same, preintegrated.
+        anchor: the first estimate, once a prior touches the frame.
+        is_keyframe: False for the newest frame until it is one.
+    """
+
+    stamp: int
+    state: Array
+    tracks: FrameTracks
+    interval: ImuInterval | None = None
+    inertia: Preintegration | None = None
+    anchor: Array | None = None
+    is_keyframe: bool = False

@@ -1,0 +1,218 @@
+"""What a window measures of itself between two keyframes: times, counts, spectra, alarms."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from bundle.inertial.preintegration.motion_excitation import excitation
+from bundle.inertial.vio.keyframe_record import KeyframeRecord
+from bundle.inertial.vio.landmark_table import LandmarkTable
+from bundle.inertial.vio.window_alarms import WindowAlarms
+from bundle.inertial.vio.window_contents import WindowContents
+from bundle.inertial.vio.window_frame import WindowFrame
+from bundle.model.rotations import (
+    quaternion_inverse,
+    quaternion_multiply,
+    rotation_matrices,
+    vector_from_quaternion,
+)
+
+__all__ = ["WindowTelemetry"]
+
+Array = np.ndarray[Any, Any]
+
+FREE_DEGREES = 4  # position and yaw: no camera and no IMU sees them
+IMAGES_PER_CHECK = 10
+
+
+class WindowTelemetry:
+    """Gathers what :class:`KeyframeRecord` reports."""
+
+    def __init__(self, window: WindowContents) -> None:
+        self.window = window
+        options = window.options
+        held = 3 * (options.start_position_sigma > 0) + (options.start_yaw_sigma > 0)
+        self.expected_nullity = FREE_DEGREES - held
+        self.num_rejected_tracks = 0
+        self.num_repropagated = 0
+        self._last: dict[str, Any] = {}
+        self._attitudes: Array | None = None  # (1, 4) of the keyframe of the last record
+        self._turned = 0.0
+        self._exit: dict[str, Any] | None = None
+        self._num_solves = 0
+        self._imu_excess: float | None = None
+        self._is_new_excess = False
+        noise = window.noise
+        walks = noise.gyro_bias_random_walk, noise.accel_bias_random_walk
+        self._alarms = WindowAlarms(options, walks)
+        self.num_absorbed = self.num_carried = 0
+        self.begin()
+
+    def begin(self) -> None:
+        """A new image."""
+        self._times: dict[str, float] = {}
+        self._start = self._lap = time.perf_counter()
+
+    def lap(self, phase: str) -> None:
+        """Seconds since the last call were this phase."""
+        now = time.perf_counter()
+        self._times[phase] = self._times.get(phase, 0.0) + now - self._lap
+        self._lap = now
+
+    def wants_expected_cost(self) -> bool:
+        """Tell whether the next solve shall say what its IMU factors should cost."""
+        self._num_solves += 1
+        return self._num_solves % IMAGES_PER_CHECK == 0
+
+    def solved(self, table: LandmarkTable, window: dict[str, Any], solved: dict[str, Any]) -> None:
+        """Keep what the last solve said."""
+        self._last = solved
+        if solved["expected_imu_cost"] > 0:
+            self._imu_excess = solved["costs_after"]["imu"] / solved["expected_imu_cost"]
+            self._is_new_excess = True
+        priors = sum(len(prior["vector"]) for prior in window["priors"])
+        self._prior_size = max(priors, 1)
+        states = len(window["states"])
+        self._sizes = {
+            "window_size": states,
+            "num_landmarks": len(table.ids),
+            "num_observations": len(table.landmarks),
+            "num_rows": 2 * (len(table.landmarks) + len(table.ids)) + 15 * (states - 1) + priors,
+            "num_columns": 15 * states
+            + 3 * len(table.ids)
+            + 6 * window["refine_camera"]
+            + window["refine_time_offset"],
+        }
+
+    @property
+    def covariance(self) -> Array | None:
+        """Of the newest state after the last solve."""
+        found: Array | None = self._last.get("covariance")
+        return found
+
+    def left(self, frame: WindowFrame, how: str, absorbed: int, carried: int) -> None:
+        """The oldest keyframe went."""
+        self._exit = {"timestamp_ns": frame.stamp, "how": how}
+        self.num_absorbed, self.num_carried = absorbed, carried
+
+    def excitation(self) -> tuple[float, str]:
+        """Return the excitation of the accelerometer over the window, and its verdict."""
+        parts = [f.interval.accel for f in self.window.frames if f.interval is not None]
+        if not parts:
+            return 0.0, "unobservable"
+        found = excitation(np.concatenate(parts))
+        return found.spread, found.verdict
+
+    def record(self, reason: str, parallax: float, now: float) -> KeyframeRecord:
+        """Return the record of the keyframe that was just settled."""
+        window, solved, sizes = self.window, self._last, self._sizes
+        newest = window.frames[-1]
+        times = {**self._times, "total": now - self._start}
+        value, verdict = self.excitation()
+        nullity = _nullity(solved["spectrum"]) if len(solved["spectrum"]) else None
+        prior = self._prior()
+        costs = solved["costs_after"]
+        sigmas, yaw = self._sigmas(solved["covariance"], newest.state)
+        turned = self._rotation_so_far()
+        alarms = self._alarms.of(
+            newest.stamp,
+            newest.state,
+            (nullity, self.expected_nullity),
+            prior,
+            (costs["prior"], self._prior_size),
+            verdict,
+            (yaw, turned),
+        )
+        alarms += self._alarms.of_imu(self._imu_excess, self._is_new_excess)
+        self._is_new_excess = False
+        if solved["out_of_time"] and not solved["num_iterations"]:
+            alarms += ("no step within the time budget: states are predictions of the IMU",)
+        record = KeyframeRecord(
+            timestamp_ns=newest.stamp,
+            reason=reason,
+            parallax=parallax,
+            **sizes,
+            fill_ratio=solved["fill_ratio"],
+            times=times,
+            num_iterations=solved["num_iterations"],
+            num_rejected=solved["num_rejected"],
+            out_of_time=solved["out_of_time"],
+            costs=dict(costs),
+            mean_visual_chi2=costs["visual"]
+            / (2 * max(sizes["num_observations"] + sizes["num_landmarks"], 1)),
+            imu_excess=self._imu_excess,
+            nullity=nullity,
+            expected_nullity=self.expected_nullity,
+            **prior,
+            excitation=value,
+            excitation_verdict=verdict,
+            gyro_bias=_triple(newest.state[10:13]),
+            accel_bias=_triple(newest.state[13:16]),
+            gyro_bias_sigma=None if sigmas is None else _triple(sigmas[9:12]),
+            accel_bias_sigma=None if sigmas is None else _triple(sigmas[12:15]),
+            yaw_sigma=yaw,
+            accumulated_rotation=turned,
+            marginalized=self._exit,
+            num_absorbed=self.num_absorbed,
+            num_carried=self.num_carried,
+            num_rejected_tracks=self.num_rejected_tracks,
+            num_repropagated=self.num_repropagated,
+            alarms=alarms,
+        )
+        self._exit = None
+        self.num_absorbed = self.num_carried = 0
+        self.num_rejected_tracks = self.num_repropagated = 0
+        return record
+
+    def _rotation_so_far(self) -> float:
+        """Return the sum of the angles (rad) between keyframes, the newest among them."""
+        attitudes = self.window.states[:, :4]
+        if self._attitudes is not None:
+            attitudes = np.vstack([self._attitudes, attitudes[-1:]])
+        turns = vector_from_quaternion(
+            quaternion_multiply(quaternion_inverse(attitudes[:-1]), attitudes[1:])
+        )
+        self._turned += float(np.linalg.norm(turns, axis=1).sum())
+        self._attitudes = attitudes[-1:]
+        return self._turned
+
+    def _prior(self) -> dict[str, Any]:
+        prior = self.window.prior
+        if prior is None or prior.asymmetry is None:
+            return {
+                "prior_min_eigenvalue": None,
+                "prior_max_eigenvalue": None,
+                "prior_ratio": None,
+                "prior_definiteness": None,
+                "prior_asymmetry": None,
+            }
+        values, scaled = prior.spectrum(), prior.spectrum(scaled=True)
+        return {
+            "prior_min_eigenvalue": float(values[0]),
+            "prior_max_eigenvalue": float(values[-1]),
+            "prior_ratio": prior.oldest_ratio(),
+            "prior_definiteness": float(scaled[0] / scaled[-1]),
+            "prior_asymmetry": prior.asymmetry,
+        }
+
+    def _sigmas(self, covariance: Any, state: Array) -> tuple[Array | None, float | None]:
+        if covariance is None:
+            return None, None
+        sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        up = rotation_matrices(state[None, :4])[0][2]  # R^T e_z
+        yaw = float(np.sqrt(max(up @ covariance[:3, :3] @ up, 0.0)))
+        return sigmas, yaw if self.expected_nullity in (0, 3) else None
+
+
+def _nullity(spectrum: Any) -> int:
+    """Eigenvalues, of a unit diagonal, that are rounding."""
+    values = np.asarray(spectrum)
+    return int(np.sum(values < len(values) * np.finfo(float).eps * values[-1]))
+
+
+def _triple(values: Array) -> tuple[float, float, float]:
+    x, y, z = map(float, values)
+    return x, y, z

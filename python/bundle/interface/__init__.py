@@ -1,0 +1,1 @@
+"""Options of each command and solve, and the records of what happened."""

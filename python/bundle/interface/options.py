@@ -1,0 +1,299 @@
+"""What a solve can be asked for.
+
+Names, defaults and meaning stand here once: the command line makes its flags from these fields, the
+JSON report lists them, and ``bundle._core`` reads them by name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import operator
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from bundle.errors import InputError, brief
+from bundle.interface.option_fields import Options, checked, choice, documented, option
+
+__all__ = ["SolveOptions"]
+
+BACKENDS = ("auto", "fused", "ceres")
+LINEAR_SOLVER_TYPES = (
+    "auto",
+    "dense_schur",
+    "sparse_schur",
+    "iterative_schur",
+    "dense_normal_cholesky",
+    "sparse_normal_cholesky",
+    "dense_qr",
+    "cgnr",
+)
+ORDERINGS = ("points_first", "cameras_first", "automatic")
+PRECONDITIONER_TYPES = (
+    "identity",
+    "jacobi",
+    "schur_jacobi",
+    "cluster_jacobi",
+    "cluster_tridiagonal",
+    "schur_power_series_expansion",
+    "two_level",
+)
+# What may differ from one solve of a bundle.Solver to the next.
+CHANGEABLE = (
+    "loss",
+    "loss_scale",
+    "max_num_iterations",
+    "function_tolerance",
+    "gradient_tolerance",
+    "parameter_tolerance",
+    "check_solution",
+)
+# What auto means, by backend and linear solver; the core decides, this is for who asks beforehand.
+AUTO_PRECONDITIONER = {
+    ("fused", "iterative_schur"): "two_level",
+    ("ceres", "iterative_schur"): "schur_jacobi",
+    ("ceres", "cgnr"): "jacobi",
+}
+TRUST_REGION_STRATEGIES = ("levenberg_marquardt", "dogleg", "subspace_dogleg")
+LOSSES = ("trivial", "huber", "soft_l1", "cauchy", "arctan", "tukey")
+SENSORS = "sensor_from_rig"
+"""What ``refine`` takes beside these: it stands for ``refine_sensor_from_rig``."""
+REFINABLE = ("poses", "points", "focal", "principal_point", "extra")
+GAUGES = ("auto", "none", "two_cameras", "three_points")
+CHEIRALITIES = ("auto", "algebraic", "zero")
+
+GRAPH_ORDERINGS = (
+    "natural",
+    "reverse",
+    "landmarks_first",
+    "minimum_degree",
+    "amd",
+    "colamd",
+    "metis",
+    "nesdis",
+)
+"""Orders in which `inspect_graph` eliminates the variables of a graph."""
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SolveOptions(Options):
+    """Options of :func:`bundle.solve`, under Ceres' names where Ceres has them.
+
+    Choices are accepted in any case, with hyphens or underscores ("sparse-schur", "SPARSE_SCHUR").
+
+    Raises:
+        InputError: an option has a value outside its range; the message names option and value.
+            Combinations that no backend can serve are refused by :func:`bundle.solve`.
+    """
+
+    backend: str = option(
+        "auto",
+        "--backend",
+        "solver library: fused is our own, built for eliminating points; auto takes fused for "
+        "everything that it supports, otherwise Ceres, and gives the reason",
+        choices=BACKENDS,
+    )
+    linear_solver_type: str = option(
+        "auto",
+        "--solver",
+        "linear solver; auto chooses by predicted cost and gives the reason",
+        choices=LINEAR_SOLVER_TYPES,
+    )
+    linear_solver_ordering: str = option(
+        "points_first",
+        "--ordering",
+        "which blocks are eliminated first",
+        choices=ORDERINGS,
+        only_with=(
+            "linear_solver_type",
+            (
+                "auto",
+                "dense_schur",
+                "sparse_schur",
+                "iterative_schur",
+                "sparse_normal_cholesky",
+            ),
+        ),
+        idle="note",
+    )
+    preconditioner_type: str = option(
+        "auto",
+        "--preconditioner",
+        "preconditioner of iterative-schur and cgnr; auto: two-level for iterative-schur (fused), "
+        "schur-jacobi for iterative-schur (Ceres), jacobi for cgnr",
+        choices=("auto", *PRECONDITIONER_TYPES),
+        only_with=("linear_solver_type", ("auto", "iterative_schur", "cgnr")),
+        idle="note",
+    )
+    trust_region_strategy_type: str = option(
+        "levenberg_marquardt",
+        "--trust-region",
+        "trust region strategy",
+        choices=TRUST_REGION_STRATEGIES,
+    )
+    loss: str = option("trivial", "--loss", "robust loss of a reprojection error", choices=LOSSES)
+    loss_scale: float = option(
+        1.0,
+        "--loss-scale",
+        "error at which the loss begins to bend, in pixels",
+        above=0.0,
+        metavar="PIXELS",
+        only_with=("loss", LOSSES[1:]),
+    )
+    max_num_iterations: int = option(
+        100, "--max-iterations", "maximum number of steps to try", minimum=0, metavar="N"
+    )
+    function_tolerance: float = option(
+        1e-6,
+        "--function-tolerance",
+        "stop when |change of cost| < X * cost",
+        minimum=0.0,
+        metavar="X",
+    )
+    gradient_tolerance: float = option(
+        1e-10,
+        "--gradient-tolerance",
+        "stop when max |gradient entry| <= X",
+        minimum=0.0,
+        metavar="X",
+    )
+    parameter_tolerance: float = option(
+        1e-8,
+        "--parameter-tolerance",
+        "stop when |step| <= X * (|parameters| + X)",
+        minimum=0.0,
+        metavar="X",
+    )
+    num_threads: int = option(
+        0,
+        "--threads",
+        "number of threads, capped at the number of cores; 0: all cores",
+        minimum=0,
+        metavar="N",
+    )
+    deterministic: bool = option(
+        False,
+        "--deterministic",
+        "the same result, bit for bit, for any number of threads; results of different instruction "
+        "sets (AVX-512, AVX2, baseline) still differ in the last bits",
+    )
+    refine: tuple[str, ...] = option(
+        ("poses", "points", "focal", "extra"),
+        "--refine",
+        "parameters to refine, out of "
+        + ", ".join((*REFINABLE, SENSORS)).replace("_", "-")
+        + "; the last, where sensors are on their rigs, is --refine-sensor-from-rig",
+        metavar="LIST",
+    )
+    fixed_camera_ids: tuple[int, ...] = option(
+        (), "--fix-cameras", "ids of cameras whose intrinsics are held fixed", metavar="IDS"
+    )
+    fixed_image_ids: tuple[int, ...] = option(
+        (),
+        "--fix-images",
+        "images whose pose is held fixed, on a rig with their frame; their sensors are not refined",
+        metavar="IMAGES",
+    )
+    fixed_point_ids: tuple[int, ...] = option(
+        (), "--fix-points", "ids of points that are held fixed", metavar="IDS"
+    )
+    refine_sensor_from_rig: bool = option(
+        False,
+        "--refine-sensor-from-rig",
+        "refine where sensors are on their rigs, unless the reference sensor of a rig observes "
+        "nothing",
+    )
+    fixed_sensors: tuple[tuple[int, int], ...] = option(
+        (),
+        "--fix-sensors",
+        "sensors whose pose on their rig is held fixed, each a rig's id and a camera's",
+        metavar="SENSORS",
+    )
+    gauge: str = option(
+        "auto",
+        "--gauge",
+        "how the gauge is fixed: position, rotation and scale of the world (7 degrees of freedom), "
+        "or what fixed points, images and baselines of rigs leave of these; auto: none for BAL and "
+        "beside positions and other factors, else two-cameras, which holds exactly what is free; "
+        "three-points holds 9 numbers as COLMAP does, 2 too many: the cost is higher for it, and "
+        "covariances are smaller",
+        choices=GAUGES,
+    )
+    cheirality: str = option(
+        "auto",
+        "--cheirality",
+        "residual of an observation that its camera does not see: zero (COLMAP; one that goes "
+        "behind later costs more than in front) or algebraic (the formula's value); auto: "
+        "algebraic for BAL and where the formula of a wide lens goes on past 90 degrees, else zero",
+        choices=CHEIRALITIES,
+    )
+    check_solution: bool = option(
+        True,
+        "--check-solution",
+        "look for signs of a wrong Jacobian after the solve and count the nonzeros of the "
+        "information matrix; a result that is no reconstruction is found out in any case",
+    )
+
+    def _check(self, fields: Iterable[dataclasses.Field[Any]]) -> None:
+        super()._check(fields)
+        if SENSORS in self.refine:
+            refine = tuple(name for name in self.refine if name != SENSORS)
+            object.__setattr__(self, "refine", refine)
+            object.__setattr__(self, f"refine_{SENSORS}", True)
+
+    def _checked(self, field: dataclasses.Field[Any], value: Any) -> Any:
+        if field.name == "refine":
+            return _names(value)
+        if field.name == "fixed_sensors":
+            return _sensors(value)
+        if field.name.startswith("fixed_"):
+            return _ids(field.name, value)
+        return checked(field, value)
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    try:
+        given = value.split(",") if isinstance(value, str) else list(value)
+    except TypeError:
+        raise InputError(
+            f"refine: expected names out of {', '.join((*REFINABLE, SENSORS))}, "
+            f"found {brief(value)}"
+        ) from None
+    words = (name.strip() if isinstance(name, str) else name for name in given)
+    named = (word for word in words if not isinstance(word, str) or word)
+    every = (*REFINABLE, SENSORS)
+    chosen = {choice("refine", word, every) for word in named}
+    return tuple(name for name in every if name in chosen)
+
+
+def _sensors(value: Any) -> tuple[tuple[int, int], ...]:
+    """Return pairs of ids: of a rig, and of a camera."""
+    expected = "fixed_sensors: expected pairs (rig id, camera id), found "
+    try:
+        if isinstance(value, str | bytes | dict):
+            raise TypeError
+        given = [tuple(entry) for entry in value]
+        if any(len(pair) != 2 or any(isinstance(x, bool) for x in pair) for pair in given):
+            raise TypeError
+        pairs = {(operator.index(rig), operator.index(camera)) for rig, camera in given}
+    except TypeError:
+        raise InputError(expected + brief(value)) from None
+    for found in (entry for pair in pairs for entry in pair if not -(2**63) <= entry < 2**63):
+        raise InputError(f"fixed_sensors: expected ids below 2^63, found {brief(found)}")
+    return tuple(sorted(pairs))
+
+
+def _ids(name: str, value: Any) -> tuple[int, ...]:
+    try:
+        if isinstance(value, str | bytes):
+            raise TypeError  # their characters are no ids
+        given = list(value)
+        if any(isinstance(entry, bool) for entry in given):
+            raise TypeError
+        ids = {operator.index(entry) for entry in given}
+    except TypeError:
+        raise InputError(f"{name}: expected whole numbers, found {brief(value)}") from None
+    for found in (entry for entry in ids if not -(2**63) <= entry < 2**63):
+        raise InputError(f"{name}: expected ids below 2^63, found {brief(found)}")
+    return tuple(sorted(ids))

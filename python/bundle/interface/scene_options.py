@@ -1,0 +1,163 @@
+"""What a synthetic scene can be asked for.
+
+Names, defaults and meaning stand here once: the command line makes its flags from these fields and
+the JSON report lists them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from bundle.errors import InputError
+from bundle.interface.observation_options import outlier_share_option, pixel_noise_option
+from bundle.interface.option_fields import Options, documented, option
+
+__all__ = ["SceneOptions"]
+
+SCENES = ("street", "orbit", "photo_collection")
+# Models that intrinsics.py can draw a believable lens of.
+CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
+CAMERAS = ("auto", "shared", "individual")
+MIN_OBSERVATIONS_PER_IMAGE = 20
+MIN_TRACK_LENGTH = 2
+USUAL_TRACK_LENGTH = 6.0
+
+
+@documented
+@dataclass(frozen=True, kw_only=True, repr=False)
+class SceneOptions(Options):
+    """Options of :func:`bundle.synthesize`.
+
+    Choices are accepted in any case, with hyphens or underscores ("photo-collection").
+
+    Raises:
+        InputError: an option has a value outside its range; the message names option and value.
+    """
+
+    scene: str = option(
+        "street",
+        "--scene",
+        "street: a drive through a road network; orbit: rings of cameras around an object; "
+        "photo-collection: clusters of very different cameras around landmarks",
+        choices=SCENES,
+    )
+    num_images: int = option(40, "--images", "number of images", minimum=2, metavar="N")
+    num_points: int = option(3000, "--points", "number of points", minimum=20, metavar="N")
+    mean_track_length: float = option(
+        0.0,
+        "--track-length",
+        "observations per point, on average, at least 2; 0: 6, or what the images of a small scene "
+        "allow",
+        minimum=0.0,
+        metavar="X",
+    )
+    camera_model: str = option(
+        "SIMPLE_RADIAL", "--camera-model", "COLMAP's camera model", choices=CAMERA_MODELS
+    )
+    cameras: str = option(
+        "auto",
+        "--cameras",
+        "one camera for all images, or one per image; auto: individual for photo-collection, "
+        "shared for the others",
+        choices=CAMERAS,
+    )
+    image_size: tuple[int, int] = option(
+        (1280, 960),
+        "--image-size",
+        "width and height in pixels; individual cameras of a photo-collection spread around it",
+        minimum=64,
+        metavar=("WIDTH", "HEIGHT"),
+    )
+    pixel_noise: float = pixel_noise_option()
+    outlier_share: float = outlier_share_option()
+    rotation_noise: float = option(
+        0.5,
+        "--rotation-noise",
+        "perturbation of the start's rotations: standard deviation about each axis, in degrees",
+        minimum=0.0,
+        below=180.0,
+        metavar="DEGREES",
+    )
+    translation_noise: float = option(
+        0.005,
+        "--translation-noise",
+        "perturbation of the start's camera centres: standard deviation along each axis, relative "
+        "to the scene's scale, which is the median distance of a point from its cameras",
+        minimum=0.0,
+        below=1e6,
+        metavar="X",
+    )
+    point_noise: float = option(
+        0.005,
+        "--point-noise",
+        "perturbation of the start's points, likewise relative to the scene's scale",
+        minimum=0.0,
+        below=1e6,
+        metavar="X",
+    )
+    focal_noise: float = option(
+        0.01,
+        "--focal-noise",
+        "perturbation of the start's focal lengths: relative standard deviation",
+        minimum=0.0,
+        below=0.5,
+        metavar="X",
+    )
+    distortion_noise: float = option(
+        0.005,
+        "--distortion-noise",
+        "perturbation of the start's radial distortion coefficients: standard deviation; a tenth "
+        "of it for tangential ones",
+        minimum=0.0,
+        below=1e6,
+        metavar="X",
+        only_with=("camera_model", ("SIMPLE_RADIAL", "RADIAL", "OPENCV")),
+    )
+    loop_closure: bool = option(
+        True,
+        "--loop-closure",
+        "drive laps that come back to known places, not one way",
+        only_with=("scene", ("street",)),
+    )
+    num_rings: int = option(
+        0,
+        "--rings",
+        "rings of cameras at different heights; 0: one per 40 images, at most 6",
+        minimum=0,
+        metavar="N",
+        only_with=("scene", ("orbit",)),
+    )
+    seed: int = option(
+        0, "--seed", "same seed, same scene", minimum=0, maximum=math.inf, metavar="N"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if 0 < self.mean_track_length < MIN_TRACK_LENGTH:
+            raise InputError(
+                f"mean_track_length: expected at least {MIN_TRACK_LENGTH}, or 0, "
+                f"found {self.mean_track_length:g}"
+            )
+        if self.mean_track_length > self.num_images:
+            raise InputError(
+                f"mean_track_length: expected at most num_images = {self.num_images}, "
+                f"found {self.mean_track_length:g}"
+            )
+        if self.num_rings > self.num_images:
+            raise InputError(
+                f"num_rings: expected at most num_images = {self.num_images}, "
+                f"found {self.num_rings}"
+            )
+
+    @property
+    def wanted_track_length(self) -> float:
+        """Mean track length to aim at."""
+        return self.mean_track_length or min(USUAL_TRACK_LENGTH, self.num_images)
+
+    @property
+    def has_shared_camera(self) -> bool:
+        """Whether all images share one camera."""
+        if self.cameras == "auto":
+            return self.scene != "photo_collection"
+        return self.cameras == "shared"

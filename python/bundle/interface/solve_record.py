@@ -1,0 +1,65 @@
+"""What every solve tells of itself, whatever was solved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.display import Displayed
+from bundle.interface.options import SolveOptions
+from bundle.interface.summary import Summary
+from bundle.interface.termination import sentence
+
+__all__ = ["Progress", "SolveRecord", "record_fields", "with_warnings"]
+
+Progress = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class SolveRecord(Displayed):
+    """How a solve came about: what the results of reconstructions and of graphs have in common.
+
+    Attributes:
+        options: every option as used.
+        summary: what the solver says.
+        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
+        build_time_in_seconds: outside the solver.
+        solve_time_in_seconds: inside the solver.
+    """
+
+    options: SolveOptions
+    summary: Summary
+    iterations: dict[str, NDArray[np.generic]]
+    build_time_in_seconds: float
+    solve_time_in_seconds: float
+
+    @property
+    def outcome(self) -> str:
+        """How the solve ended, in one sentence."""
+        # Entry 0 is the evaluation at the start, not a step.
+        accepted = np.asarray(self.iterations["step_is_successful"], bool)[1:]
+        return sentence(self.summary, len(accepted), int((~accepted).sum()))
+
+
+def with_warnings(fields: Mapping[str, Any], sentences: Mapping[str, str]) -> dict[str, Any]:
+    """Return the fields of a summary with what is worth a warning, by kind; "" is not."""
+    said = {kind: sentence for kind, sentence in sentences.items() if sentence}
+    return {
+        **fields,
+        "warnings": (*fields["warnings"], *said.values()),
+        "warning_kinds": (*fields["warning_kinds"], *said),
+    }
+
+
+def record_fields(output: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a record but for the options, out of what the core's solvers return."""
+    return {
+        "summary": Summary(**output["summary"]),
+        "iterations": output["iterations"],
+        "build_time_in_seconds": output["build_time_in_seconds"],
+        "solve_time_in_seconds": output["solve_time_in_seconds"],
+    }

@@ -1,0 +1,280 @@
+"""Output that appears whole or not at all.
+
+Everything is written beside its destination under a name ``.bundle-XXXX.tmp``, flushed to the disk,
+and only then put into place. Whatever goes wrong before (a full disk, an exception, Ctrl-C) leaves
+what stood at the destination as it was and removes the temporary files. A killed process or a power
+failure leaves the old or the new, never a mixture:
+
+* A file, and a folder that did not exist, appear by one rename.
+* A folder that exists is exchanged with the new one in one step, after links to everything in it
+  that is no model file were made in the new one (``bundle.io.atomic.exchange``).
+* Where the system cannot do that, the model files are exchanged one by one, an error is rolled
+  back, and a killed process leaves a trace from which the next command that reads or writes there
+  finishes the work (``bundle.io.atomic.in_place``).
+
+A killed process may leave a temporary file; the next one that writes there removes it
+(``bundle.io.atomic.temporary``). Two processes that write to one place do not disturb each other:
+the last one wins. Symbolic links to the destination are followed, so a link stays a link; owner and
+permissions stay too, as far as the system lets us set them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from bundle.errors import InputError, shown
+from bundle.io.atomic import exchange, in_place
+from bundle.io.atomic.flush import flush, flush_folder, flush_with_files
+from bundle.io.atomic.interrupts import interrupts_deferred
+from bundle.io.atomic.model_files import MODEL_FILES, missing_model_files
+from bundle.io.atomic.mounts import mount_points
+from bundle.io.atomic.streams import append, is_stream
+from bundle.io.atomic.temporary import (
+    NEW,
+    Temporary,
+    holds_only_copies,
+    is_same,
+    is_temporary,
+    lock,
+    remove_leftovers,
+    temporary_file,
+    temporary_folder,
+)
+
+__all__ = [
+    "NoteWarning",
+    "RecoveryWarning",
+    "check_file",
+    "check_folder",
+    "recording",
+    "recover",
+    "replace_file",
+    "replace_folder",
+    "write_text",
+]
+
+
+class NoteWarning(UserWarning):
+    """What a user should read once; a command prints it as a note."""
+
+
+class RecoveryWarning(NoteWarning):
+    """A killed process had left a model replaced in part; that was finished."""
+
+
+_records: list[list[Path]] = []
+
+
+@contextmanager
+def recording() -> Iterator[list[Path]]:
+    """Give a list to which every path is added once it has been replaced."""
+    record: list[Path] = []
+    _records.append(record)
+    try:
+        yield record
+    finally:
+        _records.remove(record)
+
+
+def recover(path: Path) -> tuple[str, ...]:
+    """Finish what a killed process has left unfinished in a folder; return a sentence on each.
+
+    Raises:
+        InputError: that is not possible.
+    """
+    target = Path(os.path.realpath(path))
+    return in_place.recover(target) if target.is_dir() else ()
+
+
+def check_file(path: Path) -> None:
+    """Raise what ``replace_file`` would raise before it lets anything be written.
+
+    Raises:
+        InputError: the path is a folder, a device or a pipe, or its parent folder does not exist.
+        PermissionError: the file is write-protected, or its folder is.
+    """
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise InputError(f"{shown(path)}: expected a file or nothing, found a folder")
+    if is_stream(path):
+        raise InputError(f"{shown(path)}: expected a file or nothing, found a device or pipe")
+    _check_parent(path, target)
+    if target in mount_points():
+        raise InputError(
+            f"{shown(path)}: expected a file that can be replaced, found a mount point"
+        )
+    _check_writable(path, target if target.exists() else target.parent)
+    _check_writable(path, target.parent)
+
+
+def check_folder(path: Path) -> None:
+    """Raise what ``replace_folder`` would raise before it lets anything be written.
+
+    Raises:
+        InputError: the path is a file or device, or a folder that is neither empty nor a COLMAP
+            model, or its parent folder does not exist.
+        PermissionError: the folder is write-protected, or the parent of a new one is.
+    """
+    target = Path(os.path.realpath(path))
+    if is_stream(path):
+        raise InputError(
+            f"{shown(path)}: expected a COLMAP model folder or nothing, found a device or pipe"
+        )
+    _check_parent(path, target)
+    if not target.exists():
+        _check_writable(path, target.parent)
+        return
+    if not target.is_dir():
+        raise InputError(f"{shown(path)}: expected a COLMAP model folder or nothing, found a file")
+    if missing_model_files(target):
+        others = sorted(file.name for file in target.iterdir() if not is_temporary(file.name))
+        if others:
+            raise InputError(
+                f"{shown(path)}: expected a COLMAP model, an empty folder or nothing, "
+                f"found a folder with other content ({shown(others[0])})"
+            )
+    for file in sorted(target.iterdir()):
+        if file.name in MODEL_FILES and file.is_dir():
+            raise InputError(f"{shown(file)}: expected a file of the model, found a folder")
+    _check_writable(path, target)
+
+
+@contextmanager
+def replace_file(path: Path) -> Iterator[Path]:
+    """Give a temporary path to write to; on leaving without an error it becomes ``path``.
+
+    Raises:
+        InputError: see ``check_file``.
+        OSError: the system refuses; it names ``path``, not the temporary file.
+    """
+    check_file(path)
+    target = Path(os.path.realpath(path))
+    remove_leftovers(target.parent)
+    mode = 0o600 | stat.S_IMODE(target.stat().st_mode) if target.exists() else 0o666
+    with _blaming(path), temporary_file(target.parent, mode) as temporary:
+        yield temporary.path
+        _take_over_file(target, temporary.path)
+        flush(temporary.path)
+        with interrupts_deferred():
+            temporary.path.replace(target)
+            _record(path)
+        flush_folder(target.parent)
+
+
+@contextmanager
+def replace_folder(path: Path) -> Iterator[Path]:
+    """Give a temporary folder to write a COLMAP model to; on leaving it becomes that of ``path``.
+
+    Model files that stood in ``path`` are removed even if the new model has none of that name;
+    everything else in ``path`` stays.
+
+    Raises:
+        InputError: see ``check_folder``.
+        OSError: the system refuses; it names ``path``, not the temporary folder.
+    """
+    check_folder(path)
+    target = Path(os.path.realpath(path))
+    exists = target.exists()
+    for folder in (target.parent, target):
+        remove_leftovers(folder)
+    beside = not exists or exchange.can_exchange(target)
+    with _blaming(path), temporary_folder(target.parent if beside else target) as temporary:
+        new = temporary.path / NEW
+        new.mkdir()
+        if exists:
+            beside = exchange.take_over_folder(target, new) and beside
+        yield new
+        for file in new.iterdir():
+            _take_over_file(target / file.name, file)
+        flush_with_files(new)
+        with interrupts_deferred():
+            if exists or not exchange.move_new_folder(new, target):
+                _replace_existing(target, temporary, beside)
+            _record(path)
+            temporary.remove()
+        flush_folder(target.parent)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text to a file, whole or not at all, or into a device or pipe.
+
+    Raises:
+        InputError: the path is a folder, or its parent is none.
+        OSError: the system refuses; it names the path.
+    """
+    if is_stream(path):
+        append(path, text)
+        return
+    with replace_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", errors="replace")
+
+
+def _replace_existing(target: Path, temporary: Temporary, beside: bool) -> None:
+    new = temporary.path / NEW
+    with _locked(target):
+        if beside and exchange.exchange_folder(target, new):
+            temporary.keep = holds_only_copies(temporary.path)
+        else:
+            in_place.replace_in_place(target, temporary)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep other processes from replacing a folder at the same moment."""
+    while True:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            lock(descriptor)
+            if is_same(folder, descriptor):  # else it was exchanged while we waited
+                yield
+                return
+        finally:
+            os.close(descriptor)
+
+
+def _record(path: Path) -> None:
+    for record in _records:
+        record.append(path)
+
+
+def _take_over_file(old: Path, new: Path) -> None:
+    """Give a new file owner and permissions of the file that it replaces, if there is one."""
+    try:
+        status = old.stat()
+    except OSError:
+        return
+    if not stat.S_ISREG(status.st_mode):
+        return
+    with contextlib.suppress(OSError):  # only root may give files away
+        os.chown(new, status.st_uid, status.st_gid)
+    new.chmod(stat.S_IMODE(status.st_mode))
+
+
+def _check_parent(path: Path, target: Path) -> None:
+    if not target.parent.is_dir():
+        raise InputError(
+            f"{shown(path)}: expected a folder {shown(target.parent)} to write into, found none"
+        )
+
+
+def _check_writable(path: Path, target: Path) -> None:
+    if not os.access(target, os.W_OK):
+        raise PermissionError(13, f"{shown(target)} is not writable", shown(path))
+
+
+@contextmanager
+def _blaming(path: Path) -> Iterator[None]:
+    """Let system errors about a temporary name the path that the user gave."""
+    try:
+        yield
+    except OSError as error:
+        name = os.fsdecode(error.filename) if isinstance(error.filename, str | bytes) else None
+        ours = name is None or any(is_temporary(part) for part in Path(name).parts)
+        if error.errno is None or not ours:
+            raise
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from error

@@ -1,0 +1,186 @@
+"""Replacing a folder in one step: the new folder and the old one exchange their names.
+
+Linux can exchange two names atomically (renameat2 with RENAME_EXCHANGE). So that nothing but the
+model files changes, the new folder first gets hard links to everything else in the old one,
+subfolders included. At every moment either the old or the new folder stands there, complete.
+
+This takes a parent folder on the same file system that may be written, and links. A folder that is
+the current one, or holds it, is not exchanged: the shell would be left standing in the old one. Nor
+is one in which another file system is mounted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import functools
+import os
+import shutil
+import stat
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from bundle.io.atomic.flush import flush_folder
+from bundle.io.atomic.model_files import MODEL_FILES
+from bundle.io.atomic.mounts import mount_points
+from bundle.io.atomic.temporary import is_temporary
+
+__all__ = ["can_exchange", "exchange_folder", "move_new_folder", "take_over_folder"]
+
+MAX_LINKS = 20_000
+"""More files than this beside the model are not linked: that would take seconds."""
+
+_AT_FDCWD = -100
+_RENAME_EXCHANGE = 2
+
+
+def can_exchange(target: Path) -> bool:
+    """Tell whether a folder can be exchanged, as far as that shows before trying."""
+    parent = target.parent
+    if parent == target or not os.access(parent, os.W_OK | os.X_OK):
+        return False
+    if parent.stat().st_dev != target.stat().st_dev:
+        return False
+    if any(target in (point, *point.parents) for point in mount_points()):
+        return False
+    try:
+        current = Path.cwd()
+    except OSError:
+        return True
+    return current != target and target not in current.parents
+
+
+def take_over_folder(old: Path, new: Path) -> bool:
+    """Give a new folder owner, permissions and attributes of an old one; False if that fails."""
+    status, mine = old.stat(), new.stat()
+    try:
+        if (status.st_uid, status.st_gid) != (mine.st_uid, mine.st_gid):
+            os.chown(new, status.st_uid, status.st_gid)
+        shutil.copystat(old, new)
+        os.utime(new)
+    except OSError:
+        return False
+    return stat.S_IMODE(new.stat().st_mode) == stat.S_IMODE(status.st_mode)
+
+
+def move_new_folder(new: Path, target: Path) -> bool:
+    """Rename a folder to a name that was free; False if another process has taken it."""
+    try:
+        new.rename(target)
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            return False
+        raise
+    return True
+
+
+def exchange_folder(target: Path, new: Path) -> bool:
+    """Exchange ``new`` with ``target`` and link over what is no model file.
+
+    Afterwards ``new`` is the old folder, in which nothing is left that is needed.
+
+    Returns:
+        False if that is not possible here; then ``new`` is as it was.
+
+    Raises:
+        OSError: as above, and what was linked into ``new`` cannot be removed from it.
+    """
+    linked: dict[str, tuple[int, int]] = {}
+    try:
+        _link(target, new, "", linked)
+        for folder, _, _ in os.walk(new):
+            flush_folder(Path(folder))
+        _exchange(new, target)
+    except OSError:
+        _unlink(new)
+        return False
+    except BaseException:
+        _unlink(new)
+        raise
+    _bring_latecomers(new, target, "", linked)
+    return True
+
+
+def _link(source: Path, copy: Path, below: str, linked: dict[str, tuple[int, int]]) -> None:
+    """Link what is in source into copy, folder by folder, and note which files these are."""
+    for entry in sorted(os.scandir(source / below), key=lambda entry: entry.name):
+        if not below and entry.name in MODEL_FILES:
+            continue
+        if not below and is_temporary(entry.name):
+            raise OSError(errno.EBUSY, "another process is at work in this folder")
+        name = f"{below}/{entry.name}" if below else entry.name
+        status = entry.stat(follow_symlinks=False)
+        linked[name] = (status.st_dev, status.st_ino)
+        if len(linked) > MAX_LINKS:
+            raise OSError(errno.EMLINK, "too many files to link")
+        if not entry.is_dir(follow_symlinks=False):
+            os.link(entry.path, copy / name, follow_symlinks=False)
+            continue
+        if not os.access(entry.path, os.W_OK):
+            raise OSError(errno.EPERM, "a folder below this one cannot be removed")
+        (copy / name).mkdir()
+        _link(source, copy, name, linked)
+        if not take_over_folder(Path(entry.path), copy / name):
+            raise OSError(errno.EPERM, "a folder below this one has another owner")
+        os.utime(copy / name, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+
+def _unlink(new: Path) -> None:
+    """Remove from a new folder what was linked into it."""
+    for entry in os.scandir(new):
+        if entry.is_dir(follow_symlinks=False):
+            shutil.rmtree(entry.path, ignore_errors=True)
+        elif entry.name not in MODEL_FILES:
+            Path(entry.path).unlink()
+
+
+def _bring_latecomers(
+    old: Path, target: Path, below: str, linked: dict[str, tuple[int, int]]
+) -> None:
+    """Move over what another program made in the old folder after its files were linked."""
+    for entry in list(os.scandir(old / below)):
+        if not below and entry.name in MODEL_FILES:
+            continue
+        name = f"{below}/{entry.name}" if below else entry.name
+        status = entry.stat(follow_symlinks=False)
+        if linked.get(name) != (status.st_dev, status.st_ino):
+            with contextlib.suppress(OSError):  # it stays; see temporary.holds_only_copies
+                Path(entry.path).replace(target / name)
+        elif entry.is_dir(follow_symlinks=False):
+            _bring_latecomers(old, target, name, linked)
+
+
+def _exchange(first: Path, second: Path) -> None:
+    """Exchange two names in one step.
+
+    Raises:
+        OSError: the kernel or the file system cannot (EINVAL, ENOSYS), or must not.
+    """
+    rename = _renameat2()
+    if rename is None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+    sys.audit("bundle.exchange", os.fspath(first), os.fspath(second))
+    if rename(_AT_FDCWD, os.fsencode(first), _AT_FDCWD, os.fsencode(second), _RENAME_EXCHANGE):
+        code = ctypes.get_errno()
+        raise OSError(code, os.strerror(code))
+
+
+@functools.cache
+def _renameat2() -> Callable[..., int] | None:
+    """Return the C library's renameat2 (glibc 2.28, musl 1.2.4), or None."""
+    try:
+        function = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError):
+        return None
+    function.argtypes = [
+        ctypes.c_int,
+        ctypes.c_char_p,
+        ctypes.c_int,
+        ctypes.c_char_p,
+        ctypes.c_uint,
+    ]
+    function.restype = ctypes.c_int
+    rename: Callable[..., int] = function
+    return rename

@@ -1,0 +1,95 @@
+"""g2o files, read and written; ``cpp/core/io/g2o.h`` has the format."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from bundle import _core
+from bundle.base.paths import as_path
+from bundle.base.words import plural
+from bundle.errors import shown
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.file_names import check_name
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.starts import start_without_poses
+
+__all__ = ["check_g2o_target", "load_g2o", "save_g2o"]
+
+_SUFFIXES = (".g2o", ".g2o.gz", ".g2o.bz2")
+
+
+def load_g2o(path: str | os.PathLike[str]) -> PoseGraph:
+    """Read a pose graph, plain or compressed by gzip or bzip2, told by the content.
+
+    Raises:
+        InputError: the content is not what the format says: unknown or duplicate vertices, a wrong
+            number of fields, numbers that are not finite, zero quaternions, edges of a vertex with
+            itself; one line with file and line.
+        OSError: the file cannot be read.
+    """
+    path = as_path(path)
+    read = _core.read_g2o(path)
+    graph = PoseGraph(
+        poses=read["poses"],
+        edges=read["edges"],
+        measurements=read["measurements"],
+        information=read["information"],
+        ids=read["ids"],
+        fixed=read["fixed"].astype(bool),
+        edge_lines=read["edge_lines"],
+        path=shown(path),
+        has_poses=read["has_vertices"],
+        format="toro" if read["is_toro"] else "g2o",
+        notes=_notes(read),
+    )
+    return graph if graph.has_poses else start_without_poses(graph)
+
+
+def save_g2o(graph: PoseGraph, path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Write a pose graph; ".gz" and ".bz2" at the end of the name compress.
+
+    What stood at ``path`` is replaced only when the new content is whole on the disk. Numbers are
+    the shortest that read back as the same. Returns what the format does not keep: nothing.
+
+    Raises:
+        InputError: the path is a folder.
+        OSError: the system refuses.
+    """
+    path = as_path(path)
+    with atomic.replace_file(path) as temporary:
+        _core.write_g2o(temporary, graph, _compression(path))
+    return ()
+
+
+def check_g2o_target(path: str | os.PathLike[str]) -> None:
+    """Refuse now what :func:`save_g2o` would refuse later.
+
+    Raises:
+        InputError: the path is a folder, or its name says another format.
+        OSError: there is no permission to write.
+    """
+    path = as_path(path)
+    check_name(path, f"a pose graph ({', '.join(_SUFFIXES)})", own=".g2o", compressed=".g2o")
+    atomic.check_file(path)
+
+
+def _notes(read: dict[str, Any]) -> tuple[str, ...]:
+    plain, equal, packets = (
+        int(read[f"num_{name}"]) for name in ("plain_edges", "equivalences", "sensor_packets")
+    )
+    notes = []
+    if plain:
+        notes.append(f"{plural(plain, 'edge')} without information: the identity is taken.")
+    if equal:
+        notes.append(
+            f"{plural(equal, 'line')} EQUIV passed over: the edges that they name stay as measured."
+        )
+    if packets:
+        notes.append(f"{plural(packets, 'packet')} of sensors (ROBOTLASER1) passed over.")
+    return tuple(notes)
+
+
+def _compression(path: Path) -> str:
+    return {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix.lower(), "")

@@ -1,0 +1,254 @@
+"""Reading and writing of problems in the formats of the field.
+
+Formats are told from content when reading. Writing is atomic: see
+``bundle.io.atomic.atomic_write``. Where a killed process left a model replaced in part, both finish
+that first and warn (UserWarning).
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from bundle.base import address_space
+from bundle.base.paths import as_path
+from bundle.errors import InputError, brief, shown
+from bundle.interface.option_fields import choice
+from bundle.io import bal
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.atomic.interrupts import interrupts_deferred
+from bundle.io.atomic.model_files import (
+    MODEL_FILES,
+    is_text_model,
+    missing_model_files,
+    models_below,
+)
+from bundle.io.colmap import colmap_files
+from bundle.io.file_names import check_name
+from bundle.io.georeference_file import remove_georeference
+from bundle.io.recognition import is_pose_graph_file, other_format_at
+from bundle.model.problem import Problem
+from bundle.model.pycolmap.problem_source import is_reconstruction
+
+__all__ = [
+    "FORMATS",
+    "check_target",
+    "load",
+    "output_format",
+    "recover",
+    "save",
+    "save_model",
+]
+
+FORMATS = ("bal", "colmap", "colmap-text")
+
+MOST_HINTS = 5
+"""Models inside a folder that an error names."""
+
+_BAL_SUFFIXES = (".txt", ".txt.gz", ".txt.bz2")
+
+
+def load(path: str | os.PathLike[str], progress: Callable[[int], None] | None = None) -> Problem:
+    """Read a COLMAP model folder (binary or text) or a BAL file (plain, gzip or bzip2).
+
+    Args:
+        path: of the folder or file.
+        progress: called now and then while a BAL file is read, with the bytes of text so far.
+
+    Raises:
+        InputError: the content is not what its format says; one line with path, place, what was
+            expected and what was found.
+        OSError: the path does not exist or cannot be read.
+    """
+    path = as_path(path)
+    recover(path)
+    if path.is_dir():
+        _check_model(path)
+        # Writing may need pycolmap: better to lack room for it now than after the work.
+        address_space.require("pycolmap", address_space.PYCOLMAP)
+        return colmap_files.load(path)
+    if path.name in MODEL_FILES and not missing_model_files(path.parent):
+        raise InputError(
+            f"{shown(path)}: expected the folder of a COLMAP model, found one of its files"
+        )
+    if is_pose_graph_file(path):
+        raise InputError(f"{shown(path)}: expected a reconstruction, found a pose graph")
+    other = other_format_at(path)
+    if other is not None:
+        raise InputError(
+            f"{shown(path)}: expected a BAL file or the folder of a COLMAP model, found {other}"
+        )
+    return bal.load(path, progress)
+
+
+def save(
+    problem: Problem,
+    path: str | os.PathLike[str],
+    format: str | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[str, ...]:
+    """Write a problem; return what the format does not keep, one sentence each.
+
+    What stood at ``path`` is replaced only when the new content is whole on the disk. Of a folder,
+    which must be empty or a COLMAP model, only the model files are replaced; georeference.json of
+    the model that was there goes with it.
+
+    Args:
+        problem: what to write.
+        path: a file (BAL; ".gz" and ".bz2" at the end compress) or a folder (COLMAP).
+        format: "bal", "colmap" (binary) or "colmap-text"; None: see ``output_format``.
+        progress: called now and then while a BAL file is written, with the bytes of text so far.
+
+    Raises:
+        InputError: the format cannot hold the problem, or the path cannot be replaced.
+        OSError: the system refuses: no permission, disk full.
+    """
+    _check_problem(problem)
+    recover(path)
+    chosen = output_format(problem, path, format)
+    path = as_path(path)
+    if chosen == "bal":
+        lost = bal.losses(problem)
+        with atomic.replace_file(path) as temporary:
+            bal.save(problem, temporary, _compression(path), progress)
+            remove_georeference(path, is_folder=False)
+        return lost
+    binary = chosen == "colmap"
+    if colmap_files.can_rewrite(problem, binary=binary):
+        return save_model(
+            path, chosen, lambda folder: colmap_files.rewrite(problem, folder, binary=binary)
+        )
+    with interrupts_deferred():  # pycolmap takes a while to import, and knows no interruption
+        from bundle.io.colmap import colmap
+    return save_model(path, chosen, lambda folder: colmap.save(problem, folder, binary=binary))
+
+
+def save_model(
+    path: Path, format: str, write: Callable[[Path], tuple[str, ...]]
+) -> tuple[str, ...]:
+    """Replace a COLMAP model by another; return what is lost by that, one sentence each.
+
+    Args:
+        path: the folder.
+        format: "colmap" (binary) or "colmap-text".
+        write: writes the files of the model into a folder and returns what they do not hold.
+
+    Raises:
+        InputError: the path cannot be replaced; or what ``write`` raises.
+        OSError: the system refuses: no permission, disk full.
+    """
+    going = _files_of_other_format(path, format)
+    with atomic.replace_folder(path) as temporary:
+        lost = write(temporary)
+        remove_georeference(path, is_folder=True)
+    return lost + going
+
+
+def output_format(
+    problem: Problem,
+    path: str | os.PathLike[str],
+    format: str | None = None,
+    source: str | os.PathLike[str] | None = None,
+) -> str:
+    """Return the format in which ``save`` writes: "bal", "colmap" or "colmap-text".
+
+    An explicit format counts first; then the path: ".txt", ".txt.gz" and ".txt.bz2" are BAL, an
+    existing folder or a trailing slash is COLMAP, as text where a model stands there as text, in
+    binary where one stands there in binary; then the format in which the problem came, and COLMAP
+    for one from memory: as text if it was read from a model in text at ``source``, else in binary.
+
+    Raises:
+        InputError: the explicit format is none of these, or the name is that of another one.
+    """
+    folder = as_path(path)
+    if format is not None:
+        return choice("format", format, FORMATS)
+    name = os.fspath(path)
+    colmap = "colmap-text" if source is not None and is_text_model(Path(source)) else "colmap"
+    if folder.is_dir() and not missing_model_files(folder):
+        return "colmap-text" if is_text_model(folder) else "colmap"
+    if name.endswith("/") or folder.is_dir():
+        return colmap
+    if name.lower().endswith(_BAL_SUFFIXES):
+        return "bal"
+    check_name(path, "a folder or of a BAL file (.txt, .txt.gz, .txt.bz2)", compressed=".txt")
+    return "bal" if problem.format == "bal" else colmap
+
+
+def check_target(
+    problem: Problem,
+    path: str | os.PathLike[str],
+    format: str | None = None,
+    refined: Collection[str] = (),
+    fixed_camera_ids: Collection[int] = (),
+) -> None:
+    """Raise now what ``save`` would refuse later, before hours go into a solve.
+
+    Args:
+        problem: what is going to be written, or solved and then written.
+        path: as for ``save``.
+        format: as for ``save``.
+        refined: kinds of camera parameters that the solve will change: "focal",
+            "principal_point", "extra"; others have no effect.
+        fixed_camera_ids: cameras that it will not change.
+
+    Raises:
+        InputError: the format cannot hold the problem, or the path cannot be replaced.
+        OSError: there is no permission to write.
+    """
+    recover(path)
+    chosen = output_format(problem, path, format)
+    if chosen == "bal":
+        bal.check_refined(problem, refined, fixed_camera_ids)
+        atomic.check_file(Path(path))
+        return
+    atomic.check_folder(Path(path))
+    if colmap_files.can_rewrite(problem, binary=chosen == "colmap"):
+        problem.check_padding()
+        return
+    with interrupts_deferred():
+        from bundle.model.pycolmap import write_back
+    write_back.check(problem)
+    if chosen == "colmap-text" and is_reconstruction(problem.source):
+        from bundle.io.colmap import colmap
+
+        colmap.check_text(problem)
+
+
+def recover(path: str | os.PathLike[str]) -> None:
+    """Finish what a killed process has left unfinished at a path, and warn that this was done."""
+    for sentence in atomic.recover(as_path(path)):
+        warnings.warn(sentence, atomic.RecoveryWarning, stacklevel=3)
+
+
+def _files_of_other_format(folder: Path, format: str) -> tuple[str, ...]:
+    """Tell that files of a model in the other format go: they would soon contradict the new one."""
+    suffix = ".txt" if format == "colmap" else ".bin"
+    names = [name for name in sorted(MODEL_FILES) if name.endswith(suffix)]
+    going = [name for name in names if (folder / name).exists()]
+    return (f"Files of the model that was there before go: {', '.join(going)}.",) if going else ()
+
+
+def _check_problem(problem: Problem) -> None:
+    if not isinstance(problem, Problem):
+        raise InputError(f"problem: expected a Problem, found {brief(problem)}")
+
+
+def _compression(path: Path) -> str:
+    return {".gz": "gzip", ".bz2": "bzip2"}.get(path.suffix.lower(), "")
+
+
+def _check_model(folder: Path) -> None:
+    """Raise an InputError that says what a folder lacks to be a COLMAP model."""
+    missing = missing_model_files(folder)
+    if not missing:
+        return
+    found = f"found a folder without {', '.join(missing)}"
+    models = models_below(folder)
+    if models:
+        paths = " or ".join(shown(model) for model in models[:MOST_HINTS])
+        more = f" (or {len(models) - MOST_HINTS} more)" if len(models) > MOST_HINTS else ""
+        found += f"; try {paths}{more}"
+    raise InputError(f"{shown(folder)}: expected a COLMAP model, {found}")

@@ -1,0 +1,1 @@
+"""Folders of visual-inertial sequences, trajectories, tracks."""

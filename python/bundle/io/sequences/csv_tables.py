@@ -1,0 +1,123 @@
+"""Tables of whole nanoseconds and numbers in CSV files: read with the line of each row, written.
+
+Stamps of today have 19 digits, more than a double holds, so that they are parsed as integers.
+Numbers are written with as many digits as read back as the same.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.text_lines import numbered_lines
+from bundle.errors import InputError, brief, shown
+
+__all__ = ["CsvTable", "csv_lines", "read_csv"]
+
+
+@dataclass(frozen=True, eq=False)
+class CsvTable:
+    """Columns of a file.
+
+    Attributes:
+        whole: (n, number of integer columns) int64.
+        numbers: (n, number of other columns).
+        lines: (n,) lines of the file, from 1.
+        name: of the file, to be shown.
+    """
+
+    whole: NDArray[np.int64]
+    numbers: NDArray[np.float64]
+    lines: NDArray[np.int64]
+    name: str
+
+    def place(self, row: int) -> str:
+        """Return "imu.csv: line 12"."""
+        return f"{self.name}: line {self.lines[row]}" if row < len(self.lines) else self.name
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+
+def read_csv(
+    path: str | os.PathLike[str],
+    whole: Sequence[str],
+    numbers: Sequence[str],
+    delimiter: str | None = ",",
+    extra: bool = False,
+) -> CsvTable:
+    """Read a table: integer columns, then numbers. Empty lines, comments and a head are skipped.
+
+    Args:
+        path: of the file.
+        whole: names of the integer columns, for messages.
+        numbers: names of the columns after them.
+        delimiter: between columns; None for blanks.
+        extra: further columns are allowed, and ignored.
+
+    Raises:
+        InputError: a line has too few or too many columns, or a word where a number is expected;
+            it names file, line and column.
+        OSError: the file cannot be read.
+    """
+    name = shown(path)
+    lines, rows = [], []
+    for number, line in numbered_lines(path):
+        text = line.strip()
+        if text and text[0] != "#":
+            lines.append(number)
+            rows.append(text)
+    if rows and rows[0][0].isalpha() and rows[0][:3].lower() not in ("nan", "inf"):
+        del lines[0], rows[0]  # a head
+    columns = [*whole, *numbers]
+    kind = np.dtype([("whole", np.int64, (len(whole),)), ("numbers", np.float64, (len(numbers),))])
+    wanted = range(len(columns)) if extra else None
+    try:
+        table = (
+            np.loadtxt(rows, kind, comments=None, delimiter=delimiter, ndmin=1, usecols=wanted)
+            if rows
+            else np.zeros(0, kind)
+        )
+    except ValueError:
+        for number, text in zip(lines, rows, strict=True):
+            _check_line(f"{name}: line {number}", text.split(delimiter), whole, numbers, extra)
+        raise
+    return CsvTable(
+        whole=np.ascontiguousarray(table["whole"]),
+        numbers=np.ascontiguousarray(table["numbers"]),
+        lines=np.array(lines, np.int64),
+        name=name,
+    )
+
+
+def csv_lines(head: str, *columns: Any) -> str:
+    """Return the text of a file: a head, then a row per entry of the columns, each of them 1-D."""
+    cells = [[repr(value) for value in np.asarray(column).tolist()] for column in columns]
+    rows: Iterable[str] = (",".join(row) for row in zip(*cells, strict=True))
+    return "\n".join([head, *rows, ""])
+
+
+def _check_line(
+    place: str, words: list[str], whole: Sequence[str], numbers: Sequence[str], extra: bool
+) -> None:
+    expected = len(whole) + len(numbers)
+    if len(words) < expected or (len(words) > expected and not extra):
+        raise InputError(
+            f"{place}: expected {expected} columns ({', '.join([*whole, *numbers])}), "
+            f"found {len(words)}"
+        )
+    for index, name in enumerate([*whole, *numbers]):
+        word = words[index].strip()
+        try:
+            value = int(word) if index < len(whole) else float(word)
+            valid = index >= len(whole) or -(2**63) <= value < 2**63
+        except ValueError:
+            valid = False
+        if not valid:
+            sort = "an integer of 64 bits" if index < len(whole) else "a number"
+            raise InputError(f"{place}: {name}: expected {sort}, found {brief(word)}")

@@ -1,0 +1,175 @@
+"""Trajectories in files: TUM's, and EuRoC's ground truth with velocities and biases.
+
+A TUM line is ``timestamp tx ty tz qx qy qz qw``, the stamp in seconds. A line of EuRoC's is the
+stamp in nanoseconds, position, quaternion **qw first**, velocity, gyroscope and accelerometer bias.
+Both are the IMU's pose in the world.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle.base.arrays import immutable
+from bundle.base.paths import as_path
+from bundle.base.text_lines import numbered_lines
+from bundle.errors import InputError, shown
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.sequences.csv_tables import csv_lines, read_csv
+from bundle.model.sequence.stamp_units import stamp_of_seconds
+
+__all__ = [
+    "Trajectory",
+    "load_ground_truth",
+    "load_trajectory",
+    "load_tum",
+    "save_ground_truth",
+    "save_tum",
+]
+
+_POSITION, _QUATERNION = ["px", "py", "pz"], ["qw", "qx", "qy", "qz"]
+_MOTION = ["vx", "vy", "vz", "bwx", "bwy", "bwz", "bax", "bay", "baz"]
+_GROUND_TRUTH_HEAD = "#timestamp [ns]," + ",".join([*_POSITION, *_QUATERNION, *_MOTION])
+# Columns of a state, qx qy qz qw px py pz v bg ba, in an EuRoC row.
+_FROM_EUROC = [4, 5, 6, 3, 0, 1, 2, *range(7, 16)]  # a permutation that is its own inverse
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses of the IMU over time.
+
+    Attributes:
+        timestamps_ns: (n,) int64, ascending.
+        states: (n, 16) rows qx qy qz qw px py pz vx vy vz bgx bgy bgz bax bay baz, world_from_imu;
+            nan where a file has no velocities and biases.
+    """
+
+    timestamps_ns: NDArray[np.int64]
+    states: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        stamps = immutable("timestamps_ns", self.timestamps_ns, np.int64)
+        states = immutable("states", self.states, np.float64)
+        if stamps.ndim != 1 or states.shape != (len(stamps), 16):
+            raise InputError(f"states: expected shape ({len(stamps)}, 16), found {states.shape}")
+        object.__setattr__(self, "timestamps_ns", stamps)
+        object.__setattr__(self, "states", states)
+
+    def __len__(self) -> int:
+        return len(self.timestamps_ns)
+
+
+def load_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Read either format: lines with commas are EuRoC's, others TUM's.
+
+    Raises:
+        InputError: a line is neither; one line with file, line, expected and found.
+        OSError: the file cannot be read.
+    """
+    for _, line in numbered_lines(as_path(path)):
+        if line.strip() and not line.startswith("#"):
+            return load_ground_truth(path) if "," in line else load_tum(path)
+    raise InputError(f"{shown(as_path(path))}: expected poses, found none")
+
+
+def load_ground_truth(path: str | os.PathLike[str]) -> Trajectory:
+    """Read EuRoC's ground truth; velocities and biases are nan in a file that ends with the poses.
+
+    Raises:
+        InputError: a line has too few columns, a word in place of a number, or no quaternion, or
+            time does not go on.
+        OSError: the file cannot be read.
+    """
+    path = as_path(path)
+    first = [line for _, line in numbered_lines(path) if line.strip() and line[0] != "#"][:1]
+    whole = bool(first) and first[0].count(",") >= 16
+    names = [*_POSITION, *_QUATERNION, *(_MOTION if whole else [])]
+    table = read_csv(path, ["timestamp"], names, extra=True)
+    states = np.full((len(table), 16), np.nan)
+    states[:, : len(names)] = table.numbers[:, _FROM_EUROC[: len(names)]]
+    return _checked(table.whole[:, 0], states, table.place)
+
+
+def load_tum(path: str | os.PathLike[str]) -> Trajectory:
+    """Read a TUM trajectory; stamps keep their nanoseconds.
+
+    Raises:
+        InputError: a line has too few columns, a word in place of a number, or no quaternion, a
+            stamp is not finite or in another unit, or time does not go on.
+        OSError: the file cannot be read.
+    """
+    names = ["timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
+    path = as_path(path)
+    table = read_csv(path, [], names, delimiter=None)
+    words = {
+        number: line.split(None, 1)[0] for number, line in numbered_lines(path) if line.strip()
+    }
+    stamps = [
+        stamp_of_seconds(words[line], table.place(row))
+        for row, line in enumerate(table.lines.tolist())
+    ]
+    states = np.full((len(table), 16), np.nan)
+    states[:, :4], states[:, 4:7] = table.numbers[:, 4:], table.numbers[:, 1:4]
+    return _checked(np.array(stamps, np.int64), states, table.place)
+
+
+def save_tum(path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: ArrayLike) -> None:
+    """Write a TUM trajectory: stamps in seconds with nine decimals, numbers that read back.
+
+    Args:
+        path: of the file.
+        timestamps_ns: (n,).
+        states: (n, 7) or more columns: qx qy qz qw px py pz, world_from_imu.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    rows = np.asarray(states, np.float64)[:, [4, 5, 6, 0, 1, 2, 3]].tolist()
+    stamps = np.asarray(timestamps_ns, np.int64).tolist()
+    lines = ["# timestamp tx ty tz qx qy qz qw"]
+    for stamp, row in zip(stamps, rows, strict=True):
+        sign, size = "-" * (stamp < 0), abs(stamp)
+        second = f"{sign}{size // 10**9}.{size % 10**9:09d}"
+        lines.append(" ".join([second, *map(repr, row)]))
+    atomic.write_text(as_path(path), "\n".join([*lines, ""]))
+
+
+def save_ground_truth(
+    path: str | os.PathLike[str], timestamps_ns: ArrayLike, states: ArrayLike
+) -> None:
+    """Write states (n, 16) as EuRoC's ground truth.
+
+    Raises:
+        OSError: the system refuses.
+    """
+    columns = np.asarray(states, np.float64)[:, _FROM_EUROC].T
+    text = csv_lines(_GROUND_TRUTH_HEAD, np.asarray(timestamps_ns, np.int64), *columns)
+    atomic.write_text(as_path(path), text)
+
+
+def _checked(
+    stamps: NDArray[np.int64], states: NDArray[np.float64], place: Callable[[int], str]
+) -> Trajectory:
+    if not len(stamps):
+        raise InputError(f"{place(0)}: expected poses, found none")
+    norm = np.linalg.norm(states[:, :4], axis=1)
+    wrong = np.flatnonzero(~(np.abs(norm - 1) < 0.01) | ~np.isfinite(states[:, :7]).all(axis=1))
+    if len(wrong):
+        row = int(wrong[0])
+        raise InputError(
+            f"{place(row)}: expected finite numbers and a quaternion of norm 1, found norm "
+            f"{norm[row]:g}"
+        )
+    back = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise InputError(
+            f"{place(row)}: time goes back: expected more than {stamps[row - 1]} ns, found "
+            f"{stamps[row]}"
+        )
+    states[:, :4] /= norm[:, None]
+    return Trajectory(stamps, states)

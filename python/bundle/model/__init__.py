@@ -1,0 +1,1 @@
+"""Reconstructions, pose graphs and sequences as arrays."""

@@ -1,0 +1,136 @@
+"""Camera models: what there is, and projection with derivatives."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle import _core
+from bundle.base.arguments import as_array, as_flag
+from bundle.errors import InputError
+from bundle.interface.option_fields import choice
+
+__all__ = ["CameraParam", "ProjectionResult", "camera_models", "param_kinds", "project"]
+
+
+class CameraParam(NamedTuple):
+    """A parameter of a camera model.
+
+    Its kind is "focal", "principal_point", "extra", or "metadata", which no solve refines.
+    """
+
+    name: str
+    kind: str
+
+
+class ProjectionResult(NamedTuple):
+    """Pixels and their derivatives.
+
+    Attributes:
+        xy: (N, 2) pixels; NaN where the projection does not exist.
+        valid: (N,) whether the camera sees the point, by COLMAP's rules: for most models what lies
+            in front of it, for SIMPLE_DIVISION, DIVISION and EQUIRECTANGULAR whatever projects.
+        d_point: (N, 2, 3) pixels per length unit, by the point in the camera frame.
+        d_params: (N, 2, num_params), by the parameters in COLMAP's order.
+    """
+
+    xy: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+    d_point: NDArray[np.float64]
+    d_params: NDArray[np.float64]
+
+
+_MODELS: dict[str, tuple[CameraParam, ...]] = {
+    name: tuple(CameraParam(*param) for param in params)
+    for name, params, _ in _core.camera_models()
+}
+
+_REACH = {name: reach for name, _, reach in _core.camera_models()}
+
+
+_PARAM_NAMES = {name: tuple(param.name for param in params) for name, params in _MODELS.items()}
+
+
+def camera_models() -> dict[str, tuple[str, ...]]:
+    """Return the names of all models with the names of their parameters, in COLMAP's order."""
+    return dict(_PARAM_NAMES)
+
+
+def reach(model: str) -> str:
+    """Return how far from the optical axis the formula of a model goes without a break.
+
+    "front": to less than 90 degrees, or the model is unknown. "beyond": farther, to where it
+    breaks. "all": to everything that has a value.
+    """
+    return _REACH.get(model, "front")
+
+
+def param_kinds(model: str) -> tuple[str, ...]:
+    """Return the kind of each parameter of a model.
+
+    Raises:
+        InputError: there is no such model.
+    """
+    return tuple(param.kind for param in _params(model))
+
+
+@overload
+def project(
+    model: str, params: ArrayLike, points_in_camera: ArrayLike, *, jacobians: Literal[False] = False
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
+
+
+@overload
+def project(
+    model: str, params: ArrayLike, points_in_camera: ArrayLike, *, jacobians: Literal[True]
+) -> ProjectionResult: ...
+
+
+def project(
+    model: str, params: ArrayLike, points_in_camera: ArrayLike, *, jacobians: bool = False
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | ProjectionResult:
+    """Project points into the image.
+
+    Args:
+        model: COLMAP's name of the model.
+        params: its parameters in COLMAP's order; focal lengths and principal point in pixels.
+        points_in_camera: (N, 3) in the frame of the camera: x right, y down, z forward.
+        jacobians: also return the derivatives.
+
+    Returns:
+        Pixels (N, 2) and validity (N,), or with ``jacobians=True`` a :class:`ProjectionResult`.
+        A point that the camera does not see may have pixels, by the formula: that of the mirrored
+        point behind a perspective camera, that of an angle beyond 90 degrees for a fisheye. It is
+        not valid.
+
+    Raises:
+        InputError: unknown model, or arrays of the wrong shape.
+    """
+    expected = _params(model)
+    model = choice("camera model", model, _MODELS)
+    jacobians = as_flag("jacobians", jacobians)
+    param_array = as_array("params", params)
+    if param_array.shape != (len(expected),):
+        names = ", ".join(param.name for param in expected)
+        raise InputError(
+            f"{model}: expected {len(expected)} parameters ({names}), "
+            f"found an array of shape {param_array.shape}"
+        )
+    points = as_array("points_in_camera", points_in_camera)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError(f"points_in_camera: expected shape (N, 3), found {points.shape}")
+    xy, status, d_point, d_params = _core.project(model, param_array, points, jacobians)
+    undefined = status == _core.PROJECTION_UNDEFINED
+    xy[undefined] = np.nan
+    valid = status == _core.PROJECTION_VALID
+    if d_point is None or d_params is None:
+        return xy, valid
+    d_point[undefined] = np.nan
+    d_params[undefined] = np.nan
+    return ProjectionResult(xy, valid, d_point, d_params)
+
+
+def _params(model: str) -> tuple[CameraParam, ...]:
+    return _MODELS[choice("camera model", model, _MODELS)]

@@ -1,0 +1,114 @@
+"""Images named by ids, ranges of ids and patterns of names."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from bundle.errors import InputError, brief
+from bundle.model.problem import Problem
+
+__all__ = ["MOST_IDS", "ImageSelection", "find_images", "id_range", "named_images"]
+
+MOST_IDS = 10_000_000
+"""Ids that a list may hold: a slip in a range must not fill the memory."""
+
+ImageSelection = str | Iterable[int | str]
+"""A list such as "1,5-9,left/*.jpg", or its entries one by one."""
+
+
+def find_images(argument: str, problem: Problem, selection: Any) -> tuple[int, ...]:
+    """Return the ids of the images that a selection names, sorted, each once.
+
+    An entry is an id (12), a range of ids (5-9), or the name of an image, in which ``*`` stands for
+    any characters, ``?`` for one and ``[ab]`` for one of some; case matters. A string is split at
+    its commas; a name with a comma has to be an entry of a list, or to have a ``?`` there.
+
+    Raises:
+        InputError: an id does not exist, no name is like the pattern, or this is no selection; the
+            message begins with the argument.
+    """
+    if isinstance(selection, str):
+        entries: list[Any] = [entry.strip() for entry in selection.split(",")]
+    else:
+        try:
+            entries = list(selection)
+        except TypeError:
+            raise InputError(
+                f"{argument}: expected ids or names of images, found {brief(selection)}"
+            ) from None
+    if not entries or any(isinstance(entry, str) and not entry for entry in entries):
+        raise InputError(f"{argument}: expected ids or names of images, found {brief(selection)}")
+    known = set(problem.image_ids.tolist())
+    found: set[int] = set()
+    for entry in entries:
+        ids = _ids(argument, entry)
+        if ids is None:
+            found.update(named_images(argument, problem, entry))
+            continue
+        for image_id in ids:
+            if image_id not in known:
+                raise InputError(f"{argument}: there is no image {image_id} in the problem")
+            found.add(image_id)
+    return tuple(sorted(found))
+
+
+def _ids(argument: str, entry: Any) -> Iterable[int] | None:
+    """Return the ids that an entry stands for, None if it is a name."""
+    if isinstance(entry, int | np.integer) and not isinstance(entry, bool):
+        return (int(entry),)
+    if not isinstance(entry, str):
+        raise InputError(f"{argument}: expected ids or names of images, found {brief(entry)}")
+    try:
+        ids = id_range(entry)
+    except ValueError as error:
+        raise InputError(f"{argument}: {error}") from None
+    if ids is not None and ids.stop - ids.start > MOST_IDS:  # len() ends at 2^63 - 1
+        raise InputError(f"{argument}: expected at most {MOST_IDS} ids, found {entry!r}")
+    return ids
+
+
+def id_range(text: str) -> range | None:
+    """Return the ids that "5" or "5-9" names, None for other text.
+
+    Raises:
+        ValueError: the range ends before it starts.
+    """
+    first, dash, last = (piece.strip() for piece in text.partition("-"))
+    if not _is_id(first) or (dash and not _is_id(last)):
+        return None
+    low, high = int(first), int(last) if dash else int(first)
+    if high < low:
+        raise ValueError(f"the range {text.strip()!r} ends before it starts")
+    return range(low, high + 1)
+
+
+def _is_id(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 20 and int(text) < 2**63
+
+
+def named_images(argument: str, problem: Problem, pattern: str) -> list[int]:
+    """Return the id of the image with a name, or the ids of those with names like a pattern.
+
+    Raises:
+        InputError: there are none, or several of the same name; the message begins with the
+            argument.
+    """
+    names, ids = problem.image_names, problem.image_ids.tolist()
+    found = [key for key, name in zip(ids, names, strict=True) if name == pattern]
+    if len(found) > 1:
+        raise InputError(
+            f"{argument}: expected one image named {pattern!r}, found {len(found)} "
+            f"(ids {', '.join(map(str, found))}); its id names one of them"
+        )
+    if not found:
+        matching = set(fnmatch.filter(set(names), pattern))
+        found = [key for key, name in zip(ids, names, strict=True) if name in matching]
+    if not found:
+        raise InputError(
+            f"{argument}: expected ids or names of images, found no image named {pattern!r}"
+        )
+    return found

@@ -1,0 +1,112 @@
+"""Robust losses: their values, and what a solver makes of a residual under one.
+
+A residual r of the problem costs 1/2 rho(||r||^2). Names and scales are those of
+:class:`bundle.SolveOptions`; everything is computed by the core, as in a solve.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle import _core
+from bundle.base.arguments import as_array
+from bundle.errors import InputError, brief
+from bundle.interface.option_fields import choice, number
+from bundle.interface.options import LOSSES
+
+__all__ = ["SECOND_ORDER_TERMS", "Corrected", "correct", "evaluate_loss", "second_order_block"]
+
+SECOND_ORDER_TERMS = ("full", "clamped", "ceres")
+
+
+class Corrected(NamedTuple):
+    """A residual (m,) and its Jacobian (m, n) as a least-squares solver is to see them."""
+
+    residual: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+
+
+def evaluate_loss(loss: str, scale: float, squared_norms: ArrayLike) -> NDArray[np.float64]:
+    """Return rho, rho' and rho'' at squared norms s = ||r||^2.
+
+    Args:
+        loss: a name out of SolveOptions.
+        scale: the norm at which the loss bends, in the unit of r.
+        squared_norms: (N,), not negative.
+
+    Returns:
+        (N, 3); rho' and rho'' are derivatives by s.
+
+    Raises:
+        InputError: there is no such loss, or a value is out of its range.
+    """
+    name = choice("loss", loss, LOSSES)
+    scale = number("scale", scale, above=0)
+    squared = as_array("squared_norms", squared_norms)
+    if squared.ndim != 1 or not (squared >= 0).all():
+        raise InputError(
+            f"squared_norms: expected numbers of 0 or more in one row, found {brief(squared_norms)}"
+        )
+    return _core.evaluate_loss(name, scale, squared)
+
+
+def second_order_block(
+    rho: ArrayLike, residual: ArrayLike, jacobian: ArrayLike
+) -> NDArray[np.float64]:
+    """Return Triggs' block J^T (rho' I + 2 rho'' r r^T) J, (n, n), which may be indefinite.
+
+    Args:
+        rho: (3,) rho, rho', rho'' at ||r||^2.
+        residual: (m,) r.
+        jacobian: (m, n) J.
+
+    Raises:
+        InputError: shapes do not fit each other.
+    """
+    return _core.second_order_block(*_checked(rho, residual, jacobian))
+
+
+def correct(
+    rho: ArrayLike, residual: ArrayLike, jacobian: ArrayLike, second_order_term: str = "ceres"
+) -> Corrected | None:
+    """Return the residual and Jacobian that a least-squares solver is given in place of r and J.
+
+    Args:
+        rho: (3,) rho, rho', rho'' at ||r||^2, with rho' > 0 where rho'' is not zero.
+        residual: (m,) r.
+        jacobian: (m, n) J.
+        second_order_term: "full" (Triggs'), "clamped" (left out where rho'' <= 0, by our formulas)
+            or "ceres" (what Ceres itself makes of it).
+
+    Returns:
+        The corrected pair; None where the full correction does not exist because the block is
+        singular or indefinite.
+
+    Raises:
+        InputError: shapes do not fit each other, rho' is out of its range, or there is no such
+            term.
+    """
+    arrays = _checked(rho, residual, jacobian)
+    _, first, second = arrays[0]
+    if not (first >= 0 and (first > 0 or second == 0)):
+        raise InputError(f"rho: expected rho' above 0, found {first}")
+    term = choice("second_order_term", second_order_term, SECOND_ORDER_TERMS)
+    pair = _core.correct(*arrays, term)
+    return None if pair is None else Corrected(*pair)
+
+
+def _checked(
+    rho: ArrayLike, residual: ArrayLike, jacobian: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    r, three = as_array("residual", residual), as_array("rho", rho)
+    wanted = {"rho": (three, (3,)), "residual": (r, (max(r.size, 1),))}
+    for name, (value, shape) in wanted.items():
+        if value.shape != shape:
+            raise InputError(f"{name}: expected shape {shape}, found {value.shape}")
+    j = as_array("jacobian", jacobian)
+    if j.ndim != 2 or j.shape[0] != r.size or j.shape[1] == 0:
+        raise InputError(f"jacobian: expected shape ({r.size}, n), found {j.shape}")
+    return three, r, j

@@ -1,0 +1,204 @@
+"""A pose graph: poses, and measured relative poses between them."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.arrays import freeze, immutable, refrozen
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
+from bundle.errors import InputError, brief
+
+__all__ = ["PoseGraph"]
+
+TANGENT = {3: 3, 7: 6}
+"""Tangent coordinates of a pose by its numbers."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class PoseGraph(Displayed):
+    """Poses X_i (world_from_body) and edges that measure X_i^-1 X_j.
+
+    Arrays are read-only. A pose in the plane is x y angle (units of length, radians), in space
+    qx qy qz qw tx ty tz, a quaternion of any norm but 0. Information matrices are in the order of
+    the tangent coordinates of :class:`bundle.FactorGraph`: x y angle in the plane; rotation x y z,
+    then translation x y z in space (g2o's files have the translation first; reading and writing
+    permute). So ``BetweenFactor(a, b, graph.measurements[k], graph.information[k])`` is edge k.
+
+    Attributes:
+        poses: (n, 3) or (n, 7).
+        edges: (m, 2) positions of poses, the first the one in whose frame the second is measured.
+        measurements: (m, 3) or (m, 7), as poses.
+        information: (m, d, d) with d = 3 or 6; symmetric positive semidefinite for a solve.
+        ids: (n,) of the poses, 0 or above, each once; positions if not given.
+        fixed: (n,) True where a pose is known (FIX) and stays; none if not given.
+        edge_lines: (m,) lines of the file that the edges come from; 0: none.
+        path: of that file; "" from memory.
+        has_poses: False if the file had edges alone, so that the poses are those of odometry, or
+            of a spanning tree where the chain of ids is broken.
+        format: of that file, "g2o" or "toro"; "" from memory.
+        notes: sentences on what was read in another way than it stands there.
+
+    Raises:
+        InputError: shapes or values contradict each other.
+    """
+
+    poses: NDArray[np.float64]
+    edges: NDArray[np.int32]
+    measurements: NDArray[np.float64]
+    information: NDArray[np.float64]
+    ids: NDArray[np.int64] = None  # type: ignore[assignment]
+    fixed: NDArray[np.bool_] = None  # type: ignore[assignment]
+    edge_lines: NDArray[np.int64] = None  # type: ignore[assignment]
+    path: str = ""
+    has_poses: bool = True
+    format: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: NDArray[Any]) -> None:
+            object.__setattr__(self, name, value)
+
+        for name in ("poses", "measurements", "information"):
+            put(name, immutable(name, getattr(self, name), np.float64))
+        put("edges", immutable("edges", self.edges, np.int32))
+        n, m = len(self.poses), len(self.edges)
+        put("ids", _or_default("ids", self.ids, np.arange(n, dtype=np.int64), np.int64))
+        put(
+            "edge_lines",
+            _or_default("edge_lines", self.edge_lines, np.zeros(m, np.int64), np.int64),
+        )
+        fixed = np.zeros(n, bool) if self.fixed is None else np.asarray(self.fixed)
+        if fixed.dtype != np.bool_:
+            raise InputError(f"fixed: expected flags, found an array of {fixed.dtype.name}")
+        put("fixed", freeze(fixed.copy()))
+        self._check_shapes(n, m)
+        self._check_values(n)
+
+    def _check_shapes(self, n: int, m: int) -> None:
+        if self.poses.ndim != 2 or self.poses.shape[1] not in TANGENT:
+            raise InputError(
+                "poses: expected shape (n, 3), x y angle, or (n, 7), qx qy qz qw tx ty tz, "
+                f"found {self.poses.shape}"
+            )
+        ambient, d = self.poses.shape[1], self.tangent_size
+        expected = {
+            "edges": (m, 2),
+            "measurements": (m, ambient),
+            "information": (m, d, d),
+            "ids": (n,),
+            "fixed": (n,),
+            "edge_lines": (m,),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise InputError(
+                    f"{name}: expected shape {shape}, found {getattr(self, name).shape}"
+                )
+        if n == 0:
+            raise InputError("poses: expected at least one, found none")
+
+    def _check_values(self, n: int) -> None:
+        for name in ("poses", "measurements"):
+            values = getattr(self, name)
+            finite = np.isfinite(values).all(axis=1)
+            if not finite.all():
+                k = int(np.argmin(finite))
+                raise InputError(f"{name}[{k}]: expected finite numbers, found {brief(values[k])}")
+            if values.shape[1] == 7:
+                zero = ~values[:, :4].any(axis=1)
+                if zero.any():
+                    raise InputError(
+                        f"{name}[{int(np.argmax(zero))}]: expected a quaternion qx qy qz qw, "
+                        "found one of norm 0"
+                    )
+        outside = (self.edges < 0) | (self.edges >= n)
+        if outside.any():
+            k = int(np.argmax(outside.any(axis=1)))
+            raise InputError(
+                f"edges[{k}]: expected positions of poses, 0 to {n - 1}, "
+                f"found {self.edges[k].tolist()}"
+            )
+        loops = self.edges[:, 0] == self.edges[:, 1]
+        if loops.any():
+            k = int(np.argmax(loops))
+            raise InputError(
+                f"edges[{k}]: expected two different poses, found {self.edges[k].tolist()}"
+            )
+        unique, counts = np.unique(self.ids, return_counts=True)
+        if len(unique) < n:
+            raise InputError(
+                f"ids: expected each once, found {unique[np.argmax(counts > 1)]} again"
+            )
+        if unique[0] < 0:
+            raise InputError(f"ids: expected whole numbers from 0, found {unique[0]}")
+
+    @property
+    def dimension(self) -> int:
+        """2 in the plane, 3 in space."""
+        return 2 if self.poses.shape[1] == 3 else 3
+
+    @property
+    def tangent_size(self) -> int:
+        """Degrees of freedom of a pose: 3 or 6."""
+        return TANGENT[self.poses.shape[1]]
+
+    @property
+    def num_poses(self) -> int:
+        """Number of poses."""
+        return len(self.poses)
+
+    @property
+    def num_edges(self) -> int:
+        """Number of edges."""
+        return len(self.edges)
+
+    @property
+    def is_closure(self) -> NDArray[np.bool_]:
+        """(m,) True for edges that are not between consecutive ids."""
+        first, second = self.ids[self.edges[:, 0]], self.ids[self.edges[:, 1]]
+        found: NDArray[np.bool_] = np.abs(first - second) != 1
+        return found
+
+    @property
+    def num_components(self) -> int:
+        """Number of connected components."""
+        _, count, _ = _core.hold_poses(self)
+        return int(count)
+
+    def replace(self, **changes: Any) -> PoseGraph:
+        """Return a copy with some attributes changed."""
+        return dataclasses.replace(self, **changes)
+
+    def edge_name(self, position: int) -> str:
+        """Return what messages call an edge: file and line where there are some, and its ids."""
+        line = int(self.edge_lines[position])
+        place = f"{self.path}:{line}: " if line and self.path else ""
+        first, second = self.ids[self.edges[position]]
+        return f"{place}edge {first} {second}"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return dict(self.__dict__)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(refrozen(state))
+
+    def _display(self) -> Display:
+        closures = int(self.is_closure.sum())
+        facts = [
+            ("poses", f"{plural(self.num_poses, 'pose')}, {int(self.fixed.sum())} fixed"),
+            ("edges", f"{plural(self.num_edges, 'edge')}, {plural(closures, 'closure')}"),
+        ]
+        if self.path:
+            facts.append(("file", self.path))
+        return Display(title=f"PoseGraph in {self.dimension}-D", facts=tuple(facts))
+
+
+def _or_default(name: str, value: Any, default: NDArray[Any], dtype: type) -> NDArray[Any]:
+    return freeze(default) if value is None else immutable(name, value, dtype)

@@ -1,0 +1,406 @@
+"""The problem: cameras, images, points and observations as read-only NumPy arrays.
+
+Conventions are COLMAP's. A point ``X`` of the world appears in the frame of image ``i`` as
+``R(q) X + t`` with ``cam_from_world[i] = (qx, qy, qz, qw, tx, ty, tz)``: x right, y down, z
+forward; the centre of the upper left pixel is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.arrays import filled, freeze, immutable
+from bundle.base.display import Display, Displayed
+from bundle.base.words import contents, format_name, plural
+from bundle.errors import InputError
+from bundle.interface.option_fields import choice
+from bundle.model import rig_arrays
+from bundle.model.cameras import camera_models
+from bundle.model.pycolmap.deferred_source import DeferredSource
+
+if TYPE_CHECKING:
+    import pycolmap
+
+__all__ = ["Problem"]
+
+FORMATS = ("bal", "colmap", "memory")
+
+# Those without a default first: the others' defaults depend on how many there are.
+_DTYPES: dict[str, type] = {
+    "cam_from_world": np.float64,
+    "camera_params": np.float64,
+    "points": np.float64,
+    "observation_image": np.int32,
+    "observation_point": np.int32,
+    "observation_xy": np.float64,
+    "observation_keypoint": np.int32,
+    "image_ids": np.int64,
+    "image_camera": np.int32,
+    "camera_ids": np.int64,
+    "camera_sizes": np.int64,
+    "point_ids": np.int64,
+    **rig_arrays.DTYPES,
+}
+
+# What has a default has one entry for each of these.
+_ONE_FOR_EACH = {
+    "image_ids": "num_images",
+    "image_camera": "num_images",
+    "camera_ids": "num_cameras",
+    "camera_sizes": "num_cameras",
+    "point_ids": "num_points",
+    "observation_keypoint": "num_observations",
+}
+
+
+def _by_default() -> Any:
+    """Return None, which stands for the default until the number of images is known."""
+    return None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Problem(Displayed):
+    """A bundle adjustment problem.
+
+    Poses, camera models and parameters, points and observations have to be given; all else has a
+    default. Arrays are C-contiguous and nothing can write to them. An array is shared, not copied,
+    if its memory is as safe: the arrays of other problems are, those that NumPy makes are not.
+
+    Only registered images are in a problem: what a reconstruction holds besides stays in ``source``
+    and is written back by ``bundle.save``. To edit a problem, make another one with
+    ``dataclasses.replace`` or :meth:`replace`. ``bundle.save`` writes every edit, refuses it, or
+    returns a sentence for what the format cannot hold.
+
+    Attributes:
+        cam_from_world: (num_images, 7) pose of each image, qx qy qz qw tx ty tz, translation in the
+            reconstruction's length unit. The quaternion need not be exactly normalised.
+        image_ids: (num_images,) ids in the source; from 0 by default, as in BAL.
+        image_names: num_images names; "" (the default) where the source has none.
+        image_camera: (num_images,) index (not id) of each image's camera. By default image i has
+            camera i, or all images have the only camera.
+        rig_from_world: (num_frames, 7) pose of each frame of a rig of several sensors, as
+            cam_from_world; empty (the default) where every image has a pose of its own.
+        frame_ids: (num_frames,) ids in the source; from 0 by default.
+        frame_rig_ids: (num_frames,) id of the rig of each frame; by default that of its sensors.
+        image_frame: (num_images,) index (not id) of each image's frame, -1 where the pose of the
+            image is its own; empty (the default) where there are no frames.
+        image_sensor: (num_images,) index of each image's sensor, -1 for the reference sensor of its
+            rig and for images without a frame; empty (the default) where there are no frames.
+        sensor_from_rig: (num_sensors, 7) pose of each camera on its rig but of reference sensors,
+            whose pose is the rig's: as cam_from_world, with the rig in place of the world. An image
+            with a frame has cam_from_world = sensor_from_rig * rig_from_world, to a millionth in
+            each entry of the rotation and relative to the larger of the two translations.
+        sensor_rig_ids: (num_sensors,) id of the rig of each sensor in the source.
+        sensor_camera_ids: (num_sensors,) id (not index) of the camera that the sensor is.
+        camera_ids: (num_cameras,) ids in the source; from 0 by default.
+        camera_models: num_cameras COLMAP model names; see ``bundle.camera_models()``.
+        camera_params: (num_cameras, width) parameters in COLMAP's order (pixels for focal lengths
+            and principal point), rows padded with zeros to the longest model.
+        camera_sizes: (num_cameras, 2) image width and height in pixels, 0 (the default) where
+            unknown.
+        points: (num_points, 3) world coordinates in the reconstruction's length unit.
+        point_ids: (num_points,) ids in the source; from 0 by default.
+        observation_image: (num_observations,) image index (not id) of each observation.
+        observation_point: (num_observations,) point index (not id) of each observation.
+        observation_xy: (num_observations, 2) measured position in pixels, the origin in the upper
+            left corner of the upper left pixel (BAL: in the principal point), x right, y down.
+        observation_keypoint: (num_observations,) index of the observation among the keypoints of
+            its image in the source; -1 (the default) where it is none of them.
+        observation_sigma: (num_observations,) standard deviation of each measured position, in
+            pixels, or None (the default): 1 each. A solve divides the residual r by it, before the
+            loss: its cost is 1/2 sum rho(||r / sigma||^2), and ``loss_scale`` counts in sigmas.
+            Statistics of reprojection errors stay in pixels. No file format keeps it.
+        format: "bal", "colmap" or "memory" (the default): where it came from. Decides the defaults
+            of ``gauge`` and, with the camera models, of ``cheirality``, and what ``bundle.save``
+            writes when the path does not say.
+        source: what was read, kept so that writing back loses nothing: a pycolmap.Reconstruction
+            for COLMAP models, the rotations as they stood in the file for BAL, None (the default)
+            for problems from memory. Never changed.
+
+    Raises:
+        InputError: an array has the wrong shape or type, holds a value that is not finite, an index
+            out of range, a repeated id, a zero quaternion, a focal length that is not positive or a
+            negative size; a name cannot be printed; a camera model does not exist; an image is not
+            where its rig says that it is. The message names the field, or the image, camera, point,
+            observation, frame or sensor.
+    """
+
+    cam_from_world: NDArray[np.float64]
+    image_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    image_names: tuple[str, ...] = field(default_factory=_by_default)
+    image_camera: NDArray[np.int32] = field(default_factory=_by_default)
+    camera_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    camera_models: tuple[str, ...]
+    camera_params: NDArray[np.float64]
+    camera_sizes: NDArray[np.int64] = field(default_factory=_by_default)
+    points: NDArray[np.float64]
+    point_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    observation_image: NDArray[np.int32]
+    observation_point: NDArray[np.int32]
+    observation_xy: NDArray[np.float64]
+    observation_keypoint: NDArray[np.int32] = field(default_factory=_by_default)
+    observation_sigma: NDArray[np.float64] | None = None
+    rig_from_world: NDArray[np.float64] = field(default_factory=_by_default)
+    frame_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    frame_rig_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    image_frame: NDArray[np.int32] = field(default_factory=_by_default)
+    image_sensor: NDArray[np.int32] = field(default_factory=_by_default)
+    sensor_from_rig: NDArray[np.float64] = field(default_factory=_by_default)
+    sensor_rig_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    sensor_camera_ids: NDArray[np.int64] = field(default_factory=_by_default)
+    format: str = "memory"
+    source: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "format", choice("format", self.format, FORMATS))
+        for name, dtype in _DTYPES.items():
+            value = getattr(self, name)
+            array = _default(self, name) if value is None else immutable(name, value, dtype)
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "observation_sigma", _sigmas(self.observation_sigma))
+        names = ("",) * self.num_images if self.image_names is None else self.image_names
+        object.__setattr__(self, "image_names", _names("image_names", names))
+        models = _names("camera_models", self.camera_models)
+        known = camera_models()
+        canonical = {
+            model: choice("camera_models", model, known) for model in dict.fromkeys(models)
+        }
+        object.__setattr__(self, "camera_models", tuple(canonical[model] for model in models))
+        rig_arrays.settle(self)
+        _core.validate(self)
+        _check_values(self)
+        rig_arrays.check(self)
+
+    @property
+    def num_images(self) -> int:
+        """Number of registered images."""
+        return len(self.cam_from_world)
+
+    @property
+    def num_cameras(self) -> int:
+        """Number of cameras, used by an image or not."""
+        return len(self.camera_params)
+
+    @property
+    def num_points(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    @property
+    def num_observations(self) -> int:
+        """Number of observations."""
+        return len(self.observation_xy)
+
+    @property
+    def num_rigs(self) -> int:
+        """Number of rigs of several sensors that have a frame; images beside them have none."""
+        return len(np.unique(self.frame_rig_ids))
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames of rigs of several sensors."""
+        return len(self.rig_from_world)
+
+    @property
+    def num_sensors(self) -> int:
+        """Number of sensors with a sensor_from_rig: reference sensors do not count."""
+        return len(self.sensor_from_rig)
+
+    @property
+    def projection_centers(self) -> NDArray[np.float64]:
+        """(num_images, 3) position of each camera in the world, in its length unit: -R(q)^T t."""
+        axis, w = -self.cam_from_world[:, :3], self.cam_from_world[:, 3:4]
+        back = -self.cam_from_world[:, 4:]
+        # The conjugate turns back; v + 2 w (u x v) + 2 u x (u x v) for a quaternion of norm 1.
+        scale = 2 / (self.cam_from_world[:, :4] ** 2).sum(axis=1, keepdims=True)
+        cross = np.cross(axis, back)
+        centers: NDArray[np.float64] = back + scale * (w * cross + np.cross(axis, cross))
+        return centers
+
+    def check_padding(self) -> None:
+        """Raise an InputError for numbers beyond a camera's parameters, which no file can hold.
+
+        They are left over where a model with fewer parameters took another one's place.
+        """
+        models = camera_models()
+        lengths = np.array([len(models[name]) for name in self.camera_models], dtype=np.int64)
+        width = self.camera_params.shape[1]
+        beyond = (np.arange(width) >= lengths[:, None]) & (self.camera_params != 0)
+        if beyond.any():
+            camera, column = np.argwhere(beyond)[0]
+            raise InputError(
+                f"camera_params: camera {self.camera_ids[camera]}: expected zeros after the "
+                f"{lengths[camera]} parameters of {self.camera_models[camera]}, "
+                f"found {self.camera_params[camera, column]:g}"
+            )
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return dataclasses.replace(self, source=copy.deepcopy(self.source, memo))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        from bundle.model.pycolmap import problem_source
+
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return _unpacked, (type(self), fields | {"source": problem_source.packed(self.source)})
+
+    def replace(self, **changes: Any) -> Self:
+        """Return a copy with some arrays replaced; the others are shared, not copied.
+
+        Where frames or sensors of rigs change and ``cam_from_world`` is not given, it is computed
+        anew for the images of what has moved. A ``cam_from_world`` that does not fit the rigs is
+        refused: to move images of rigs, replace ``rig_from_world`` or ``sensor_from_rig``.
+        """
+        poses = rig_arrays.recomputed_poses(self, changes)
+        if poses is not None:
+            changes["cam_from_world"] = poses
+        return dataclasses.replace(self, **{"source": vars(self)["source"], **changes})
+
+    def without_rigs(self) -> Self:
+        """Return a copy in which each image has a pose of its own, where it is now."""
+        return self.replace(**dict.fromkeys(rig_arrays.DTYPES))
+
+    def _moved(self, **state: Any) -> Self:
+        """Return a copy in another state, whose arrays are immutable and which the core checked."""
+        moved = object.__new__(type(self))
+        vars(moved).update(vars(self), **state)
+        return moved
+
+    @staticmethod
+    def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
+        """Take over the registered images of a reconstruction, which is copied and kept as source.
+
+        Raises:
+            InputError: a camera with images has no sensor_from_rig, or references do not resolve.
+        """
+        from bundle.model.pycolmap.reconstruction import from_pycolmap
+
+        return from_pycolmap(reconstruction)
+
+    def to_pycolmap(self) -> pycolmap.Reconstruction:
+        """Return a reconstruction: a copy of the source with the numbers of this problem in it.
+
+        Per-point errors are recomputed; ``observation_sigma`` has no place in it. A problem that
+        did not come from COLMAP gives a new reconstruction with one trivial rig and frame an image
+        where it has no rigs.
+        """
+        from bundle.model.pycolmap.write_back import to_pycolmap
+
+        return to_pycolmap(self)
+
+    def __repr__(self) -> str:
+        return f"Problem({self.format}: {contents(self)}{self._rigs(', ')})"
+
+    def _rigs(self, before: str = "") -> str:
+        """Return "26 frames of 1 rig", nothing where there are no rigs."""
+        if not self.num_frames:
+            return ""
+        return f"{before}{plural(self.num_frames, 'frame')} of {plural(self.num_rigs, 'rig')}"
+
+    def _display(self) -> Display:
+        models = ", ".join(dict.fromkeys(self.camera_models)) or "none"
+        return Display(
+            title=f"Problem ({format_name(self.format)})",
+            facts=(
+                ("contents", contents(self)),
+                ("camera models", models),
+                *((("rigs", self._rigs()),) if self.num_frames else ()),
+            ),
+        )
+
+
+class _Source:
+    """The field ``source``: a model that was read is made a reconstruction when it is asked for."""
+
+    def __get__(self, problem: Problem | None, owner: type[Problem]) -> Any:
+        if problem is None:
+            return None
+        source = vars(problem)["source"]
+        return source.reconstruction() if isinstance(source, DeferredSource) else source
+
+    def __set__(self, problem: Problem, source: Any) -> None:
+        vars(problem)["source"] = source
+
+
+setattr(Problem, "source", _Source())  # noqa: B010 (the checker knows the field)
+
+
+def _default(problem: Problem, name: str) -> NDArray[Any]:
+    """Return the default of an array; those that it depends on are there."""
+    if name in rig_arrays.DTYPES:
+        return rig_arrays.default(problem, name)
+    if name not in _ONE_FOR_EACH:
+        raise InputError(f"{name}: expected numbers, found None")
+    count, dtype = getattr(problem, _ONE_FOR_EACH[name]), _DTYPES[name]
+    if name == "observation_keypoint":
+        return filled((count,), -1, dtype)
+    if name == "camera_sizes":
+        return filled((count, 2), 0, dtype)
+    if name == "image_camera" and problem.num_cameras != count:
+        if problem.num_cameras != 1:
+            raise InputError(
+                "image_camera: expected the index of each image's camera, as there are "
+                f"{count} images and {problem.num_cameras} cameras, found nothing"
+            )
+        return filled((count,), 0, dtype)
+    return freeze(np.arange(count, dtype=dtype))
+
+
+def _sigmas(given: Any) -> NDArray[np.float64] | None:
+    """Return the sigmas of observations; None where none are given."""
+    if given is None:
+        return None
+    sigmas = immutable("observation_sigma", given, np.float64)
+    return sigmas if sigmas.size else None
+
+
+def _names(field_name: str, names: Any) -> tuple[str, ...]:
+    """Return names as a tuple of plain strings; whether they can be printed is checked later."""
+    if isinstance(names, (str, bytes)):
+        raise InputError(f"{field_name}: expected a sequence of strings, found a single one")
+    try:
+        found = tuple(names)
+    except TypeError:
+        raise InputError(
+            f"{field_name}: expected a sequence of strings, found {type(names).__name__}"
+        ) from None
+    for index, name in enumerate(found):
+        if not isinstance(name, str):
+            raise InputError(
+                f"{field_name}: expected strings, found {type(name).__name__} at index {index}"
+            )
+    return tuple(map(str, found))
+
+
+def _check_values(problem: Problem) -> None:
+    """Check what the core does not look at."""
+    negative = (problem.camera_sizes < 0).any(axis=1)
+    if negative.any():
+        camera = int(np.argmax(negative))
+        width, height = problem.camera_sizes[camera]
+        raise InputError(
+            f"camera_sizes: camera {problem.camera_ids[camera]}: expected a width and a height of "
+            f"at least 0, found {width} x {height}"
+        )
+    if problem.num_observations and problem.observation_keypoint.min() < -1:
+        observation = int(np.argmin(problem.observation_keypoint))
+        raise InputError(
+            f"observation_keypoint: observation {observation}: expected an index, or -1 for none, "
+            f"found {problem.observation_keypoint[observation]}"
+        )
+
+
+def _unpacked(cls: type[Problem], fields: dict[str, Any]) -> Problem:
+    """Return what was pickled, checked anew: the file may have changed."""
+    from bundle.model.pycolmap import problem_source
+
+    return cls(**fields | {"source": problem_source.unpacked(fields["source"])})

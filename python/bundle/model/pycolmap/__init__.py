@@ -1,0 +1,1 @@
+"""Conversion between problems and pycolmap reconstructions."""

@@ -1,0 +1,253 @@
+"""From ``pycolmap.Reconstruction`` to :class:`bundle.Problem`; ``write_back`` goes the other way.
+
+A rig of one camera has ``rig_from_world = cam_from_world``, so a pose is read from the image and
+written to its frame; for other rigs see ``bundle.model.rig_arrays``. Setting a pose, parameters or
+a point in pycolmap keeps every bit; what a problem did not change comes out as it went in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from bundle.base.arguments import check_type
+from bundle.errors import InputError
+from bundle.model import rig_arrays
+from bundle.model.cameras import camera_models
+from bundle.model.problem import Problem
+from bundle.model.pycolmap.colmap_rigs import as_row, rigs_of
+from bundle.model.pycolmap.observation_edits import Baseline
+
+__all__ = ["baseline_of", "from_pycolmap", "problem_of", "remember"]
+
+MAX_POINT_ID = 2**63 - 1  # we hold them as signed numbers
+
+
+def from_pycolmap(reconstruction: pycolmap.Reconstruction) -> Problem:
+    """Take over the registered images of a reconstruction, which is copied and kept as source.
+
+    Raises:
+        InputError: a frame has several images of one camera, or an image of a camera of which the
+            pose on the rig is not known; keypoints and tracks do not match; a value that
+            :class:`bundle.Problem` refuses.
+    """
+    check_type("reconstruction", reconstruction, pycolmap.Reconstruction)
+    return problem_of(pycolmap.Reconstruction(reconstruction))
+
+
+def problem_of(reconstruction: pycolmap.Reconstruction) -> Problem:
+    """As :func:`from_pycolmap`, without the copy: the caller gives the reconstruction away."""
+    cameras = [camera for _, camera in sorted(reconstruction.cameras.items())]
+    images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
+    points = sorted(reconstruction.points3D.items())
+    camera_index = {camera.camera_id: index for index, camera in enumerate(cameras)}
+    point_ids = _ids_of_points([point_id for point_id, _ in points])
+    image_ids = np.array([image.image_id for image in images], np.int64)
+    observations = _observations(images, point_ids)
+    _check_tracks(reconstruction, points, image_ids, observations)
+    rigs = rigs_of(reconstruction, images)
+    poses = [
+        np.zeros(7) if framed else _pose(image)
+        for image, framed in zip(images, rigs.framed, strict=True)
+    ]
+    problem = Problem(
+        cam_from_world=rig_arrays.placed(
+            rigs.fields | {"cam_from_world": np.array(poses).reshape(-1, 7)}
+        ),
+        **rigs.fields,
+        image_ids=image_ids,
+        image_names=tuple(_name(image) for image in images),
+        image_camera=np.array([camera_index[image.camera_id] for image in images], np.int32),
+        camera_ids=np.array([camera.camera_id for camera in cameras], np.int64),
+        camera_models=tuple(camera.model.name for camera in cameras),
+        camera_params=_padded([_params(camera) for camera in cameras]),
+        camera_sizes=np.array([_size(camera) for camera in cameras], np.int64).reshape(-1, 2),
+        points=np.array([point.xyz for _, point in points]).reshape(-1, 3),
+        point_ids=point_ids,
+        observation_image=observations.image,
+        observation_point=observations.point,
+        observation_xy=observations.xy,
+        observation_keypoint=observations.keypoint,
+        format="colmap",
+        source=reconstruction,
+    )
+    remember(reconstruction, vars(problem))
+    return problem
+
+
+def remember(reconstruction: pycolmap.Reconstruction, fields: Mapping[str, Any]) -> None:
+    """Keep what :func:`baseline_of` is going to be asked for: fields of the problem by name."""
+    _baselines[reconstruction] = Baseline(
+        fields["image_ids"],
+        fields["point_ids"],
+        fields["observation_image"],
+        fields["observation_point"],
+        fields["observation_keypoint"],
+        fields["observation_xy"],
+    )
+
+
+# What finding the observations again would take seconds for, while the reconstruction is in use.
+_baselines: WeakKeyDictionary[pycolmap.Reconstruction, Baseline] = WeakKeyDictionary()
+
+
+def baseline_of(reconstruction: pycolmap.Reconstruction) -> Baseline:
+    """Return what a problem made of this reconstruction has, found again only if it is not known.
+
+    Raises:
+        InputError: see :func:`from_pycolmap`.
+    """
+    known = _baselines.get(reconstruction)
+    counts = (
+        reconstruction.num_reg_images(),
+        reconstruction.num_points3D(),
+        reconstruction.compute_num_observations(),
+    )
+    # A source never changes, but users can change theirs.
+    if known and counts == (len(known.image_ids), len(known.point_ids), len(known.image)):
+        return known
+    images = [reconstruction.image(image_id) for image_id in sorted(reconstruction.reg_image_ids())]
+    points = sorted(reconstruction.points3D.items())
+    point_ids = _ids_of_points([point_id for point_id, _ in points])
+    found = _observations(images, point_ids)
+    image_ids = np.array([image.image_id for image in images], np.int64)
+    _check_tracks(reconstruction, points, image_ids, found)
+    return Baseline(image_ids, point_ids, found.image, found.point, found.keypoint, found.xy)
+
+
+def _ids_of_points(ids: list[int]) -> NDArray[np.int64]:
+    if ids and ids[-1] > MAX_POINT_ID:
+        raise InputError(f"expected point ids below 2^63, found {ids[-1]}")
+    return np.array(ids, np.int64)
+
+
+def _pose(image: pycolmap.Image) -> NDArray[np.float64]:
+    return as_row(image.cam_from_world())
+
+
+def _name(image: pycolmap.Image) -> str:
+    try:
+        return str(image.name)
+    except UnicodeDecodeError:
+        raise InputError(f"image {image.image_id}: expected a name in UTF-8") from None
+
+
+def _size(camera: pycolmap.Camera) -> tuple[int, int]:
+    if max(camera.width, camera.height) >= 2**63:
+        raise InputError(
+            f"camera {camera.camera_id}: expected an image size below 2^63, "
+            f"found {camera.width} x {camera.height}"
+        )
+    return camera.width, camera.height
+
+
+def _params(camera: pycolmap.Camera) -> NDArray[np.float64]:
+    # A model that does not exist is for Problem to refuse.
+    expected = len(camera_models().get(camera.model.name, camera.params))
+    if len(camera.params) != expected:
+        raise InputError(
+            f"camera {camera.camera_id}: expected {expected} parameters of {camera.model.name}, "
+            f"found {len(camera.params)}"
+        )
+    return camera.params
+
+
+def _padded(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Stack rows of different lengths, filled up with zeros."""
+    padded = np.zeros((len(rows), max(map(len, rows), default=0)))
+    for target, row in zip(padded, rows, strict=True):
+        target[: len(row)] = row
+    return padded
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Images and points by position in the order of their ids; sorted by point, image, keypoint."""
+
+    image: NDArray[np.int32]
+    point: NDArray[np.int32]
+    keypoint: NDArray[np.int32]
+    xy: NDArray[np.float64]
+
+
+def _observations(images: list[pycolmap.Image], point_ids: NDArray[np.int64]) -> Observations:
+    counts = np.array([image.num_points3D for image in images], np.int64)
+    total = int(counts.sum())
+    keypoint = np.empty(total, np.int32)
+    point_id = np.empty(total, np.uint64)
+    xy = np.empty((total, 2))
+    end = 0
+    for image, count in zip(images, counts, strict=True):
+        start, end = end, end + count
+        points2d = list(image.get_observation_points2D())
+        keypoint[start:end] = image.get_observation_point2D_idxs()
+        xy[start:end, 0] = np.fromiter(map(pycolmap.Point2D.x, points2d), np.float64, count)
+        xy[start:end, 1] = np.fromiter(map(pycolmap.Point2D.y, points2d), np.float64, count)
+        ids = map(attrgetter("point3D_id"), points2d)
+        point_id[start:end] = np.fromiter(ids, np.uint64, count)
+
+    image_index = np.repeat(np.arange(len(images), dtype=np.int32), counts)
+    point = np.searchsorted(point_ids, point_id).astype(np.int32)
+    found = np.append(point_ids.astype(np.uint64), MAX_POINT_ID + 1)[point] == point_id
+    if not found.all():
+        bad = int(np.argmin(found))
+        raise InputError(
+            f"image {images[image_index[bad]].image_id}, keypoint {keypoint[bad]}: "
+            f"expected a point of the reconstruction, found point {point_id[bad]}"
+        )
+    order = np.argsort(point, kind="stable")  # images and keypoints ascend already
+    return Observations(image_index[order], point[order], keypoint[order], xy[order])
+
+
+def _check_tracks(
+    reconstruction: pycolmap.Reconstruction,
+    points: list[tuple[int, pycolmap.Point3D]],
+    image_ids: NDArray[np.int64],
+    observations: Observations,
+) -> None:
+    """Check that tracks and the keypoints of registered images refer to each other.
+
+    Otherwise pycolmap could not compute the errors of points, and what it writes would not load.
+    """
+    length = np.fromiter((point.track.length() for _, point in points), np.int64, len(points))
+    observed = np.bincount(observations.point, minlength=len(points))
+    if (length != observed).any():
+        bad = int(np.argmax(length != observed))
+        raise InputError(
+            f"point {points[bad][0]}: expected as many track elements as keypoints of registered "
+            f"images that refer to it, found {length[bad]} and {observed[bad]}"
+        )
+    if _is_valid(reconstruction):
+        return
+    ends = np.cumsum(observed)
+    for (point_id, point), start, end in zip(points, ends - observed, ends, strict=True):
+        referring = set(
+            zip(
+                image_ids[observations.image[start:end]].tolist(),
+                observations.keypoint[start:end].tolist(),
+                strict=True,
+            )
+        )
+        for element in point.track.elements:
+            if (element.image_id, element.point2D_idx) not in referring:
+                raise InputError(
+                    f"point {point_id}: expected keypoints that refer to it in its track, found "
+                    f"keypoint {element.point2D_idx} of image {element.image_id}"
+                )
+
+
+def _is_valid(reconstruction: pycolmap.Reconstruction) -> bool:
+    """Ask pycolmap, which is fast, without the lines that it logs of what it finds."""
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = 3  # fatal errors only
+    try:
+        return bool(reconstruction.is_valid())
+    finally:
+        pycolmap.logging.minloglevel = level

@@ -1,0 +1,183 @@
+"""Reprojection errors at a problem's current values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle import _core
+from bundle.errors import InputError
+from bundle.interface.option_fields import choice, number
+from bundle.interface.options import CHEIRALITIES
+from bundle.model.cameras import reach
+from bundle.model.problem import Problem
+
+__all__ = [
+    "Linearization",
+    "ReprojectionError",
+    "linearize",
+    "reprojection_error",
+    "reprojection_errors",
+    "resolve_cheirality",
+    "summarize_errors",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReprojectionError:
+    """Reprojection errors ||r|| over the observations that have one, in pixels.
+
+    ``rmse`` is sqrt(mean ||r||^2). Observations behind their camera, and those whose projection
+    does not exist, are counted and, unless ``cheirality`` is "algebraic", left out of the
+    statistics. Every number is NaN where there is no observation.
+    """
+
+    rmse: float
+    mean: float
+    median: float
+    p95: float
+    max: float
+    num_observations: int
+    num_behind_camera: int
+
+
+class Linearization(NamedTuple):
+    """Residuals and their derivatives, one row an observation.
+
+    Attributes:
+        residual: (N, 2) projection minus measurement, in pixels.
+        d_pose: (N, 2, 6) by the pose (w, t) of the observation's image, where the rotation is
+            Exp(w) R with R that of the problem, w in radians, t in the length unit.
+        d_params: (N, 2, width) by the parameters of the camera, in COLMAP's order, zero beyond
+            those of its model.
+        d_point: (N, 2, 3) by the point.
+    """
+
+    residual: NDArray[np.float64]
+    d_pose: NDArray[np.float64]
+    d_params: NDArray[np.float64]
+    d_point: NDArray[np.float64]
+
+
+def resolve_cheirality(problem: Problem, cheirality: str) -> str:
+    """Return what "auto" means for this problem.
+
+    "algebraic" for BAL and where the formula of every lens goes on past 90 degrees, "zero" where
+    that of none does. "auto" where it depends on the lens or on the angle, for the core to decide.
+
+    Raises:
+        InputError: there is no such cheirality.
+    """
+    cheirality = choice("cheirality", cheirality, CHEIRALITIES)
+    if cheirality != "auto":
+        return cheirality
+    if problem.format == "bal":
+        return "algebraic"
+    used = set(problem.image_camera.tolist())
+    found = {reach(problem.camera_models[camera]) for camera in used}
+    if found <= {"front"}:
+        return "zero"
+    return "algebraic" if found == {"all"} else "auto"
+
+
+def reprojection_errors(
+    problem: Problem, *, cheirality: str = "auto", num_threads: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return errors and mask of :func:`bundle.reprojection_errors`, which takes paths, too."""
+    cheirality = choice("cheirality", cheirality, CHEIRALITIES)
+    num_threads = number("num_threads", num_threads, minimum=0, whole=True)
+    return _core.reprojection_errors(problem, num_threads, cheirality)
+
+
+def reprojection_error(
+    problem: Problem, cheirality: str = "auto", *, num_threads: int = 0
+) -> ReprojectionError:
+    """Return statistics of the reprojection errors that count under ``cheirality``.
+
+    Raises:
+        InputError: an observed image has a camera model that is not supported.
+    """
+    errors, behind = reprojection_errors(problem, cheirality=cheirality, num_threads=num_threads)
+    return summarize_errors(errors, behind, resolve_cheirality(problem, cheirality))
+
+
+def counted_errors(
+    errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
+) -> NDArray[np.bool_]:
+    """Return which of the errors count; `behind` and `cheirality` go together, as resolved."""
+    counted = ~np.isnan(errors)
+    if cheirality != "algebraic":
+        counted &= ~behind
+    return counted
+
+
+def summarize_errors(
+    errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
+) -> ReprojectionError:
+    """Return the statistics of what `reprojection_errors` returns, which is reordered.
+
+    `cheirality` is that of `behind`, resolved.
+    """
+    counted = counted_errors(errors, behind, cheirality)
+    if not counted.all():
+        errors = errors[counted]
+    if len(errors) == 0:
+        nan = float("nan")
+        statistics = {"rmse": nan, "mean": nan, "median": nan, "p95": nan, "max": nan}
+    else:
+        with np.errstate(over="ignore"):  # a legal problem may be that far off
+            statistics = {
+                "rmse": float(np.sqrt(np.mean(errors**2))),
+                "mean": float(errors.mean()),
+                "max": float(errors.max()),
+            }
+        # Last, as they are found by reordering the errors.
+        statistics["median"], statistics["p95"] = _quantiles(errors, [0.5, 0.95])
+    return ReprojectionError(
+        **statistics, num_observations=len(errors), num_behind_camera=int(behind.sum())
+    )
+
+
+def _quantiles(values: NDArray[np.float64], shares: list[float]) -> list[float]:
+    """Return np.quantile(values, shares), without the 25 ms that its first call takes to import.
+
+    The values are left in another order.
+    """
+    last = len(values) - 1
+    positions = [share * last for share in shares]
+    bounds = [(int(position), min(int(position) + 1, last)) for position in positions]
+    values.partition([index for pair in bounds for index in pair])
+    return [
+        between(float(values[below]), float(values[above]), position - below)
+        for position, (below, above) in zip(positions, bounds, strict=True)
+    ]
+
+
+def between(low: float, high: float, share: float) -> float:
+    """Return low + share (high - low), also where these are infinite."""
+    return low if low == high or share == 0 else low + share * (high - low)
+
+
+def linearize(
+    problem: Problem, cheirality: str = "auto", *, rotation_offsets: ArrayLike | None = None
+) -> Linearization:
+    """Return residuals and analytic Jacobians of all observations, the ones a solve uses.
+
+    Args:
+        problem: where to evaluate.
+        cheirality: as in a solve; observations that do not count are zero.
+        rotation_offsets: (num_images, 3) evaluate at w instead of 0.
+
+    Raises:
+        InputError: an observed image has a camera model that is not supported, or the offsets have
+            the wrong shape.
+    """
+    shape = (problem.num_images, 3)
+    offsets = np.zeros(shape) if rotation_offsets is None else np.asarray(rotation_offsets, float)
+    if offsets.shape != shape:
+        raise InputError(f"rotation_offsets: expected shape {shape}, found {offsets.shape}")
+    cheirality = resolve_cheirality(problem, cheirality)
+    return Linearization(*_core.linearize(problem, cheirality, np.ascontiguousarray(offsets)))

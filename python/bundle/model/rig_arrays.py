@@ -1,0 +1,340 @@
+"""Rigs of several sensors: where their images are, defaults of their arrays, and what must hold.
+
+A frame is where a rig was at one time. Sensor s of the rig took an image in it at
+
+    cam_from_world = sensor_from_rig[s] * rig_from_world[f],    R = R_s R_f,  t = R_s t_f + t_s,
+
+and the rig's reference sensor at rig_from_world itself. So the pose of such an image is no variable
+of its own: to move it, move its frame or its sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arrays import filled, freeze
+from bundle.errors import InputError
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
+from bundle.model.rotations import rotation_matrices
+
+if TYPE_CHECKING:
+    from bundle.model.problem import Problem
+
+__all__ = [
+    "DTYPES",
+    "check",
+    "compose",
+    "default",
+    "placed",
+    "recomputed_poses",
+    "reference_cameras",
+    "rig_of_image",
+    "sensor_names",
+    "settle",
+]
+
+_Poses = NDArray[np.float64]
+_Rows = NDArray[np.int32]
+
+DTYPES: dict[str, type] = {
+    "rig_from_world": np.float64,
+    "frame_ids": np.int64,
+    "image_frame": np.int32,
+    "sensor_from_rig": np.float64,
+    "sensor_rig_ids": np.int64,
+    "sensor_camera_ids": np.int64,
+    "image_sensor": np.int32,
+    "frame_rig_ids": np.int64,  # the last: its default depends on the others
+}
+"""The fields of a problem that are about rigs, in an order in which their defaults are known."""
+
+TOLERANCE = 1e-6
+"""Difference of a pose from that of its rig: in entries of the rotation, and of the translation
+relative to the larger one of frame and sensor. The poses of rigs count; this is what files round
+away."""
+
+
+# What is wrong with a pose is told by who checks it.
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
+def compose(sensor_from_rig: _Poses, rig_from_world: _Poses) -> _Poses:
+    """Return (n, 7) poses of the cameras of (n, 7) sensors on rigs at (n, 7) poses."""
+    return multiply_poses(unit_poses(sensor_from_rig), unit_poses(rig_from_world))
+
+
+def placed(fields: Mapping[str, Any]) -> _Poses:
+    """Return cam_from_world of a problem's fields, those of images with a frame as rigs have it.
+
+    An image of a reference sensor has the pose of its frame, bit by bit.
+    """
+    poses: _Poses = fields["cam_from_world"]
+    images = np.flatnonzero(fields["image_frame"] >= 0)
+    if not len(images):
+        return poses
+    poses = poses.copy()
+    frame, sensor = fields["image_frame"][images], fields["image_sensor"][images]
+    poses[images] = fields["rig_from_world"][frame]
+    on_arm = np.flatnonzero(sensor >= 0)
+    arms = fields["sensor_from_rig"][sensor[on_arm]]
+    poses[images[on_arm]] = compose(arms, poses[images[on_arm]])
+    return freeze(poses)
+
+
+def pose_differences(
+    poses: _Poses, others: _Poses
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return by which angles [rad] and shifts of the centre poses (n, 7) differ from others.
+
+    The last value is the largest distance of a centre from the origin.
+    """
+    one, two = inverse_poses(unit_poses(poses)), inverse_poses(unit_poses(others))
+    apart = [np.linalg.norm(one[:, :4] + sign * two[:, :4], axis=1) for sign in (1, -1)]
+    angle = 4 * np.arcsin(np.minimum(1.0, 0.5 * np.minimum(*apart)))
+    shift = np.linalg.norm(one[:, 4:] - two[:, 4:], axis=1)
+    return angle, shift, float(np.linalg.norm(one[:, 4:], axis=1).max(initial=0))
+
+
+def recomputed_poses(problem: Problem, changes: Mapping[str, Any]) -> _Poses | None:
+    """Return cam_from_world after changes of rigs; None where that is not for us to say.
+
+    Poses of images whose frame and sensor stay where they are keep their bits.
+    """
+    names = ("rig_from_world", "sensor_from_rig", "image_frame", "image_sensor")
+    given = [name for name in names if changes.get(name) is not None]
+    if "cam_from_world" in changes or not given:
+        return None
+    before = {name: getattr(problem, name) for name in ("cam_from_world", *names)}
+    for name in names[2:]:
+        if not len(before[name]):
+            before[name] = np.full(problem.num_images, -1)
+    try:
+        after = before | {
+            name: np.asarray(changes[name]).astype(DTYPES[name], casting="same_kind")
+            for name in given
+        }
+        poses = placed(after)
+        moved = _differ(before, after)
+    except (TypeError, ValueError, IndexError):
+        return None  # the new problem says what is wrong with its arrays
+    if not np.isfinite(poses).all():
+        return None
+    return np.where(moved[:, None], poses, problem.cam_from_world)
+
+
+def default(problem: Problem, name: str) -> NDArray[Any]:
+    """Return the default of a field; those before it in DTYPES are there.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name in ("rig_from_world", "sensor_from_rig"):
+        return filled((0, 7), 0, np.float64)
+    num_frames = len(problem.rig_from_world)
+    if name == "frame_ids":
+        return freeze(np.arange(num_frames, dtype=np.int64))
+    if name == "frame_rig_ids":
+        return freeze(_rigs_of_frames(problem))
+    count = num_frames if name == "image_frame" else len(problem.sensor_from_rig)
+    if count:
+        beside = "rig_from_world" if name == "image_frame" else "sensor_from_rig"
+        raise InputError(f"{name}: expected numbers beside {beside}, found None")
+    if name == "image_sensor" and num_frames:
+        return filled((problem.num_images,), -1, np.int32)
+    return filled((0,), 0, DTYPES[name])
+
+
+def settle(problem: Problem) -> None:
+    """Drop rows of -1 where there are no frames to refer to.
+
+    Raises:
+        InputError: there are sensors or rows of sensors, but no frames.
+    """
+    if len(problem.rig_from_world):
+        return
+    if len(problem.sensor_from_rig):
+        raise InputError(
+            f"sensor_from_rig: expected no sensors where there are no frames, "
+            f"found {len(problem.sensor_from_rig)}"
+        )
+    for name in ("image_frame", "image_sensor"):
+        rows = getattr(problem, name)
+        if rows.shape not in ((0,), (problem.num_images,)):
+            raise InputError(f"{name}: expected shape ({problem.num_images},), found {rows.shape}")
+        if (rows != -1).any():
+            bad = int(np.argmax(rows != -1))
+            raise InputError(
+                f"{name}: image {problem.image_ids[bad]}: expected -1 as there are no frames, "
+                f"found {rows[bad]}"
+            )
+        object.__setattr__(problem, name, filled((0,), 0, np.int32))
+
+
+def check(problem: Problem) -> None:
+    """Check what the core does not look at: that frames, sensors and rigs belong together.
+
+    Raises:
+        InputError: rigs that do not fit the sensors of their frames, a
+            sensor with two images in a frame, a rig with two reference cameras.
+    """
+    if len(problem.frame_rig_ids) != problem.num_frames:
+        raise InputError(
+            f"frame_rig_ids: expected shape ({problem.num_frames},), "
+            f"found {problem.frame_rig_ids.shape}"
+        )
+    if problem.num_frames == 0:
+        return
+    if not problem.num_sensors and (problem.image_sensor != -1).any():
+        bad = int(np.argmax(problem.image_sensor != -1))
+        raise InputError(
+            f"image_sensor: image {problem.image_ids[bad]}: expected -1 as there are no sensors, "
+            f"found {problem.image_sensor[bad]}"
+        )
+    images = np.flatnonzero(problem.image_frame >= 0)
+    frame, sensor = problem.image_frame[images], problem.image_sensor[images]
+    rig = problem.frame_rig_ids[frame]
+    wrong = (sensor >= 0) & (problem.sensor_rig_ids[sensor] != rig) if problem.num_sensors else []
+    if np.any(wrong):
+        bad = int(np.argmax(wrong))
+        raise InputError(
+            f"frame_rig_ids: frame {problem.frame_ids[frame[bad]]}: expected rig "
+            f"{problem.sensor_rig_ids[sensor[bad]]} of the sensor of image "
+            f"{problem.image_ids[images[bad]]}, found rig {rig[bad]}"
+        )
+    _check_once(problem, images)
+    _check_references(problem, images, rig)
+    _check_poses(problem, images)
+
+
+def rig_of_image(problem: Problem) -> NDArray[np.int64]:
+    """Return (num_images,) ids of the images' rigs, -1 where an image has a pose of its own."""
+    rig = np.full(problem.num_images, -1, np.int64)
+    if problem.num_frames:
+        images = problem.image_frame >= 0
+        rig[images] = problem.frame_rig_ids[problem.image_frame[images]]
+    return rig
+
+
+def sensor_names(problem: Problem) -> list[str]:
+    """Return "RIG:CAMERA" of each sensor, as ``--fix-sensors`` takes it."""
+    pairs = zip(problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist(), strict=True)
+    return [f"{rig}:{camera}" for rig, camera in pairs]
+
+
+def reference_cameras(problem: Problem) -> dict[int, int]:
+    """Return the id of the reference camera by rig id, of rigs whose reference took images."""
+    rig = rig_of_image(problem)
+    known: dict[int, int] = {}
+    if problem.num_frames:
+        images = np.flatnonzero((rig >= 0) & (problem.image_sensor < 0))
+        cameras = problem.camera_ids[problem.image_camera[images]]
+        known = dict(zip(rig[images].tolist(), cameras.tolist(), strict=True))
+    return known
+
+
+def _differ(before: Mapping[str, Any], after: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """Return which images have another frame pose or another pose on the rig than before."""
+    differ: NDArray[np.bool_] = np.zeros(len(before["cam_from_world"]), bool)
+    for poses, rows in (("rig_from_world", "image_frame"), ("sensor_from_rig", "image_sensor")):
+        old, new = before[rows], after[rows]
+        differ |= (old >= 0) != (new >= 0)
+        both = np.flatnonzero((old >= 0) & (new >= 0))
+        differ[both] |= (before[poses][old[both]] != after[poses][new[both]]).any(axis=1)
+    return differ
+
+
+def _rigs_of_frames(problem: Problem) -> NDArray[np.int64]:
+    """Return the rig of each frame: that of its sensors, or the only one, else of its camera."""
+    num_frames = len(problem.rig_from_world)
+    rig = np.full(num_frames, -1, np.int64)
+    if not num_frames or problem.image_frame.shape != (problem.num_images,):
+        return rig
+    if problem.image_sensor.shape != (problem.num_images,):
+        return rig
+    inside = (problem.image_frame >= 0) & (problem.image_frame < num_frames)
+    known = inside & (problem.image_sensor >= 0)
+    known &= problem.image_sensor < len(problem.sensor_rig_ids)
+    rig[problem.image_frame[known]] = problem.sensor_rig_ids[problem.image_sensor[known]]
+    open_ = np.flatnonzero(rig < 0)
+    if not len(open_):
+        return rig
+    rigs = np.unique(problem.sensor_rig_ids)
+    if len(rigs) <= 1:
+        rig[open_] = rigs[0] if len(rigs) else 1
+        return rig
+    references = np.flatnonzero(inside & (problem.image_sensor < 0))
+    frames = problem.image_frame[references]
+    cameras = problem.image_camera[references]
+    settled = rig[frames] >= 0
+    of_camera = dict(zip(cameras[settled].tolist(), rig[frames[settled]].tolist(), strict=True))
+    for frame, camera in zip(frames[~settled].tolist(), cameras[~settled].tolist(), strict=True):
+        rig[frame] = of_camera.get(camera, -1)
+    if (rig < 0).any():
+        bad = problem.frame_ids[int(np.argmax(rig < 0))]
+        raise InputError(
+            f"frame_rig_ids: expected numbers, as nothing tells the rig of frame {bad}, found None"
+        )
+    return rig
+
+
+def _check_poses(problem: Problem, images: Any) -> None:
+    """Check that images are where their rigs say, as closely as files are rounded."""
+    names = ("cam_from_world", "image_frame", "image_sensor", "rig_from_world", "sensor_from_rig")
+    expected = placed({name: getattr(problem, name) for name in names})[images]
+    given = problem.cam_from_world[images]
+    turned = np.abs(rotation_matrices(given[:, :4]) - rotation_matrices(expected[:, :4]))
+    turn = turned.max(axis=(1, 2))
+    shift = np.abs(given[:, 4:] - expected[:, 4:]).max(axis=1)
+    size = np.abs(problem.rig_from_world[problem.image_frame[images], 4:]).max(axis=1)
+    sensor = problem.image_sensor[images]
+    on_arm = np.flatnonzero(sensor >= 0)
+    arms = np.abs(problem.sensor_from_rig[sensor[on_arm], 4:]).max(axis=1)
+    size[on_arm] = np.maximum(size[on_arm], arms)
+    wrong = ~((turn <= TOLERANCE) & (shift <= TOLERANCE * size))
+    if wrong.any():
+        bad = int(np.argmax(wrong))
+        frame = problem.frame_ids[problem.image_frame[images[bad]]]
+        raise InputError(
+            f"cam_from_world: image {problem.image_ids[images[bad]]}: expected sensor_from_rig * "
+            f"rig_from_world of frame {frame}, found a rotation that differs by {turn[bad]:.3g} "
+            f"and a translation that differs by {shift[bad]:.3g}"
+        )
+
+
+def _check_once(problem: Problem, images: Any) -> None:
+    """Check that each sensor took at most one image in each frame."""
+    pairs = np.stack([problem.image_frame[images], problem.image_sensor[images]], axis=1)
+    order = np.lexsort((pairs[:, 1], pairs[:, 0]))
+    twice = np.flatnonzero((pairs[order][1:] == pairs[order][:-1]).all(axis=1))
+    if len(twice):
+        first, second = images[order[twice[0]]], images[order[twice[0] + 1]]
+        raise InputError(
+            f"image_sensor: frame {problem.frame_ids[problem.image_frame[first]]}: expected one "
+            f"image a sensor, found images {problem.image_ids[first]} and "
+            f"{problem.image_ids[second]} of one"
+        )
+
+
+def _check_references(problem: Problem, images: Any, rig: NDArray[np.int64]) -> None:
+    """Check that a rig's reference sensor has images of one camera, which no other sensor is."""
+    by_reference = problem.image_sensor[images] < 0
+    cameras = problem.camera_ids[problem.image_camera[images[by_reference]]]
+    reference: dict[int, int] = {}
+    for one, camera, image in zip(
+        rig[by_reference].tolist(), cameras.tolist(), images[by_reference].tolist(), strict=True
+    ):
+        if reference.setdefault(one, camera) != camera:
+            raise InputError(
+                f"image_sensor: image {problem.image_ids[image]}: expected camera "
+                f"{reference[one]}, the reference sensor of rig {one}, found camera {camera}"
+            )
+    for one, camera in zip(
+        problem.sensor_rig_ids.tolist(), problem.sensor_camera_ids.tolist(), strict=True
+    ):
+        if reference.get(one) == camera:
+            raise InputError(
+                f"sensor_camera_ids: rig {one}: expected another camera than that of its "
+                f"reference sensor, found camera {camera}"
+            )

@@ -1,0 +1,1 @@
+"""A visual-inertial sequence: images, IMU samples, calibration."""

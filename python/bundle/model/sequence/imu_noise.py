@@ -1,0 +1,85 @@
+"""How noisy an IMU is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+from bundle.base.display import Display, Displayed
+from bundle.interface.option_fields import number
+
+__all__ = ["ImuNoise"]
+
+
+@dataclass(frozen=True, repr=False)
+class ImuNoise(Displayed):
+    """Noise of an IMU as densities in continuous time, as data sheets and Allan plots give them.
+
+    Attributes:
+        gyro_noise_density: rad/s/sqrt(Hz), above 0.
+        accel_noise_density: m/s^2/sqrt(Hz), above 0.
+        gyro_bias_random_walk: rad/s^2/sqrt(Hz).
+        accel_bias_random_walk: m/s^3/sqrt(Hz).
+        integration_covariance: m^2/s per axis, what integrating velocity to position leaves out.
+
+    Raises:
+        InputError: a value is no finite number, or out of its range.
+    """
+
+    gyro_noise_density: float
+    accel_noise_density: float
+    gyro_bias_random_walk: float
+    accel_bias_random_walk: float
+    integration_covariance: float = 1e-8
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            name, value = f"ImuNoise: {entry.name}", getattr(self, entry.name)
+            if entry.name.endswith("noise_density"):
+                value = number(name, value, above=0)
+            else:
+                value = number(name, value, minimum=0)
+            object.__setattr__(self, entry.name, value)
+
+    def scaled(self, scale: float, *, walks: bool = True) -> ImuNoise:
+        """Return the noise with its four densities times a number.
+
+        Data sheets are optimistic: an estimator takes 3 to 10 times what they say.
+
+        Args:
+            scale: the number.
+            walks: the random walks, too; vibration adds to the white noises alone.
+
+        Raises:
+            InputError: the scale is no number above 0.
+        """
+        scale = number("ImuNoise.scaled: scale", scale, above=0)
+        walk = scale if walks else 1.0
+        return replace(
+            self,
+            gyro_noise_density=scale * self.gyro_noise_density,
+            accel_noise_density=scale * self.accel_noise_density,
+            gyro_bias_random_walk=walk * self.gyro_bias_random_walk,
+            accel_bias_random_walk=walk * self.accel_bias_random_walk,
+        )
+
+    def astuple(self) -> tuple[float, float, float, float, float]:
+        """Return the five numbers in the order of the attributes."""
+        return (
+            self.gyro_noise_density,
+            self.accel_noise_density,
+            self.gyro_bias_random_walk,
+            self.accel_bias_random_walk,
+            self.integration_covariance,
+        )
+
+    def _display(self) -> Display:
+        return Display(
+            title="ImuNoise",
+            facts=(
+                ("gyroscope", f"{self.gyro_noise_density:g} rad/s/sqrt(Hz)"),
+                ("accelerometer", f"{self.accel_noise_density:g} m/s^2/sqrt(Hz)"),
+                ("gyroscope's bias", f"{self.gyro_bias_random_walk:g} rad/s^2/sqrt(Hz)"),
+                ("accelerometer's bias", f"{self.accel_bias_random_walk:g} m/s^3/sqrt(Hz)"),
+                ("integration", f"{self.integration_covariance:g} m^2/s"),
+            ),
+        )

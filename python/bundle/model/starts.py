@@ -1,0 +1,191 @@
+"""Where the solve of a pose graph starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.words import number
+from bundle.errors import InputError
+from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.model.pose_graph_arrays import PoseGraph
+
+__all__ = ["NAMES", "Start", "choose_start", "lower_start", "start_without_poses", "started"]
+
+FEW, MORE = 5, 30
+"""Steps that starts are compared after."""
+
+SLOW = 20
+"""Steps after which a solve is asked whether another start would have served it better."""
+
+SAME = 1e-6
+"""Relative difference of costs below which two solves approach one minimum."""
+
+NOT_LOWER = 1e-6
+"""Relative difference of costs below which another start is no better."""
+
+ROUNDING = 1e-12
+"""Rounding of poses, in place of an error that is zero."""
+
+NAMES = {
+    "file": "the file's poses",
+    "chordal": "the chordal start",
+    "odometry": "odometry",
+    "spanning_tree": "the spanning tree",
+}
+
+Floats = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Poses to start from.
+
+    Attributes:
+        poses: as those of a graph.
+        init: "file", "odometry", "spanning_tree" or "chordal".
+        reason: why, where that was chosen; "" where it was asked for.
+        starts: poses of all starts by name, where the choice looked at them.
+    """
+
+    poses: Floats
+    init: str
+    reason: str = ""
+    starts: dict[str, Floats] | None = None
+
+
+def start_without_poses(graph: PoseGraph) -> PoseGraph:
+    """Return a graph whose file has no poses with those of odometry, or of a spanning tree."""
+    held, _, _ = _core.hold_poses(graph)
+    joined = _core.odometry_gap(graph)[0] < 0
+    init = "odometry" if joined and not graph.fixed.any() else "spanning_tree"
+    return graph.replace(poses=_core.initial_poses(graph, held, init, 1))
+
+
+def started(graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: int) -> Start:
+    """Return the start of one kind.
+
+    Raises:
+        InputError: odometry was asked for, but consecutive ids without an edge break its chain.
+    """
+    if init == "file":
+        return Start(poses=graph.poses, init=init)
+    if init == "odometry":
+        first, second = _core.odometry_gap(graph)
+        if first >= 0:
+            raise InputError(
+                "init: expected an edge between all consecutive ids for odometry, found none "
+                f"between {graph.ids[first]} and {graph.ids[second]}; spanning_tree needs no such"
+            )
+    return Start(poses=_core.initial_poses(graph, held, init, num_threads), init=init)
+
+
+def choose_start(graph: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions) -> Start:
+    """Return the start from which a few steps reach the least cost; of equal ones the soonest.
+
+    Costs before any step say little: a start may be far away and in the right valley. All starts
+    take a few steps, and those that are then above the least some more, each from its beginning, so
+    that what is seen here is the beginning of the solve.
+
+    Args:
+        graph: its information as a solve takes it.
+        held: (n,) poses that stay.
+        doubted: (m,) edges that the loss applies to.
+        options: of the solve; losses that try others are compared without one.
+    """
+    if options.loss in ("gnc_tls", "auto"):
+        options = options.replace(loss="trivial", loss_scale=1.0, loss_on="closures")
+    starts = _starts(graph, held, options.num_threads)
+
+    def reached(init: str, steps: int) -> float:
+        return _reached(graph.replace(poses=starts[init]), held, doubted, options, steps)
+
+    early = {init: reached(init, FEW) for init in starts}
+    level = (1 + SAME) * min(early.values())
+    costs = {init: cost if cost <= level else reached(init, MORE) for init, cost in early.items()}
+    level = (1 + SAME) * min(costs.values())
+    best = min(costs, key=lambda init: (costs[init] > level, early[init] > level))
+    compared = ", ".join(f"{number(2 * cost)} from {NAMES[init]}" for init, cost in costs.items())
+    chosen = NAMES[best][0].upper() + NAMES[best][1:]
+    reason = f"{chosen}: twice the cost after up to {MORE} steps is {compared}."
+    return Start(poses=starts[best], init=best, reason=reason, starts=starts)
+
+
+def lower_start(
+    graph: PoseGraph,
+    held: Flags,
+    doubted: Flags,
+    start: Start,
+    options: PoseGraphOptions,
+    solved: dict[str, Any],
+    cost: Callable[[Floats], float],
+) -> str:
+    """Return which start has a lower cost than the end of a solve; "" if none has.
+
+    Costs before any step are free. After a slow solve each other start takes some steps, too.
+
+    Args:
+        graph: its information as a solve takes it.
+        held: (n,) poses that stay.
+        doubted: (m,) edges that the loss applies to.
+        start: of the solve.
+        options: of the solve, with the loss that it ended with.
+        solved: what the solve returned.
+        cost: of chi2 (m,).
+    """
+    end = float(solved["summary"]["final_cost"])
+    starts = start.starts or _starts(graph, held, options.num_threads)
+    others = {
+        init: graph.replace(poses=poses) for init, poses in starts.items() if init != start.init
+    }
+    is_lower = _comparison(graph, end)
+    when = "before any step"
+    costs = {init: cost(_core.edge_chi2(there, options.error)) for init, there in others.items()}
+    is_slow = len(solved["iterations"]["cost"]) > SLOW
+    if is_slow and options.loss != "gnc_tls" and not is_lower(costs):
+        when = f"after {FEW} steps"
+        costs = {
+            init: _reached(there, held, doubted, options, FEW) for init, there in others.items()
+        }
+    if not is_lower(costs):
+        return ""
+    least = min(costs, key=lambda init: costs[init])
+    return (
+        f"twice the cost is {number(2 * end)}, and {number(2 * costs[least])} from {NAMES[least]} "
+        f"{when}. Start there: init {least}, or auto."
+    )
+
+
+def _comparison(graph: PoseGraph, end: float) -> Callable[[dict[str, float]], bool]:
+    """Return what tells whether one of some costs is below an end by more than rounding."""
+    size = max(1.0, float(np.abs(graph.poses).max()))
+    trace = float(np.trace(graph.information, axis1=1, axis2=2).sum())
+    least = max(NOT_LOWER * end, trace * (ROUNDING * size) ** 2)
+    return lambda costs: bool(costs) and end - min(costs.values()) > least
+
+
+def _reached(
+    there: PoseGraph, held: Flags, doubted: Flags, options: PoseGraphOptions, steps: int
+) -> float:
+    """Return the cost that so many steps reach."""
+    few = options.replace(max_num_iterations=min(steps, options.max_num_iterations))
+    solved = _core.solve_pose_graph(there, held, doubted, few.asdict(), None)
+    cost = float(solved["summary"]["final_cost"])
+    return cost if np.isfinite(cost) else np.inf
+
+
+def _starts(graph: PoseGraph, held: Flags, num_threads: int) -> dict[str, Floats]:
+    """Return the poses of every start that there is, the file's first."""
+    found = {"file": graph.poses} if graph.has_poses else {}
+    for init in ("chordal", "odometry", "spanning_tree"):
+        try:
+            found[init] = started(graph, held, init, num_threads).poses
+        except InputError:  # its system is singular, or the chain of odometry has a gap
+            continue
+    return found

@@ -1,0 +1,1 @@
+"""Measured solver choices on the user's data (bundle compare)."""

@@ -1,0 +1,49 @@
+"""A solve as the user would type it."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from typing import Any
+
+from bundle.interface.options import SolveOptions
+from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.planning.inspection.inspection_result import Inspection
+
+__all__ = ["command_line", "recommended_command"]
+
+
+def command_line(
+    options: SolveOptions | PoseGraphOptions, source: str = "INPUT", output: str = "OUTPUT"
+) -> str:
+    """Return the `bundle refine` that solves with these options; only what differs is named."""
+    words = ["bundle", "refine", source, "-o", output]
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if value != field.default:
+            words += _flag(field, value)
+    return shlex.join(words)
+
+
+def recommended_command(
+    inspection: Inspection, options: SolveOptions, source: str = "INPUT"
+) -> str:
+    """Return the `bundle refine` that an inspection recommends; "" where it recommends nothing."""
+    if inspection.recommended < 0:
+        return ""
+    best = inspection.methods[inspection.recommended]
+    options = options.replace(
+        linear_solver_type=best.linear_solver_type.lower(),
+        preconditioner_type=best.preconditioner.lower() or "auto",
+        backend="ceres" if best.backend == "CERES" else "auto",
+    )
+    return command_line(options, source)
+
+
+def _flag(field: dataclasses.Field[Any], value: Any) -> list[str]:
+    flag = field.metadata["flag"]
+    if isinstance(value, bool):
+        return [flag if value else f"--no-{flag.lstrip('-')}"]
+    text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+    named = field.metadata["choices"] is not None or field.name == "refine"
+    return [flag, text.replace("_", "-") if named else text]

@@ -1,0 +1,219 @@
+"""The comparison itself: every method on every problem, each run in a process of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, overload
+
+from bundle.base.arguments import check_function
+from bundle.errors import InputError, check_keywords
+from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.compare_defaults import (
+    BACKENDS,
+    COMPARED,
+    ORDERINGS,
+    PRECONDITIONERS,
+    REPEAT,
+    SHARE_OF_FREE_MEMORY,
+    SOLVERS,
+    THREADS,
+    TIMEOUT,
+)
+from bundle.interface.option_fields import number, spellings
+from bundle.interface.options import SolveOptions
+from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.io.source import Source
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.planning.comparison import process_memory
+from bundle.planning.comparison.combinations import expand
+from bundle.planning.comparison.comparison_result import GAPS, Comparison, PerformanceProfile
+from bundle.planning.comparison.graph_comparison import GraphComparison, compare_graph
+from bundle.planning.comparison.profiles import performance_profiles
+from bundle.planning.comparison.recommendation import recommend
+from bundle.planning.comparison.work import Progress, Work
+
+__all__ = ["compare"]
+
+
+@overload
+def compare(
+    problems: PoseGraph | PoseGraphResult,
+    options: PoseGraphOptions | None = None,
+    *,
+    backends: Iterable[str] = BACKENDS,
+    threads: Iterable[int] = THREADS,
+    repeat: int = REPEAT,
+    timeout: float = TIMEOUT,
+    progress: Callable[[str], None] | None = None,
+    **changes: Any,
+) -> GraphComparison: ...
+
+
+@overload
+def compare(
+    problems: Source | Sequence[Source],
+    options: SolveOptions | None = None,
+    *,
+    solvers: Iterable[str] = SOLVERS,
+    preconditioners: Iterable[str] = PRECONDITIONERS,
+    orderings: Iterable[str] = ORDERINGS,
+    backends: Iterable[str] = BACKENDS,
+    threads: Iterable[int] = THREADS,
+    repeat: int = REPEAT,
+    timeout: float = TIMEOUT,
+    memory_cap: int = 0,
+    progress: Callable[[Progress], None] | None = None,
+    **changes: Any,
+) -> Comparison: ...
+
+
+def compare(
+    problems: Source | Sequence[Source] | PoseGraph | PoseGraphResult,
+    options: SolveOptions | PoseGraphOptions | None = None,
+    *,
+    solvers: Iterable[str] = SOLVERS,
+    preconditioners: Iterable[str] = PRECONDITIONERS,
+    orderings: Iterable[str] = ORDERINGS,
+    backends: Iterable[str] = BACKENDS,
+    threads: Iterable[int] = THREADS,
+    repeat: int = REPEAT,
+    timeout: float = TIMEOUT,
+    memory_cap: int = 0,
+    progress: Callable[[Any], None] | None = None,
+    **changes: Any,
+) -> Comparison | GraphComparison:
+    """Solve the same start by every combination of methods and recommend one.
+
+    Each run is a process of its own, one after the other. One that fails, takes too long, needs too
+    much memory or dies is a row that says so, never the end. Ctrl-C ends the comparison with what
+    is there.
+
+    Of a pose graph, the result of a solve of one, or a g2o file the result is a
+    :class:`GraphComparison`: backends, orders of elimination and trust regions, from one start, in
+    this process, one after the other. It takes ``backends``, ``threads``, ``repeat``, ``timeout``
+    and options of :class:`bundle.PoseGraphOptions`; ``progress`` is called with the name of each
+    method.
+
+    Args:
+        problems: one, or a list of several: problems, paths, or pycolmap.Reconstructions.
+        options: of every solve, but for what the methods vary.
+        solvers: values of ``linear_solver_type`` to compare.
+        preconditioners: values of ``preconditioner_type``, for the solvers that iterate.
+        orderings: values of ``linear_solver_ordering``.
+        backends: values of ``backend``.
+        threads: values of ``num_threads``; 0 for all cores.
+        repeat: runs of each method, of which the median counts; one that took 10 s is not repeated.
+        timeout: seconds after which a solve is stopped.
+        memory_cap: bytes that a solve may take beyond the loaded problem; 0: nine tenths of what
+            this machine has free when the comparison starts.
+        progress: called when a run starts, and with its iterations now and then.
+        **changes: options by name, in place of those in ``options``.
+
+    Raises:
+        InputError: an option does not exist, is compared or is out of its range, a problem cannot
+            be loaded or has no observations, or there is nothing to compare.
+
+    Example:
+        >>> comparison = bundle.compare("problem.txt", solvers=["dense_schur", "sparse_schur"])
+        >>> print(comparison.recommendation.command)
+    """
+    if is_graph(problems):
+        refuse_for_graphs(
+            solvers=None if solvers is SOLVERS else solvers,
+            preconditioners=None if preconditioners is PRECONDITIONERS else preconditioners,
+            orderings=None if orderings is ORDERINGS else orderings,
+            memory_cap=memory_cap or None,
+        )
+        return compare_graph(
+            problems,
+            options,  # type: ignore[arg-type]
+            backends=backends,
+            threads=threads,
+            repeat=repeat,
+            timeout=timeout,
+            progress=progress,
+            **changes,
+        )
+    started = time.perf_counter()
+    options = _options(options, changes)  # type: ignore[arg-type]
+    methods = expand(
+        solvers=solvers,
+        preconditioners=preconditioners,
+        orderings=orderings,
+        backends=backends,
+        threads=threads,
+    )
+    repeat = number("repeat", repeat, whole=True, minimum=1)
+    timeout = number("timeout", timeout, above=0)
+    memory_cap = number("memory_cap", memory_cap, whole=True, minimum=0, maximum=2**63 - 1)
+    check_function("progress", progress)
+    sources: list[Any] = list(problems) if isinstance(problems, list | tuple) else [problems]
+    if not sources:
+        raise InputError("expected a problem to compare methods on, found none")
+    cap = memory_cap or int(SHARE_OF_FREE_MEMORY * process_memory.available_memory())
+    report = progress or (lambda _: None)
+    with tempfile.TemporaryDirectory(prefix="bundle-compare-") as folder:
+        work = Work(
+            folder=Path(folder),
+            options=options,
+            methods=methods,
+            repeat=repeat,
+            timeout=timeout,
+            memory_cap=cap,
+            report=report,
+        )
+        compared = tuple(work.take_over(index, source) for index, source in enumerate(sources))
+        interrupted = work.run_all(compared)
+        comparison = Comparison(
+            problems=compared,
+            runs=tuple(work.runs(len(compared))),
+            profiles=(),
+            recommendation=None,
+            options=options,
+            repeat=repeat,
+            timeout=timeout,
+            memory_cap_in_bytes=cap,
+            interrupted=interrupted,
+            wall_time_in_seconds=time.perf_counter() - started,
+        )
+    return dataclasses.replace(
+        comparison,
+        profiles=_profiles(comparison),
+        recommendation=recommend(comparison, work.foreseen),
+    )
+
+
+def _options(options: SolveOptions | None, changes: Mapping[str, Any]) -> SolveOptions:
+    """Return the options of every solve; refuse options that the methods vary."""
+    own = ("repeat", "timeout", "memory_cap", "progress", *COMPARED.values())
+    known = {
+        **{
+            spelling: COMPARED.get(name, name) for spelling, name in spellings(SolveOptions).items()
+        },
+        **{name: name for name in own},
+    }
+    check_keywords("compare", changes, known)
+    chosen = SolveOptions.of(options, changes, "compare")
+    for name, argument in COMPARED.items():
+        value = getattr(chosen, name)
+        if value != SolveOptions.__dataclass_fields__[name].default:
+            raise InputError(f"options: {name} is compared; expected {argument}=[{value!r}]")
+    return chosen
+
+
+def _profiles(comparison: Comparison) -> tuple[PerformanceProfile, ...]:
+    if len(comparison.problems) < 2:
+        return ()
+    profiles: list[PerformanceProfile] = []
+    for gap in GAPS:
+        times = [
+            {run.method: comparison.time_to_gap(run, gap) for run in comparison.runs_of(index)}
+            for index in range(len(comparison.problems))
+        ]
+        profiles += performance_profiles(times, comparison.methods, gap)
+    return tuple(profiles)

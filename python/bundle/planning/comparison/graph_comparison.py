@@ -1,0 +1,331 @@
+"""The solve of a pose graph by several methods: what was measured, and one recommendation."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from bundle import _core
+from bundle.base.arguments import check_function, check_type
+from bundle.base.display import Display, Displayed
+from bundle.base.paths import as_path, is_path
+from bundle.base.words import number, plural, seconds
+from bundle.errors import InputError, brief
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
+from bundle.interface.compare_defaults import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
+from bundle.interface.option_fields import choice
+from bundle.interface.option_fields import number as checked_number
+from bundle.interface.pose_graph_options import PoseGraphOptions
+from bundle.io.g2o_files import load_g2o
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.planning.comparison.command_line import command_line
+
+__all__ = ["GraphComparison", "GraphMethod", "GraphRun", "compare_graph"]
+
+ORDERINGS = ("amd", "metis", "natural")
+TRUST_REGIONS = ("gauss_newton", "levenberg_marquardt", "dogleg", "subspace_dogleg")
+VARIED = ("backend", "ordering", "trust_region_strategy_type", "num_threads")
+
+NEAR_ENOUGH = 1.15
+"""Factor of the least time within which methods count as equally fast."""
+
+COST_TOLERANCE = 1e-6
+"""Relative distance to the best final cost within which two solutions count as equally good."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphMethod:
+    """The options that are compared, under the names of :class:`bundle.PoseGraphOptions`.
+
+    ``ordering`` is "" for Ceres, which has its own.
+    """
+
+    backend: str
+    trust_region_strategy_type: str
+    ordering: str
+    num_threads: int
+
+    @property
+    def name(self) -> str:
+        """Return "fused amd gauss-newton"."""
+        words = (self.backend, self.ordering, self.trust_region_strategy_type.replace("_", "-"))
+        return " ".join(filter(None, words))
+
+    def options(self, base: PoseGraphOptions) -> PoseGraphOptions:
+        """Return the options of a solve by this method."""
+        return base.replace(
+            backend=self.backend,
+            trust_region_strategy_type=self.trust_region_strategy_type,
+            ordering=self.ordering or "auto",
+            num_threads=self.num_threads,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraphRun:
+    """One method, measured.
+
+    Attributes:
+        method: which.
+        times_in_seconds: of each solve, without reading and without the start.
+        final_cost: 1/2 sum rho; NaN where nothing came out.
+        chi2_final: no 1/2, no loss; NaN likewise.
+        num_steps: steps tried.
+        termination_type: as in a summary, or "TIMEOUT".
+        failure: a sentence where the method gave no usable solution; else "".
+        warnings: of the solve.
+    """
+
+    method: GraphMethod
+    times_in_seconds: tuple[float, ...]
+    final_cost: float
+    chi2_final: float
+    num_steps: int
+    termination_type: str
+    failure: str = ""
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def time_in_seconds(self) -> float:
+        """Median of the times; NaN where there is none."""
+        return statistics.median(self.times_in_seconds) if self.times_in_seconds else math.nan
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class GraphComparison(Displayed):
+    """What a comparison measured.
+
+    Attributes:
+        graph: that all methods started from, at the poses of the start.
+        options: of every solve, but for what the methods vary.
+        runs: one a method.
+        recommended: of the methods that reached the best cost within 1e-6 the one of least time,
+            or the first within 15 % of it; None where no method has a usable solution.
+        reason: why, in a sentence.
+        command: that solves so.
+        warnings: of the recommended solve.
+        repeat: solves of each method, of which the median time counts.
+        timeout: seconds.
+    """
+
+    graph: PoseGraph
+    options: PoseGraphOptions
+    runs: tuple[GraphRun, ...]
+    recommended: GraphMethod | None
+    reason: str
+    command: str
+    warnings: tuple[str, ...]
+    repeat: int
+    timeout: float
+
+    def gap(self, run: GraphRun) -> float:
+        """Return the relative distance of a run's final cost to the best one."""
+        best = _best(self.runs)
+        return (run.final_cost - best) / best if best > 0 else run.final_cost - best
+
+    def _display(self) -> Display:
+        facts = [
+            (
+                run.method.name,
+                run.failure or f"{seconds(run.time_in_seconds)} s, {run.final_cost:.6g}",
+            )
+            for run in self.runs
+        ]
+        title = f"GraphComparison: {plural(len(self.runs), 'method')}"
+        return Display(title=title, facts=(*facts, ("advice", self.reason)))
+
+
+def compare_graph(
+    source: Any,
+    options: PoseGraphOptions | None = None,
+    *,
+    backends: Iterable[str] = BACKENDS,
+    threads: Iterable[int] = (0,),
+    repeat: int = REPEAT,
+    timeout: float = TIMEOUT,
+    progress: Callable[[str], None] | None = None,
+    **changes: Any,
+) -> GraphComparison:
+    """Solve a pose graph from one start by every method; :func:`bundle.compare` says more.
+
+    Raises:
+        InputError: an argument is wrong, or an option is compared.
+        OSError: the path cannot be read.
+    """
+    if isinstance(source, PoseGraphResult):
+        source = source.initial_problem
+    elif is_path(source):
+        source = load_g2o(as_path(source))
+    check_type("graph", source, PoseGraph)
+    if options is not None and not isinstance(options, PoseGraphOptions):
+        raise InputError(f"options: expected PoseGraphOptions, found {type(options).__name__}")
+    options = PoseGraphOptions.of(options, changes, "compare")
+    defaults = PoseGraphOptions()
+    for name in VARIED:
+        if getattr(options, name) != getattr(defaults, name):
+            raise InputError(f"{name}: expected its default, as it is compared")
+    if options.loss == "auto":
+        raise InputError("loss: expected the name of one to compare methods with, found auto")
+    repeat = checked_number("repeat", repeat, whole=True, minimum=1)
+    timeout = checked_number("timeout", timeout, above=0)
+    check_function("progress", progress)
+    methods = _methods(_listed("backends", backends), _listed("threads", threads), options.loss)
+    # The start is found once: what differs is the way from there.
+    started = solve_pose_graph(source, options.replace(max_num_iterations=0)).problem
+    base = options.replace(init="file")
+    runs = []
+    for method in methods:
+        if progress is not None:
+            progress(method.name)
+        runs.append(_run(started, method, base, repeat, timeout))
+    best, reason = _recommend(runs)
+    return GraphComparison(
+        graph=started,
+        options=options,
+        runs=tuple(runs),
+        recommended=best.method if best else None,
+        reason=reason,
+        command=_command(started, options, best.method) if best else "",
+        warnings=best.warnings if best else (),
+        repeat=repeat,
+        timeout=timeout,
+    )
+
+
+def _methods(backends: list[Any], threads: list[Any], loss: str) -> list[GraphMethod]:
+    cores = _core.hardware_threads()
+    counts = [checked_number("threads", count, whole=True, minimum=0) for count in threads]
+    found = []
+    for backend in [choice("backends", name, BACKENDS) for name in backends]:
+        if backend == "ceres" and loss in ("geman_mcclure", "switchable", "dcs"):
+            continue  # Ceres lacks these
+        pairs = [(region, "amd") for region in TRUST_REGIONS]
+        pairs += [(TRUST_REGIONS[0], ordering) for ordering in ORDERINGS[1:]]
+        for count in dict.fromkeys(min(count or cores, cores) for count in counts):
+            for region, ordering in pairs:
+                method = GraphMethod(
+                    backend=backend,
+                    trust_region_strategy_type=region,
+                    ordering=ordering if backend == "fused" else "",
+                    num_threads=count,
+                )
+                if method not in found:
+                    found.append(method)
+    if not found:
+        raise InputError("backends: expected one that takes this loss, found none")
+    return found
+
+
+def _listed(name: str, values: Any) -> list[Any]:
+    if isinstance(values, str):
+        return [values]
+    try:
+        listed = list(values)
+    except TypeError:
+        raise InputError(f"{name}: expected a list, found {brief(values)}") from None
+    if not listed:
+        raise InputError(f"{name}: expected at least one to compare, found none")
+    return listed
+
+
+def _run(
+    graph: PoseGraph, method: GraphMethod, base: PoseGraphOptions, repeat: int, timeout: float
+) -> GraphRun:
+    options = method.options(base)
+    times: list[float] = []
+    for _ in range(repeat):
+        begun = time.perf_counter()
+
+        def watch(_: Any, begun: float = begun) -> None:
+            if time.perf_counter() - begun > timeout:
+                raise _TimeoutError
+
+        try:
+            result = solve_pose_graph(graph, options, progress=watch)
+        except _TimeoutError:
+            return _failed(method, "TIMEOUT", f"stopped after {number(timeout)} s")
+        except InputError:
+            raise
+        except (RuntimeError, MemoryError) as error:
+            return _failed(method, "FAILURE", str(error).partition("\n")[0] or "no memory")
+        summary = result.summary
+        if summary.interrupted:
+            raise KeyboardInterrupt
+        if not summary.is_solution_usable:
+            return _failed(method, summary.termination_type, summary.message)
+        times.append(result.solve_time_in_seconds)
+        if times[-1] > SECONDS_NOT_REPEATED:
+            break
+    return GraphRun(
+        method=method,
+        times_in_seconds=tuple(times),
+        final_cost=summary.final_cost,
+        chi2_final=summary.chi2_final,
+        num_steps=len(result.iterations["cost"]) - 1,
+        termination_type=summary.termination_type,
+        warnings=tuple(summary.warnings),
+    )
+
+
+class _TimeoutError(Exception):
+    """A solve took too long."""
+
+
+def _failed(method: GraphMethod, termination: str, failure: str) -> GraphRun:
+    return GraphRun(
+        method=method,
+        times_in_seconds=(),
+        final_cost=math.nan,
+        chi2_final=math.nan,
+        num_steps=0,
+        termination_type=termination,
+        failure=failure,
+    )
+
+
+def _best(runs: Iterable[GraphRun]) -> float:
+    return min((run.final_cost for run in runs if not run.failure), default=math.nan)
+
+
+def _recommend(runs: list[GraphRun]) -> tuple[GraphRun | None, str]:
+    usable = [run for run in runs if not run.failure]
+    if not usable:
+        return None, "No method has a usable solution: bundle diagnose says what may be wrong."
+    best = _best(usable)
+    limit = best + COST_TOLERANCE * abs(best)
+    good = sorted(
+        (run for run in usable if run.final_cost <= limit), key=lambda run: run.time_in_seconds
+    )
+    near = [run for run in good if run.time_in_seconds <= NEAR_ENOUGH * good[0].time_in_seconds]
+    first = min(near, key=runs.index)  # the default comes first
+    reason = (
+        f"{first.method.name} took {seconds(first.time_in_seconds)} s to cost {best:.6g}: the "
+        f"least time, or within {round(100 * (NEAR_ENOUGH - 1))} % of it, of "
+        f"{plural(len(good), 'method')} that came so low"
+    )
+    others = [run for run in good if run.method.backend != first.method.backend]
+    if others:
+        ratio = others[0].time_in_seconds / max(first.time_in_seconds, 1e-9)
+        reason += f"; {others[0].method.name} took {number(ratio)} times as long"
+    worse = len(usable) - len(good)
+    if worse:
+        reason += f"; {plural(worse, 'method')} ended higher, in another minimum or not converged"
+    return first, reason + "."
+
+
+def _command(graph: PoseGraph, options: PoseGraphOptions, method: GraphMethod) -> str:
+    """Return the command, without what a solve takes anyway."""
+    chosen = method.options(options)
+    held, _, _ = _core.hold_poses(graph)
+    if chosen.num_threads == _core.hardware_threads():
+        chosen = chosen.replace(num_threads=0)
+    if chosen.backend == "fused":
+        chosen = chosen.replace(backend="auto")
+    if method.ordering == _core.auto_ordering(graph, held):
+        chosen = chosen.replace(ordering="auto")
+    return command_line(chosen, graph.path or "INPUT")

@@ -1,0 +1,77 @@
+"""What `bundle.inspect` foresees of each method, in the terms of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from bundle.errors import InputError
+from bundle.interface.options import AUTO_PRECONDITIONER, SolveOptions
+from bundle.model.problem import Problem
+from bundle.planning.comparison.comparison_result import Prediction
+from bundle.planning.comparison.method import Method
+from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
+from bundle.planning.inspection.problem_inspection import inspect
+
+__all__ = ["predict"]
+
+
+def predict(
+    problem: Problem, options: SolveOptions, methods: Iterable[Method]
+) -> dict[Method, Prediction]:
+    """Return the predictions there are.
+
+    A method that inspection does not know has none; options that it refuses leave all without one,
+    the runs will say why.
+    """
+    methods = tuple(methods)
+    found: dict[Method, Prediction] = {}
+    for num_threads in {method.num_threads for method in methods}:
+        try:
+            inspection = inspect(problem, options, num_threads=num_threads)
+        except (InputError, MemoryError):
+            continue
+        for method in methods:
+            match = _match(method, inspection) if method.num_threads == num_threads else None
+            if match is not None:
+                found[method] = _prediction(match, inspection)
+    return found
+
+
+def _match(method: Method, inspection: Inspection) -> MethodInspection | None:
+    """Return the inspection of a method; where several orders may be taken, the cheapest."""
+    fitting = [one for one in inspection.methods if one.is_taken and _fits(method, one)]
+    return min(fitting, key=lambda one: one.flops, default=None)
+
+
+def _fits(method: Method, inspected: MethodInspection) -> bool:
+    same = (method.linear_solver_type, method.backend) == (
+        inspected.linear_solver_type.lower(),
+        inspected.backend.lower(),
+    )
+    cameras_first = inspected.ordering == "cameras_first"
+    if not same or method.linear_solver_ordering != (
+        "cameras_first" if cameras_first else "points_first"
+    ):
+        return False
+    if method.is_iterative:
+        wanted = method.preconditioner_type
+        if wanted == "auto":
+            wanted = AUTO_PRECONDITIONER[method.backend, method.linear_solver_type]
+        return inspected.preconditioner.lower() == wanted
+    return True
+
+
+def _prediction(inspected: MethodInspection, inspection: Inspection) -> Prediction:
+    columns = inspection.num_camera_columns
+    reduces = "SCHUR" in inspected.linear_solver_type and inspected.ordering != "cameras_first"
+    return Prediction(
+        ordering=inspected.ordering if inspected.linear_solver_type.startswith("SPARSE") else "",
+        num_unknowns=columns if reduces else inspected.num_unknowns,
+        nnz_reduced=round(inspection.reduced_density * columns**2) if reduces else 0,
+        nnz_factor=inspected.nnz_factor,
+        flops=inspected.flops,
+        memory_in_bytes=inspected.memory_in_bytes,
+        time_per_step_in_seconds=inspected.time_per_step_in_seconds,
+        fits_in_memory=inspected.fits_in_memory,
+        note=inspected.note,
+    )

@@ -1,0 +1,194 @@
+"""One worker from its start to its end, however it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+from bundle.base.memory_sizes import format_size
+from bundle.planning.comparison import process_memory
+
+__all__ = ["WorkerEnd", "run_worker", "worker_command"]
+
+SECONDS_BETWEEN_LOOKS = 0.05
+SECONDS_TO_END = 10.0
+_MEMORY_WORDS = re.compile(
+    r"out of memory|bad_alloc|cannot allocate memory|memory allocation", re.IGNORECASE
+)
+
+
+@dataclass(kw_only=True)
+class WorkerEnd:
+    """How a worker ended: an outcome of ``Run``, and what it sent before.
+
+    Attributes:
+        outcome: "done" for whatever the solver says of its solution.
+        iterations: those sent while it ran; the latest may be missing.
+    """
+
+    outcome: str = ""
+    message: str = ""
+    measurement: dict[str, Any] | None = None
+    iterations: list[dict[str, Any]] = field(default_factory=list)
+
+
+def worker_command(folder: Path, request: Path, channel: int) -> list[str]:
+    """Return the command that runs one worker."""
+    module = "bundle.planning.comparison.worker"
+    return [sys.executable, "-P", "-m", module, str(folder), str(request), str(channel)]
+
+
+def run_worker(
+    folder: Path,
+    request: Path,
+    *,
+    timeout: float,
+    memory_cap: int,
+    on_iteration: Callable[[dict[str, Any]], None],
+) -> WorkerEnd:
+    """Run a worker; kill it, and all that it started, when it takes too long or too much.
+
+    Args:
+        folder: the problem, see ``hand_over``.
+        request: options and limits as the worker reads them.
+        timeout: seconds, from when the problem is loaded.
+        memory_cap: bytes beyond the loaded problem; 0 for none.
+        on_iteration: called with the latest iteration now and then.
+    """
+    reader, writer = os.pipe()
+    with tempfile.TemporaryFile() as words, os.fdopen(reader, "rb", buffering=0) as channel:
+        try:
+            process = subprocess.Popen(
+                worker_command(folder, request, writer),
+                env=_environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=words,
+                stderr=words,
+                pass_fds=(writer,),
+                process_group=0,  # Ctrl-C is the parent's, and killing reaches all
+            )
+        finally:
+            os.close(writer)
+        try:
+            end = _listen(process, channel, timeout, memory_cap, on_iteration)
+            if not end.outcome:  # it closed the channel, which only its end does
+                process.wait(SECONDS_TO_END)
+        except subprocess.TimeoutExpired:
+            end = WorkerEnd(outcome="died", message="the process stopped responding")
+        finally:
+            _kill(process)
+        words.seek(0)
+        return _explained(end, process.returncode, words.read().decode(errors="replace"))
+
+
+def _listen(
+    process: subprocess.Popen[bytes],
+    channel: IO[bytes],
+    timeout: float,
+    memory_cap: int,
+    on_iteration: Callable[[dict[str, Any]], None],
+) -> WorkerEnd:
+    """Take messages until the last or until a limit is reached."""
+    end = WorkerEnd()
+    deadline = time.monotonic() + timeout
+    resident, unread = 0, b""
+    while True:
+        if select.select([channel], [], [], SECONDS_BETWEEN_LOOKS)[0]:
+            received = channel.read(1 << 16)
+            if not received:
+                return end
+            *lines, unread = (unread + received).split(b"\n")
+            for message in map(json.loads, lines):
+                if "resident" in message:
+                    resident, deadline = message["resident"], time.monotonic() + timeout
+                else:
+                    _take(end, message, memory_cap)
+                if message.get("iterations"):
+                    on_iteration(message["iterations"][-1])
+        if end.outcome:
+            return end
+        grown = process_memory.resident_memory(process.pid) - resident
+        if memory_cap and resident and grown > memory_cap:
+            end.outcome, end.message = "out_of_memory", beyond(memory_cap)
+            return end
+        if time.monotonic() > deadline:
+            end.outcome, end.message = "timed_out", _too_long(timeout, end.iterations)
+            return end
+
+
+def _take(end: WorkerEnd, message: dict[str, Any], memory_cap: int) -> None:
+    """Note what a worker says."""
+    end.iterations += message.get("iterations", [])
+    if "refused" in message:
+        end.outcome, end.message = "refused", message["refused"]
+    elif "out_of_memory" in message:
+        end.outcome, end.message = "out_of_memory", beyond(memory_cap)
+    elif "measurement" in message:
+        added = message["measurement"]["added_memory_in_bytes"]
+        if memory_cap and added > memory_cap:
+            end.outcome = "out_of_memory"
+            end.message = f"{beyond(memory_cap)}: {format_size(added)}"
+        else:
+            end.outcome, end.measurement = "done", message["measurement"]
+
+
+def beyond(memory_cap: int) -> str:
+    """Return "needed more than 500 MB"."""
+    if not memory_cap:
+        return "ran out of memory"
+    return f"needed more than {format_size(memory_cap)} beyond the loaded problem"
+
+
+def _too_long(timeout: float, iterations: Sequence[dict[str, Any]]) -> str:
+    words = f"stopped after the time-out of {timeout:g} s"
+    if iterations:
+        latest = iterations[-1]
+        words += f", at iteration {latest['iteration']} and cost {latest['cost']:.4e}"
+    return words
+
+
+def _explained(end: WorkerEnd, code: int, words: str) -> WorkerEnd:
+    """Give an outcome to a worker that ended without a word, from what its libraries said."""
+    said = [line.strip() for line in words.splitlines() if line.strip()]
+    if end.outcome == "done" and end.measurement is not None:
+        failed = end.measurement["summary"]["termination_type"] == "FAILURE"
+        if failed and _MEMORY_WORDS.search(words):
+            end.outcome, end.message, end.measurement = "out_of_memory", "ran out of memory", None
+    if end.outcome:
+        return end
+    name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+    if _MEMORY_WORDS.search(words):
+        end.outcome, end.message = "out_of_memory", f"ran out of memory ({name})"
+    elif code == -signal.SIGKILL:
+        end.outcome = "died"
+        end.message = "the process was killed from outside, perhaps for lack of memory"
+    else:
+        end.outcome = "died"
+        why = f": {said[-1]}" if said else " and gave no message"
+        end.message = f"the process ended with {name}{why}"
+    return end
+
+
+def _environment() -> dict[str, str]:
+    """Return this environment, with modules found where this process finds them."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End a process that has not ended, and all that it started, and wait for it."""
+    if process.returncode is None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()

@@ -1,0 +1,56 @@
+"""Performance profiles: how often a method is how far from the fastest.
+
+E. D. Dolan and J. J. More, Benchmarking optimization software with performance profiles,
+Mathematical Programming 91 (2002). With t(p, s) the time of method s on problem p and
+r(p, s) = t(p, s) / min over s' of t(p, s'), the profile of s is
+
+    rho_s(tau) = share of problems with r(p, s) <= tau,
+
+so rho_s(1) is how often s is the fastest, and rho_s at large tau how often it gets there at all.
+t is the time to a cost within a gap of the best cost known, which is a test of its own: all methods
+are held to the same accuracy, whatever their stopping rules made of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from bundle.planning.comparison.comparison_result import PerformanceProfile
+from bundle.planning.comparison.method import Method
+
+__all__ = ["performance_profiles"]
+
+
+def performance_profiles(
+    times: Sequence[Mapping[Method, float]], methods: Sequence[Method], gap: float
+) -> tuple[PerformanceProfile, ...]:
+    """Return one profile a method.
+
+    Args:
+        times: for each problem the seconds of each method; NaN, or nothing, where it was not
+            solved. A problem that no method solved is left out.
+        methods: whose profiles.
+        gap: what `times` are the times to.
+    """
+    fastest = [
+        min((time for time in row.values() if math.isfinite(time)), default=math.nan)
+        for row in times
+    ]
+    solved = [(row, best) for row, best in zip(times, fastest, strict=True) if math.isfinite(best)]
+    profiles = []
+    for method in methods:
+        own = ((row.get(method, math.nan), best) for row, best in solved)
+        ratios = sorted(_ratio(time, best) for time, best in own if math.isfinite(time))
+        profiles.append(
+            PerformanceProfile(
+                method=method, gap=gap, ratios=tuple(ratios), num_problems=len(solved)
+            )
+        )
+    return tuple(profiles)
+
+
+def _ratio(time: float, best: float) -> float:
+    if best > 0:
+        return time / best
+    return 1.0 if time <= 0 else math.inf  # a clock that did not move

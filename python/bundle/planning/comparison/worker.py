@@ -1,0 +1,109 @@
+"""The process of one run: ``python -m bundle.planning.comparison.worker FOLDER REQUEST CHANNEL``.
+
+FOLDER holds the problem (see ``hand_over``), REQUEST is a JSON file of options and limits, CHANNEL
+the number of an open file that takes one JSON object a line:
+
+- ``{"resident": bytes}`` once the problem is loaded,
+- ``{"iterations": [...]}`` now and then, under the names of Ceres' IterationSummary,
+- one of ``{"measurement": {...}}``, ``{"refused": why}`` and ``{"out_of_memory": true}``.
+
+Standard output and error are left to libraries that complain there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import resource
+import sys
+import time
+from pathlib import Path
+from typing import Any, TextIO
+
+from bundle import _core
+from bundle.errors import InputError
+from bundle.interface.options import SolveOptions
+from bundle.planning.comparison import process_memory
+from bundle.planning.comparison.hand_over import restore
+from bundle.solving.result import Result
+from bundle.solving.solver import solve
+
+__all__ = ["main"]
+
+SECONDS_BETWEEN_REPORTS = 0.1
+
+
+class Reporter:
+    """Sends iterations, but not each on its own: a step may take less than a message."""
+
+    def __init__(self, channel: TextIO) -> None:
+        self._channel = channel
+        self._waiting: list[dict[str, Any]] = []
+        self._sent = time.perf_counter()
+
+    def iteration(self, values: dict[str, Any]) -> None:
+        """Take an iteration, and send all that wait if the last time is a while ago."""
+        self._waiting.append(values)
+        if time.perf_counter() - self._sent >= SECONDS_BETWEEN_REPORTS:
+            self.send({"iterations": self._waiting})
+            self._waiting = []
+            self._sent = time.perf_counter()
+
+    def send(self, message: dict[str, Any]) -> None:
+        """Send a message at once. A parent that is gone ends the work (BrokenPipeError)."""
+        self._channel.write(json.dumps(message) + "\n")
+        self._channel.flush()
+
+
+def main() -> None:
+    """Load, solve, report."""
+    folder, request_path, channel = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # an abort is a row, not a file
+    process_memory.go_first_when_memory_ends()
+    request = json.loads(request_path.read_text())
+    options = SolveOptions(**request["options"])
+    with os.fdopen(channel, "w", encoding="ascii") as file:
+        reporter = Reporter(file)
+        try:
+            reporter.send(_run(folder, options, request["memory_cap"], reporter))
+        except InputError as error:
+            # What the cap leaves is no news; what the machine has is.
+            is_beyond = isinstance(error, _core.NotEnoughMemoryError) and request["memory_cap"] > 0
+            reporter.send({"out_of_memory": True} if is_beyond else {"refused": str(error)})
+        except MemoryError:
+            reporter.send({"out_of_memory": True})
+
+
+def _run(
+    folder: Path, options: SolveOptions, memory_cap: int, reporter: Reporter
+) -> dict[str, Any]:
+    problem = restore(folder)
+    load_peak = process_memory.peak_memory()
+    resident = process_memory.resident_memory()
+    knows_growth = process_memory.restart_peak()
+    reporter.send({"resident": resident})
+    if memory_cap:
+        process_memory.limit_growth(memory_cap, options.num_threads)
+    result = solve(problem, options, progress=reporter.iteration)
+    peak = process_memory.peak_memory()
+    return {
+        "measurement": {
+            **_measured(result),
+            "peak_memory_in_bytes": max(peak, load_peak),
+            "added_memory_in_bytes": max(peak - resident, 0) if knows_growth else -1,
+        }
+    }
+
+
+def _measured(result: Result) -> dict[str, Any]:
+    return {
+        "summary": dataclasses.asdict(result.summary),
+        "iterations": {name: column.tolist() for name, column in result.iterations.items()},
+        "build_time_in_seconds": result.build_time_in_seconds,
+        "solve_time_in_seconds": result.solve_time_in_seconds,
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Predicted structure, memory and time of a solve (bundle inspect)."""

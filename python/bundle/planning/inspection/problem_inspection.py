@@ -1,0 +1,219 @@
+"""What each way to solve a problem costs, from its pattern alone."""
+
+from __future__ import annotations
+
+from typing import Any, overload
+
+from bundle import _core
+from bundle.base.arguments import as_flag
+from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY
+from bundle.errors import InputError
+from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
+from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
+from bundle.interface.options import SolveOptions
+from bundle.io.source import Source, as_problem
+from bundle.model.pose_graph_arrays import PoseGraph
+from bundle.model.problem import Problem
+from bundle.planning.inspection.counts import FactorCounter, FactorizedSystem
+from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
+from bundle.planning.inspection.machine_rates import machine_rates
+from bundle.planning.inspection.methods import Method, all_methods
+from bundle.planning.inspection.peak_memory import Terms, ceres_memory, fused_memory, total
+from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection, inspect_pose_graph
+from bundle.planning.inspection.predicted_best import explain, recommend
+from bundle.planning.inspection.problem_pattern import ProblemPattern, find_pattern
+from bundle.planning.inspection.rates import Rates
+from bundle.planning.inspection.step_time import (
+    COARSE_FACTOR_SHARE,
+    ceres_time,
+    fused_time,
+    products_per_step,
+)
+from bundle.solving.solver import resolve_defaults
+
+__all__ = ["inspect"]
+
+
+@overload
+def inspect(problem: PoseGraph | PoseGraphResult) -> PoseGraphInspection: ...
+
+
+@overload
+def inspect(
+    problem: Source,
+    options: SolveOptions | None = None,
+    *,
+    recalibrate: bool = False,
+    **changes: Any,
+) -> Inspection: ...
+
+
+def inspect(
+    problem: Source | PoseGraph | PoseGraphResult,
+    options: SolveOptions | None = None,
+    *,
+    recalibrate: bool = False,
+    **changes: Any,
+) -> Inspection | PoseGraphInspection:
+    """Predict what each way to solve a problem costs, without solving it.
+
+    Counts are exact, by elimination on the blocks, unless a method's note says otherwise. Times are
+    counts times the rates of this machine, measured when they are first needed,
+    in a second or two.
+
+    Of a pose graph, the result of a solve of one, or a g2o file the result is a
+    :class:`PoseGraphInspection`: nonzeros of the normal equations, and fill, flops and memory of
+    their factor in each order of elimination. It takes no options.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        options: what is refined and by how many threads; which solver they name does not matter.
+        recalibrate: measure the rates of this machine again.
+        **changes: options by name, in place of those in ``options``.
+
+    Raises:
+        InputError: an option or a fixed id that does not exist, a camera model that is not
+            supported, or no observations of anything that is refined.
+        OSError: the path cannot be read.
+    """
+    if is_graph(problem):
+        refuse_for_graphs(options=options, recalibrate=recalibrate or None, **changes)
+        return inspect_pose_graph(problem)
+    problem = as_problem(problem)  # type: ignore[arg-type]
+    recalibrate = as_flag("recalibrate", recalibrate)
+    chosen = resolve_defaults(problem, SolveOptions.of(options, changes, "inspect"))
+    pattern = find_pattern(problem, chosen)
+    rates = machine_rates(chosen.num_threads, recalibrate=recalibrate)
+    inspector = _Inspector(problem, chosen, pattern, rates)
+    methods = tuple(inspector.inspect(method) for method in inspector.methods())
+    best = recommend(methods)
+    columns = pattern.num_camera_columns
+    density = pattern.reduced.nnz / columns**2 if columns else 1.0
+    return Inspection(
+        num_observations=pattern.num_observations,
+        num_free_points=pattern.num_free_points,
+        num_camera_columns=columns,
+        num_camera_blocks=len(pattern.reduced.sizes),
+        reduced_density=density,
+        num_threads=chosen.num_threads,
+        available_memory_in_bytes=inspector.available_memory,
+        methods=methods,
+        recommended=best,
+        recommendation=explain(methods, best, density),
+        auto_choice=inspector.auto_choice(),
+    )
+
+
+class _Inspector:
+    """One problem's methods, each counted and predicted."""
+
+    def __init__(
+        self, problem: Problem, options: SolveOptions, pattern: ProblemPattern, rates: Rates
+    ) -> None:
+        self.available_memory = _core.available_memory()
+        self._pattern = pattern
+        self._rates = rates
+        self._num_threads = options.num_threads
+        self._counter = FactorCounter(problem, options, pattern)
+
+    def methods(self) -> tuple[Method, ...]:
+        """Return the methods that there are for this problem.
+
+        Raises:
+            InputError: nothing is refined.
+        """
+        pattern = self._pattern
+        if pattern.num_unknowns == 0 or pattern.num_observations == 0:
+            raise InputError("refine: expected observations of what is refined, found none")
+        every = all_methods()
+        if pattern.num_free_points == 0 or pattern.num_camera_columns == 0:  # nothing to eliminate
+            return tuple(m for m in every if m.linear_solver_type == "SPARSE_NORMAL_CHOLESKY")
+        if pattern.longest_track > _core.MAX_TRACK_LENGTH:
+            return tuple(method for method in every if method.backend == "CERES")
+        return every
+
+    def auto_choice(self) -> str:
+        """Return the linear solver that the fused backend would choose, "" if it cannot."""
+        if all(method.backend == "CERES" for method in self.methods()):
+            return ""
+        return _core.auto_choice(*self._pattern.reduced, self._num_threads)
+
+    def inspect(self, method: Method) -> MethodInspection:
+        """Return the counts and predictions of one method."""
+        pattern = self._pattern
+        counted = self._count(method)
+        count = counted.factor if counted else None
+        memory, time = self._predict(method, counted)
+        bytes_needed = total(memory)
+        fits = bytes_needed <= SHARE_OF_FREE_MEMORY * self.available_memory
+        makes_reduced = method.linear_solver_type != "SPARSE_NORMAL_CHOLESKY"
+        return MethodInspection(
+            name=method.name,
+            linear_solver_type=method.linear_solver_type,
+            backend=method.backend,
+            ordering=method.ordering,
+            preconditioner=method.preconditioner,
+            num_unknowns=pattern.num_unknowns,
+            nnz_jacobian=pattern.nnz_jacobian,
+            nnz_information=pattern.nnz_information,
+            nnz_reduced=(counted.nnz_reduced if counted else pattern.reduced.nnz)
+            if makes_reduced
+            else 0,
+            nnz_factor=count.nnz if count else 0,
+            fill=count.fill if count else 0,
+            flops=count.flops if count else 0.0,
+            cholmod_flops=count.cholmod_flops if count else 0.0,
+            tree_height=count.tree_height if count else 0,
+            column_count_profile=count.profile if count else (),
+            memory_in_bytes=bytes_needed,
+            memory_terms=memory,
+            time_per_step_in_seconds=total(time),
+            time_terms=time,
+            fits_in_memory=fits,
+            is_taken=self._is_taken(method),
+            note=self._note(method, counted),
+        )
+
+    def _count(self, method: Method) -> FactorizedSystem | None:
+        """Return what a method factorises, None if nothing."""
+        if method.linear_solver_type == "DENSE_SCHUR":
+            return self._counter.dense()
+        if method.linear_solver_type == "SPARSE_NORMAL_CHOLESKY":
+            return self._counter.whole()
+        if method.preconditioner:
+            return None
+        if method.ordering == "cameras_first":
+            return self._counter.cameras_first()
+        return self._counter.sparse(method.ordering)
+
+    def _predict(self, method: Method, counted: FactorizedSystem | None) -> tuple[Terms, Terms]:
+        pattern, kind = self._pattern, method.linear_solver_type
+        name, rates = method.preconditioner, self._rates
+        if method.backend == "CERES":
+            memory = ceres_memory(pattern, kind, counted)
+            return memory, ceres_time(pattern, kind, name, counted, rates)
+        coarse = 0.0
+        if name == "TWO_LEVEL":
+            coarse = COARSE_FACTOR_SHARE * self._counter.sparse(self._taken_by_fused()).factor.nnz
+        memory = fused_memory(pattern, kind, counted, self._num_threads, coarse)
+        return memory, fused_time(pattern, kind, name, counted, rates, coarse)
+
+    def _note(self, method: Method, counted: FactorizedSystem | None) -> str:
+        if counted is None:
+            products = products_per_step(method.preconditioner)
+            return f"assumes {products} products with S per step; the number depends on the values"
+        if not method.backend:
+            return "for comparison: neither backend takes this order"
+        if not self._is_taken(method):
+            return f"the fused backend takes {self._taken_by_fused()}, which makes fewer flops"
+        return counted.note
+
+    def _is_taken(self, method: Method) -> bool:
+        if method.linear_solver_type == "SPARSE_SCHUR" and method.backend == "FUSED":
+            return method.ordering == self._taken_by_fused()
+        return method.backend != ""
+
+    def _taken_by_fused(self) -> str:
+        """Return the cheapest of the orders that supernodes.cpp tries, the first of equals."""
+        tried = ("natural", "amd", "metis")
+        return min(tried, key=lambda name: self._counter.sparse(name).factor.cholmod_flops)

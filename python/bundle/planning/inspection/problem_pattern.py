@@ -1,0 +1,269 @@
+"""The pattern of a problem: unknowns, nonzeros, and who meets whom, before any arithmetic.
+
+With the free points p and the blocks c of camera parameters (an image's pose and
+intrinsics, or a shared camera's intrinsics; ``cpp/core/model/parameter_layout.h``) as unknowns,
+
+    J   two rows an observation, nonzero in its point's and its image's blocks,
+    H   = J^T J, the information matrix; H_pp is block diagonal,
+    S   = H_cc - H_cp H_pp^-1 H_pc, the reduced camera system: two blocks meet if they are the
+        image's and the camera's of one image, or if some free point is seen by both.
+
+Nonzeros of H and S count both triangles and the diagonal; those of L, its lower triangle with the
+diagonal. Blocks count as full.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.interface.options import SolveOptions
+from bundle.model.problem import Problem
+
+__all__ = [
+    "BlockPattern",
+    "FactorCount",
+    "PlanSize",
+    "ProblemPattern",
+    "count_dense",
+    "count_factor",
+    "find_pattern",
+]
+
+Sizes = NDArray[np.int32]
+
+PROFILE_BINS = 200
+
+
+class BlockPattern(NamedTuple):
+    """The lower triangle of a symmetric matrix of full blocks, by block columns.
+
+    Attributes:
+        sizes: (num_blocks,) rows and columns of each diagonal block.
+        column_begin: (num_blocks + 1,) first entry of each block column.
+        rows: block row of each entry; ascending in a column, the diagonal first.
+    """
+
+    sizes: Sizes
+    column_begin: NDArray[np.int64]
+    rows: Sizes
+
+    @property
+    def num_columns(self) -> int:
+        """Scalar columns."""
+        return int(self.sizes.sum(dtype=np.int64))
+
+    @property
+    def num_edges(self) -> int:
+        """Pairs of different blocks that meet."""
+        return len(self.rows) - len(self.sizes)
+
+    @property
+    def nnz(self) -> int:
+        """Nonzeros, both triangles and the diagonal."""
+        sizes = self.sizes.astype(np.int64)
+        columns = np.repeat(sizes, np.diff(self.column_begin))
+        return int(2 * (columns * sizes[self.rows]).sum() - (sizes**2).sum())
+
+    def sums_are_twofold(self, linear_solver_type: str) -> bool:
+        """Whether the fused backend sums S up with twice the digits of a double."""
+        return _core.sums_are_twofold(
+            linear_solver_type.lower(), self.num_columns, len(self.sizes), len(self.rows)
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FactorCount:
+    """What a Cholesky factor L costs in one order.
+
+    Attributes:
+        nnz: entries of L, the diagonal included.
+        fill: pairs of blocks that L has and the matrix has not.
+        flops: sum of c^2 + 3 c over the columns, c their entries below the diagonal: the update of
+            what is left, and of the right side.
+        cholmod_flops: sum of (c + 1)^2, which CHOLMOD's analysis prints.
+        tree_height: blocks on the longest path through the elimination tree.
+        profile: largest c of up to 200 equal portions of the columns, in elimination order.
+    """
+
+    nnz: int
+    fill: int
+    flops: float
+    cholmod_flops: float
+    tree_height: int
+    profile: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanSize:
+    """``bundle::PlanSize``: the passes of the fused backend over the points.
+
+    All zero where a track is too long for it.
+    """
+
+    num_points: int = 0
+    num_free_points: int = 0
+    num_observations: int = 0
+    num_pairs: int = 0
+    num_chunk_pairs: int = 0
+    num_chunk_images: int = 0
+    largest_chunk_blocks: int = 0
+    block_doubles: int = 0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ProblemPattern:
+    """All that the predictions rest on.
+
+    Attributes:
+        num_observations: those with something to refine.
+        num_free_points: points that are refined.
+        reduced: the pattern of S.
+        nnz_jacobian, nnz_information: of J and H.
+        block_pairs: over all free points, the pairs of camera blocks that see it, each pair
+            once and every block with itself: block products of the elimination.
+        pair_entries: the same in entries: half the sum of F^2 over the free points, F the columns
+            of camera parameters that a point meets.
+        longest_track: most observations of a point.
+        has_equal_blocks: all camera blocks have one size, and no observation sees two:
+            where Ceres has Schur kernels of fixed size.
+        plan: of the fused backend.
+    """
+
+    num_observations: int
+    num_free_points: int
+    reduced: BlockPattern
+    nnz_jacobian: int
+    nnz_information: int
+    block_pairs: int
+    pair_entries: float
+    longest_track: int
+    has_equal_blocks: bool
+    plan: PlanSize
+
+    @property
+    def num_camera_columns(self) -> int:
+        """Unknown camera parameters."""
+        return self.reduced.num_columns
+
+    @property
+    def num_reduced_values(self) -> float:
+        """Values of S where its lower triangle is stored, diagonal blocks whole."""
+        squares = float((self.reduced.sizes.astype(float) ** 2).sum())
+        return (self.reduced.nnz + squares) / 2
+
+    @property
+    def num_unknowns(self) -> int:
+        """Unknowns in all."""
+        return self.num_camera_columns + 3 * self.num_free_points
+
+
+def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
+    """Return the pattern of what ``options`` leave free; a gauge and a cheirality are chosen.
+
+    Raises:
+        InputError: a camera model that is not supported or a fixed id that does not exist.
+    """
+    given = options.asdict()
+    blocks = _core.parameter_blocks(problem, given)
+    reduced = BlockPattern(*_core.reduced_pattern(problem, given))
+    longest_track = int(np.bincount(problem.observation_point, minlength=1).max())
+    plan = PlanSize()
+    if longest_track <= _core.MAX_TRACK_LENGTH:
+        plan = PlanSize(**_core.elimination_plan(problem, given))
+    is_free = blocks["point_is_free"]
+    sizes = np.append(blocks["size"], 0).astype(np.int64)  # block -1 is none
+    # Three blocks an image: of its pose or its frame's, of its sensor, of its camera.
+    camera_block = blocks["camera_block"][problem.image_camera]
+    of_image = np.stack([blocks["image_block"], blocks["sensor_block"], camera_block])
+    width = sizes[of_image].sum(axis=0)[problem.observation_image]
+    free = is_free[problem.observation_point]
+    seen = _seen_blocks(problem, free, of_image, len(sizes) - 1)
+    seen_point, seen_size = seen[0], sizes[seen[1]]
+    num_seen = np.bincount(seen_point, minlength=problem.num_points).astype(float)
+    columns = np.bincount(seen_point, seen_size, problem.num_points)
+    pairs = np.hstack([of_image[[0, 1]], of_image[[0, 2]], of_image[[1, 2]]])
+    within_images = np.unique(pairs[:, (pairs >= 0).all(axis=0)], axis=1)
+    camera_parameters = int((sizes**2).sum() + 2 * sizes[within_images].prod(0).sum())
+    return ProblemPattern(
+        num_observations=int(np.count_nonzero(free | (width > 0))),
+        num_free_points=int(is_free.sum()),
+        reduced=reduced,
+        nnz_jacobian=int(2 * (3 * free.sum() + width.sum())),
+        nnz_information=camera_parameters + 9 * int(is_free.sum()) + 2 * int(3 * seen_size.sum()),
+        block_pairs=int((num_seen * (num_seen + 1) / 2).sum()),
+        pair_entries=float((columns**2).sum() / 2),
+        longest_track=longest_track,
+        has_equal_blocks=not within_images.size and len(np.unique(blocks["size"])) == 1,
+        plan=plan,
+    )
+
+
+def _seen_blocks(
+    problem: Problem,
+    free: NDArray[np.bool_],
+    of_image: Sizes,
+    num_blocks: int,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return (point, block) of each free point and each camera block that sees it, once."""
+    point = problem.observation_point[free].astype(np.int64)
+    image = problem.observation_image[free]
+    codes = [
+        point[block >= 0] * num_blocks + block[block >= 0]
+        for block in (blocks[image] for blocks in of_image)
+    ]
+    code = np.sort(np.concatenate(codes))
+    code = code[np.diff(code, prepend=-1) != 0]
+    seen_point, seen_block = np.divmod(code, max(num_blocks, 1))
+    return seen_point, seen_block
+
+
+def count_factor(pattern: BlockPattern, order: Sizes) -> FactorCount:
+    """Return the exact cost of the factor when the blocks are eliminated in this order."""
+    counts: dict[str, Any] = _core.count_factor(*pattern, order)
+    return FactorCount(
+        nnz=round(counts["entries"]),
+        fill=counts["fill_edges"],
+        flops=counts["flops"],
+        cholmod_flops=counts["cholmod_flops"],
+        tree_height=counts["tree_height"],
+        profile=_profile(counts["rows_below"], pattern.sizes[order].astype(np.int64)),
+    )
+
+
+def _profile(rows_below: NDArray[np.int64], sizes: NDArray[np.int64]) -> tuple[int, ...]:
+    """Return the largest column counts of equal portions, from blocks in elimination order.
+
+    The k-th scalar column of a block of m has the rows below the block and m - 1 - k within it, so
+    that a portion's largest count is that of its first column, or of the first of some block.
+    """
+    ends = np.cumsum(sizes)
+    num_columns = int(ends[-1]) if len(ends) else 0
+    if num_columns == 0:
+        return ()
+    bins = min(PROFILE_BINS, num_columns)
+    first = np.arange(bins) * num_columns // bins
+    block = np.searchsorted(ends, first, side="right")
+    profile = rows_below[block] + ends[block] - 1 - first
+    starts = ends - sizes
+    portion = np.searchsorted(first, starts, side="right") - 1
+    np.maximum.at(profile, portion, rows_below + sizes - 1)
+    return tuple(profile.tolist())
+
+
+def count_dense(num_columns: int, num_missing: int, num_blocks: int) -> FactorCount:
+    """Return the cost of a factor without zeros; ``num_missing`` pairs of blocks are fill."""
+    n = float(num_columns)
+    bins = min(PROFILE_BINS, num_columns)
+    return FactorCount(
+        nnz=num_columns * (num_columns + 1) // 2,
+        fill=num_missing,
+        flops=(n - 1) * n * (2 * n - 1) / 6 + 3 * n * (n - 1) / 2,
+        cholmod_flops=n * (n + 1) * (2 * n + 1) / 6,
+        tree_height=num_blocks,
+        profile=tuple(num_columns - 1 - k * num_columns // bins for k in range(bins)),
+    )

@@ -1,0 +1,77 @@
+"""What a bundle adjustment costs with and without eliminating its points first, by hand.
+
+The estimate that lectures and papers make, for n_c cameras of 6 unknowns and n_p points of 3, S
+full, orders of magnitude rather than instructions: a product of matrices m x k and k x n counts
+m k n, an inverse of a 3 x 3 block 3^3, a Cholesky factorisation of n columns n^3 / 3.
+
+    points    V_p^-1 for each point: 27 n_p
+    products  W_ip V_p^-1 W_jp^T for each point p and each ordered pair of cameras (i, j) that see
+              it, both triangles of S and the diagonal, nothing shared between pairs:
+              6 3 3 + 6 3 6 = 162 each, d^2 of them for a point seen d times
+    reduced   Cholesky of S: (6 n_c)^3 / 3
+    dense     Cholesky of all 6 n_c + 3 n_p unknowns at once, for comparison
+
+``inspect`` counts what solvers do: the pattern of S, an elimination order, a triangle only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from bundle.planning.inspection.graph_arguments import as_tracks
+
+__all__ = ["SchurCounts", "count_schur_by_hand"]
+
+
+@dataclass(frozen=True)
+class SchurCounts:
+    """Flops of one linear solve, estimated by hand.
+
+    Attributes:
+        num_unknowns: of cameras and points together.
+        num_reduced_unknowns: rows and columns of S.
+        num_block_products: W V^-1 W^T, one an ordered pair of cameras a point.
+        points: flops of inverting the points' blocks.
+        products: flops of the block products.
+        reduced: flops of factorising S.
+        dense: flops of factorising the matrix of all unknowns, as if it were full.
+    """
+
+    num_unknowns: int
+    num_reduced_unknowns: int
+    num_block_products: int
+    points: float
+    products: float
+    reduced: float
+    dense: float
+
+    @property
+    def schur(self) -> float:
+        """Flops with the points eliminated first."""
+        return self.points + self.products + self.reduced
+
+
+def count_schur_by_hand(
+    num_cameras: int, track_lengths: Iterable[int], *, camera_size: int = 6, point_size: int = 3
+) -> SchurCounts:
+    """Count for points seen by as many cameras as ``track_lengths`` says, one length a point.
+
+    Raises:
+        InputError: a track of fewer than no cameras or more than there are.
+    """
+    tracks = as_tracks(track_lengths, num_cameras)
+    num_points = len(tracks)
+    num_reduced = camera_size * num_cameras
+    num_unknowns = num_reduced + point_size * num_points
+    num_products = int((tracks * tracks).sum())
+    product = camera_size * point_size * point_size + camera_size * point_size * camera_size
+    return SchurCounts(
+        num_unknowns=num_unknowns,
+        num_reduced_unknowns=num_reduced,
+        num_block_products=num_products,
+        points=float(point_size**3 * num_points),
+        products=float(product * num_products),
+        reduced=num_reduced**3 / 3,
+        dense=num_unknowns**3 / 3,
+    )

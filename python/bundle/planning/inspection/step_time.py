@@ -1,0 +1,126 @@
+"""Time of one step of the trust region, as a sum of named terms: counts times measured rates."""
+
+from __future__ import annotations
+
+import math
+
+from bundle.planning.inspection.counts import FactorizedSystem
+from bundle.planning.inspection.peak_memory import Terms
+from bundle.planning.inspection.problem_pattern import FactorCount, ProblemPattern
+from bundle.planning.inspection.rates import FactorRate, Rates
+
+__all__ = ["COARSE_FACTOR_SHARE", "ceres_time", "factor_rate", "fused_time", "products_per_step"]
+
+PRODUCTS_PER_STEP, PRODUCTS_WITH_TWO_LEVELS = 200, 80
+"""Products with S that a step by conjugate gradients is taken to need: from 2 to 500 were seen,
+more towards the end; from 2 to 100 with two levels (cpp/core/prepare/choose_solver.cpp)."""
+
+# Of the coarse system of two levels: putting it together, for each value of S and thread, and its
+# factor's entries against those of the whole factor. As `auto` takes them, in the same place.
+_SECONDS_PER_COARSE_VALUE, COARSE_FACTOR_SHARE = 10e-9, 0.05
+
+POWER_SERIES_PRODUCTS = 6
+"""Products of one iteration with the power series as preconditioner."""
+
+# What the rates are for: 9 camera parameters per block, whose blocks take 9 x 12 doubles in chunks.
+_COLUMNS, _BLOCK_DOUBLES = 9, 108
+
+# From here on S is read and written beyond the caches.
+_CACHED_BYTES = 8e6
+
+# From here on a factorisation gets BLAS threads: the columns of a dense matrix, or the entries of
+# the average column of a sparse factor (cpp/core/blas_threads.h, direct_solvers.cpp).
+_COLUMNS_WORTH_THREADS = 1000
+
+
+def factor_rate(rates: Rates, is_dense: bool, num_columns: int, count: FactorCount) -> FactorRate:
+    """Return the rate at which a factorisation of this kind and size runs."""
+    if is_dense:
+        return rates.dense_threaded if num_columns >= _COLUMNS_WORTH_THREADS else rates.dense
+    wide = count.flops >= _COLUMNS_WORTH_THREADS * count.nnz
+    return rates.dense_threaded if wide else rates.sparse
+
+
+def fused_time(
+    pattern: ProblemPattern,
+    linear_solver_type: str,
+    preconditioner: str,
+    counted: FactorizedSystem | None,
+    rates: Rates,
+    coarse_entries: float = 0.0,
+) -> Terms:
+    """Return what a step by the fused backend takes; ``counted`` is what it factorises.
+
+    ``coarse_entries``: of the factor of a second level.
+    """
+    plan = pattern.plan
+    block = plan.block_doubles / _BLOCK_DOUBLES
+    is_dense = linear_solver_type == "DENSE_SCHUR"
+    if counted is None:
+        values = pattern.num_reduced_values
+    else:
+        values = counted.values if is_dense else counted.panel_values
+    terms = {
+        "observations": rates.fused_observation * math.sqrt(block) * plan.num_observations,
+        "pairs of observations": rates.fused_pair * block * plan.num_pairs,
+        "other": rates.fused_step,
+    }
+    if 8 * values > _CACHED_BYTES:
+        terms["adding to S"] = rates.fused_scattered_pair * block * plan.num_chunk_pairs
+        terms["adding to S"] += 8 * values / rates.reduced_bytes_per_second  # zeros, to begin with
+    if counted is not None:
+        rate = factor_rate(rates, is_dense, counted.columns, counted.factor)
+        terms["factorisation"] = rate.seconds(counted.factor.flops, counted.factor.nnz)
+    else:
+        read = 8 * (values + 2 * coarse_entries)
+        terms["conjugate gradients"] = (
+            products_per_step(preconditioner) * read / rates.reduced_bytes_per_second
+        )
+        if coarse_entries:
+            seconds = _SECONDS_PER_COARSE_VALUE * values / rates.num_threads
+            terms["coarse system"] = seconds
+    return terms
+
+
+def ceres_time(
+    pattern: ProblemPattern,
+    linear_solver_type: str,
+    preconditioner: str,
+    counted: FactorizedSystem | None,
+    rates: Rates,
+) -> Terms:
+    """Return what a step by Ceres takes; ``counted`` is what it factorises, None if nothing."""
+    observations = pattern.num_observations
+    width = (pattern.nnz_jacobian / (2 * max(observations, 1))) / (3 + _COLUMNS)
+    terms = {
+        "evaluation": rates.ceres_evaluation * width * observations,
+        "other": rates.ceres_step,
+    }
+    if counted is not None and linear_solver_type == "SPARSE_NORMAL_CHOLESKY":
+        terms["normal equations"] = rates.ceres_normal_entry * pattern.pair_entries
+        updates = 3 * 2 * pattern.pair_entries  # what the points' columns cost is in there
+        flops = max(counted.factor.flops - updates, 0.0)
+        terms["factorisation"] = flops / rates.sparse.flops_per_second
+        return terms
+    pair = rates.ceres_pair if pattern.has_equal_blocks else rates.ceres_dynamic_pair
+    terms["elimination"] = (
+        rates.ceres_elimination * width * observations + pair * pattern.block_pairs
+    )
+    if counted is None:
+        products = products_per_step(preconditioner) * observations
+        terms["conjugate gradients"] = rates.ceres_product * width * products
+        return terms
+    if linear_solver_type == "SPARSE_SCHUR":
+        terms["reduced system"] = rates.ceres_reduced_value * counted.values
+    is_dense = linear_solver_type == "DENSE_SCHUR"
+    rate = factor_rate(rates, is_dense, counted.columns, counted.factor)
+    terms["factorisation"] = rate.seconds(counted.factor.flops, counted.factor.nnz)
+    return terms
+
+
+def products_per_step(preconditioner: str) -> int:
+    """Return the products with S that are counted for a step."""
+    if preconditioner == "TWO_LEVEL":
+        return PRODUCTS_WITH_TWO_LEVELS
+    is_series = preconditioner == "SCHUR_POWER_SERIES_EXPANSION"
+    return PRODUCTS_PER_STEP * (POWER_SERIES_PRODUCTS if is_series else 1)

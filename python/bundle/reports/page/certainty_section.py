@@ -1,0 +1,153 @@
+"""How certain the reconstruction is: sums of poses and points, correlations of intrinsics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.words import number, plural
+from bundle.figures.certainty import Certainty, largest_eigenvalues
+from bundle.figures.scene_view import SceneView
+from bundle.model.cameras import camera_models
+from bundle.model.problem import Problem
+from bundle.reports.page.page import tag
+from bundle.reports.page.scene_section import packed
+from bundle.reports.page.table import table
+
+__all__ = ["certainty_section", "scene_ellipsoids", "sigmas_of"]
+
+MOST_ELLIPSOIDS = 400
+LARGE = 0.02
+"""Median half axis of the ellipsoids as they are drawn, in units of the view."""
+
+
+def certainty_section(problem: Problem, known: Certainty, cameras: Sequence[int]) -> str:
+    """Return sigmas of poses and points, and the correlation matrix of each of some cameras."""
+    scaled = "times" if known.scale == "sigma0" else "not scaled by"
+    words = (
+        f"Marginal standard deviations, {scaled} sigma0 = {number(known.sigma0)} "
+        f"({known.dof:,} degrees of freedom); gauge: {known.gauge.replace('_', ' ')}."
+    )
+    if known.num_null_points:
+        count = plural(known.num_null_points, "point", grouped=True)
+        words += f" {count} without parallax: left out along the direction that nothing sees."
+    rows = [
+        _row("position of a camera, worst direction [length unit]",
+             np.sqrt(largest_eigenvalues(known.centers))),
+        _row("rotation of a camera, worst axis [degrees]", known.angles),
+        _row("point, worst direction [length unit]",
+             np.sqrt(largest_eigenvalues(known.point_covariance))),
+    ]  # fmt: skip
+    head = ["standard deviation", "count", "median", "95th percentile", "largest"]
+    notes = [tag("p", escape(note), class_="warn") for note in known.notes]
+    parts = [
+        tag("p", escape(words), class_="quiet"),
+        *notes,
+        table(head, [row for row in rows if row]),
+    ]
+    figures = [_correlations(problem, index, known.cameras[index])
+               for index in cameras if index in known.cameras]  # fmt: skip
+    figures = [figure for figure in figures if figure]
+    if figures:
+        parts.append(tag("h3", "Correlations of intrinsics"))
+        parts.append(tag("div", *figures, class_="grid"))
+    return "".join(parts)
+
+
+def sigmas_of(known: Certainty) -> dict[int, NDArray[np.float64]]:
+    """Return standard deviations of camera parameters by index, nan where held."""
+    result = {}
+    for index, covariance in known.cameras.items():
+        variance = np.diag(covariance).copy()
+        variance[~(variance > 0)] = np.nan
+        result[index] = np.sqrt(variance)
+    return result
+
+
+def scene_ellipsoids(view: SceneView, known: Certainty) -> tuple[dict[str, Any], str]:
+    """Return the ellipsoids of a view, one standard deviation, and the words about them."""
+    data, words = {}, []
+    for name, drawn, positions, indices, covariance in (
+        ("point", view.point_indices, view.points, known.points, known.point_covariance),
+        ("camera", view.image_indices, view.centers, known.images, known.centers),
+    ):
+        _, there, here = np.intersect1d(drawn, indices, return_indices=True)
+        made, factor = ellipsoid_data(positions[there], covariance[here], view.unit)
+        if made is not None:
+            data[f"{name}_ellipsoids"] = made
+            words.append(f"of {made['count']} {name}s {factor:g} times as large")
+    sentence = f"Ellipsoids of one standard deviation, {' and '.join(words)}." if words else ""
+    return data, sentence
+
+
+def ellipsoid_data(
+    positions: NDArray[np.float64], covariance: NDArray[np.float64], unit: float
+) -> tuple[dict[str, Any] | None, float]:
+    """Return ellipsoids for the view, and how many times too large they are drawn.
+
+    Args:
+        positions: (n, 3) in the frame of the view; of more than 400 every k-th is taken.
+        covariance: (n, 3, 3) in the world's unit, squared.
+        unit: of the view, in the world's.
+    """
+    good = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
+    good = good[:: max(-(-len(good) // MOST_ELLIPSOIDS), 1)]
+    if len(good) == 0:
+        return None, 1.0
+    values, vectors = np.linalg.eigh(covariance[good] / unit**2)
+    halves = np.sqrt(np.maximum(values, 0.0))
+    typical = float(np.median(halves[:, 2]))
+    factor = 1.0
+    if typical > 0:
+        rough = LARGE / typical
+        power = 10.0 ** np.floor(np.log10(rough))
+        factor = float(max(s * power for s in (1, 2, 5, 10) if s * power <= rough * 1.001))
+    # Rows are the half axes; one without length would leave no volume to draw.
+    half_axes = np.swapaxes(vectors * np.maximum(factor * halves, 1e-6)[:, None, :], 1, 2)
+    # A mirrored sphere is a sphere, but its faces would point inwards.
+    half_axes[np.linalg.det(half_axes) < 0, 0] *= -1
+    data = {"positions": packed(positions[good]), "axes": packed(half_axes), "factor": factor,
+            "count": len(good)}  # fmt: skip
+    return data, factor
+
+
+def _row(name: str, values: NDArray[np.float64]) -> list[str]:
+    known = values[np.isfinite(values) & (values > 0)]  # what is held has none
+    if len(known) == 0:
+        return []
+    shares = np.quantile(known, [0.5, 0.95, 1.0])
+    return [name, f"{len(known):,}", *(number(float(value)) for value in shares)]
+
+
+def _correlations(problem: Problem, index: int, covariance: NDArray[np.float64]) -> str:
+    names = camera_models()[problem.camera_models[index]]
+    variance = np.diag(covariance)[: len(names)]
+    free = np.flatnonzero(variance > 0)
+    if len(free) < 2:
+        return ""
+    sigma = np.sqrt(variance[free])
+    matrix = covariance[np.ix_(free, free)] / np.outer(sigma, sigma)
+    head = tag("tr", tag("th", ""), *(tag("th", escape(names[i]), scope="col") for i in free))
+    rows = []
+    for row, i in enumerate(free):
+        cells = [
+            tag("td", f"{matrix[row, column]:+.3f}", data_label=names[free[column]],
+                style=_shade(matrix[row, column], is_diagonal=row == column))
+            for column in range(len(free))
+        ]  # fmt: skip
+        rows.append(tag("tr", tag("th", escape(names[i]), scope="row"), *cells))
+    inner = tag("table", tag("thead", head), tag("tbody", *rows), class_="matrix")
+    title = f"Camera {problem.camera_ids[index]}, {problem.camera_models[index]}"
+    return tag("figure", tag("h4", escape(title)), tag("div", inner, class_="scroll", tabindex=0))
+
+
+def _shade(value: float, *, is_diagonal: bool) -> str:
+    """Return the colour of a correlation: the stronger, the fuller; readable in both themes."""
+    if is_diagonal:
+        return ""
+    share = round(45 * min(abs(value), 1.0))
+    return f"background:color-mix(in srgb, var(--c{1 if value > 0 else 0}) {share}%, transparent)"

@@ -1,0 +1,87 @@
+"""Contours of numbers over the cells of an image plane, by marching squares.
+
+Values stand in the middles of cells. A square of four middles has its corners above or below a
+level; the contour goes from side to side, to where the level is by linear interpolation. Where
+opposite corners are above (a saddle), the mean of the four says which of them are joined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.reports.page.heat import PAD, Boxed, plane_size
+from bundle.reports.page.page import tag
+
+__all__ = ["contour", "contours"]
+
+Array = NDArray[np.float64]
+
+CORNERS = np.array([(0.5, 0.5), (1.5, 0.5), (1.5, 1.5), (0.5, 1.5)])
+"""Middles of the four cells of the first square, clockwise from top left."""
+
+TURN = 2.4
+"""Radians from the label of a contour to that of the next, about the golden angle."""
+
+# Sides are 0 top, 1 right, 2 bottom, 3 left; corners count 1, 2, 4, 8 clockwise from top left.
+_SIDES: dict[int, tuple[tuple[int, int], ...]] = {
+    1: ((3, 0),), 2: ((0, 1),), 3: ((3, 1),), 4: ((1, 2),), 6: ((0, 2),), 7: ((3, 2),),
+    8: ((2, 3),), 9: ((0, 2),), 11: ((1, 2),), 12: ((1, 3),), 13: ((0, 1),), 14: ((3, 0),),
+}  # fmt: skip
+_SADDLES = {
+    (5, True): ((0, 1), (2, 3)), (5, False): ((3, 0), (1, 2)),
+    (10, True): ((3, 0), (1, 2)), (10, False): ((0, 1), (2, 3)),
+}  # fmt: skip
+
+
+def contour(values: Array, level: float) -> Array:
+    """Return (n, 2, 2) segments, ends as (x, y) in cells; the middle of the first is (0.5, 0.5).
+
+    Squares with a value that is not finite have none.
+    """
+    corners = np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1]])
+    known = np.isfinite(corners).all(axis=0)
+    above = (corners > level) & known
+    case = (above * np.array([1, 2, 4, 8])[:, None, None]).sum(axis=0)
+    segments = []
+    for row, column in np.argwhere(known & (case > 0) & (case < 15)):
+        four = corners[:, row, column]
+        kind = int(case[row, column])
+        pairs = _SIDES.get(kind) or _SADDLES[kind, bool(four.mean() > level)]
+        places = CORNERS + np.array([column, row])
+        for pair in pairs:
+            ends = []
+            for side in pair:
+                a, b = side, (side + 1) % 4
+                share = (level - four[a]) / (four[b] - four[a])
+                ends.append(places[a] + share * (places[b] - places[a]))
+            segments.append(ends)
+    return np.array(segments).reshape(-1, 2, 2)
+
+
+def contours(field: Boxed, values: Array, levels: Sequence[float]) -> str:
+    """Return contours with their levels written on them, in the coordinates of a plane."""
+    rows, columns = values.shape
+    unit = np.array(plane_size(field)) / (columns, rows)
+    middle = np.array([columns, rows]) / 2
+    lines, labels = [], []
+    for index, level in enumerate(levels):
+        segments = contour(values, level)
+        if not len(segments):
+            continue
+        ends = PAD + segments * unit
+        path = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in ends)
+        lines.append(tag("path", d=path, data_level=f"{level:g}"))
+        # Labels stand around the middle, so that those of neighbours do not meet.
+        towards = np.array([np.cos(TURN * index), np.sin(TURN * index)])
+        offset = segments.mean(axis=1) - middle
+        along = offset @ towards / np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
+        x, y = ends.mean(axis=1)[int(np.argmax(along))]
+        width, height = np.array([columns, rows]) * unit
+        x, y = np.clip([x, y], [PAD + 18, PAD + 10], [PAD + width - 18, PAD + height - 10])
+        words = escape(f"{level:g}")
+        labels.append(tag("text", words, x=f"{x:.1f}", y=f"{y + 4:.1f}", text_anchor="middle"))
+    return tag("g", *lines, *labels, class_="contours")

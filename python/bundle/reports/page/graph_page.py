@@ -1,0 +1,98 @@
+"""The page of a graph: what each order of elimination costs, and every step of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
+from bundle.reports.page.elimination_player import (
+    MOST_VARIABLES,
+    elimination_data,
+    elimination_section,
+    order_name,
+)
+from bundle.reports.page.matrices import orderings
+from bundle.reports.page.numbers import amount
+from bundle.reports.page.page import tag, write_page
+from bundle.reports.page.scale import linear
+from bundle.reports.page.svg_charts import Curve, bars, curves
+from bundle.reports.page.table import convention, table
+
+if TYPE_CHECKING:
+    from bundle.planning.inspection.graph_inspection import GraphInspection
+
+__all__ = ["column_counts", "write_graph"]
+
+
+def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str]) -> None:
+    """Write the page of a graph under one order or several."""
+    first = graphs[0]
+    best = min(range(len(graphs)), key=lambda index: graphs[index].flops)
+    size = f"{first.num_variables:,} variables, {len(first.edges):,} edges"
+    flops = {f"order {order_name(graph)}": float(graph.flops) for graph in graphs}
+    profiles = {f"order {order_name(graph)}": graph.column_counts for graph in graphs}
+    pattern = MatrixPattern.of(first.pattern())
+    steppable = [
+        graph
+        for graph in graphs
+        if graph.num_variables <= MOST_VARIABLES and len(graph.steps) == graph.num_variables
+    ]
+    sections = [
+        tag("p", size, class_="quiet"),
+        _orders(graphs, best),
+        convention(),
+        tag("h2", "Elimination step by step"),
+        elimination_section(steppable)
+        if steppable
+        else tag("p", f"Graphs are drawn step by step up to {MOST_VARIABLES} variables."),
+        tag("h2", "Orders compared"),
+        tag("div", tag("figure", tag("h3", "Flops, on a log scale"), bars(flops)),
+            column_counts(profiles), class_="grid"),
+        tag("h2", "Matrix and factor"),
+        orderings(pattern, {order_name(graph): graph.order for graph in graphs}, "matrix"),
+    ]  # fmt: skip
+    data = {"elimination": elimination_data(steppable)} if steppable else None
+    write_page(Path(path), "Elimination of a graph", sections, data)
+
+
+def column_counts(profiles: Mapping[str, Sequence[int]]) -> str:
+    """Return the nonzeros below the diagonal of L along its columns, a curve for each order."""
+    lines = []
+    for index, (name, profile) in enumerate(profiles.items()):
+        counts = [float(count) for count in profile]
+        place = [k / max(len(counts), 1) for k in range(len(counts) + 1)]
+        # An order that shares its colour with another is dashed.
+        lines.append(Curve(name, place, [*counts, *counts[-1:]], index, index // 10))
+    chart = curves(
+        [line for line in lines if line.y],
+        linear([0.0, 1.0]),
+        linear([count for line in lines for count in line.y]),
+        "share of the columns, first eliminated at the left",
+        "nonzeros below the diagonal",
+    )
+    return tag("figure", tag("h3", "Column counts of L"), chart)
+
+
+def _orders(graphs: Sequence[GraphInspection], best: int) -> str:
+    head = [
+        "order", "fill edges", "nonzeros of the matrix", "nonzeros of L", "flops",
+        "CHOLMOD's flops", "largest column count", "height of the tree", "eliminated in order",
+    ]  # fmt: skip
+    rows = []
+    for graph in graphs:
+        shown = [graph.names[variable] for variable in graph.order[:40]]
+        rows.append([
+            order_name(graph),
+            amount(graph.fill),
+            amount(graph.nnz),
+            amount(graph.nnz_factor),
+            amount(graph.flops),
+            amount(graph.cholmod_flops),
+            amount(max(graph.column_counts, default=0)),
+            amount(graph.tree_height),
+            ", ".join(shown) + (", ..." if len(graph.order) > len(shown) else ""),
+        ])  # fmt: skip
+    return table(head, rows, words={len(head) - 1}, best=best if len(graphs) > 1 else None)

@@ -1,0 +1,304 @@
+"""The page of a problem: what each way to solve it will cost, and why."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+from bundle.base.arguments import check_type
+from bundle.base.memory_sizes import format_size
+from bundle.base.paths import as_path
+from bundle.errors import InputError
+from bundle.figures.matplotlib.covisibility_graph import covisibility_graph
+from bundle.figures.matplotlib.problem_patterns import (
+    ORDERINGS,
+    information_pattern,
+    order_blocks,
+    reduced_pattern,
+)
+from bundle.interface.options import SolveOptions
+from bundle.model.problem import Problem
+from bundle.planning.comparison.command_line import recommended_command
+from bundle.planning.inspection.graph_inspection import GraphInspection, inspect_graph
+from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
+from bundle.planning.inspection.rank_prediction import NETWORK, RankPrediction
+from bundle.reports.page.elimination_player import (
+    MOST_VARIABLES,
+    elimination_data,
+    elimination_section,
+)
+from bundle.reports.page.graph_page import column_counts, write_graph
+from bundle.reports.page.matrices import covisibility, matrix, orderings
+from bundle.reports.page.numbers import amount, amount_if_any, seconds
+from bundle.reports.page.page import tag, write_page
+from bundle.reports.page.processes_section import processes_section
+from bundle.reports.page.subgraph import image_graph
+from bundle.reports.page.svg_charts import bars
+from bundle.reports.page.table import Notes, convention, table
+
+__all__ = ["write_inspection"]
+
+STEPPED = ("natural", "minimum_degree")
+MOST_EDGES = 1500
+# Methods that are shown; the rest is folded away.
+ROWS_SHOWN = 5
+
+
+def write_inspection(
+    inspection: Inspection | GraphInspection | Sequence[GraphInspection],
+    path: str | os.PathLike[str],
+    problem: Problem | None = None,
+    options: SolveOptions | None = None,
+    *,
+    name: str = "",
+    ranks: Sequence[RankPrediction] = (),
+    network: tuple[float, float] = NETWORK,
+) -> None:
+    """Write an inspection as one HTML file that needs nothing else.
+
+    Args:
+        inspection: of a problem, or of a graph. One graph that is small enough to be stepped
+            through is compared to itself in natural order and by minimum degree; several are the
+            same graph under the orders to compare.
+        path: of the file, which appears whole or not at all.
+        problem: the one inspected, whose matrices and co-visibility are drawn; a page without it
+            has tables and bars alone. Nothing for a graph.
+        options: with which it was inspected: they decide what is refined.
+        name: of the problem, for the title of its page.
+        ranks: of ``predict_ranks``: what several processes would cost; nothing for a graph.
+        network: that these are for, gigabits per second and microseconds of latency.
+
+    Raises:
+        InputError: the path is a folder, or its parent is none.
+        OSError: the file cannot be written.
+    """
+    path = as_path(path)
+    if problem is not None:
+        check_type("problem", problem, Problem)
+    options = SolveOptions.of(options, {}, "options")
+    if isinstance(inspection, Inspection):
+        title = f"What solving {name} costs" if name else "What solving costs"
+        processes = processes_section(ranks, network)
+        _write_problem(inspection, path, title, problem, options, name, processes)
+    elif isinstance(inspection, GraphInspection):
+        write_graph(_with_rivals(inspection), path)
+    else:
+        listed = isinstance(inspection, list | tuple)
+        graphs: list[GraphInspection] = [*inspection] if listed else [inspection]  # type: ignore[list-item]
+        for graph in graphs:
+            check_type("inspection", graph, GraphInspection)
+        if not graphs:
+            raise InputError("inspection: expected at least one GraphInspection, found none")
+        write_graph(graphs, path)
+
+
+def _with_rivals(graph: GraphInspection) -> list[GraphInspection]:
+    """Return a graph under its own order first, then under others that say what it is worth."""
+    if graph.num_variables > MOST_VARIABLES:
+        return [graph]
+    rivals = [
+        inspect_graph(
+            graph.edges,
+            graph.num_variables,
+            ordering,
+            names=graph.names,
+            block_size=graph.block_sizes,
+        )
+        for ordering in STEPPED
+        if ordering != graph.ordering
+    ]
+    return [graph, *(rival for rival in rivals if rival.order != graph.order)]
+
+
+def _write_problem(
+    inspection: Inspection,
+    path: Path,
+    title: str,
+    problem: Problem | None,
+    options: SolveOptions,
+    name: str,
+    processes: Sequence[str],
+) -> None:
+    methods = _ranked(inspection)
+    sections = [
+        _recommendation(inspection, options, name),
+        _scope(inspection, name),
+        tag("h2", "Methods, the fastest first"),
+        _methods(inspection, methods),
+        tag("h2", "What a step costs"),
+        _costs(methods),
+        *processes,
+        tag("h2", "What is factorised"),
+        _factors(methods),
+    ]
+    graphs: list[GraphInspection] = []
+    if problem is not None:
+        names, edges = image_graph(problem)
+        graphs = [
+            inspect_graph(edges, len(names), ordering=ordering, names=names)
+            for ordering in STEPPED
+            if edges
+        ]
+        sections += _matrices(problem, options)
+        sections += [
+            tag("h2", "Co-visibility"),
+            tag("p", "Images where they stand; the stronger an edge, the more points its images "
+                "share. Each edge is a block of S.", class_="quiet"),
+            covisibility(covisibility_graph(problem, MOST_EDGES)),
+        ]  # fmt: skip
+    if graphs:
+        words = (
+            f"{graphs[0].num_variables} images of the problem, eliminated one by one; an edge "
+            "joins images that share points, and each image counts as a single unknown."
+        )
+        sections += [
+            tag("h2", "Elimination step by step"),
+            tag("p", words, class_="quiet"),
+            elimination_section(graphs),
+        ]
+    data = {"elimination": elimination_data(graphs)} if graphs else None
+    write_page(path, title, sections, data, headline=_headline(inspection))
+
+
+def _ranked(inspection: Inspection) -> list[MethodInspection]:
+    """Return the methods that can be asked for and fit, then the others; the fastest first."""
+    methods = inspection.methods
+    best = inspection.recommended
+
+    def rank(index: int) -> tuple[bool, bool, bool, float]:
+        method = methods[index]
+        time = method.time_per_step_in_seconds
+        return index != best, not method.fits_in_memory, not method.is_taken, time
+
+    return [methods[index] for index in sorted(range(len(methods)), key=rank)]
+
+
+def _headline(inspection: Inspection) -> str:
+    if inspection.recommended < 0:
+        free = format_size(inspection.available_memory_in_bytes)
+        return f"No method fits into the free memory ({free})"
+    best = inspection.methods[inspection.recommended]
+    time = seconds(best.time_per_step_in_seconds)
+    return f"Use {_label(best)}: {time} per step, {format_size(best.memory_in_bytes)}"
+
+
+def _recommendation(inspection: Inspection, options: SolveOptions, name: str) -> str:
+    """Return the command line that does it, and why."""
+    command = recommended_command(inspection, options, name or "INPUT")
+    lines = [tag("pre", tag("code", escape(command)))] if command else []
+    return tag("div", *lines, tag("p", escape(inspection.recommendation)), class_="recommended")
+
+
+def _scope(inspection: Inspection, name: str) -> str:
+    sizes = inspection.methods[0]
+    words = (
+        f"{inspection.num_observations:,} observations, {inspection.num_free_points:,} points and "
+        f"{inspection.num_camera_blocks:,} blocks of {inspection.num_camera_columns:,} camera "
+        f"parameters: {sizes.num_unknowns:,} unknowns. J has {amount(sizes.nnz_jacobian)} "
+        f"nonzeros, the information matrix {amount(sizes.nnz_information)}, S is "
+        f"{inspection.reduced_density:.2%} full. Times are for {inspection.num_threads} threads of "
+        f"this machine, which has {format_size(inspection.available_memory_in_bytes)} free."
+    )
+    return tag("p", escape(f"{name}: {words}" if name else words), class_="quiet")
+
+
+def _label(method: MethodInspection) -> str:
+    return f"{method.backend.lower()} {method.name}".strip()
+
+
+def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> str:
+    notes = Notes()
+    rows = [
+        [
+            _label(method),
+            seconds(method.time_per_step_in_seconds),
+            format_size(method.memory_in_bytes),
+            "yes" if method.fits_in_memory else "NO",
+            notes.refer(method.note),
+        ]
+        for method in methods
+    ]
+    unfit = [_label(method) for method in methods if not method.fits_in_memory]
+    warning = f"Does not fit in memory: {', '.join(unfit)}."
+    return "".join(
+        [
+            table(
+                ["method", "time per step", "memory", "fits", "note"],
+                rows,
+                best=0 if inspection.recommended >= 0 else None,
+                rows_shown=ROWS_SHOWN,
+            ),
+            notes.listed(),
+            tag("p", escape(warning), class_="warn") if unfit else "",
+        ]
+    )
+
+
+def _factors(methods: Sequence[MethodInspection]) -> str:
+    """Return a row for each factor, of any backend."""
+    head = [
+        "factor L", "nonzeros of S", "nonzeros of L", "fill edges", "flops", "CHOLMOD's flops",
+        "tree height",
+    ]  # fmt: skip
+    rows = {
+        method.name: [
+            method.name,
+            amount_if_any(method.nnz_reduced),
+            amount(method.nnz_factor),
+            amount(method.fill),
+            amount(method.flops),
+            amount(method.cholmod_flops),
+            amount(method.tree_height),
+        ]
+        for method in methods
+        if method.nnz_factor > 0
+    }
+    if not rows:
+        return tag("p", "No method factorises anything.", class_="quiet")
+    return table(head, list(rows.values()), rows_shown=ROWS_SHOWN) + convention()
+
+
+def _costs(methods: Sequence[MethodInspection]) -> str:
+    unfit = [method for method in methods if not method.fits_in_memory]
+    flops = {method.name: method.flops for method in methods if method.flops > 0}
+    times = {_label(method): method.time_per_step_in_seconds for method in methods}
+    profiles = {
+        method.name: method.column_count_profile
+        for method in methods
+        if method.linear_solver_type.endswith("_SCHUR")
+        and method.ordering != "cameras_first"
+        and method.column_count_profile
+    }
+    charts = [
+        tag("figure", tag("h3", "Time per step, on a log scale"),
+            bars(times, impossible=[_label(method) for method in unfit], show=seconds,
+                 rows_shown=ROWS_SHOWN)),
+        tag("figure", tag("h3", "Flops of the factorisation, on a log scale"),
+            bars(flops, impossible=[method.name for method in unfit], rows_shown=ROWS_SHOWN)),
+        column_counts(profiles) if profiles else "",
+    ]  # fmt: skip
+    return tag("div", *charts, class_="grid")
+
+
+def _matrices(problem: Problem, options: SolveOptions) -> list[str]:
+    """Return the sections of S and L under each order, and of the arrowhead."""
+    reduced = reduced_pattern(problem, options)
+    arrowhead = information_pattern(problem, options)
+    words = (
+        "The more a pixel stands out, the more of its cells are nonzero, on a log scale: a lone "
+        "nonzero is still visible. Fill is orange."
+    )
+    first = tag("div", matrix(arrowhead, "information matrix, points first"), class_="grid spies")
+    if reduced.num_blocks == 0:
+        return [tag("h2", "The information matrix"), first]
+    orders = {name: order_blocks(reduced, name) for name in ORDERINGS}
+    return [
+        tag("h2", "S and its factor under each order"),
+        tag("p", words, class_="quiet"),
+        orderings(reduced, orders),
+        tag("h2", "The information matrix"),
+        tag("p", "An arrowhead: eliminating the points leaves S.", class_="quiet"),
+        first,
+    ]

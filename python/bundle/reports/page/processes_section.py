@@ -1,0 +1,100 @@
+"""What several processes would cost, on the page of a problem: where they stop to pay, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+from bundle.base.memory_sizes import format_size
+from bundle.planning.inspection.rank_limit import find_rank_limit
+from bundle.planning.inspection.rank_prediction import RankPrediction
+from bundle.reports.page.line_charts import lines
+from bundle.reports.page.numbers import seconds
+from bundle.reports.page.page import tag
+from bundle.reports.page.scale import logarithmic
+from bundle.reports.page.svg_charts import Curve
+from bundle.reports.page.table import table
+
+__all__ = ["processes_section"]
+
+_AXIS = "processes"
+
+
+def processes_section(
+    predictions: Sequence[RankPrediction], network: tuple[float, float]
+) -> list[str]:
+    """Return a table, and charts of a step and of memory against the number of processes.
+
+    Args:
+        predictions: of ``predict_ranks``; nothing is drawn without any.
+        network: gigabits per second, and microseconds of latency.
+    """
+    rows = sorted(predictions, key=lambda row: row.num_processes)
+    if not rows:
+        return []
+    limit = find_rank_limit(rows)
+    rate, latency = network
+    words = (
+        f"Predicted for mpirun with {rate:g} Gbit/s and {latency:g} microseconds between "
+        f"processes, {rows[0].method}, and as many threads each as the methods above."
+    )
+    drawn = [_time(rows), _memory(rows)] if len(rows) > 1 else []
+    return [
+        tag("h2", "Several processes"),
+        *([] if limit is None else [tag("p", escape(limit.message))]),
+        tag("p", escape(words), class_="quiet"),
+        _table(rows, None if limit is None else limit.num_processes),
+        *([tag("div", *drawn, class_="grid")] if drawn else []),
+    ]
+
+
+def _table(rows: Sequence[RankPrediction], best: int | None) -> str:
+    counts = [row.num_processes for row in rows]
+    head = [
+        "processes", "per step", "efficiency", "sent per step", "memory of the first", "of others",
+    ]  # fmt: skip
+    cells = [
+        [
+            f"{row.num_processes}",
+            seconds(row.time_per_step_in_seconds),
+            f"{row.efficiency:.0%}",
+            format_size(row.bytes_per_step) if row.num_processes > 1 else "-",
+            format_size(row.memory_of_first_in_bytes),
+            format_size(row.memory_of_others_in_bytes) if row.num_processes > 1 else "-",
+        ]
+        for row in rows
+    ]
+    return table(head, cells, best=counts.index(best) if best in counts else None)
+
+
+def _time(rows: Sequence[RankPrediction]) -> str:
+    counts = [float(row.num_processes) for row in rows]
+    parts = {
+        "a step": [row.time_per_step_in_seconds for row in rows],
+        "points, divided": [row.points_time_per_step_in_seconds for row in rows],
+        "the first process alone": [row.first_time_per_step_in_seconds for row in rows],
+        "messages": [row.network_time_per_step_in_seconds or float("nan") for row in rows],
+        "a step of one process / N": [
+            row.efficiency * row.time_per_step_in_seconds for row in rows
+        ],
+    }
+    return _chart("Time of a step, on a log scale", parts, counts, "seconds")
+
+
+def _memory(rows: Sequence[RankPrediction]) -> str:
+    counts = [float(row.num_processes) for row in rows]
+    parts = {
+        "the first process": [row.memory_of_first_in_bytes / 1e9 for row in rows],
+        "each of the others": [
+            row.memory_of_others_in_bytes / 1e9 if row.num_processes > 1 else float("nan")
+            for row in rows
+        ],
+    }
+    return _chart("Peak memory, on a log scale", parts, counts, "GB")
+
+
+def _chart(title: str, parts: dict[str, list[float]], counts: list[float], unit: str) -> str:
+    drawn = [Curve(name, counts, values, k, k) for k, (name, values) in enumerate(parts.items())]
+    y_scale = logarithmic(value for values in parts.values() for value in values)
+    chart = lines(drawn, logarithmic(counts), y_scale, _AXIS, unit)
+    return tag("figure", tag("h3", title), chart)

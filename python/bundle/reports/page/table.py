@@ -1,0 +1,89 @@
+"""Tables, and the sentence that says what their numbers count."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from html import escape
+
+from bundle.reports.page.page import tag
+
+__all__ = ["Notes", "convention", "table"]
+
+# Characters of a sentence that wraps.
+LONG = 20
+# Columns that fit on a page of 800 pixels.
+MOST_COLUMNS = 7
+
+CONVENTION = (
+    "Nonzeros: matrices count both triangles and the diagonal, L its lower triangle with the "
+    "diagonal. Flops of a factorisation: the sum over the columns of L of c² + 3c, c being the "
+    "nonzeros below the diagonal."
+)
+
+
+def table(
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    words: Collection[int] = (),
+    best: int | None = None,
+    rows_shown: int | None = None,
+) -> str:
+    """Return a table of text; where the page is narrow, each row is a list of its cells.
+
+    Args:
+        head: names of the columns.
+        rows: cells; the first of a row names it.
+        words: columns that hold sentences, which wrap.
+        best: the row to stand out.
+        rows_shown: rows beyond these are folded away; None shows all. A single one is not folded.
+    """
+    if rows_shown is not None and len(rows) > rows_shown + 1:
+        rest = None if best is None else best - rows_shown
+        below = table(head, rows[rows_shown:], words=words, best=rest)
+        summary = tag("summary", f"{len(rows) - rows_shown} more")
+        above = table(head, rows[:rows_shown], words=words, best=best)
+        return above + tag("details", summary, below)
+    kinds: list[str | None] = [None] * len(head)
+    for column in words:
+        longest = max((len(row[column]) for row in rows), default=0)
+        kinds[column] = "words long" if longest > LONG else "words"
+    lines = []
+    for index, row in enumerate(rows):
+        name = tag("th", escape(row[0]), scope="row")
+        cells = [
+            tag("td", escape(cell), class_=kind, data_label=label)
+            for cell, kind, label in zip(row[1:], kinds[1:], head[1:], strict=True)
+        ]
+        lines.append(tag("tr", name, *cells, class_="best" if index == best else None))
+    heading = tag(
+        "tr",
+        *(
+            tag("th", escape(name), scope="col", class_=kind)
+            for name, kind in zip(head, kinds, strict=True)
+        ),
+    )
+    size = "wide" if len(head) > MOST_COLUMNS else None
+    inner = tag("table", tag("thead", heading), tag("tbody", *lines), class_=size)
+    return tag("div", inner, class_="scroll", tabindex=0)
+
+
+class Notes:
+    """Sentences that rows refer to by number, each once."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+
+    def refer(self, note: str) -> str:
+        """Return the number of a note, "" for none."""
+        return str(self._numbers.setdefault(note, len(self._numbers) + 1)) if note else ""
+
+    def listed(self) -> str:
+        """Return the notes that were referred to."""
+        lines = [tag("li", escape(note)) for note in self._numbers]
+        return tag("ol", *lines, class_="quiet") if lines else ""
+
+
+def convention() -> str:
+    """Return the sentence that says what is counted."""
+    return tag("p", CONVENTION, class_="convention")

@@ -1,0 +1,87 @@
+"""What reports say of ground control points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from rich.console import RenderableType
+
+from bundle.base.tables import columns, pixels, plural
+from bundle.errors import shown
+from bundle.georeference.alignment_result import ControlPointError, metres, root_mean_square
+
+__all__ = ["control_point_table", "plain_metres", "suspicions"]
+
+
+def control_point_table(
+    points: Sequence[ControlPointError], *, adjusted: bool = False
+) -> list[RenderableType]:
+    """Return an empty line and the errors of control and check points; nothing without any.
+
+    Args:
+        points: to be listed.
+        adjusted: of a solve: with sigmas, and the length only of what each is off by if the others
+            place the model.
+    """
+    if not points:
+        return []
+    cells = [
+        (
+            shown(point.name),
+            "suspect" if point.suspect else point.role,
+            str(point.num_images),
+            *map(metres, point.residual),
+            *(
+                [_sigmas(point), plain_metres(float(np.linalg.norm(_known(point.leave_one_out))))]
+                if adjusted
+                else map(metres, point.leave_one_out)
+            ),
+            pixels(point.pixels),
+        )
+        for point in points
+    ]
+    for kind in ("control", "check"):
+        chosen = [point for point in points if point.role == kind]
+        if chosen:
+            px = np.sqrt(np.mean([point.pixels**2 for point in chosen]))
+            rms = map(plain_metres, root_mean_square(point.residual for point in chosen))
+            label, count = f"total rms {kind}", plural(len(chosen), "point")
+            empty = [""] * (2 if adjusted else 3)
+            cells.append((label, count, "", *rms, *empty, pixels(px)))
+    head = ["control point", "role", "images", "east [m]", "north", "up"]
+    head += ["sigma", "left out"] if adjusted else ["without: east", "north", "up"]
+    return ["", columns((*head, "[px]"), cells, left=2)]
+
+
+def suspicions(points: Iterable[ControlPointError]) -> list[str]:
+    """Return a sentence for each point that probably has a gross error."""
+    return [
+        f"{shown(point.name)} is probably wrong: the other points place it "
+        f"{', '.join(_offsets(point.leave_one_out))} of its coordinates."
+        for point in points
+        if point.suspect
+    ]
+
+
+def plain_metres(value: float) -> str:
+    """Return metres to the millimetre; "-" where there are none."""
+    return "-" if np.isnan(value) else f"{value:.3f}"
+
+
+def _sigmas(point: ControlPointError) -> str:
+    """Return "0.02/0.05", horizontal and vertical."""
+    east, _, up = point.sigma
+    return f"{east:g}/{'-' if np.isnan(up) else f'{up:g}'}"
+
+
+def _known(residual: Iterable[float]) -> list[float]:
+    """Return the coordinates that are known; one that is not where none are."""
+    known = [value for value in residual if not np.isnan(value)]
+    return known or [float("nan")]
+
+
+def _offsets(residual: Iterable[float]) -> list[str]:
+    """Return "-4.081 m east" and so on."""
+    named = zip(residual, ("east", "north", "up"), strict=True)
+    return [f"{metres(value)} m {axis}" for value, axis in named if not np.isnan(value)]

@@ -1,0 +1,70 @@
+"""What `bundle refine` says of measured positions and control points."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import RenderableType
+
+from bundle.base.tables import columns, facts, notes, number, plural
+from bundle.errors import shown
+from bundle.georeference.alignment_result import metres
+from bundle.georeference.georeferenced import Georeference
+from bundle.reports.terminal.control_points import control_point_table, suspicions
+
+__all__ = ["gps_report"]
+
+MOST_IMAGES = 5
+"""Images of large residuals that are listed."""
+
+
+def gps_report(georeference: Georeference) -> list[RenderableType]:
+    """Return where the model is, how well the positions fit, and which images they do not fit."""
+    rows = []
+    if georeference.images:
+        used = sum(image.used for image in georeference.images)
+        rows.append(("positions", f"of {used} of {plural(len(georeference.images), 'image')}"))
+    points = georeference.control_points
+    if points:
+        controls = sum(point.role == "control" for point in points)
+        checks = sum(point.role == "check" for point in points)
+        rows.append(
+            ("control points", f"{controls} of {len(points)}, {plural(checks, 'check point')}")
+        )
+    read = georeference.reference_system
+    frame = f"metres east, north, up; read in {shown(read)}" if read else "metres, as given"
+    rows.append(("coordinates", frame))
+    origin = georeference.origin
+    if origin is not None:
+        rows.append(
+            (
+                "origin",
+                f"latitude {origin.latitude:.8f}, longitude {origin.longitude:.8f}, "
+                f"height {origin.height:.3f} m",
+            )
+        )
+    rows.append(
+        ("scale", f"{number(georeference.similarity.scale)} m per length unit of the input")
+    )
+    for kind, title in (("control", "rms control"), ("check", "rms check"), ("gps", "rms")):
+        east, north, up = georeference.rms_of(kind)
+        if not np.isnan(east):
+            rows.append((title, f"{east:.4f} m east, {north:.4f} m north, {_plain(up)} m up"))
+    report: list[RenderableType] = [facts(rows), *notes(georeference.notes)]
+    suspects = georeference.suspects
+    if suspects:
+        cells = [
+            (shown(image.name), *map(metres, image.residual), f"{image.sigmas:.1f}")
+            for image in suspects[:MOST_IMAGES]
+        ]
+        head = ("position off by over 3 sigmas", "east [m]", "north [m]", "up [m]", "sigmas")
+        report += ["", columns(head, cells)]
+        if len(suspects) > MOST_IMAGES:
+            others = plural(len(suspects) - MOST_IMAGES, "other image")
+            report += notes([f"{others} as well; --json FILE lists all"])
+    wrong = suspicions(points)
+    report += control_point_table(points, adjusted=True)
+    return [*report, *([""] if wrong else []), *notes(wrong, style="yellow"), ""]
+
+
+def _plain(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.4f}"

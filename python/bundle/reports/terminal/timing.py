@@ -1,0 +1,47 @@
+"""Where the time of a command went, by stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bundle.base.tables import Columns, columns, seconds
+from bundle.interface.summary import Summary, share, solver_phases
+
+__all__ = ["WallTime", "wall_table"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallTime:
+    """Wall-clock seconds of a command by stage; ``total`` also holds what no stage names.
+
+    ``statistics`` are reprojection errors before and after, where a command measures them.
+    """
+
+    load: float
+    build: float
+    solve: float
+    save: float
+    statistics: float = 0.0
+    total: float
+
+
+def wall_table(summary: Summary, wall: WallTime) -> Columns:
+    """Return the stages of a command, the phases of the solve among them, with their shares."""
+    total, solver = wall.total, summary.total_time_in_seconds
+    rows = [_stage("load", wall.load, total), _stage("build", wall.build, total)]
+    rows.append(("solve", seconds(wall.solve), "", share(wall.solve, total)))
+    rows += [
+        (f"  {name}", seconds(time), share(time, solver), share(time, total))
+        for name, time in solver_phases(summary)
+    ]
+    rows.append(_stage("save", wall.save, total))
+    if wall.statistics > 0:
+        rows.append(_stage("statistics", wall.statistics, total))
+    rest = total - wall.load - wall.build - wall.solve - wall.save - wall.statistics
+    rows.append(_stage("everything else", max(rest, 0.0), total))
+    rows.append(_stage("total", total, total))
+    return columns(("time", "seconds", "of the solve", "of all"), rows)
+
+
+def _stage(name: str, time: float, total: float) -> tuple[str, str, str, str]:
+    return name, seconds(time), "", share(time, total)

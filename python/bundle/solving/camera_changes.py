@@ -1,0 +1,56 @@
+"""What a solve changed in the intrinsics of each camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bundle.model.cameras import camera_models, param_kinds
+from bundle.solving.result import Result
+
+__all__ = ["CameraChange", "camera_changes"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraChange:
+    """The parameters of one camera before and after a solve.
+
+    Attributes:
+        camera_id: of the source.
+        model: COLMAP's name.
+        before: parameters by name; pixels, or no unit for distortion.
+        after: likewise.
+        movement: the largest change of a parameter, in focal lengths for those in pixels and as it
+            stands for distortion, which acts on coordinates in focal lengths. Thus it is about the
+            angle in radians by which rays at 45 degrees from the axis move.
+    """
+
+    camera_id: int
+    model: str
+    before: dict[str, float]
+    after: dict[str, float]
+    movement: float
+
+
+def camera_changes(solved: Result) -> list[CameraChange]:
+    """Return the cameras whose parameters a solve changed, the largest movement first."""
+    first, last = solved.initial_problem, solved.problem
+    changes = []
+    for camera in np.flatnonzero((first.camera_params != last.camera_params).any(axis=1)):
+        model = last.camera_models[camera]
+        names, kinds = camera_models()[model], np.array(param_kinds(model))
+        before = first.camera_params[camera, : len(names)]
+        after = last.camera_params[camera, : len(names)]
+        focal = np.abs(before[kinds == "focal"]).mean() if "focal" in kinds else 1.0
+        unit = np.where(np.isin(kinds, ("focal", "principal_point")), focal, 1.0)
+        changes.append(
+            CameraChange(
+                camera_id=int(last.camera_ids[camera]),
+                model=model,
+                before=dict(zip(names, before.tolist(), strict=True)),
+                after=dict(zip(names, after.tolist(), strict=True)),
+                movement=float(np.abs((after - before) / unit).max()),
+            )
+        )
+    return sorted(changes, key=lambda change: -change.movement)

@@ -1,0 +1,127 @@
+"""Rules as a solve needs them: what they mean in one problem, decided once.
+
+Priors and bounds that speak of the start ("2 %", "as at the start") mean the start of the whole
+run, not of each round of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from bundle.model.problem import Problem
+from bundle.solving.constraints.rules import Rule
+
+if TYPE_CHECKING:
+    from bundle.graphs.factors.factors import Factor
+
+__all__ = ["HELD_POSITION", "HELD_ROTATION", "Applied", "KnownPrior", "Tie"]
+
+HELD_ROTATION, HELD_POSITION = 1, 2
+"""Bits of the parts of a pose that are held, as ``problem_view.h`` has them."""
+
+
+@dataclass(frozen=True)
+class KnownPrior:
+    """A prior on one parameter of a camera, or on a position or rotation.
+
+    Attributes:
+        rule: index among the rules.
+        subject: ("camera", id), ("image", id) or ("point", id).
+        parameter: its name, such as "fx" or "position".
+        value: as known: a number; x, y, z; or cam_from_world, of a rotation.
+        sigma: in the parameter's unit, degrees for a rotation; per axis for a position; a share of
+            the value where relative.
+        relative: whether it is the logarithm that is known.
+        column: of a camera's parameter.
+    """
+
+    rule: int
+    subject: tuple[str, int]
+    parameter: str
+    value: tuple[float, ...]
+    sigma: tuple[float, ...]
+    relative: bool = False
+    column: int = -1
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Parameters of cameras that are multiples of one number.
+
+    Attributes:
+        members: (camera id, column, multiple).
+        rules: indices of the rules that tie them.
+    """
+
+    members: tuple[tuple[int, int, float], ...]
+    rules: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Applied:
+    """What rules mean in one problem.
+
+    Attributes:
+        rules: they themselves.
+        held_params: columns of the parameters of a camera that are held, by camera id.
+        held_poses: bits of what is held of an image's pose, by image id.
+        fixed_point_ids: points that are held.
+        bounds: (lower, upper) by camera id and column.
+        priors: one for each factor.
+        factors: of the priors.
+        ties: what moves together.
+        counts: parameters (or positions, rotations) that each rule is about.
+        bounded: index of the rule that bounds a parameter, by camera id and column.
+    """
+
+    rules: tuple[Rule, ...]
+    held_params: Mapping[int, frozenset[int]] = field(default_factory=dict)
+    held_poses: Mapping[int, int] = field(default_factory=dict)
+    fixed_point_ids: tuple[int, ...] = ()
+    bounds: Mapping[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
+    priors: tuple[KnownPrior, ...] = ()
+    factors: tuple[Factor, ...] = ()
+    ties: tuple[Tie, ...] = ()
+    counts: tuple[int, ...] = ()
+    bounded: Mapping[tuple[int, int], int] = field(default_factory=dict)
+
+    @property
+    def locate(self) -> bool:
+        """Whether rules say in part where images or points are, so that no gauge is to be held."""
+        both = HELD_POSITION | HELD_ROTATION
+        return any(prior.subject[0] != "camera" for prior in self.priors) or any(
+            parts != both for parts in self.held_poses.values()
+        )
+
+    def restricted(self, part: Problem) -> Applied:
+        """Return what of this is about the cameras and images of a part of the problem.
+
+        A parameter that is tied to a camera outside of the part is held.
+        """
+        cameras, images = set(part.camera_ids.tolist()), set(part.image_ids.tolist())
+        points = set(part.point_ids.tolist())
+        held = {camera: held for camera, held in self.held_params.items() if camera in cameras}
+        ties = []
+        for tie in self.ties:
+            if all(camera in cameras for camera, _, _ in tie.members):
+                ties.append(tie)
+                continue
+            for camera, column, _ in tie.members:
+                if camera in cameras:
+                    held[camera] = held.get(camera, frozenset()) | {column}
+        within = {"camera": cameras, "image": images, "point": points}
+        kept = [
+            k for k, prior in enumerate(self.priors) if prior.subject[1] in within[prior.subject[0]]
+        ]
+        return replace(
+            self,
+            priors=tuple(self.priors[k] for k in kept),
+            factors=tuple(self.factors[k] for k in kept),
+            held_params=held,
+            held_poses={key: parts for key, parts in self.held_poses.items() if key in images},
+            fixed_point_ids=tuple(key for key in self.fixed_point_ids if key in points),
+            bounds={key: pair for key, pair in self.bounds.items() if key[0] in cameras},
+            ties=tuple(ties),
+        )

@@ -1,0 +1,144 @@
+"""What became of rules: pulls of priors, active bounds, ties."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.model.cameras import camera_models
+from bundle.model.problem import Problem
+from bundle.model.rotations import quaternion_inverse, quaternion_multiply
+from bundle.solving.constraints.applied import Applied, KnownPrior, Tie
+from bundle.solving.constraints.constraint_record import BoundEnd, PriorEnd, RuleEnd, TieEnd
+
+__all__ = ["rule_ends"]
+
+
+def rule_ends(applied: Applied, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
+    """Return what became of each rule.
+
+    Args:
+        applied: the rules.
+        before: the start, before shared parameters were made equal.
+        after: the end, with the same images and cameras; points may be gone.
+    """
+    first, last = _Values(before), _Values(after)
+    priors: dict[int, list[PriorEnd]] = {}
+    for prior in applied.priors:
+        end = _prior_end(prior, first, last)
+        if end is not None:
+            priors.setdefault(prior.rule, []).append(end)
+    bounds: dict[int, list[BoundEnd]] = {}
+    for (camera_id, j), pair in sorted(applied.bounds.items()):
+        value = last.param(camera_id, j)
+        if pair[0] < pair[1] and value in pair:
+            side = "upper" if value == pair[1] else "lower"
+            name = last.name(camera_id, j)
+            bounds.setdefault(applied.bounded[camera_id, j], []).append(
+                BoundEnd(camera_id=camera_id, parameter=name, side=side, value=value)
+            )
+    ties: dict[int, list[TieEnd]] = {}
+    for tie in applied.ties:
+        for rule in tie.rules:
+            ties.setdefault(rule, []).append(_tie_end(tie, first, last))
+    return tuple(
+        RuleEnd(
+            rule=str(rule),
+            place=rule.place,
+            kind=rule.kind,
+            num_parameters=applied.counts[number],
+            priors=tuple(priors.get(number, ())),
+            active_bounds=tuple(bounds.get(number, ())),
+            ties=tuple(ties.get(number, ())),
+        )
+        for number, rule in enumerate(applied.rules)
+    )
+
+
+class _Values:
+    """Values of a problem by ids."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._centers: NDArray[np.float64] | None = None
+        self._rows: dict[str, dict[int, int]] = {}
+
+    def row(self, kind: str, key: int) -> int | None:
+        if kind not in self._rows:
+            ids = getattr(self._problem, f"{kind}_ids").tolist()
+            self._rows[kind] = {known: index for index, known in enumerate(ids)}
+        return self._rows[kind].get(key)
+
+    def param(self, camera_id: int, j: int) -> float:
+        return float(self._problem.camera_params[self.row("camera", camera_id), j])
+
+    def name(self, camera_id: int, j: int) -> str:
+        row = self.row("camera", camera_id)
+        assert row is not None
+        return camera_models()[self._problem.camera_models[row]][j]
+
+    def of(self, prior: KnownPrior) -> tuple[float, ...] | None:
+        """Return the value that a prior is about; None where it is gone."""
+        kind, key = prior.subject
+        row = self.row(kind, key)
+        if row is None:
+            return None
+        if kind == "camera":
+            return (self.param(key, prior.column),)
+        value: Any
+        if prior.parameter == "rotation":
+            value = self._problem.cam_from_world[row, :4]
+        elif kind == "point":
+            value = self._problem.points[row]
+        else:
+            if self._centers is None:
+                self._centers = self._problem.projection_centers
+            value = self._centers[row]
+        return tuple(value.tolist())
+
+
+def _prior_end(prior: KnownPrior, first: _Values, last: _Values) -> PriorEnd | None:
+    before, after = first.of(prior), last.of(prior)
+    if before is None or after is None:
+        return None
+    is_rotation = prior.parameter == "rotation"
+    kind, key = prior.subject
+    return PriorEnd(
+        subject=kind,
+        id=key,
+        parameter=prior.parameter,
+        known=prior.value[:4] if is_rotation else prior.value,
+        sigma=prior.sigma,
+        relative=prior.relative,
+        before=before,
+        after=after,
+        pull=_pull(prior, after),
+    )
+
+
+def _pull(prior: KnownPrior, after: tuple[float, ...]) -> float:
+    if prior.relative:
+        return math.log1p((after[0] - prior.value[0]) / prior.value[0]) / prior.sigma[0]
+    if prior.parameter == "rotation":
+        known, end = (np.array([q[:4]]) for q in (prior.value, after))
+        x, y, z, w = quaternion_multiply(quaternion_inverse(known), end)[0].tolist()
+        angle = 2 * math.atan2(math.hypot(x, y, z), abs(w))
+        return math.degrees(angle) / prior.sigma[0]
+    errors = [
+        (end - known) / sigma
+        for end, known, sigma in zip(after, prior.value, prior.sigma, strict=True)
+    ]
+    return errors[0] if len(errors) == 1 else math.hypot(*errors)
+
+
+def _tie_end(tie: Tie, first: _Values, last: _Values) -> TieEnd:
+    return TieEnd(
+        camera_ids=tuple(camera for camera, _, _ in tie.members),
+        parameters=tuple(last.name(camera, j) for camera, j, _ in tie.members),
+        multiples=tuple(times for _, _, times in tie.members),
+        before=tuple(first.param(camera, j) for camera, j, _ in tie.members),
+        after=tuple(last.param(camera, j) for camera, j, _ in tie.members),
+    )

@@ -1,0 +1,408 @@
+"""From rules and a problem to what a solve holds, bounds, ties and is told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Set
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bundle.errors import InputError
+from bundle.interface.options import SolveOptions
+from bundle.model.cameras import camera_models, param_kinds
+from bundle.model.problem import Problem
+from bundle.solving.constraints.applied import (
+    HELD_POSITION,
+    HELD_ROTATION,
+    Applied,
+    KnownPrior,
+    Tie,
+)
+from bundle.solving.constraints.chosen import Chooser
+from bundle.solving.constraints.prior_factors import factor_of
+from bundle.solving.constraints.rule_list import rules_of
+from bundle.solving.constraints.rules import Bounds, Fixed, Prior, Ratio, Rule, Share
+from bundle.solving.constraints.ties import MOST_SHARED, Group, Groups, Member, check_components
+
+if TYPE_CHECKING:
+    from bundle.graphs.factors.factors import Factor
+
+__all__ = ["apply"]
+
+PARTS = {"rotation": HELD_ROTATION, "position": HELD_POSITION}
+
+
+def apply(
+    constraints: Iterable[str | Rule] | Any,
+    problem: Problem,
+    options: SolveOptions,
+    part: Mapping[str, Set[int]] | None = None,
+) -> tuple[Problem, Applied | None]:
+    """Return the start of a solve, with shared parameters made equal, and what the rules mean.
+
+    Args:
+        constraints: the rules.
+        problem: whose cameras, images and points they name.
+        options: which say what is held anyway.
+        part: ids of the cameras, images and points that are refined, where only some are; rules
+            leave the others alone.
+
+    Raises:
+        InputError: something is no rule, names nothing of the problem, contradicts another rule or
+            the options, or excludes the start; the message begins with the place of the rule.
+    """
+    rules = rules_of(constraints)
+    if not rules:
+        return problem, None
+    return _Resolver(rules, problem, options, part).resolve()
+
+
+class _Resolver:
+    def __init__(
+        self,
+        rules: tuple[Rule, ...],
+        problem: Problem,
+        options: SolveOptions,
+        part: Mapping[str, Set[int]] | None,
+    ) -> None:
+        self._part = part
+        self._rules, self._problem, self._options = rules, problem, options
+        self._chooser = Chooser(problem)
+        self._params = problem.camera_params.copy()
+        self._fixed: dict[Member, int] = {}  # the rule that holds a parameter
+        self._bounds: dict[Member, tuple[float, float]] = {}
+        self._bounded: dict[Member, int] = {}
+        self._groups = Groups()
+        self._poses: dict[tuple[int, str], int] = {}  # the rule that holds a part of a pose
+        self._points: dict[int, int] = {}
+        self._known: dict[Any, int] = {}  # the rule with a prior on something
+        self._priors: list[KnownPrior] = []
+        self._counts = [0] * len(rules)
+        self._free_kinds = set(options.refine)
+        self._fixed_ids = {
+            kind: set(getattr(options, f"fixed_{kind}_ids"))
+            for kind in ("camera", "image", "point")
+        }
+
+    def resolve(self) -> tuple[Problem, Applied]:
+        """Return the start and what the rules mean."""
+        for number, rule in enumerate(self._rules):
+            if isinstance(rule, Fixed):
+                self._fix(number, rule)
+            elif isinstance(rule, Bounds):
+                self._bound(number, rule)
+            elif isinstance(rule, Share):
+                self._share(number, rule)
+            elif isinstance(rule, Ratio):
+                self._tie_ratio(number, rule)
+        ties, held = self._settle_ties()
+        self._check_bounds()
+        for number, rule in enumerate(self._rules):
+            if isinstance(rule, Prior):
+                self._know(number, rule, held)
+        problem = self._problem
+        camera_ids = problem.camera_ids.tolist()
+        held_params: dict[int, set[int]] = {}
+        for camera, j in (*self._fixed, *held):
+            held_params.setdefault(camera_ids[camera], set()).add(j)
+        held_poses: dict[int, int] = {}
+        for image, part in self._poses:
+            key = int(problem.image_ids[image])
+            held_poses[key] = held_poses.get(key, 0) | PARTS[part]
+        if not np.array_equal(self._params, problem.camera_params):
+            problem = problem.replace(camera_params=self._params)
+        factors: tuple[Factor, ...] = tuple(factor_of(prior) for prior in self._priors)
+        return problem, Applied(
+            rules=self._rules,
+            held_params={key: frozenset(columns) for key, columns in held_params.items()},
+            held_poses=held_poses,
+            fixed_point_ids=tuple(int(problem.point_ids[point]) for point in self._points),
+            bounds={(camera_ids[c], j): pair for (c, j), pair in self._bounds.items()},
+            priors=tuple(self._priors),
+            factors=factors,
+            ties=ties,
+            counts=tuple(self._counts),
+            bounded={(camera_ids[c], j): rule for (c, j), rule in self._bounded.items()},
+        )
+
+    def _fix(self, number: int, rule: Fixed) -> None:
+        if rule.target.kind == "camera":
+            for camera, _, columns in self._chooser.parameters(rule):
+                for j in columns:
+                    self._fixed.setdefault((camera, j), number)
+                    self._counts[number] += 1
+            return
+        for index in self._chooser.indices(rule):
+            if rule.target.kind == "point":
+                self._points.setdefault(index, number)
+                self._counts[number] += 1
+                continue
+            if rule.target.kind == "image" and self._is_on_rig(index):
+                raise InputError(
+                    f"{rule.place}: expected images with a pose of their own, found image "
+                    f"{self._problem.image_ids[index]} on a rig; hold its frame by fixed_image_ids"
+                )
+            for part in rule.parameters:
+                self._poses.setdefault((index, part), number)
+                self._counts[number] += 1
+
+    def _is_on_rig(self, image: int) -> bool:
+        frames = self._problem.image_frame
+        return len(frames) > 0 and bool(frames[image] >= 0)
+
+    def _bound(self, number: int, rule: Bounds) -> None:
+        for camera, _, columns in self._chooser.parameters(rule):
+            for j in columns:
+                member = camera, j
+                if member in self._bounded and self._bounded[member] != number:
+                    raise InputError(
+                        f"{rule.place}: {self._name(member)} already has bounds, by "
+                        f"{self._place(self._bounded[member])}"
+                    )
+                self._bounded[member] = number
+                self._bounds[member] = rule.lower, rule.upper
+                self._counts[number] += 1
+
+    def _share(self, number: int, rule: Share) -> None:
+        chosen = self._chooser.parameters(rule)
+        for name in rule.parameters:
+            cameras = [(camera, columns) for camera, other, columns in chosen if other == name]
+            sizes = {len(columns) for _, columns in cameras}
+            self._counts[number] += sum(len(columns) for _, columns in cameras)
+            if len(sizes) == 1:
+                slots = [[(c, columns[k]) for c, columns in cameras] for k in range(sizes.pop())]
+            else:  # f of a model with one focal length, and of one with two
+                slots = [[(c, j) for c, columns in cameras for j in columns]]
+            for members in slots:
+                for member in members[1:]:
+                    self._tie(number, rule, members[0], member, 1.0)
+
+    def _tie_ratio(self, number: int, rule: Ratio) -> None:
+        chosen = self._chooser.parameters(rule)
+        first = {camera: columns for camera, name, columns in chosen if name == rule.parameters[0]}
+        second = {camera: columns for camera, name, columns in chosen if name == rule.parameters[1]}
+        for camera, columns in first.items():
+            if camera not in second:
+                continue
+            if len(columns) > 1 or len(second[camera]) > 1:
+                raise InputError(
+                    f"{rule.place}: expected the names of two numbers, found f of camera "
+                    f"{self._problem.camera_ids[camera]}, which has fx and fy"
+                )
+            a, b = (camera, columns[0]), (camera, second[camera][0])
+            self._counts[number] += 2
+            for member in (a, b):
+                if self._params[member] == 0:
+                    raise InputError(
+                        f"{rule.place}: expected a ratio of numbers other than 0, found "
+                        f"{self._name(member)} at 0"
+                    )
+            self._tie(number, rule, a, b, float(self._params[a] / self._params[b]))
+
+    def _tie(self, number: int, rule: Rule, a: Member, b: Member, times: float) -> None:
+        if not self._groups.tie(a, b, times, number):
+            raise InputError(
+                f"{rule.place}: {self._name(a)} and {self._name(b)} are tied already, by other "
+                "rules and in another ratio"
+            )
+
+    def _settle_ties(self) -> tuple[tuple[Tie, ...], set[Member]]:
+        """Move the start to where ties hold; return those that are free, and what others hold."""
+        ties, held = [], set[Member]()
+        camera_ids = self._problem.camera_ids.tolist()
+        groups = self._groups.all()
+        excess = check_components(groups)
+        if excess is not None:
+            raise InputError(
+                f"{self._place(excess.rules[-1])}: expected cameras that share at most "
+                f"{MOST_SHARED} numbers, directly or by others, found more with "
+                f"{self._name(excess.members[0][0])}"
+            )
+        for group in groups:
+            try:
+                u, is_held = group.start(
+                    lambda member: float(self._params[member]),
+                    lambda member: self._why_held(member) != "",
+                    self._name,
+                )
+            except InputError as error:
+                raise InputError(f"{self._rules[group.rules[-1]].place}: {error}") from None
+            self._bound_group(group, u)
+            for member, times in group.members:
+                self._params[member] = times * u
+            if is_held:
+                held.update(member for member, _ in group.members)
+            else:
+                members = tuple((camera_ids[c], j, times) for (c, j), times in group.members)
+                ties.append(Tie(members, group.rules))
+        return tuple(ties), held
+
+    def _bound_group(self, group: Group, u: float) -> None:
+        """Give all members of a group the bounds of each."""
+        lower, upper, by = -math.inf, math.inf, -1
+        for member, times in group.members:
+            if member not in self._bounds:
+                continue
+            low, high = _divided(self._bounds[member], times)
+            lower, upper, by = max(lower, low), min(upper, high), self._bounded[member]
+            if not lower <= u <= upper:
+                place, name = self._place(self._bounded[member]), self._name(member)
+                raise InputError(
+                    f"{place}: {name}: expected a shared start of {times * u:.10g} within the "
+                    f"bounds of all that share it, found [{times * lower:g}, {times * upper:g}]"
+                )
+        if by < 0:
+            return
+        for member, times in group.members:
+            low, high = sorted((times * lower, times * upper))
+            # The start is within, whatever rounding makes of multiples.
+            self._bounds[member] = min(low, times * u), max(high, times * u)
+            self._bounded.setdefault(member, by)
+
+    def _check_bounds(self) -> None:
+        for member, (lower, upper) in self._bounds.items():
+            value = self._params[member]
+            if not lower <= value <= upper:
+                raise InputError(
+                    f"{self._place(self._bounded[member])}: {self._name(member)}: expected a start "
+                    f"within [{lower:g}, {upper:g}], found {value:.10g}"
+                )
+
+    def _know(self, number: int, rule: Prior, held: set[Member]) -> None:
+        if rule.target.kind == "camera":
+            self._know_parameters(number, rule, held)
+            return
+        (name,) = rule.parameters
+        kind = rule.target.kind
+        ids = getattr(self._problem, f"{kind}_ids")
+        places = self._problem.points if kind == "point" else self._problem.projection_centers
+        for index in self._chooser.indices(rule):
+            key = int(ids[index])
+            if self._is_outside(kind, key):
+                continue
+            self._expect_first(number, (kind, index, name), f"the {name} of {kind} {key}")
+            why = self._why_pose_held(kind, index, name)
+            if why:
+                raise InputError(
+                    f"{rule.place}: expected a prior on what is refined, found the {name} of "
+                    f"{kind} {key}, which {why}"
+                )
+            self._counts[number] += 1
+            sigma = _tuple(rule.sigma)
+            if name == "rotation":
+                value = tuple(self._problem.cam_from_world[index].tolist())
+            else:
+                value = tuple(places[index].tolist()) if rule.value is None else _tuple(rule.value)
+                sigma = sigma if len(sigma) == 3 else (sigma[0], sigma[0], sigma[-1])
+            self._priors.append(KnownPrior(number, (kind, key), name, value, sigma))
+
+    def _know_parameters(self, number: int, rule: Prior, held: set[Member]) -> None:
+        root_of = self._groups.of()
+        said: set[Member] = set()
+        for camera, _, columns in self._chooser.parameters(rule):
+            key = int(self._problem.camera_ids[camera])
+            if self._is_outside("camera", key):
+                continue
+            model = self._problem.camera_models[camera]
+            for j in columns:
+                member = camera, j
+                self._expect_first(number, ("camera", member), self._name(member))
+                why = self._why_held(member) or ("is held by what it shares" * (member in held))
+                if why:
+                    raise InputError(
+                        f"{rule.place}: expected a prior on what is refined, found "
+                        f"{self._name(member)}, which {why}"
+                    )
+                self._counts[number] += 1
+                root = root_of.get(member, member)
+                if root in said:
+                    continue  # one number that cameras share, known once
+                said.add(root)
+                value = float(self._params[member]) if rule.value is None else _one(rule.value)
+                is_focal = param_kinds(model)[j] == "focal"
+                sigma = _one(rule.sigma) if rule.sigma is not None else _one(rule.percent) / 100
+                if rule.percent is not None:
+                    if value == 0 or (is_focal and value < 0):
+                        raise InputError(
+                            f"{rule.place}: {self._name(member)}: expected a value "
+                            f"{'above' if is_focal else 'other than'} 0 to take a percentage of, "
+                            f"found {value:g}; give a sigma"
+                        )
+                    sigma *= 1 if is_focal else abs(value)
+                self._priors.append(
+                    KnownPrior(
+                        number,
+                        ("camera", key),
+                        camera_models()[model][j],
+                        (value,),
+                        (sigma,),
+                        rule.percent is not None and is_focal,
+                        j,
+                    )
+                )
+
+    def _expect_first(self, number: int, what: Any, name: str) -> None:
+        earlier = self._known.setdefault(what, number)
+        if earlier != number:
+            raise InputError(
+                f"{self._place(number)}: {name} already has a prior, by {self._place(earlier)}"
+            )
+
+    def _why_held(self, member: Member) -> str:
+        """Return why a parameter is held, or ""."""
+        if member in self._fixed:
+            return f"is held by {self._place(self._fixed[member])}"
+        camera, j = member
+        key = int(self._problem.camera_ids[camera])
+        if self._is_outside("camera", key):
+            return "is held (its camera took none of the images that are refined)"
+        if key in self._fixed_ids["camera"]:
+            return f"is held (camera {key} is among the fixed ones)"
+        kind = param_kinds(self._problem.camera_models[camera])[j]
+        if kind == "metadata":
+            return "no solve refines"
+        if kind not in self._free_kinds:
+            return f"is held (refine lacks {kind})"
+        lower, upper = self._bounds.get(member, (-math.inf, math.inf))
+        return f"is held by {self._place(self._bounded[member])}" if lower == upper else ""
+
+    def _why_pose_held(self, kind: str, index: int, name: str) -> str:
+        key = int(getattr(self._problem, f"{kind}_ids")[index])
+        group = "points" if kind == "point" else "poses"
+        rule = self._points.get(index) if kind == "point" else self._poses.get((index, name))
+        if rule is not None:
+            return f"is held by {self._place(rule)}"
+        if key in self._fixed_ids[kind]:
+            return f"is held (it is among the fixed {kind}s)"
+        return "" if group in self._free_kinds else f"is held (refine lacks {group})"
+
+    def _is_outside(self, kind: str, key: int) -> bool:
+        return self._part is not None and key not in self._part[kind]
+
+    def _place(self, number: int) -> str:
+        return self._rules[number].place
+
+    def _name(self, member: Member) -> str:
+        camera, j = member
+        name = camera_models()[self._problem.camera_models[camera]][j]
+        return f"{name} of camera {self._problem.camera_ids[camera]}"
+
+
+def _divided(bounds: tuple[float, float], times: float) -> tuple[float, float]:
+    """Return bounds of u for x = times u, such that no rounding takes x out of its own."""
+    low, high = sorted(bound / times for bound in bounds)
+    for _ in range(2):  # a quotient and a product, half a unit in the last place each
+        if not bounds[0] <= times * low <= bounds[1]:
+            low = math.nextafter(low, math.inf)
+        if not bounds[0] <= times * high <= bounds[1]:
+            high = math.nextafter(high, -math.inf)
+    return low, high
+
+
+def _tuple(value: Any) -> tuple[float, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _one(value: Any) -> float:
+    return float(_tuple(value)[0])

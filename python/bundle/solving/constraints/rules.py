@@ -1,0 +1,345 @@
+"""The rules: what each says, and the text that says it.
+
+A rule is a target (``camera 3``, ``cameras 1-4``, ``cameras *``, ``image "left/*.jpg"``, ``point
+12``), the names of some of its parameters, and what is known of these. ``str()`` of a rule is text
+that ``rule_text.parse_rule`` reads as the same rule.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from bundle.errors import InputError, brief
+from bundle.model.image_selection import MOST_IDS, id_range
+
+__all__ = ["KINDS", "POSES", "Bounds", "Fixed", "Prior", "Ratio", "Rule", "Share", "Target"]
+
+KINDS = ("camera", "image", "point")
+POSES = ("position", "rotation")
+"""What a rule on images may be about; on points it is the position."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a rule is about.
+
+    Attributes:
+        kind: "camera", "image" or "point".
+        entries: ids and ranges of ids, and patterns of names of images; None: all there are.
+    """
+
+    kind: str
+    entries: tuple[range | str, ...] | None
+
+    @staticmethod
+    def of(text: Any) -> Target:
+        """Return what such text as "cameras 1-4" names, or a target itself.
+
+        Raises:
+            InputError: it names nothing.
+        """
+        if isinstance(text, Target):
+            return text
+        if not isinstance(text, str):
+            raise InputError(f'expected a target such as "camera 3", found {brief(text)}')
+        word, _, rest = text.strip().partition(" ")
+        kind = word.lower().removesuffix("s")
+        rest = rest.strip()
+        if kind not in KINDS or not rest:
+            raise InputError(
+                "expected camera, cameras, image, images or points, then ids, * or a quoted name, "
+                f"such as cameras 1-4, found {brief(text.strip())}"
+            )
+        if rest == "*":
+            return Target(kind, None)
+        return Target(kind, tuple(_entry(kind, part) for part in _split(rest)))
+
+    def __str__(self) -> str:
+        """The text that means this."""
+        if self.entries is None:
+            return f"{self.kind}s *"
+        parts = [_text(entry) for entry in self.entries]
+        one = len(self.entries) == 1 and (
+            isinstance(self.entries[0], str) or len(self.entries[0]) == 1
+        )
+        return f"{self.kind}{'' if one else 's'} {','.join(parts)}"
+
+
+def _text(entry: range | str) -> str:
+    if isinstance(entry, str):
+        return f"'{entry}'" if '"' in entry else f'"{entry}"'
+    return f"{entry.start}" if len(entry) == 1 else f"{entry.start}-{entry.stop - 1}"
+
+
+def _entry(kind: str, text: str) -> range | str:
+    if len(text) > 2 and text[0] in "\"'" and text[-1] == text[0]:
+        if kind != "image":
+            raise InputError(f"expected ids of {kind}s, found the name {brief(text[1:-1])}")
+        return text[1:-1]
+    try:
+        ids = id_range(text)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    if ids is None:
+        names = ', or names in quotes such as "left/*.jpg"' if kind == "image" else ""
+        raise InputError(f"expected ids of {kind}s such as 3 or 1-4{names}, found {brief(text)}")
+    if ids.stop - ids.start > MOST_IDS:
+        raise InputError(f"expected at most {MOST_IDS} ids, found {text}")
+    return ids
+
+
+def _split(text: str) -> list[str]:
+    """Return the parts between commas that are in no quotes."""
+    parts, quote = [""], ""
+    for character in text:
+        if character in "\"'" and quote in ("", character):
+            quote = "" if quote else character
+        if character == "," and not quote:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts]
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What all rules have.
+
+    Attributes:
+        target: of which cameras, images or points; also as text, such as "cameras 1-4".
+        parameters: names of parameters, a sequence or such text as "f,k1". Of a camera COLMAP's
+            names, and ``f`` for every focal length of a model that has several; of an image
+            "position" (the projection centre) and "rotation"; of a point "position".
+        place: where the rule stands, for messages.
+    """
+
+    target: Target
+    parameters: tuple[str, ...]
+    place: str = field(default="", kw_only=True, compare=False)
+
+    kind: ClassVar[str] = ""
+    """What the rule does, in reports: "fixed", "prior", "bounds", "share" or "ratio"."""
+
+    def __post_init__(self) -> None:
+        try:
+            self._set("target", Target.of(self.target))
+            self._set("parameters", _names(self.parameters))
+            self._check()
+        except InputError as error:
+            subject = f"{self.place}: " if self.place else f"{type(self).__name__}: "
+            raise InputError(f"{subject}{error}") from None
+
+    def _check(self) -> None:
+        known = {"image": POSES, "point": POSES[:1]}.get(self.target.kind, ())
+        for name in self.parameters if known else ():
+            if name not in known:
+                raise InputError(
+                    f"expected {' or '.join(known)} of {self.target.kind}s, found {brief(name)}"
+                )
+
+    def _only_cameras(self) -> None:
+        if self.target.kind != "camera":
+            raise InputError(f"expected fixed or prior for {self.target.kind}s, found {self.kind}")
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)
+
+    def _head(self) -> str:
+        return f"{self.target}: {','.join(self.parameters)}"
+
+
+def _names(given: Any) -> tuple[str, ...]:
+    try:
+        names = given.split(",") if isinstance(given, str) else list(given)
+        names = [name.strip() for name in names]
+    except (TypeError, AttributeError):
+        raise InputError(f"expected names of parameters, found {brief(given)}") from None
+    if not all(names):
+        raise InputError(f"expected names of parameters, found {brief(given)}")
+    return tuple(dict.fromkeys(names))
+
+
+@dataclass(frozen=True)
+class Fixed(Rule):
+    """The parameters stay as they are at the start."""
+
+    kind = "fixed"
+
+    def __str__(self) -> str:
+        """The text that means this."""
+        return f"{self._head()} fixed"
+
+
+@dataclass(frozen=True)
+class Prior(Rule):
+    """The parameters are known with a standard deviation: each costs 1/2 ((x - value) / sigma)^2.
+
+    Attributes:
+        value: that was measured: a number, for positions x, y and z; None: as at the start.
+        sigma: in the unit of the parameter: pixels for focal lengths and the principal point, no
+            unit for distortion, degrees for rotations, the length unit of the reconstruction for
+            positions: one number, (horizontal, vertical) with z up, or one per axis.
+        percent: in place of sigma, of the value. A focal length then costs
+            1/2 (log(f / value) / (percent / 100))^2.
+    """
+
+    value: float | tuple[float, ...] | None = None
+    sigma: float | tuple[float, ...] | None = None
+    percent: float | None = None
+
+    kind = "prior"
+
+    def _check(self) -> None:
+        super()._check()
+        if (self.sigma is None) == (self.percent is None):
+            raise InputError("expected a sigma or a percentage, such as prior sigma 5 or prior 2 %")
+        spread = "sigma" if self.percent is None else "percent"
+        self._set(spread, _positive(spread, getattr(self, spread)))
+        if self.value is not None:
+            self._set("value", _finite("value", self.value))
+        if self.target.kind == "camera":
+            self._expect_numbers(("value", 1), ("sigma", 1))
+            return
+        if self.percent is not None:
+            raise InputError(f"expected a sigma for {self.target.kind}s, found a percentage")
+        if len(self.parameters) > 1:
+            raise InputError("expected one rule for the position and one for the rotation")
+        if self.parameters == ("rotation",):
+            if self.value is not None:
+                raise InputError(
+                    "expected a prior of the rotation about its start, found a value "
+                    f"{brief(self.value)}"
+                )
+            self._expect_numbers(("sigma", 1))
+        else:
+            self._expect_numbers(("value", 3), ("sigma", 1, 2, 3))
+
+    def _expect_numbers(self, *expected: tuple[Any, ...]) -> None:
+        for name, *counts in expected:
+            value = getattr(self, name)
+            found = len(value) if isinstance(value, tuple) else 1
+            if value is not None and found not in counts:
+                wanted = " or ".join(map(str, counts))
+                raise InputError(
+                    f"{name}: expected {wanted} number{'s' * (counts != [1])}, found {found}"
+                )
+
+    def __str__(self) -> str:
+        """The text that means this."""
+        value = "" if self.value is None else f" {_numbers(self.value)}"
+        if self.percent is not None:
+            return f"{self._head()} prior{value} {self.percent!r} %"
+        assert self.sigma is not None
+        return f"{self._head()} prior{value} sigma {_numbers(self.sigma)}"
+
+
+@dataclass(frozen=True)
+class Bounds(Rule):
+    """The parameters start and stay between two numbers, either of which may be infinite."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    kind = "bounds"
+
+    def _check(self) -> None:
+        self._only_cameras()
+        for side in ("lower", "upper"):
+            self._set(side, _number(side, getattr(self, side)))
+        if not self.lower <= self.upper or self.lower == math.inf or self.upper == -math.inf:
+            raise InputError(
+                "expected bounds [lower, upper] with lower at most upper, "
+                f"found [{self.lower:g}, {self.upper:g}]"
+            )
+
+    def __str__(self) -> str:
+        """The text that means this."""
+        return f"{self._head()} in [{self.lower!r}, {self.upper!r}]"
+
+
+@dataclass(frozen=True)
+class Share(Rule):
+    """Each of the parameters is one number for all cameras of the target.
+
+    ``f`` is each focal length on its own where all of these cameras have fx and fy; where some have
+    one focal length, it is one number for all focal lengths of all of them.
+    """
+
+    kind = "share"
+
+    def _check(self) -> None:
+        self._only_cameras()
+
+    def __str__(self) -> str:
+        """The text that means this."""
+        return f"{self.target}: share {','.join(self.parameters)}"
+
+
+@dataclass(frozen=True)
+class Ratio(Rule):
+    """The first of two parameters stays as many times the second as at the start, in each camera.
+
+    Attributes:
+        parameters: both.
+    """
+
+    kind = "ratio"
+
+    def _check(self) -> None:
+        self._only_cameras()
+        if len(self.parameters) != 2:
+            raise InputError(
+                f"expected two different parameters, such as fx/fy, found "
+                f"{'/'.join(self.parameters)}"
+            )
+
+    def __str__(self) -> str:
+        """The text that means this."""
+        return f"{self.target}: {'/'.join(self.parameters)} fixed"
+
+
+def _number(name: str, value: Any) -> float:
+    if isinstance(value, bool):
+        raise InputError(f"{name}: expected a number, found {brief(value)}")
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name}: expected a number, found {brief(value)}") from None
+    if math.isnan(number):
+        raise InputError(f"{name}: expected a number, found nan")
+    return number
+
+
+def _finite(name: str, value: Any) -> float | tuple[float, ...]:
+    """Return a number, or a tuple of several, all finite."""
+    if isinstance(value, Iterable) and not isinstance(value, str | bytes):
+        numbers = tuple(_one(name, entry) for entry in value)
+        return numbers[0] if len(numbers) == 1 else numbers
+    return _one(name, value)
+
+
+def _one(name: str, value: Any) -> float:
+    number = _number(name, value)
+    if math.isinf(number):
+        raise InputError(f"{name}: expected a finite number, found {number:g}")
+    return number
+
+
+def _positive(name: str, value: Any) -> float | tuple[float, ...]:
+    numbers = _finite(name, value)
+    for number in numbers if isinstance(numbers, tuple) else (numbers,):
+        # Beyond these its inverse square, by which it counts, is zero or infinite.
+        if not 1e-100 <= number <= 1e100:
+            raise InputError(
+                f"{name}: expected a number above 0 (1e-100 to 1e100), found {number:g}"
+            )
+    return numbers
+
+
+def _numbers(value: float | tuple[float, ...]) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(repr, value))}]"
+    return repr(value)

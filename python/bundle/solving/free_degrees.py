@@ -1,0 +1,348 @@
+"""How many degrees of freedom a problem leaves open, counted from its structure.
+
+Images that share free points see a rigid piece of the world, up to a similarity: it may move by
+d = (a, b, s), X' = X + a + b x X + s X, without any of its images changing, if image i, R X + t,
+moves by local coordinates (R' = Exp(phi) R, t' = t + tau)
+
+    phi = -R b,    tau = s t - R a.
+
+An image with a pose of its own does so. One of a rig, R = R_s R_f, t = R_s t_f + t_s, has to do it
+by what its frame and its sensor can:
+
+    phi = R_s phi_f + phi_s,    tau = R_s tau_f + phi_s x (R_s t_f) + tau_s.
+
+For the images of a frame that reads M_f u_f = D d - M_s u_s. A frame that is held has no u_f. With
+P the projection onto what M_f does not reach, the (d, u_s) that are possible are the null space of
+the rows P [D, -M_s] of all frames, of a + b x X + s X = 0 for points X that are held, and of
+L^T J for factors, J what the motion is in the coordinates of their variables and L L^T their
+information. Its dimension is what is counted: 7 for images alone, 6 where a fixed baseline gives
+the scale, 0 once priors say where the world is, and more where pieces are tied by nothing.
+
+The count is that of images in general position: pieces that few points hold together, or a critical
+configuration, leave more than is counted here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.components import component_roots
+from bundle.base.display import Display, Displayed
+from bundle.base.words import plural
+from bundle.interface.options import SolveOptions
+from bundle.io.source import Source, as_problem
+from bundle.model.problem import Problem
+from bundle.model.rotations import cross_matrices, rotation_matrices
+
+if TYPE_CHECKING:
+    from bundle.georeference.position_prior import PositionPrior
+    from bundle.graphs.factors.factors import Factor
+
+__all__ = ["GaugeFreedom", "gauge_freedom"]
+
+RANK_TOLERANCE = 1e-9
+"""Singular values below this, of columns of norm 1 before the projection, are zero."""
+
+_Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class GaugeFreedom(Displayed):
+    """What the observations and factors of a problem leave open.
+
+    Attributes:
+        degrees: of freedom that nothing determines.
+        num_pieces: of the world that no free point connects.
+        num_loose: how many of the degrees move sensors against their rigs while no image moves.
+    """
+
+    degrees: int
+    num_pieces: int
+    num_loose: int
+
+    @property
+    def sentence(self) -> str:
+        """Say it in words."""
+        if self.degrees == 0:
+            return (
+                "nothing is free: the world is where its positions, scale and directions are given"
+            )
+        named = {6: " (position and rotation; the scale is given)", 7: " (a similarity)"}
+        one = self.num_pieces == 1 and not self.num_loose
+        words = (
+            plural(self.degrees, "degree")
+            + " of freedom"
+            + (named.get(self.degrees, "") if one else "")
+        )
+        pieces = f" of {self.num_pieces} pieces" if self.num_pieces > 1 else ""
+        loose = f", {self.num_loose} of them of sensors on their rigs" if self.num_loose else ""
+        return words + pieces + loose
+
+    def _display(self) -> Display:
+        return Display(title=f"Gauge freedom: {self.sentence}", facts=())
+
+
+def gauge_freedom(
+    problem: Source,
+    options: SolveOptions | None = None,
+    *,
+    factors: Iterable[Factor] = (),
+    priors: Iterable[PositionPrior] = (),
+    **changes: Any,
+) -> GaugeFreedom:
+    """Count the degrees of freedom of a solve that no observation, factor or fixed id determines.
+
+    It is the number that ``gauge="none"`` leaves to the damping of the trust region. Intrinsics are
+    taken for determined.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        options: what is refined and what is fixed; ``gauge`` does not matter.
+        factors: beside the observations, as in :func:`bundle.solve`.
+        priors: measured positions of images.
+        **changes: options by name, in place of those in ``options``.
+
+    Raises:
+        InputError: an option or a factor is wrong.
+        OSError: the path cannot be read.
+
+    Example:
+        >>> bundle.gauge_freedom("stereo_rig").degrees
+        6
+    """
+    problem = as_problem(problem)
+    options = SolveOptions.of(options, changes, "gauge_freedom")
+    given = list(factors)
+    if priors:
+        from bundle.georeference.prior_alignment import ProblemPriors
+
+        given += ProblemPriors.make(problem, priors).factors()
+    count = _Count(problem, options)
+    count.add_frames()
+    count.add_held_points()
+    if given:
+        count.add_factors(given)
+    return count.result()
+
+
+class _Count:
+    """Rows and columns of the equations above; columns are 7 a piece, then 6 a refined sensor."""
+
+    def __init__(self, problem: Problem, options: SolveOptions) -> None:
+        self._problem = problem
+        self._find_free(options)
+        self._find_pieces()
+        poses = problem.cam_from_world
+        self._rotations = rotation_matrices(poses[:, :4])
+        seen = self._piece >= 0
+        centers = problem.projection_centers[seen]
+        middle = centers.mean(axis=0) if len(centers) else np.zeros(3)
+        spread = np.sqrt(((centers - middle) ** 2).sum(axis=1).mean()) if len(centers) else 0.0
+        if not spread > 0 and problem.num_points:
+            spread = np.abs(problem.points - middle).max()
+        self._middle, self._size = middle, float(spread) or 1.0
+        # Poses of a world about the middle, in units of its size.
+        moved = np.einsum("nij,j->ni", self._rotations, middle)
+        self._translations = (poses[:, 4:] + moved) / self._size
+        self._points = (problem.points - middle) / self._size
+        self._width = 7 * self._num_pieces + 6 * int(self._sensor_is_free.sum())
+        self._sensor_column = 7 * self._num_pieces + 6 * (np.cumsum(self._sensor_is_free) - 1)
+        self._norms = np.zeros(self._width)
+        self._triangle: _Matrix = np.zeros((0, self._width))
+        self._waiting: list[_Matrix] = []
+
+    def _find_free(self, options: SolveOptions) -> None:
+        problem = self._problem
+        fixed = np.isin(problem.image_ids, options.fixed_image_ids)
+        self._image_is_free = ~fixed & ("poses" in options.refine)
+        self._point_is_free = ~np.isin(problem.point_ids, options.fixed_point_ids) & (
+            "points" in options.refine
+        )
+        observed = np.zeros(problem.num_images, bool)
+        observed[problem.observation_image] = True
+        self._observed = observed
+        self._sensor_is_free = np.zeros(problem.num_sensors, bool)
+        if not problem.num_frames:
+            return
+        frame = problem.image_frame
+        held = np.zeros(problem.num_frames + 1, bool)  # the last is no frame
+        held[frame[~self._image_is_free]] = True
+        self._image_is_free = np.where(frame >= 0, ~held[frame], self._image_is_free)
+        if not options.refine_sensor_from_rig:
+            return
+        references = observed & (frame >= 0) & (problem.image_sensor < 0)
+        with_reference = problem.frame_rig_ids[frame[references]]
+        seen = np.unique(problem.image_sensor[observed & (problem.image_sensor >= 0)])
+        self._sensor_is_free[seen] = True
+        self._sensor_is_free &= np.isin(problem.sensor_rig_ids, with_reference)
+        for rig, camera in options.fixed_sensors:
+            self._sensor_is_free &= (problem.sensor_rig_ids != rig) | (
+                problem.sensor_camera_ids != camera
+            )
+
+    def _find_pieces(self) -> None:
+        """Number the pieces: images connected by free points."""
+        problem = self._problem
+        free = np.flatnonzero(self._point_is_free[problem.observation_point])
+        free = free[np.argsort(problem.observation_point[free], kind="stable")]
+        images, points = problem.observation_image[free], problem.observation_point[free]
+        starts = np.flatnonzero(np.diff(points, prepend=-1))
+        roots = component_roots(images, starts, problem.num_images)
+        self._piece = np.full(problem.num_images, -1)
+        used, numbers = np.unique(roots[self._observed], return_inverse=True)
+        self._piece[self._observed] = numbers
+        self._num_pieces = len(used)
+        self._piece_of_point = np.full(problem.num_points, -1)
+        self._piece_of_point[points[starts]] = self._piece[images[starts]]
+
+    def add_frames(self) -> None:
+        """Add the equations of every frame, and of images that have a pose of their own."""
+        problem = self._problem
+        images = np.flatnonzero(self._observed)
+        frame = problem.image_frame if problem.num_frames else np.full(problem.num_images, -1)
+        groups: dict[int, list[int]] = {}
+        for image in images.tolist():
+            key = int(frame[image])
+            groups.setdefault(key if key >= 0 else -1 - image, []).append(image)
+        for key, members in groups.items():
+            wanted = np.vstack([self._image_rows(image) for image in members])
+            self._norms += (wanted**2).sum(axis=0)
+            if self._image_is_free[members[0]]:
+                reached = np.vstack([self._frame_map(image, key >= 0) for image in members])
+                basis = np.linalg.qr(reached)[0]
+                wanted = wanted - basis @ (basis.T @ wanted)
+                wanted = wanted - basis @ (basis.T @ wanted)
+            self._add(wanted)
+
+    def add_held_points(self) -> None:
+        """A point that is held does not move with the pieces that see it."""
+        problem = self._problem
+        held = ~self._point_is_free[problem.observation_point]
+        pairs = np.stack(
+            [self._piece[problem.observation_image[held]], problem.observation_point[held]], axis=1
+        )
+        for piece, point in np.unique(pairs, axis=0).tolist():
+            rows = np.zeros((3, self._width))
+            rows[:, 7 * piece : 7 * piece + 7] = self._point_motion(self._points[point])
+            self._norms += (rows**2).sum(axis=0)
+            self._add(rows)
+
+    def add_factors(self, factors: list[Factor]) -> None:
+        """Add what factors see of the motions."""
+        from bundle.graphs.factors.problem_factors import ProblemFactors
+
+        for factor in factors:
+            keys, information = ProblemFactors(self._problem, [factor]).information()
+            motion = np.vstack([self._motion(kind, index, size) for kind, index, size in keys])
+            values, vectors = np.linalg.eigh(information)
+            seen = values > 1e-12 * max(values.max(), 0.0)
+            rows = (np.sqrt(values[seen])[:, None] * vectors[:, seen].T) @ motion
+            largest = np.abs(np.sqrt(values[seen])).max(initial=1.0)
+            self._norms += ((rows / largest) ** 2).sum(axis=0)
+            self._add(rows / largest)
+
+    def result(self) -> GaugeFreedom:
+        """Return the count."""
+        self._flush()
+        num_sensors = self._width - 7 * self._num_pieces
+        loose = _nullity(self._triangle[:, self._width - num_sensors :], self._norms[-num_sensors:])
+        return GaugeFreedom(
+            degrees=_nullity(self._triangle, self._norms),
+            num_pieces=self._num_pieces,
+            num_loose=loose if num_sensors else 0,
+        )
+
+    def _image_rows(self, image: int) -> _Matrix:
+        """Return [D, -M_s] of an image: rotation, then translation."""
+        rows = np.zeros((6, self._width))
+        rotation, translation = self._rotations[image], self._translations[image]
+        column = 7 * self._piece[image]
+        rows[3:, column : column + 3] = -rotation
+        rows[:3, column + 3 : column + 6] = -rotation
+        rows[3:, column + 6] = translation
+        sensor = self._problem.image_sensor[image] if self._problem.num_frames else -1
+        if sensor >= 0 and self._sensor_is_free[sensor]:
+            arm = self._problem.sensor_from_rig[sensor, 4:] / self._size
+            column = self._sensor_column[sensor]
+            rows[:3, column : column + 3] = -np.eye(3)
+            rows[3:, column : column + 3] = cross_matrices(translation - arm)
+            rows[3:, column + 3 : column + 6] = -np.eye(3)
+        return rows
+
+    def _frame_map(self, image: int, is_frame: bool) -> _Matrix:
+        """Return M_f of an image, the identity where it has a pose of its own."""
+        sensor = self._problem.image_sensor[image] if is_frame else -1
+        turn = np.eye(3)
+        if sensor >= 0:
+            turn = rotation_matrices(self._problem.sensor_from_rig[sensor : sensor + 1, :4])[0]
+        both = np.kron(np.eye(2), turn)
+        return np.asarray(both, np.float64)
+
+    def _motion(self, kind: str, index: int, size: int) -> _Matrix:
+        """Return (size, width) by which the columns move a variable, in its tangent coordinates."""
+        problem = self._problem
+        if kind == "image" and self._piece[index] >= 0:
+            rows = self._image_rows(index)
+            rows[:, 7 * self._num_pieces :] = 0  # the pieces alone say where images go
+            return self._in_frame_of(problem.cam_from_world[index], rows, self._middle)
+        if kind == "frame":
+            images = np.flatnonzero(self._observed & (problem.image_frame == index)).tolist()
+            if images and self._image_is_free[images[0]]:
+                wanted = np.vstack([self._image_rows(image) for image in images])
+                reached = np.vstack([self._frame_map(image, True) for image in images])
+                rows = np.asarray(np.linalg.lstsq(reached, wanted, rcond=None)[0], np.float64)
+                return self._in_frame_of(problem.rig_from_world[index], rows, self._middle)
+        if kind == "sensor" and self._sensor_is_free[index]:
+            column = self._sensor_column[index]
+            rows = np.zeros((6, self._width))
+            rows[:, column : column + 6] = np.eye(6)
+            return self._in_frame_of(problem.sensor_from_rig[index], rows, np.zeros(3))
+        motion = np.zeros((size, self._width))
+        if kind == "point" and self._point_is_free[index] and self._piece_of_point[index] >= 0:
+            piece = self._piece_of_point[index]
+            motion[:, 7 * piece : 7 * piece + 7] = (
+                self._point_motion(self._points[index]) * self._size
+            )
+        return motion
+
+    def _in_frame_of(self, pose: _Matrix, rows: _Matrix, middle: _Matrix) -> _Matrix:
+        """Return local coordinates about the middle as those of X Exp(d), in the problem's unit.
+
+        With t_m = t + R m the translation about the middle, tau = tau_m - phi x R m; and
+        d = (R^T phi, R^T tau).
+        """
+        rotation = rotation_matrices(pose[None, :4])[0]
+        turn, shift = rows[:3], self._size * rows[3:]
+        shift = shift + cross_matrices(rotation @ middle) @ turn
+        moved = np.vstack([rotation.T @ turn, rotation.T @ shift])
+        return np.asarray(moved, np.float64)
+
+    def _point_motion(self, point: _Matrix) -> _Matrix:
+        return np.hstack([np.eye(3), -cross_matrices(point), point[:, None]])
+
+    def _add(self, rows: _Matrix) -> None:
+        self._waiting.append(rows)
+        if sum(map(len, self._waiting)) > 6 * self._width + 600:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Reduce the rows to as many as there are columns, with the same null space."""
+        if self._waiting:
+            rows = np.vstack([self._triangle, *self._waiting])
+            self._triangle = np.asarray(np.linalg.qr(rows, mode="r"))
+            self._waiting = []
+
+
+def _nullity(rows: _Matrix, squares: _Matrix) -> int:
+    """Return the number of columns that the others give, each scaled by its norm."""
+    width = int(rows.shape[1])
+    if not width:
+        return 0
+    scaled = rows / np.sqrt(np.where(squares > 0, squares, 1.0))
+    values = np.linalg.svd(scaled, compute_uv=False)
+    return width - int((values > RANK_TOLERANCE).sum())

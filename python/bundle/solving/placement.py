@@ -1,0 +1,148 @@
+"""Where a solve with priors starts: the problem in their frame, with its control points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from bundle.base.arguments import as_flag
+from bundle.errors import InputError, brief
+from bundle.model.problem import Problem
+
+if TYPE_CHECKING:
+    from bundle.georeference.alignment_result import ControlPointError
+    from bundle.georeference.control_point import GroundControlPoint
+    from bundle.georeference.position_prior import PositionPrior
+    from bundle.georeference.prior_alignment import ProblemPriors
+    from bundle.georeference.similarity import Similarity
+    from bundle.georeference.target_priors import TargetPriors
+    from bundle.graphs.factors.factors import Factor
+
+    Prior = PositionPrior | GroundControlPoint
+
+__all__ = ["Start", "place_at_priors"]
+
+FEWEST = 3
+
+
+class Start(NamedTuple):
+    """What a solve with priors begins with.
+
+    Attributes:
+        problem: in the frame of the priors; control points are its last points.
+        factors: all of them; those of the priors come last, positions before control points.
+        similarity: by which the problem was moved, if it was.
+        targets: the control and check points, if there are any.
+    """
+
+    problem: Problem
+    factors: Iterable[Factor]
+    similarity: Similarity | None = None
+    targets: TargetPriors | None = None
+
+    @property
+    def control_point_ids(self) -> tuple[int, ...]:
+        """Ids of the control points in the problem."""
+        return () if self.targets is None else self.targets.point_ids
+
+    def result(self, problem: Problem) -> Problem:
+        """Return a problem that this start became, without control points."""
+        return problem if self.targets is None else self.targets.taken_from(problem)
+
+    def control_points(self, problem: Problem) -> tuple[ControlPointError, ...]:
+        """Return how far control and check points are from the survey in the result."""
+        return () if self.targets is None else self.targets.errors(problem)
+
+
+def place_at_priors(
+    problem: Problem,
+    factors: Iterable[Factor],
+    priors: Iterable[Prior],
+    align: bool | None,
+) -> Start:
+    """Return the start of a solve with priors.
+
+    Args:
+        problem: left untouched.
+        factors: beside the priors.
+        priors: positions of images, and control points.
+        align: whether the problem is moved to where the priors are; None: if there are no factors,
+            and they determine the place.
+
+    Raises:
+        InputError: see :func:`bundle.solve`.
+    """
+    if align is not None:
+        align = as_flag("align", align)
+    if isinstance(priors, tuple | list) and not priors:
+        if align:
+            raise InputError("align: expected priors to align the problem to, found none")
+        return Start(problem, factors)
+    from bundle.georeference.prior_alignment import ProblemPriors
+    from bundle.georeference.similar_problem import moved
+    from bundle.georeference.target_priors import TargetPriors
+    from bundle.graphs.factors.variables import as_list
+
+    positions, points = _sorted(as_list("priors", "PositionPriors", priors))
+    known = ProblemPriors.make(problem, positions)
+    targets = TargetPriors.make(problem, points) if points else None
+    factors = as_list("factors", "factors", factors)
+    similarity = None
+    if align or (align is None and not factors):
+        try:
+            similarity = _similarity(problem, known, targets)
+        except InputError as error:
+            if align:
+                raise InputError(f"priors: {error}") from None
+    start = problem if similarity is None else moved(problem, similarity)
+    of_priors: list[Factor] = [*known.factors()]
+    if targets is not None:
+        start = targets.added_to(start, similarity)
+        of_priors += targets.factors()
+    return Start(start, [*factors, *of_priors], similarity, targets)
+
+
+def _sorted(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any]]:
+    """Return positions, and what else there is, which has to be control points."""
+    from bundle.georeference.control_point import GroundControlPoint
+    from bundle.georeference.position_prior import PositionPrior
+
+    for place, prior in enumerate(priors):
+        if not isinstance(prior, PositionPrior | GroundControlPoint):
+            raise InputError(
+                "priors: expected PositionPriors and GroundControlPoints, "
+                f"found {brief(prior)} at [{place}]"
+            )
+    points = [prior for prior in priors if isinstance(prior, GroundControlPoint)]
+    return [prior for prior in priors if isinstance(prior, PositionPrior)], points
+
+
+def _similarity(problem: Problem, known: ProblemPriors, targets: TargetPriors | None) -> Similarity:
+    """Return the similarity to where the priors say that the problem is.
+
+    Raises:
+        InputError: they do not determine it.
+    """
+    if targets is None or not targets.used:
+        return known.align(problem)
+    from bundle.georeference.correspondences import Correspondences
+    from bundle.georeference.prior_alignment import robust_similarity
+    from bundle.georeference.similarity_fit import fit_similarity
+
+    count = len(targets.used) + len(known.priors)
+    if count < FEWEST:
+        raise InputError(
+            f"expected at least {FEWEST} control points and positions of images to place the "
+            f"model, found {count}"
+        )
+    joined = Correspondences.joined(targets.correspondences(), known.correspondences(problem))
+    what = "control points and positions of images"
+    losses = {entry.point.loss for entry in targets.used} | {prior.loss for prior in known.priors}
+    if losses == {"trivial"}:
+        # Beside thousands of pixels a few priors move the model slowly: a solve that begins where
+        # their squares are least need not move it.
+        try:
+            return fit_similarity(joined, what=what).similarity
+        except InputError:
+            pass
+    return robust_similarity(joined, what)

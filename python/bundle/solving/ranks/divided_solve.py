@@ -1,0 +1,195 @@
+"""A solve by several processes: the first sends the parts, all solve, the first collects."""
+
+from __future__ import annotations
+
+import resource
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.arrays import freeze
+from bundle.interface.process_record import ProcessPart, ProcessRecord, Traffic
+from bundle.model.problem import Problem
+from bundle.solving.constraints.restrictions import Restrictions
+from bundle.solving.ranks.partition import ProblemPart, divide, factors_of, part_of
+
+__all__ = ["Crew", "Job", "PartOfOutput", "Ranks", "heeding", "solve_divided", "work_on"]
+
+
+class Ranks(Protocol):
+    """What ``_core.solve_part`` meets the other processes by, with its tally of messages."""
+
+    rank: int
+    num_ranks: int
+    traffic: dict[str, list[float]]
+
+
+class Crew(Protocol):
+    """The processes, as the first of them sees them.
+
+    Attributes:
+        num_ranks: how many there are.
+        is_solving: the others are within a solve; they hear nothing else until it ends.
+        is_told_to_end: the user wants the solve to end; looked at after each iteration.
+    """
+
+    num_ranks: int
+    is_solving: bool
+    is_told_to_end: bool
+
+    def ranks(self) -> Ranks:
+        """Return how the first meets the others in one solve."""
+
+    def send(self, job: Job, rank: int) -> None:
+        """Send a job to one of the others."""
+
+    def receive(self, rank: int) -> PartOfOutput:
+        """Return what one of the others made of its job."""
+
+
+@dataclass
+class Job:
+    """What a process needs to solve its part.
+
+    Attributes:
+        part: its points.
+        options: all options, with nothing left to choose.
+        restrictions: bounds and what is held and tied, without the rules; None without any.
+        factors: as ``partition.factors_of`` returns them.
+        image_is_observed: (num_images,) of the whole problem.
+    """
+
+    part: ProblemPart
+    options: dict[str, Any]
+    restrictions: Restrictions | None
+    factors: Any
+    image_is_observed: NDArray[np.uint8]
+
+
+@dataclass
+class PartOfOutput:
+    """What a process gives back: its points, the costs of its factors, what it did."""
+
+    points: NDArray[np.float64]
+    factor_costs_before: NDArray[np.float64]
+    factor_costs_after: NDArray[np.float64]
+    process: ProcessPart
+
+
+def solve_divided(
+    crew: Crew,
+    problem: Problem,
+    options: dict[str, Any],
+    progress: Callable[[dict[str, Any]], None] | None,
+    limits: Restrictions | None,
+    core_factors: Any,
+) -> dict[str, Any]:
+    """Return what ``_core.solve`` returns, by all processes.
+
+    Raises:
+        InputError: there are fewer points than processes, or as ``_core.solve``.
+    """
+    division = divide(problem, crew.num_ranks)
+    points_of = division.parts
+    factors = [factors_of(core_factors, points) for points in points_of]
+    observed = np.zeros(problem.num_images, np.uint8)
+    observed[problem.observation_image] = 1
+    restrictions = None if limits is None else replace(limits, applied=None)
+    fixed = np.asarray(options["fixed_point_ids"], np.int64)
+    unknown = np.setdiff1d(fixed, problem.point_ids)
+    if unknown.size:
+        raise _core.InputError(f"fixed_point_ids: expected ids in the problem, found {unknown[0]}")
+
+    def job(rank: int) -> Job:
+        part = part_of(problem, points_of[rank], division.section)
+        own = {"fixed_point_ids": np.intersect1d(fixed, part.point_ids).tolist()}
+        return Job(part, options | own, restrictions, factors[rank][0], observed)
+
+    crew.is_solving = True
+    for rank in range(1, crew.num_ranks):
+        crew.send(job(rank), rank)
+    ranks = crew.ranks()
+    output, own = work_on(job(0), ranks, heeding(crew, progress))
+    points = np.array(problem.points)
+    costs = {name: np.zeros(_num_factors(core_factors)) for name in _COSTS}
+    parts = []
+    for rank in range(crew.num_ranks):
+        given = own if rank == 0 else crew.receive(rank)
+        points[points_of[rank]] = given.points
+        parts.append(given.process)
+        for name in _COSTS if factors[rank][1] else ():
+            costs[name][factors[rank][1]] = getattr(given, name)
+    crew.is_solving = False
+    output |= {"points": freeze(points)} | {name: freeze(of) for name, of in costs.items()}
+    traffic = tuple(
+        Traffic(what=what, num_messages=int(n), num_bytes=int(size), seconds=seconds)
+        for what, (n, size, seconds) in ranks.traffic.items()
+    )
+    output["summary"] |= {
+        "num_factors": _num_factors(core_factors),
+        "num_processes": crew.num_ranks,
+        "processes": ProcessRecord(parts=tuple(parts), traffic=traffic),
+    }
+    return output
+
+
+def heeding(
+    crew: Crew, progress: Callable[[dict[str, Any]], None] | None
+) -> Callable[[dict[str, Any]], None]:
+    """Return what reports an iteration and then stops the solve if the user wants its end."""
+
+    def heed(record: dict[str, Any]) -> None:
+        if progress is not None:
+            progress(record)
+        if crew.is_told_to_end:
+            raise KeyboardInterrupt
+
+    return heed
+
+
+_COSTS = ("factor_costs_before", "factor_costs_after")
+
+
+def work_on(
+    job: Job, ranks: Ranks, progress: Callable[[dict[str, Any]], None] | None = None
+) -> tuple[dict[str, Any], PartOfOutput]:
+    """Solve the part of one process; return the core's output and what the first needs of it."""
+    output = _core.solve_part(
+        job.part,
+        job.options,
+        progress,
+        job.restrictions,
+        job.factors,
+        ranks,
+        job.image_is_observed,
+    )
+    summary = output["summary"]
+    names = (
+        *("preprocessor_time_in_seconds", "residual_evaluation_time_in_seconds"),
+        *("jacobian_evaluation_time_in_seconds", "linear_solver_time_in_seconds"),
+        "total_time_in_seconds",
+    )
+    process = ProcessPart(
+        num_points=len(job.part.points),
+        num_observations=len(job.part.observation_xy),
+        **{name: summary[name] for name in names},
+        waiting_time_in_seconds=sum(seconds for _, _, seconds in ranks.traffic.values()),
+        peak_memory_in_bytes=_peak_memory(),
+    )
+    before, after = (output[name] for name in _COSTS)
+    return output, PartOfOutput(output["points"], before, after, process)
+
+
+def _num_factors(core_factors: Any) -> int:
+    return 0 if core_factors is None else len(core_factors[1])
+
+
+def _peak_memory() -> int:
+    """Return the largest resident size of this process so far, in bytes."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

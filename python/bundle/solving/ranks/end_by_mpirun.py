@@ -1,0 +1,55 @@
+"""One line where mpirun ends all processes: which one prints it (``bind_launcher.cpp`` has how).
+
+Processes on other machines than mpirun's are silent.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+from bundle import _core
+from bundle.solving.ranks.launch import rank_by_launcher
+
+__all__ = ["begin", "know_processes", "speaks_for_all", "take_the_word"]
+
+PARENTS = ("mpirun", "prterun")
+"""Names of the process that is the parent on mpirun's machine."""
+
+
+def begin() -> None:
+    """Prepare for signals of Open MPI's mpirun, where that has started this process."""
+    size = os.environ.get("OMPI_COMM_WORLD_SIZE", "1")
+    if size == "1":
+        return
+    signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # mpirun passes it on; see many_processes
+    _core.wait_for_the_end(_mark(), int(size) if size.isdigit() else 0)
+
+
+def know_processes(pids: dict[int, int]) -> None:
+    """Take note of the processes on this machine: {rank: process id}."""
+    _core.know_processes(pids)
+
+
+def take_the_word() -> bool:
+    """Return whether this process is the one to say why all end; no other is from now on."""
+    return not _mark() or _core.take_the_word(_mark())
+
+
+def speaks_for_all() -> bool:
+    """Return the same where all processes have the same to say."""
+    if not _mark():
+        return rank_by_launcher() == 0
+    return take_the_word()
+
+
+def _mark() -> str:
+    """Return the path of the file whose creator speaks; "" on other machines than mpirun's."""
+    folder = os.environ.get("PMIX_SERVER_TMPDIR", "")
+    try:
+        with Path(f"/proc/{os.getppid()}/comm").open(encoding="utf-8") as file:
+            is_there = file.read().strip() in PARENTS
+    except OSError:
+        return ""
+    return f"{folder}/bundle_has_said_why" if folder and is_there else ""

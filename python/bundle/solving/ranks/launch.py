@@ -1,0 +1,73 @@
+"""Whether this process is one of several that mpirun started; which of them it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bundle.solving.ranks.divided_solve import Crew
+
+__all__ = [
+    "current",
+    "rank_by_launcher",
+    "size_by_launcher",
+    "threads_of_one_process",
+    "use",
+]
+
+# What Open MPI, and MPICH with those derived from it, tell their processes.
+_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
+_RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK")
+_LOCAL_SIZES = ("OMPI_COMM_WORLD_LOCAL_SIZE", "MPI_LOCALNRANKS")
+
+_crew: Crew | None = None
+
+
+def size_by_launcher() -> int:
+    """Return how many processes there are; 1 without a launcher."""
+    return _number(_SIZES, 1)
+
+
+def rank_by_launcher() -> int:
+    """Return which of them this is, from 0 on."""
+    return _number(_RANKS, 0)
+
+
+def threads_of_one_process(cores: int) -> int:
+    """Return how many of the cores a process uses where the user did not say.
+
+    Those that the launcher bound it to; where it did not, the processes of this machine share them.
+    """
+    if size_by_launcher() == 1:
+        return cores
+    bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else cores
+    if bound < (os.cpu_count() or bound):
+        return min(bound, cores)
+    return max(1, cores // _number(_LOCAL_SIZES, size_by_launcher()))
+
+
+def current() -> Crew | None:
+    """Return the processes that solves are divided among; None: this one is alone."""
+    return _crew
+
+
+@contextmanager
+def use(crew: Crew) -> Iterator[None]:
+    """Divide the solves within the context among these processes."""
+    global _crew
+    before, _crew = _crew, crew
+    try:
+        yield
+    finally:
+        _crew = before
+
+
+def _number(names: tuple[str, ...], default: int) -> int:
+    for name in names:
+        value = os.environ.get(name, "")
+        if value.isdigit():
+            return int(value)
+    return default

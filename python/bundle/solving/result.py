@@ -1,0 +1,182 @@
+"""What a solve gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.display import Display
+from bundle.base.words import change, contents, pixels, plural, seconds
+from bundle.interface.solve_record import SolveRecord
+from bundle.interface.summary import held_facts
+from bundle.model.problem import Problem
+from bundle.model.reprojection import (
+    ReprojectionError,
+    reprojection_error,
+    reprojection_errors,
+    resolve_cheirality,
+    summarize_errors,
+)
+from bundle.model.worst_images import ImageError, worst_images, worst_of_errors
+from bundle.solving.constraints.camera_bounds import ActiveBound
+from bundle.solving.constraints.constraint_record import RuleEnd
+from bundle.solving.free_degrees import GaugeFreedom, gauge_freedom
+from bundle.solving.round_record import PartRecord, Round
+
+if TYPE_CHECKING:
+    from bundle.georeference.alignment_result import ControlPointError
+    from bundle.georeference.similarity import Similarity
+
+__all__ = ["Result"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Result(SolveRecord):
+    """A refined problem and how it came about.
+
+    Attributes:
+        problem: the refined problem.
+        initial_problem: the input, untouched.
+        options: every option as used.
+        summary: what the solver says.
+        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
+        build_time_in_seconds: from the arrays to a solver's problem and back, outside the solver.
+        solve_time_in_seconds: inside the solver.
+        factor_costs_before: (num_factors,) 1/2 rho(||r||^2) of each factor beside the observations,
+            in the order given, at the input; nan where it has no value.
+        factor_costs_after: the same at the output.
+        active_bounds: the bounds on which camera parameters end: key of the camera, name of the
+            parameter, "lower" or "upper".
+        constraints: what became of each rule: pulls of priors in sigmas, active bounds, ties.
+        similarity: by which the input was moved to where priors of positions say that it is, before
+            the solve; None where it was not. ``initial_problem`` is the input as it was.
+        control_points: ground control and check points, in the order given: the model minus the
+            survey where the refined cameras see them.
+        rounds: of :func:`bundle.solve_rounds`; options, summary, iterations and times are those of
+            the last round's adjustment, and ``problem`` is what its filter has left.
+        part: which part of the problem took part, where only some images were refined; the costs
+            are of this part, the reprojection errors of the whole problem.
+    """
+
+    problem: Problem
+    initial_problem: Problem
+    factor_costs_before: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    factor_costs_after: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    active_bounds: tuple[ActiveBound, ...] = ()
+    constraints: tuple[RuleEnd, ...] = ()
+    similarity: Similarity | None = None
+    control_points: tuple[ControlPointError, ...] = ()
+    rounds: tuple[Round, ...] = ()
+    part: PartRecord | None = None
+
+    @cached_property
+    def reprojection_error_before(self) -> ReprojectionError:
+        """Statistics in pixels at the input, measured when first asked for."""
+        return self._measure(self.initial_problem)
+
+    @cached_property
+    def reprojection_error_after(self) -> ReprojectionError:
+        """Statistics in pixels at the output, measured when first asked for."""
+        return self._measure(self.problem)
+
+    @cached_property
+    def worst_images(self) -> tuple[ImageError, ...]:
+        """The images with the largest errors at the output, measured when first asked for."""
+        options = self.options
+        return worst_images(self.problem, options.cheirality, num_threads=options.num_threads)
+
+    @cached_property
+    def gauge_freedom(self) -> GaugeFreedom:
+        """Degrees of freedom that the observations left open at the input."""
+        return gauge_freedom(self.initial_problem, self.options)
+
+    def measure(self) -> None:
+        """Measure all of these now, so that asking for them takes no time."""
+        _ = self.reprojection_error_before
+        if {"reprojection_error_after", "worst_images"} <= vars(self).keys():
+            return
+        # Both are of the same errors, which are computed once and not kept.
+        problem, options = self.problem, self.options
+        cheirality = resolve_cheirality(problem, options.cheirality)
+        errors, behind = reprojection_errors(
+            problem, cheirality=cheirality, num_threads=options.num_threads
+        )
+        values = vars(self)  # where cached_property keeps them; the dataclass itself is frozen
+        values["worst_images"] = worst_of_errors(problem, errors, behind, cheirality)
+        values["reprojection_error_after"] = summarize_errors(errors, behind, cheirality)
+
+    def _factor_facts(self) -> tuple[tuple[str, str], ...]:
+        count = self.summary.num_factors
+        if count == 0:
+            return ()
+        before, after = float(self.factor_costs_before.sum()), float(self.factor_costs_after.sum())
+        return (("factors", f"{count}, cost {change(before, after)}"),)
+
+    def _place_facts(self) -> tuple[tuple[str, str], ...]:
+        if self.similarity is None:
+            return ()
+        return (("moved", f"to its priors, {self.similarity.scale:.6g} times as large"),)
+
+    def _bound_facts(self) -> tuple[tuple[str, str], ...]:
+        bounds = [f"{name} of camera {key[1]} ({side})" for key, name, side in self.active_bounds]
+        if not bounds:
+            return ()
+        more = f" and {len(bounds) - 3} more" if len(bounds) > 3 else ""
+        return (("at bounds", ", ".join(bounds[:3]) + more),)
+
+    def _rule_facts(self) -> tuple[tuple[str, str], ...]:
+        if not self.constraints:
+            return ()
+        pulls = [prior for rule in self.constraints for prior in rule.priors]
+        words = plural(len(self.constraints), "rule")
+        if pulls:
+            most = max(pulls, key=lambda prior: abs(prior.pull))
+            words += (
+                f", {plural(len(pulls), 'prior')}; the largest pull is {most.pull:+.3g} sigmas, "
+                f"{most.parameter} of {most.subject} {most.id}"
+            )
+        return (("constraints", words),)
+
+    def _round_facts(self) -> tuple[tuple[str, str], ...]:
+        if not self.rounds:
+            return ()
+        observations = sum(done.num_observations_removed for done in self.rounds)
+        points = sum(done.num_points_removed for done in self.rounds)
+        return (
+            (
+                "rounds",
+                f"{len(self.rounds)}; {plural(observations, 'observation')} and "
+                f"{plural(points, 'point')} removed",
+            ),
+        )
+
+    def _measure(self, problem: Problem) -> ReprojectionError:
+        options = self.options
+        return reprojection_error(problem, options.cheirality, num_threads=options.num_threads)
+
+    def _display(self) -> Display:
+        summary = self.summary
+        before, after = self.reprojection_error_before, self.reprojection_error_after
+        solver = f"{summary.backend_used} {summary.linear_solver_type_used}"
+        facts = [
+            (
+                "last adjustment's cost" if self.rounds else "cost",
+                change(summary.initial_cost, summary.final_cost),
+            ),
+            *held_facts(summary),
+            ("RMSE", f"{pixels(before.rmse)} -> {pixels(after.rmse)} px"),
+            ("time", f"{seconds(self.build_time_in_seconds + self.solve_time_in_seconds)} s"),
+            ("solver", f"{solver} on {plural(summary.num_threads_used, 'thread')}"),
+            ("problem", contents(self.problem)),
+            *self._round_facts(),
+            *self._factor_facts(),
+            *self._place_facts(),
+            *self._bound_facts(),
+            *self._rule_facts(),
+            *(("warning", warning) for warning in summary.warnings),
+        ]
+        return Display(title=f"Result: {self.outcome}", facts=tuple(facts))

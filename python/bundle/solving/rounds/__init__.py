@@ -1,0 +1,1 @@
+"""Rounds of solves and filters, checkpoints, local adjustment."""

@@ -1,0 +1,277 @@
+"""The file from which a killed run goes on.
+
+It is a NumPy archive (.npz) of the values that the next solve starts from, of what the filters have
+left, and of what was done, with a fingerprint of the run: a digest of the input, and every option
+that decides the result (not the number of threads). It is replaced whole or not at all
+(``bundle.io.atomic.atomic_write``: written beside, flushed, renamed): a kill at any instant leaves
+a checkpoint.
+
+A checkpoint costs its size, 24 bytes per point and 56 per image (and frame of a rig) beside a bit
+per observation, and the wait for the disk.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError, first_line, shown
+from bundle.interface.options import SolveOptions
+from bundle.interface.process_record import ProcessRecord
+from bundle.interface.summary import Summary
+from bundle.io.atomic import atomic_write as atomic
+from bundle.model.problem import Problem
+from bundle.solving.result import Result
+from bundle.solving.round_record import Round
+from bundle.solving.rounds.filtering import subset
+from bundle.solving.solver import STATE
+
+__all__ = [
+    "State",
+    "check_target",
+    "fingerprint_of_options",
+    "read",
+    "read_by",
+    "result_of_record",
+    "write",
+]
+
+SCHEMA = "bundle checkpoint 2"  # 1: another digest of the input
+
+NOT_DECISIVE = ("num_threads", "check_solution")
+
+_Mask = NDArray[np.bool_]
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class State:
+    """Where a run of rounds is.
+
+    Attributes:
+        problem: what the next solve starts from, or the end.
+        observation_mask: which observations of the first round's problem are left.
+        point_mask: which of its points are left.
+        rounds: that are over.
+        so_far: what was done of the current round, or the last one if the run has ended.
+        has_ended: whether nothing is left to do.
+    """
+
+    problem: Problem
+    observation_mask: _Mask
+    point_mask: _Mask
+    rounds: tuple[Round, ...] = ()
+    so_far: Result | None = None
+    has_ended: bool = False
+
+
+def fingerprint_of_options(options: SolveOptions) -> dict[str, Any]:
+    """Return the options that decide the result, as JSON has them."""
+    kept = {name: value for name, value in options.asdict().items() if name not in NOT_DECISIVE}
+    plain: dict[str, Any] = json.loads(json.dumps(kept))
+    return plain
+
+
+def check_target(path: Path) -> None:
+    """Refuse now what cannot become a checkpoint later, or holds something else.
+
+    Raises:
+        InputError: a folder, a device, no folder to be in, or a file that is no checkpoint.
+        OSError: there is no permission to write.
+    """
+    atomic.check_file(path)
+    if path.exists() and path.stat().st_size > 0:
+        _open(path)
+
+
+def write(path: Path, state: State, fingerprint: Mapping[str, Any]) -> None:
+    """Replace a checkpoint.
+
+    Raises:
+        OSError: the system refuses: no permission, disk full.
+    """
+    meta = {
+        "schema": SCHEMA,
+        "fingerprint": dict(fingerprint),
+        "rounds": [dataclasses.asdict(done) for done in state.rounds],
+        "has_ended": state.has_ended,
+        "so_far": None if state.so_far is None else _record(state.so_far),
+    }
+    arrays: dict[str, Any] = {} if state.so_far is None else _prefixed(state.so_far.iterations)
+    with atomic.replace_file(path) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            meta=np.frombuffer(json.dumps(meta).encode(), np.uint8),
+            **{name: getattr(state.problem, name) for name in STATE},
+            observation_mask=np.packbits(state.observation_mask),
+            point_mask=np.packbits(state.point_mask),
+            **arrays,
+        )
+
+
+def read(
+    path: Path, start: Problem, options: SolveOptions, fingerprint: Mapping[str, Any]
+) -> State:
+    """Return the state that a checkpoint holds.
+
+    Args:
+        path: of the checkpoint.
+        start: the problem of the first round.
+        options: every option as used.
+        fingerprint: of this run.
+
+    Raises:
+        InputError: the file is no checkpoint, or one of another input or other options.
+        OSError: the file cannot be read.
+    """
+
+    def state(meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> State:
+        return _state(meta, arrays, start, options)
+
+    return read_by(state, path, fingerprint)
+
+
+def read_by(
+    make: Callable[[dict[str, Any], dict[str, NDArray[Any]]], Made],
+    path: Path,
+    fingerprint: Mapping[str, Any],
+) -> Made:
+    """Return what is made of the record and the arrays of a checkpoint.
+
+    Raises:
+        InputError, OSError: as :func:`read`.
+    """
+    meta, arrays = _open(path)
+    _compare(path, meta["fingerprint"], fingerprint)
+    try:
+        return make(meta, arrays)
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise InputError(
+            f"{shown(path)}: expected a checkpoint, found a damaged one ({first_line(error)})"
+        ) from None
+
+
+def _state(
+    meta: dict[str, Any], arrays: dict[str, NDArray[Any]], start: Problem, options: SolveOptions
+) -> State:
+    sizes = start.num_observations, start.num_points
+    masks = [
+        np.unpackbits(arrays[name], count=size).astype(bool)
+        for name, size in zip(("observation_mask", "point_mask"), sizes, strict=True)
+    ]
+    problem = subset(start, *masks).replace(**{name: arrays[name] for name in STATE})
+    so_far = meta["so_far"]
+    if so_far is not None:
+        so_far = result_of_record(so_far, arrays, problem, options)
+    return State(
+        problem=problem,
+        observation_mask=masks[0],
+        point_mask=masks[1],
+        rounds=tuple(Round(**done) for done in meta["rounds"]),
+        so_far=so_far,
+        has_ended=bool(meta["has_ended"]),
+    )
+
+
+def _record(result: Result) -> dict[str, Any]:
+    return {
+        "summary": dataclasses.asdict(result.summary),
+        "factor_costs_before": result.factor_costs_before.tolist(),
+        "factor_costs_after": result.factor_costs_after.tolist(),
+        "active_bounds": [[list(key), name, side] for key, name, side in result.active_bounds],
+        "build_time_in_seconds": result.build_time_in_seconds,
+        "solve_time_in_seconds": result.solve_time_in_seconds,
+    }
+
+
+def result_of_record(
+    record: dict[str, Any],
+    arrays: dict[str, NDArray[Any]],
+    problem: Problem,
+    options: SolveOptions,
+) -> Result:
+    """Return what was done of a round, of the record and the arrays of a checkpoint."""
+    summary: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in record["summary"].items()
+    }
+    if summary.get("processes") is not None:
+        summary["processes"] = ProcessRecord.of_dict(summary["processes"])
+    return Result(
+        problem=problem,
+        initial_problem=problem,
+        options=options,
+        summary=Summary(**summary),
+        iterations=_without_prefix(arrays),
+        factor_costs_before=np.array(record["factor_costs_before"], float),
+        factor_costs_after=np.array(record["factor_costs_after"], float),
+        active_bounds=tuple(
+            ((key[0], key[1]), name, side) for key, name, side in record["active_bounds"]
+        ),
+        build_time_in_seconds=record["build_time_in_seconds"],
+        solve_time_in_seconds=record["solve_time_in_seconds"],
+    )
+
+
+def _prefixed(iterations: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {f"iterations.{name}": values for name, values in iterations.items()}
+
+
+def _without_prefix(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {
+        name.partition(".")[2]: values
+        for name, values in arrays.items()
+        if name.startswith("iterations.")
+    }
+
+
+def _open(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return what a checkpoint holds: about the run, and arrays."""
+    try:
+        with path.open("rb") as file:
+            if file.read(2) != b"PK":
+                raise ValueError("another kind of file")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = dict(archive.items())
+        meta = json.loads(arrays.pop("meta").tobytes())
+        if meta["schema"] != SCHEMA:
+            raise ValueError(f"schema {meta['schema']!r}")
+        _ = meta["fingerprint"]["input"]
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{shown(path)}: expected a checkpoint of bundle, found something else "
+            f"({first_line(error)})"
+        ) from None
+    return meta, arrays
+
+
+def _compare(path: Path, saved: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    in_order = "order" not in saved or saved["order"] == now.get("order", saved["order"])
+    if saved["input"] != now["input"] or not in_order:
+        raise InputError(
+            f"{shown(path)}: expected a checkpoint of this input, found one of another input"
+        )
+    for name in _names(saved, now):
+        if saved.get(name) != now.get(name):
+            raise InputError(
+                f"{name}: expected {_short(saved.get(name))} as in the checkpoint {shown(path)}, "
+                f"found {_short(now.get(name))}"
+            )
+
+
+def _names(saved: Mapping[str, Any], now: Mapping[str, Any]) -> Iterable[str]:
+    return (name for name in dict.fromkeys([*now, *saved]) if name != "order")
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

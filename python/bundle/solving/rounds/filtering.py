@@ -1,0 +1,174 @@
+"""Removal of observations and points that a reconstruction is better without, by COLMAP's rules.
+
+As ``ObservationManager::FilterAllPoints3D``, in this order, since an outlier must not make a point
+look well triangulated:
+
+1. An observation goes if its reprojection error exceeds ``max_error`` pixels, if the point is
+   behind the camera, or if there is no projection.
+2. A point goes, with all that is left of its track, if fewer than ``min_track_length``
+   observations are left.
+3. A point goes if the largest angle between two of the rays that are left is below ``min_angle``
+   degrees. An angle above 90 degrees counts as its supplement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arguments import as_integers
+from bundle.base.display import Display, Displayed
+from bundle.base.words import contents, plural
+from bundle.errors import InputError
+from bundle.interface.round_options import RoundOptions
+from bundle.io.source import Source, as_problem
+from bundle.model.problem import Problem
+from bundle.model.ray_angles import enclose_angle
+from bundle.model.reprojection import reprojection_errors
+
+__all__ = ["Filtered", "filter_observations", "subset"]
+
+_Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Filtered(Displayed):
+    """A problem without what was removed, and what that was.
+
+    Attributes:
+        problem: the problem that is left; the one that was given if nothing was removed.
+        observation_mask: (num_observations,) of the given problem: the observations that stay.
+        point_mask: (num_points,) of the given problem: the points that stay.
+        num_observations_removed: in total, those of removed points included.
+        num_points_removed: in total.
+        num_observations_beyond_max_error: observations removed by rule 1, those behind the camera
+            or without a projection included.
+        num_points_with_short_track: points removed by rule 2.
+        num_points_below_min_angle: points removed by rule 3.
+    """
+
+    problem: Problem
+    observation_mask: _Mask
+    point_mask: _Mask
+    num_observations_removed: int
+    num_points_removed: int
+    num_observations_beyond_max_error: int
+    num_points_with_short_track: int
+    num_points_below_min_angle: int
+
+    def _display(self) -> Display:
+        return Display(
+            title=(
+                f"Filtered: {plural(self.num_observations_removed, 'observation')} and "
+                f"{plural(self.num_points_removed, 'point')} removed"
+            ),
+            facts=(
+                ("beyond the largest error", str(self.num_observations_beyond_max_error)),
+                ("points with a short track", str(self.num_points_with_short_track)),
+                ("points below the angle", str(self.num_points_below_min_angle)),
+                ("left", contents(self.problem)),
+            ),
+        )
+
+
+def filter_observations(
+    problem: Source,
+    max_error: float = 4.0,
+    min_angle: float = 1.5,
+    min_track_length: int = 2,
+    *,
+    kept_point_ids: Iterable[int] = (),
+    kept_track_ids: Iterable[int] = (),
+    num_threads: int = 0,
+) -> Filtered:
+    """Remove observations with large errors, and points with short tracks or small angles.
+
+    The rules are COLMAP's (``ObservationManager.filter_all_points3D``). Cameras and images stay,
+    observed or not. What is left keeps ids, tracks, keypoints and colours: saved as a COLMAP model,
+    the keypoints of removed observations have no point.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        max_error: largest reprojection error of an observation, in pixels. Observations behind
+            their camera, and those without a projection, exceed any.
+        min_angle: smallest triangulation angle of a point, in degrees from 0 to 90: the largest one
+            over all pairs of its observations counts. A point with a single observation has none;
+            0 asks for none.
+        min_track_length: smallest number of observations of a point.
+        kept_point_ids: ids of points that stay whatever their track and angle are, such as surveyed
+            ones; their observations are held to ``max_error``.
+        kept_track_ids: ids of points that stay with all of their observations.
+        num_threads: 0: all cores.
+
+    Raises:
+        InputError: a limit is out of range, an id is no point's, or an observed image has a camera
+            model that is not supported.
+        OSError: the path cannot be read.
+
+    Example:
+        >>> filtered = bundle.filter_observations(result.problem, max_error=2.0)
+        >>> result = bundle.solve(filtered.problem)
+    """
+    problem = as_problem(problem)
+    limits = RoundOptions(
+        max_error=max_error, min_angle=min_angle, min_track_length=min_track_length
+    )
+    tracks = _mask_of("kept_track_ids", problem, kept_track_ids)
+    always = tracks | _mask_of("kept_point_ids", problem, kept_point_ids)
+    errors, behind = reprojection_errors(problem, num_threads=num_threads)
+    good = (errors <= limits.max_error) & ~behind  # false for nan
+    if tracks.any():
+        good |= tracks[problem.observation_point]
+    return _filtered(problem, good, limits, always)
+
+
+def _filtered(problem: Problem, good: _Mask, limits: RoundOptions, always: _Mask) -> Filtered:
+    left = np.flatnonzero(good)
+    point = problem.observation_point
+    track = np.bincount(point[left], minlength=problem.num_points)
+    short = (track < limits.min_track_length) & ~always
+    stays = ~short
+    if limits.min_angle > 0:
+        stays &= always | enclose_angle(problem, left, limits.min_angle)
+    observations = good & stays[point]
+    num_observations = int(observations.sum())
+    num_points = int(stays.sum())
+    return Filtered(
+        problem=subset(problem, observations, stays),
+        observation_mask=observations,
+        point_mask=stays,
+        num_observations_removed=problem.num_observations - num_observations,
+        num_points_removed=problem.num_points - num_points,
+        num_observations_beyond_max_error=problem.num_observations - len(left),
+        num_points_with_short_track=int(short.sum()),
+        num_points_below_min_angle=problem.num_points - num_points - int(short.sum()),
+    )
+
+
+def subset(problem: Problem, observations: _Mask, points: _Mask) -> Problem:
+    """Return a problem with some of its observations and points; the points of those are kept."""
+    if observations.all() and points.all():
+        return problem
+    left = np.flatnonzero(observations)
+    rows = np.cumsum(points, dtype=np.int32) - np.int32(1)
+    sigma = problem.observation_sigma
+    return problem.replace(
+        points=problem.points[points],
+        point_ids=problem.point_ids[points],
+        observation_image=problem.observation_image.take(left),
+        observation_point=rows.take(problem.observation_point.take(left)),
+        observation_xy=problem.observation_xy.take(left, axis=0),
+        observation_keypoint=problem.observation_keypoint.take(left),
+        observation_sigma=None if sigma is None else sigma.take(left),
+    )
+
+
+def _mask_of(name: str, problem: Problem, point_ids: Iterable[int]) -> _Mask:
+    ids = as_integers(name, point_ids)
+    found = np.isin(ids, problem.point_ids)
+    if not found.all():
+        raise InputError(f"{name}: there is no point {ids[~found].flat[0]} in the problem")
+    return np.isin(problem.point_ids, ids) if ids.size else np.zeros(problem.num_points, bool)

@@ -1,0 +1,101 @@
+"""What tells the input of a run from others, whoever has which part of it.
+
+The digest is of all arrays and names of a problem, not of where it came from. Points and
+observations are rows: each is hashed, and the hashes are added modulo 2^64. So processes that have
+slices add what they have, and a checkpoint of theirs is one of the whole problem. A point's row has
+its index, as a checkpoint has coordinates by index. The order of observations does not matter to a
+solve; rounds, which remember the observations that are left, have ``digest_of_order`` besides.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.model.problem import Problem
+
+__all__ = ["digest", "digest_of_order", "digest_of_parts", "sums_of_rows"]
+
+_ROWS = ("points", "point_ids", "observation_sigma")
+_BLOCK = 1 << 18
+"""Rows that are hashed at a time."""
+
+_Sums = NDArray[np.uint64]
+
+
+def digest(problem: Problem) -> str:
+    """Return what tells a problem from others."""
+    return digest_of_parts(problem, sums_of_rows(problem, np.arange(problem.num_points)))
+
+
+def digest_of_order(problem: Problem) -> str:
+    """Return what tells an order of the observations from others."""
+    digest = hashlib.sha256()
+    for name in ("observation_image", "observation_point", "observation_xy"):
+        digest.update(np.ascontiguousarray(getattr(problem, name)).data)
+    return digest.hexdigest()
+
+
+def digest_of_parts(cameras: Problem, sums: _Sums) -> str:
+    """Return the same of the images and cameras, and of the sums of all parts."""
+    digest = hashlib.sha256(sums.tobytes())
+    for field in dataclasses.fields(cameras):
+        name = field.name
+        if name == "source" or name in _ROWS or name.startswith("observation_"):
+            continue
+        value = getattr(cameras, name)
+        if isinstance(value, np.ndarray):
+            digest.update(f"{name} {value.dtype} {value.shape}".encode())
+            digest.update(np.ascontiguousarray(value).data)
+        else:
+            digest.update(f"{name} {value!r}".encode())
+    return digest.hexdigest()
+
+
+def sums_of_rows(part: Any, places: NDArray[np.int64]) -> _Sums:
+    """Return numbers, hashes and hashes mixed once more, of points, then of observations.
+
+    Args:
+        part: a problem, or a part of one (``ranks.partition.ProblemPart``).
+        places: (num_points,) index in the problem of each point of the part.
+    """
+    ids, point = part.point_ids, part.observation_point
+    sigma = () if part.observation_sigma is None else (part.observation_sigma,)
+    xy, xyz = part.observation_xy, part.points
+    points = _sums(len(ids), lambda rows: [places[rows], ids[rows], *xyz[rows].T])
+    seen = _sums(
+        len(point),
+        lambda rows: [
+            part.observation_image[rows],
+            ids[point[rows]],
+            part.observation_keypoint[rows],
+            *xy[rows].T,
+            *(values[rows] for values in sigma),
+        ],
+    )
+    return np.stack([points, seen])
+
+
+def _sums(count: int, columns: Any) -> _Sums:
+    total = np.array([count, 0, 0], np.uint64)
+    for first in range(0, count, _BLOCK):
+        rows = slice(first, min(first + _BLOCK, count))
+        hashes = np.zeros(rows.stop - first, np.uint64)
+        for column in columns(rows):
+            is_real = column.dtype == np.float64
+            bits = np.ascontiguousarray(column).view(np.uint64) if is_real else column
+            hashes = _mixed(hashes ^ bits.astype(np.uint64))
+        total += np.array([0, hashes.sum(), _mixed(hashes).sum()], np.uint64)
+    return total
+
+
+def _mixed(words: _Sums) -> _Sums:
+    """Return words whose every bit depends on all bits (the finalizer of SplitMix64)."""
+    words = words + np.uint64(0x9E3779B97F4A7C15)
+    words = (words ^ (words >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    words = (words ^ (words >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return words ^ (words >> np.uint64(31))

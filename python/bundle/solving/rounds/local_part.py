@@ -1,0 +1,248 @@
+"""The part of a problem that moves when only some images do (COLMAP's local bundle adjustment).
+
+The named images and all points that they see are refined. Other images that see one of these
+points, the neighbours, take part, so that a point stays where they see it. What becomes of the rest
+is one of two choices.
+
+"fixed": neighbours are held, and what none of the named images sees does not reach the solver.
+Intrinsics are refined of cameras that took a named image, held of others: a camera that also took
+held images changes their projections, which the record of the part says.
+
+"marginal": neighbours and their cameras are unknowns, too, under the prior that all else leaves
+when it is marginalised (rest_prior.py). What they become is not part of the result: only named
+images, their points and their cameras are. A factor takes part if it touches one of these, or
+nothing but neighbours and their cameras; other factors go into the prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.errors import InputError
+from bundle.interface.options import SolveOptions
+from bundle.model.extract import Extract, with_frames
+from bundle.model.problem import Problem
+from bundle.solving.round_record import PartRecord
+from bundle.solving.rounds.filtering import subset
+
+if TYPE_CHECKING:
+    from bundle.graphs.factors.factors import Factor
+
+__all__ = ["LocalPart", "touched_ids"]
+
+_Indices = NDArray[np.int64]
+_Mask = NDArray[np.bool_]
+
+
+class LocalPart:
+    """A problem of its own for some images, and the way back.
+
+    Args:
+        whole: the problem.
+        image_ids: of the images that are refined, all of them in the problem.
+        factors: whose variables have to be in the part; with the rest fixed, those that are nothing
+            to the images are held.
+        marginal: whether the rest is marginalised.
+
+    Attributes:
+        problem: what goes to the solver.
+        record: what that is, for reports.
+        named_ids: of the images that are refined, in the order of the problem.
+        factors: that take part.
+        factors_of_rest: the others.
+        named: (num_images,) mask in the whole, as all others: the images that are refined.
+        neighbours: other images that take part.
+        seen: (num_points,) points that are refined.
+        cameras: (num_cameras,) cameras that take part.
+        extract: the problem of the part, with its places in the whole.
+    """
+
+    def __init__(
+        self,
+        whole: Problem,
+        image_ids: Iterable[int],
+        factors: Iterable[Factor] = (),
+        *,
+        marginal: bool = False,
+    ) -> None:
+        self._whole, self._marginal = whole, marginal
+        self.named = with_frames(whole, np.isin(whole.image_ids, list(image_ids)))
+        self.named_ids: list[int] = whole.image_ids[self.named].tolist()
+        self.seen = np.zeros(whole.num_points, bool)
+        self.seen[whole.observation_point[self.named[whole.observation_image]]] = True
+        refined_cameras = np.zeros(whole.num_cameras, bool)
+        refined_cameras[whole.image_camera[self.named]] = True
+        self.factors: tuple[Factor, ...] = tuple(factors)
+        self.factors_of_rest: tuple[Factor, ...] = ()
+        if marginal:
+            self._split_factors()
+        touched = touched_ids(self.factors)
+        points = self.seen | np.isin(whole.point_ids, touched["point"])
+        if marginal:
+            self.seen = points
+        observations = self.seen[whole.observation_point]
+        images = self._observing(self.seen) | np.isin(whole.image_ids, touched["image"])
+        if whole.num_frames:
+            frames = np.flatnonzero(np.isin(whole.frame_ids, touched["frame"]))
+            images |= np.isin(whole.image_frame, frames)
+        self.neighbours = images & ~self.named
+        self.cameras = np.isin(whole.camera_ids, touched["camera"])
+        self.cameras[whole.image_camera[images]] = True
+        self.extract = Extract.take(
+            whole, images=images, cameras=self.cameras, points=points, observations=observations
+        )
+        self.problem = self.extract.problem
+        self._named, self._seen = self.named[self.extract.images], self.seen[self.extract.points]
+        self._refined_cameras = refined_cameras[self.extract.cameras]
+        shared = np.unique(whole.image_camera[~self.named])
+        self.record = PartRecord(
+            num_images=int(self.named.sum()),
+            num_images_held=int(self.neighbours.sum()),
+            num_points=int(self.seen.sum()),
+            num_observations=len(self.extract.observations),
+            shared_camera_ids=tuple(whole.camera_ids[shared[refined_cameras[shared]]].tolist()),
+        )
+
+    def _observing(self, points: _Mask) -> _Mask:
+        """Return the named images, and all that see one of these points."""
+        whole, images = self._whole, self.named.copy()
+        images[whole.observation_image[points[whole.observation_point]]] = True
+        return images
+
+    def _split_factors(self) -> None:
+        """Leave the factors that touch what is refined, or nothing but neighbours."""
+        whole = self._whole
+        near = self._observing(self.seen)
+        cameras = set(whole.camera_ids[np.unique(whole.image_camera[near])].tolist())
+        of_part = {("camera", key) for key in cameras}
+        of_rest = {("camera", key) for key in whole.camera_ids.tolist()}
+        kinds = [
+            ("image", whole.image_ids, self.named, near),
+            ("point", whole.point_ids, self.seen, self.seen),
+        ]
+        if whole.num_frames:
+            refined, in_part = _frames_of(whole, self.named), _frames_of(whole, near)
+            kinds.append(("frame", whole.frame_ids, refined, in_part))
+        for kind, ids, refined, in_part in kinds:
+            of_part |= {(kind, key) for key in ids[in_part & ~refined].tolist()}
+            of_rest |= {(kind, key) for key in ids[~refined].tolist()}
+        here: list[Factor] = []
+        there: list[Factor] = []
+        for factor in self.factors:
+            keys: set[Any] = set(factor.keys)
+            (there if keys <= of_rest and not keys <= of_part else here).append(factor)
+        self.factors, self.factors_of_rest = tuple(here), tuple(there)
+
+    def options(self, options: SolveOptions) -> SolveOptions:
+        """Return the options of a solve of the part: all that does not belong to it is held."""
+        part, whole = self.problem, self._whole
+        if self._marginal:
+            options = self.whole_frames_fixed(options)
+        refined = {
+            "image": (whole.image_ids, part.image_ids, self._named),
+            "camera": (whole.camera_ids, part.camera_ids, self._refined_cameras),
+            "point": (whole.point_ids, part.point_ids, self._seen),
+        }
+        fixed: dict[str, Any] = {}
+        for kind, (known, ids, moves) in refined.items():
+            free = np.ones(len(ids), bool) if self._marginal else moves
+            name = f"fixed_{kind}_ids"
+            fixed[name] = _held(name, options, known, ids, free)
+        # To move a sensor on its rig is to move images of every frame.
+        return options.replace(**fixed, refine_sensor_from_rig=False, fixed_sensors=())
+
+    def whole_frames_fixed(self, options: SolveOptions) -> SolveOptions:
+        """Return the options with all images of a frame held where one is."""
+        whole = self._whole
+        held = with_frames(whole, np.isin(whole.image_ids, options.fixed_image_ids))
+        ids = {*options.fixed_image_ids, *whole.image_ids[held].tolist()}
+        return options.replace(fixed_image_ids=tuple(sorted(ids)))
+
+    @property
+    def refined_ids(self) -> dict[str, set[int]]:
+        """Ids of the cameras, images and points that are refined."""
+        part = self.problem
+        return {
+            "camera": set(part.camera_ids[self._refined_cameras].tolist()),
+            "image": set(part.image_ids[self._named].tolist()),
+            "point": set(part.point_ids[self._seen].tolist()),
+        }
+
+    def bounds(self, bounds: Mapping[Any, Any] | None) -> Mapping[Any, Any] | None:
+        """Return the bounds without those of cameras that are not in the part."""
+        if bounds is None:
+            return None
+        outside = set(self._whole.camera_ids.tolist()) - set(self.problem.camera_ids.tolist())
+        keys = {("camera", camera_id) for camera_id in outside}
+        return {key: value for key, value in bounds.items() if key not in keys}
+
+    def merge(self, refined: Problem, observation_mask: _Mask, point_mask: _Mask) -> Problem:
+        """Return the whole problem with the values of the part that were refined.
+
+        Args:
+            refined: the part, or what is left of it.
+            observation_mask: which observations of the part are left.
+            point_mask: which points of the part are left.
+        """
+        whole, taken = self._whole, self.extract
+        pose, params = whole.cam_from_world.copy(), whole.camera_params.copy()
+        xyz = whole.points.copy()
+        pose[taken.images[self._named]] = refined.cam_from_world[self._named]
+        rigs: dict[str, Any] = {}
+        moving = _frames_of(whole, self.named)[taken.frames] if len(taken.frames) else ()
+        if np.any(moving):
+            frames = whole.rig_from_world.copy()
+            frames[taken.frames[moving]] = refined.rig_from_world[moving]
+            rigs = {"rig_from_world": frames, "sensor_from_rig": whole.sensor_from_rig}
+        width = refined.camera_params.shape[1]
+        params[taken.cameras[self._refined_cameras], :width] = refined.camera_params[
+            self._refined_cameras
+        ]
+        moved = self._seen[point_mask]
+        xyz[taken.points[point_mask][moved]] = refined.points[moved]
+        values = whole.replace(cam_from_world=pose, camera_params=params, points=xyz, **rigs)
+        left = np.ones(whole.num_observations, bool)
+        left[taken.observations] = False
+        left[taken.observations[observation_mask]] = True
+        stays = np.ones(whole.num_points, bool)
+        stays[taken.points] = False
+        stays[taken.points[point_mask]] = True
+        return subset(values, left, stays)
+
+
+def _frames_of(problem: Problem, images: _Mask) -> _Mask:
+    """Return the frames of images as a mask."""
+    frames = np.zeros(problem.num_frames, bool)
+    of_images = problem.image_frame[images]
+    frames[of_images[of_images >= 0]] = True
+    return frames
+
+
+def touched_ids(factors: Iterable[Factor]) -> dict[str, list[Any]]:
+    """Return the ids of the variables of factors by kind."""
+    kinds = ("image", "camera", "point", "frame", "sensor")
+    touched: dict[str, list[Any]] = {kind: [] for kind in kinds}
+    keys: list[Any] = [key for factor in factors for key in factor.keys]
+    for key in keys:
+        if isinstance(key, tuple) and len(key) == 2 and key[0] in kinds:  # else refused later
+            touched[key[0]].append(key[1])
+    return touched
+
+
+def _held(
+    name: str,
+    options: SolveOptions,
+    known: _Indices,
+    part: _Indices,
+    refined: NDArray[np.bool_],
+) -> tuple[int, ...]:
+    """Return the ids of the part that are held: those given, and those that are not refined."""
+    given = np.array(getattr(options, name), np.int64)
+    unknown = ~np.isin(given, known)
+    if unknown.any():
+        raise InputError(f"{name}: expected ids in the problem, found {given[unknown][0]}")
+    return tuple({*part[~refined].tolist(), *given[np.isin(given, part)].tolist()})

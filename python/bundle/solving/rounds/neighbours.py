@@ -1,0 +1,80 @@
+"""The images around a part of a problem, which stand under the prior of the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.interface.options import SolveOptions
+from bundle.model.extract import Extract
+from bundle.model.problem import Problem
+from bundle.model.problem_keys import parameter_names
+from bundle.solving.rounds.local_part import LocalPart
+
+__all__ = ["Neighbours"]
+
+_Floats = NDArray[np.float64]
+_Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """Neighbours of a part that are free, as masks in the whole; images without a frame."""
+
+    images: _Mask
+    frames: _Mask
+    cameras: _Mask
+
+    @staticmethod
+    def find(whole: Problem, part: LocalPart, options: SolveOptions) -> Neighbours:
+        """Return the neighbours of a part that may move."""
+        free = part.neighbours & ~np.isin(whole.image_ids, options.fixed_image_ids)
+        frames = np.zeros(whole.num_frames, bool)
+        if whole.num_frames:
+            of_images = whole.image_frame[free]
+            frames[of_images[of_images >= 0]] = True
+            free = free & (whole.image_frame < 0)
+        cameras = part.cameras & ~np.isin(whole.camera_ids, options.fixed_camera_ids)
+        return Neighbours(free, frames, cameras)
+
+    def rows_in(self, extract: Extract) -> tuple[list[int], list[int], list[int]]:
+        """Return those that an extract has, by their places in it."""
+        masks = (self.images, extract.images), (self.frames, extract.frames)
+        images, frames, cameras = (
+            np.flatnonzero(mask[indices]).tolist() if len(mask) else []
+            for mask, indices in (*masks, (self.cameras, extract.cameras))
+        )
+        return images, frames, cameras
+
+    def variables(self, whole: Problem) -> list[tuple[tuple[str, int], int]]:
+        """Return keys and tangent sizes: images, frames, cameras."""
+        found = [(("image", key), 6) for key in whole.image_ids[self.images].tolist()]
+        found += [(("frame", key), 6) for key in whole.frame_ids[self.frames].tolist()]
+        for row in np.flatnonzero(self.cameras).tolist():
+            width = len(parameter_names("rest", whole, row))
+            found.append((("camera", int(whole.camera_ids[row])), width))
+        return found
+
+    def size(self, whole: Problem) -> int:
+        """Return how many tangent coordinates they have."""
+        return sum(size for _, size in self.variables(whole))
+
+    def coordinates(self, whole: Problem, extract: Extract) -> NDArray[np.int64]:
+        """Return which tangent coordinates those in an extract are, in its order."""
+        images, frames, cameras = self.rows_in(extract)
+        problem = extract.problem
+        there = {("image", int(problem.image_ids[row])) for row in images}
+        there |= {("frame", int(problem.frame_ids[row])) for row in frames}
+        there |= {("camera", int(problem.camera_ids[row])) for row in cameras}
+        masks = [np.full(size, key in there) for key, size in self.variables(whole)]
+        return np.flatnonzero(np.concatenate(masks)) if masks else np.empty(0, np.int64)
+
+    def values(self, whole: Problem) -> list[tuple[tuple[str, int], _Floats]]:
+        """Return keys and values: images, frames, cameras."""
+        rows = [*whole.cam_from_world[self.images], *whole.rig_from_world[self.frames]]
+        for row in np.flatnonzero(self.cameras).tolist():
+            width = len(parameter_names("rest", whole, row))
+            rows.append(whole.camera_params[row, :width])
+        return [(key, value) for (key, _), value in zip(self.variables(whole), rows, strict=True)]

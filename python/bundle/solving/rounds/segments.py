@@ -1,0 +1,131 @@
+"""One adjustment as several solves of a few iterations, each of which starts where the last ended.
+
+A solver's state is more than the values of its problem: a trust region's radius, the chart of each
+rotation, the scaling of the columns. A solve that starts anew from saved values takes other steps.
+So a run that can be resumed always solves in segments: after every ``interval`` iterations the
+solver starts anew from values alone, which the checkpoint holds. The run that was killed and the
+one that was not then do the same solves from the same values.
+
+Both end where one solve ends, up to the tolerances. What a new start costs: the set-up, and a few
+steps until the radius, which begins at Ceres' default, is that of before. Under cheirality "zero" a
+segment decides anew which observations are behind their camera, as each round does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bundle.interface.options import SolveOptions
+from bundle.interface.solve_record import Progress
+from bundle.interface.summary import Summary
+from bundle.model.problem import Problem
+from bundle.solving.result import Result
+
+__all__ = ["join", "num_steps", "solve_in_segments"]
+
+COUNTS = ("num_residual_evaluations", "num_jacobian_evaluations", "num_linear_solves")
+
+
+def solve_in_segments(
+    solve: Callable[[Problem, SolveOptions, Progress | None], Result],
+    problem: Problem,
+    options: SolveOptions,
+    interval: int,
+    *,
+    so_far: Result | None = None,
+    progress: Progress | None = None,
+    save: Callable[[Result], None],
+) -> Result:
+    """Adjust a problem in segments.
+
+    Args:
+        solve: one segment, of a problem under options.
+        problem: where to start, or where the segments so far have ended.
+        options: of the whole adjustment.
+        interval: iterations of a segment.
+        so_far: what the segments so far did, if there are any.
+        progress: called after each iteration, with numbers that count on.
+        save: called after each segment but the last, with what was done so far.
+    """
+    while True:
+        done = 0 if so_far is None else num_steps(so_far)
+        length = min(interval, options.max_num_iterations - done)
+        segment = solve(
+            problem,
+            options.replace(max_num_iterations=length),
+            progress if so_far is None else _counting_on(progress, so_far),
+        )
+        problem = segment.problem
+        so_far = segment if so_far is None else join(so_far, segment)
+        goes_on = (
+            segment.summary.termination_type == "NO_CONVERGENCE"
+            and segment.summary.is_solution_usable
+            and not segment.summary.interrupted
+            and 0 < num_steps(segment) == length
+            and num_steps(so_far) < options.max_num_iterations
+        )
+        if not goes_on:
+            limit = options.max_num_iterations
+            return dataclasses.replace(
+                so_far, options=so_far.options.replace(max_num_iterations=limit)
+            )
+        save(so_far)
+
+
+def num_steps(result: Result) -> int:
+    """Return the number of steps, the rejected ones included."""
+    return len(result.iterations["iteration"]) - 1
+
+
+def join(first: Result, second: Result) -> Result:
+    """Return two segments as one adjustment."""
+    a, b = first.iterations, second.iterations
+    iterations = {name: np.concatenate([a[name], b[name][1:]]) for name in a}
+    tail = slice(len(a["iteration"]), None)
+    for name in ("iteration", "cumulative_time_in_seconds"):
+        iterations[name][tail] += a[name][-1]
+    return dataclasses.replace(
+        second,
+        initial_problem=first.initial_problem,
+        iterations=iterations,
+        summary=_join_summaries(first.summary, second.summary),
+        factor_costs_before=first.factor_costs_before,
+        build_time_in_seconds=first.build_time_in_seconds + second.build_time_in_seconds,
+        solve_time_in_seconds=first.solve_time_in_seconds + second.solve_time_in_seconds,
+    )
+
+
+def _join_summaries(first: Summary, second: Summary) -> Summary:
+    changes: dict[str, Any] = {"initial_cost": first.initial_cost}
+    times = [field.name for field in dataclasses.fields(Summary) if "_time_in_sec" in field.name]
+    for name in (*COUNTS, *times):
+        one, other = getattr(first, name), getattr(second, name)
+        if one is not None and other is not None and one >= 0 and other >= 0:  # -1: not measured
+            changes[name] = one + other
+    # Each segment counts the evaluation at its start as a successful step.
+    changes["num_successful_steps"] = first.num_successful_steps + second.num_successful_steps - 1
+    changes["num_unsuccessful_steps"] = first.num_unsuccessful_steps + second.num_unsuccessful_steps
+    steps = changes["num_successful_steps"] + changes["num_unsuccessful_steps"] - 1
+    changes["message"] = re.sub(r"(Number of iterations: )\d+", rf"\g<1>{steps}", second.message)
+    return dataclasses.replace(second, **changes)
+
+
+def _counting_on(progress: Progress | None, so_far: Result) -> Progress | None:
+    if progress is None:
+        return None
+    last = {name: values[-1] for name, values in so_far.iterations.items()}
+
+    def later(values: dict[str, Any]) -> None:
+        if values["iteration"] == 0:
+            return  # it was told as the last of the segment before
+        counted = {
+            name: values[name] + last[name] for name in ("iteration", "cumulative_time_in_seconds")
+        }
+        progress({**values, **counted})
+
+    return later

@@ -1,0 +1,97 @@
+"""How a solve moved sensors on their rigs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bundle.model.cameras import param_kinds
+from bundle.model.rotations import rotation_matrices
+from bundle.solving.result import Result
+
+__all__ = ["SensorChange", "sensor_changes", "weak_baseline"]
+
+WEAK_CHANGE = 0.02
+"""Share by which a focal length and a baseline change together that is said to be weak."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorChange:
+    """The pose of one sensor on its rig before and after a solve.
+
+    Attributes:
+        rig_id: of the source.
+        camera_id: of the source.
+        baseline_before: distance from the rig's origin, in the reconstruction's length unit.
+        baseline_after: likewise.
+        rotation: angle between the two orientations, in degrees.
+    """
+
+    rig_id: int
+    camera_id: int
+    baseline_before: float
+    baseline_after: float
+    rotation: float
+
+
+def sensor_changes(solved: Result) -> list[SensorChange]:
+    """Return the sensors that a solve moved, the largest change of the baseline first."""
+    first, last = solved.initial_problem.sensor_from_rig, solved.problem.sensor_from_rig
+    moved = np.flatnonzero((first != last).any(axis=1))
+    before, after = (np.linalg.norm(poses[moved, 4:], axis=1) for poses in (first, last))
+    turns = np.swapaxes(rotation_matrices(first[moved, :4]), 1, 2)
+    turns = rotation_matrices(last[moved, :4]) @ turns
+    # Twice the sine and cosine of the angle: exact near zero, where its cosine alone is not.
+    skew = np.stack([turns[:, i, j] - turns[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
+    cosine = np.trace(turns, axis1=1, axis2=2) - 1
+    angles = np.degrees(np.arctan2(np.linalg.norm(skew, axis=1), cosine))
+    problem = solved.problem
+    changes = [
+        SensorChange(
+            rig_id=int(problem.sensor_rig_ids[row]),
+            camera_id=int(problem.sensor_camera_ids[row]),
+            baseline_before=float(before[k]),
+            baseline_after=float(after[k]),
+            rotation=float(angles[k]),
+        )
+        for k, row in enumerate(moved)
+    ]
+    return sorted(changes, key=lambda change: -abs(change.baseline_after - change.baseline_before))
+
+
+def weak_baseline(solved: Result) -> str | None:
+    """Return a warning where a focal length and a baseline changed together, None elsewhere.
+
+    A longer baseline before longer lenses is nearly the same picture: images determine both
+    together only by how perspective changes within them, and a solve wanders far for little cost.
+    """
+    options = solved.options
+    if not options.refine_sensor_from_rig or "focal" not in options.refine:
+        return None
+    first, last = solved.initial_problem, solved.problem
+    framed = last.image_frame >= 0 if last.num_frames else np.zeros(last.num_images, bool)
+    focal = (0.0, "")
+    for camera in np.unique(last.image_camera[framed]).tolist():
+        for column, kind in enumerate(param_kinds(last.camera_models[camera])):
+            if kind == "focal":
+                before, after = (p.camera_params[camera, column] for p in (first, last))
+                lens = f"(camera {last.camera_ids[camera]})"
+                words = f"focal length {before:.6g} -> {after:.6g} px {lens}"
+                focal = max(focal, (abs(after / before - 1), words))
+    arm = (0.0, "")
+    for change in sensor_changes(solved):
+        if change.baseline_before > 0:
+            words = (
+                f"baseline {change.baseline_before:.4g} -> {change.baseline_after:.4g} "
+                f"(sensor {change.rig_id}:{change.camera_id})"
+            )
+            arm = max(arm, (abs(change.baseline_after / change.baseline_before - 1), words))
+    if min(focal[0], arm[0]) < WEAK_CHANGE:
+        return None
+    before, after = solved.summary.initial_cost, solved.summary.final_cost
+    return (
+        f"Weakly determined: {focal[1]} and {arm[1]} changed together, while the cost went from "
+        f"{before:.6g} to {after:.6g}; hold one of them (--fix-sensors, --fix-cameras) unless the "
+        "images determine both."
+    )

@@ -1,0 +1,85 @@
+"""Statistics of reprojection errors whose observations are in several processes.
+
+Sums and maxima are those of the processes. An order statistic, as the median is one, is found by
+bisection: doubles that are not negative are ordered as the integers of their bits are, so that 63
+halvings of these find the smallest value that as many errors do not exceed as it takes. In each the
+processes tell how many of theirs do not exceed the middle: the result is exact, and no process sees
+more than its own errors.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.model.reprojection import ReprojectionError, between, counted_errors, summarize_errors
+from bundle.solving.slices.slice_reading import Meeting
+
+__all__ = ["divided_statistics", "order_statistics"]
+
+
+def divided_statistics(
+    meeting: Meeting, errors: NDArray[np.float64], behind: NDArray[np.bool_], cheirality: str
+) -> ReprojectionError | None:
+    """Return what ``reprojection.summarize_errors`` returns, to the first process.
+
+    Args:
+        meeting: all processes.
+        errors: of this process, ||r|| in pixels; nan without a projection.
+        behind: of this process.
+        cheirality: that of `behind`, resolved.
+    """
+    own = np.sort(errors[counted_errors(errors, behind, cheirality)])
+    with np.errstate(over="ignore"):
+        sums = (len(own), behind.sum(), own.sum(), (own**2).sum(), own.max(initial=0.0))
+    given = meeting.gather(sums)
+    totals = None
+    if given is not None:
+        count, num_behind, total, squares, _ = (sum(column) for column in zip(*given, strict=True))
+        largest = max(row[-1] for row in given)
+        totals = (int(count), int(num_behind), float(total), float(squares), float(largest))
+    count, num_behind, total, squares, largest = meeting.broadcast(totals)
+    if count == 0:
+        none = summarize_errors(own, np.zeros(0, bool), cheirality)
+        return dataclasses.replace(none, num_behind_camera=num_behind)
+    positions = np.array([0.5, 0.95]) * (count - 1)
+    below = positions.astype(np.int64)
+    values = order_statistics(meeting, own, np.r_[below, np.minimum(below + 1, count - 1)])
+    if meeting.rank > 0:
+        return None
+    median, p95 = (
+        between(float(low), float(high), float(share))
+        for low, high, share in zip(values[:2], values[2:], positions - below, strict=True)
+    )
+    return ReprojectionError(
+        rmse=float(np.sqrt(squares / count)),
+        mean=total / count,
+        median=median,
+        p95=p95,
+        max=largest,
+        num_observations=count,
+        num_behind_camera=num_behind,
+    )
+
+
+def order_statistics(
+    meeting: Meeting, own: NDArray[np.float64], positions: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the values at some positions of the sorted values of all, to all.
+
+    Args:
+        meeting: all processes.
+        own: values of this process, at least 0 and ascending.
+        positions: from 0 on, the same in all processes.
+    """
+    bits = own.view(np.int64)
+    low = np.zeros(len(positions), np.int64)
+    high = np.full(len(positions), np.float64(np.inf).view(np.int64))
+    while (low < high).any():
+        middle = low + (high - low) // 2
+        counts = meeting.gather(np.searchsorted(bits, middle, side="right"))
+        reached = meeting.broadcast(None if counts is None else sum(counts) > positions)
+        low, high = np.where(reached, low, middle + 1), np.where(reached, middle, high)
+    return low.view(np.float64)

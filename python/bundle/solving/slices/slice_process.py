@@ -1,0 +1,138 @@
+"""What every process does of a refinement in slices, at the word of the first."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.base.arrays import freeze
+from bundle.io.colmap import colmap_files
+from bundle.model.worst_images import sums_of_images
+from bundle.solving import solver
+from bundle.solving.ranks.divided_solve import Job, PartOfOutput, Ranks, work_on
+from bundle.solving.ranks.partition import ProblemPart
+from bundle.solving.rounds.input_digest import sums_of_rows
+from bundle.solving.slices.divided_errors import divided_statistics
+from bundle.solving.slices.skeleton import skeleton
+from bundle.solving.slices.slice_reading import Meeting, Survey, read_slice
+
+__all__ = ["Process"]
+
+_Progress = Callable[[dict[str, Any]], None]
+_LAST = "measure"
+
+
+class Process:
+    """One process with its slice. Each method is called in all of them; the first gets the values.
+
+    Args:
+        meeting: all processes.
+        path: of the model.
+        found: the survey of the first one, None elsewhere.
+
+    Raises:
+        InputError, OSError: as ``read_slice``.
+    """
+
+    def __init__(self, meeting: Meeting, path: Path, found: Survey | None) -> None:
+        self._meeting = meeting
+        self.slice = read_slice(meeting, path, found)
+        self._part = self.slice.part
+        self._errors: dict[str, tuple[Any, Any]] = {}  # by cheirality
+
+    def follow(self) -> None:
+        """Do what the first process says, up to the measuring."""
+        name = ""
+        while name != _LAST:
+            name, given = self._meeting.broadcast()
+            getattr(self, name)(*given)
+
+    def lead(self, name: str, *given: Any, **own: Any) -> Any:
+        """Let all do something; return what this one, the first, gets of it.
+
+        Args:
+            name: of a method.
+            given: arguments of all.
+            own: of this one alone.
+        """
+        self._meeting.broadcast((name, given))
+        return getattr(self, name)(*given, **own)
+
+    def digest(self) -> Any:
+        """Return the sums of all rows of points and observations as they were read."""
+        mine = np.flatnonzero(self.slice.survey.owner == self._meeting.rank)
+        sums = self._meeting.gather(sums_of_rows(self.slice.part, mine))
+        return None if sums is None else np.sum(sums, axis=0, dtype=np.uint64)
+
+    def restart(self, state: dict[str, Any], points: NDArray[np.float64] | None = None) -> None:
+        """Go on from other values.
+
+        Args:
+            state: of images and cameras, to all.
+            points: (num_points, 3) of the model, of the first process alone.
+        """
+        survey, own = self.slice.survey, self._part.points
+        for rank in range(self._meeting.num_ranks):  # one part at a time
+            mine = None if points is None else points[survey.owner == rank]
+            given = self._meeting.broadcast(mine)
+            own = given if rank == self._meeting.rank else own
+        self._move(freeze(np.array(own)), state)
+
+    def solve(
+        self, options: dict[str, Any], progress: _Progress | None = None
+    ) -> tuple[dict[str, Any], list[PartOfOutput] | None, Ranks]:
+        """Adjust; return the core's output, with the points of all to the first process."""
+        part = self._part
+        fixed = np.intersect1d(np.asarray(options["fixed_point_ids"], np.int64), part.point_ids)
+        ranks = self._meeting.ranks()
+        own_options = options | {"fixed_point_ids": fixed.tolist()}
+        job = Job(part, own_options, None, None, self.slice.image_is_observed)
+        output, given = work_on(job, ranks, progress)
+        state = {name: freeze(output[name]) for name in solver.STATE if name in output}
+        self._move(state.pop("points"), state)
+        return output, self._meeting.gather(given), ranks
+
+    def point_errors(self, num_threads: int) -> list[NDArray[np.float64]] | None:
+        """Return the mean error of each point, as COLMAP's files have it, by process."""
+        errors, behind = self._errors_now(num_threads, "auto")
+        part = self._part
+        return self._meeting.gather(
+            colmap_files.point_errors(errors, behind, part.observation_point, len(part.points))
+        )
+
+    def measure(self, options: dict[str, Any]) -> tuple[Any, Any, Any, Any]:
+        """Return the statistics before and after, the sums of images, and the skeleton.
+
+        There is no skeleton where nobody asks for the gauge.
+        """
+        own, meeting = self.slice, self._meeting
+        threads, cheirality = options["num_threads"], options["cheirality"]
+        before = divided_statistics(meeting, *_errors_of(own.part, threads, cheirality), cheirality)
+        errors, behind = self._errors_now(threads, cheirality)
+        sums = sums_of_images(
+            own.part.observation_image, own.cameras.num_images, errors, behind, cheirality
+        )
+        after = divided_statistics(meeting, errors, behind, cheirality)
+        asked = own.cameras.num_frames > 0 and options["gauge"] != "none"
+        bones = skeleton(meeting, own, options["fixed_point_ids"]) if asked else None
+        return before, after, meeting.gather(sums), bones
+
+    def _move(self, points: NDArray[np.float64], state: dict[str, Any]) -> None:
+        shared = self._part.shared | state
+        self._part = dataclasses.replace(self._part, points=points, shared=shared)
+        self._errors = {}
+
+    def _errors_now(self, num_threads: int, cheirality: str) -> tuple[Any, Any]:
+        if cheirality not in self._errors:
+            self._errors[cheirality] = _errors_of(self._part, num_threads, cheirality)
+        return self._errors[cheirality]
+
+
+def _errors_of(part: ProblemPart, num_threads: int, cheirality: str) -> tuple[Any, Any]:
+    return _core.reprojection_errors(part, num_threads, cheirality)  # type: ignore[arg-type]

@@ -1,0 +1,185 @@
+"""A process reads its slice of a model: all cameras, its points, their observations."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle import _core
+from bundle.errors import InputError, shown
+from bundle.io import bal
+from bundle.io.colmap import colmap_files
+from bundle.model.problem import Problem
+from bundle.solving.ranks.divided_solve import Ranks
+from bundle.solving.ranks.partition import ProblemPart, divide_tracks, shared_of
+
+__all__ = ["Meeting", "Slice", "Survey", "read_slice", "survey"]
+
+
+class Meeting(Protocol):
+    """All processes, in the same order of calls."""
+
+    rank: int
+    num_ranks: int
+
+    def broadcast(self, value: Any = None) -> Any:
+        """Return the value of the first."""
+
+    def gather(self, value: Any) -> list[Any]:
+        """Return the values of all to the first, nothing to the others."""
+
+    def ranks(self) -> Ranks:
+        """Return how the core meets the others in one solve."""
+
+
+@dataclass
+class Survey:
+    """What a model has, and which point is whose.
+
+    Attributes:
+        num_images: of the model.
+        num_observations: of the model.
+        owner: (num_points,) the process that has a point.
+        section: (num_points,) of each point; see ``ranks.partition``.
+        point_ids: (num_points,) of a COLMAP model, ascending; None of a BAL file, whose points have
+            their positions for ids.
+    """
+
+    num_images: int
+    num_observations: int
+    owner: NDArray[np.uint16]
+    section: NDArray[np.uint16]
+    point_ids: NDArray[np.int64] | None = None
+
+    def unknown(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return those that no point has."""
+        if self.point_ids is None:
+            return ids[(ids < 0) | (ids >= len(self.owner))]
+        return np.setdiff1d(ids, self.point_ids)
+
+
+@dataclass
+class Slice:
+    """What one process has of a model.
+
+    Attributes:
+        cameras: all images and cameras, without points and observations.
+        part: its points and observations.
+        survey: of the whole model.
+        image_is_observed: (num_images,) by any process.
+    """
+
+    cameras: Problem
+    part: ProblemPart
+    survey: Survey
+    image_is_observed: NDArray[np.uint8]
+
+
+def survey(path: Path, num_parts: int) -> Survey:
+    """Read a BAL file or a binary COLMAP model once and keep what tells which points are close.
+
+    Raises:
+        InputError: it is not what its format says, or has fewer points than parts. Whether the
+            tracks of a COLMAP model are those of its keypoints is left to :func:`read_slice`.
+        OSError: a file cannot be read.
+    """
+    ids = None
+    if path.is_dir():
+        found = _core.survey_colmap_model(os.fsencode(path))
+        num_images, num_observations, ids, first, last, seen = found
+    else:
+        num_images, num_observations, first, last, seen = _core.survey_bal(path)
+    owner = np.zeros(len(seen), np.uint16)
+    section = np.zeros(len(seen), np.uint16)
+    if num_observations:
+        division = divide_tracks(first, last, seen, num_parts)
+        section = division.section
+        for number, points in enumerate(division.parts):
+            owner[points] = number
+    return Survey(num_images, num_observations, owner, section, ids)
+
+
+def read_slice(meeting: Meeting, path: Path, found: Survey | None) -> Slice:
+    """Read the slice of this process; ``found`` is the first one's survey, None elsewhere.
+
+    Raises:
+        InputError: the model is not the one that was surveyed, as far as counts tell; or, in the
+            first process, tracks and keypoints of any slice contradict each other.
+        OSError: a file cannot be read.
+    """
+    whole: Survey = meeting.broadcast(found)
+    mine = np.flatnonzero(whole.owner == meeting.rank)
+    place = np.full(len(whole.owner), -1, np.int32)
+    place[mine] = np.arange(len(mine), dtype=np.int32)
+    if whole.point_ids is None:
+        cameras, part = _bal_slice(path, mine, place, whole.section)
+    else:
+        given = _colmap_slice(path, whole.point_ids, mine, place, whole.section)
+        cameras, part, failure = given
+        failures = sorted(filter(None, meeting.gather(failure) or ()))
+        if failures:
+            raise InputError(failures[0][-1])
+    counts = meeting.gather(np.bincount(part.observation_image, minlength=cameras.num_images))
+    observed = None
+    if counts is not None:
+        total = sum(counts)
+        if total.sum() != whole.num_observations:
+            raise InputError(
+                f"{shown(path)}: expected the same file in all processes, found "
+                f"{whole.num_observations} observations in process 0 and {total.sum()} in all parts"
+            )
+        observed = (total > 0).astype(np.uint8)
+    return Slice(cameras, part, whole, meeting.broadcast(observed))
+
+
+def _bal_slice(
+    path: Path, mine: NDArray[np.int64], place: NDArray[np.int32], section: NDArray[np.uint16]
+) -> tuple[Problem, ProblemPart]:
+    poses, rotations, params, points, image, point, xy = _core.read_bal_part(path, place)
+    none, nowhere = np.zeros(0, np.int32), np.zeros((0, 2))
+    cameras = bal.problem_of(poses, rotations, params, points[:0], none, none, nowhere)
+    keypoint = np.full(len(xy), -1, np.int32)
+    return cameras, _part(cameras, points, mine, section[mine], image, point, xy, keypoint)
+
+
+def _colmap_slice(
+    path: Path,
+    ids: NDArray[np.int64],
+    mine: NDArray[np.int64],
+    place: NDArray[np.int32],
+    section: NDArray[np.uint16],
+) -> tuple[Problem, ProblemPart, tuple[int, int, str] | None]:
+    model, fields, failure = _core.read_colmap_part(os.fsencode(path), ids, place)
+    names = ("observation_image", "observation_point", "observation_xy", "observation_keypoint")
+    points, *observations = (fields[name] for name in ("points", *names))
+    nothing = {name: fields[name][:0] for name in ("points", *names)}
+    cameras = colmap_files.problem_of(path, model, fields | nothing | {"point_ids": ids[:0]})
+    return cameras, _part(cameras, points, ids[mine], section[mine], *observations), failure
+
+
+def _part(
+    cameras: Problem,
+    points: NDArray[np.float64],
+    point_ids: NDArray[np.int64],
+    point_section: NDArray[np.uint16],
+    image: NDArray[np.int32],
+    point: NDArray[np.int32],
+    xy: NDArray[np.float64],
+    keypoint: NDArray[np.int32],
+) -> ProblemPart:
+    return ProblemPart(
+        points=points,
+        point_ids=point_ids,
+        point_section=point_section,
+        observation_image=image,
+        observation_point=point,
+        observation_xy=xy,
+        observation_keypoint=keypoint,
+        observation_sigma=None,
+        shared=shared_of(cameras),
+    )

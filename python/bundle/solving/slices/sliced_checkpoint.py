@@ -1,0 +1,102 @@
+"""Checkpoints of a refinement in slices: files as those of one process, written by the first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.arrays import freeze
+from bundle.interface.options import SolveOptions
+from bundle.model.problem import Problem
+from bundle.solving.result import Result
+from bundle.solving.rounds.adjust_and_filter import plain_fingerprint
+from bundle.solving.rounds.checkpoint import State, check_target, read_by, result_of_record, write
+from bundle.solving.rounds.input_digest import digest_of_parts
+from bundle.solving.slices.slice_reading import Survey
+from bundle.solving.solver import STATE
+
+__all__ = ["Kept", "SlicedCheckpoint"]
+
+
+@dataclass
+class Kept:
+    """What a checkpoint holds.
+
+    Attributes:
+        state: arrays of the whole model by name, as ``solver.STATE`` has them.
+        so_far: what was done; its problem has no points.
+        has_ended: whether nothing is left to do.
+    """
+
+    state: dict[str, Any]
+    so_far: Result | None
+    has_ended: bool
+
+
+class SlicedCheckpoint:
+    """The checkpoint of a run.
+
+    Args:
+        path: where it is written.
+        cameras: of the model as it was read.
+        sums: of its rows (``input_digest.sums_of_rows``).
+        found: its counts.
+        options: of the run, as given.
+        interval: iterations from one checkpoint to the next.
+
+    Raises:
+        InputError, OSError: as ``checkpoint.check_target``.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        cameras: Problem,
+        sums: NDArray[np.uint64],
+        found: Survey,
+        options: SolveOptions,
+        interval: int,
+    ) -> None:
+        check_target(path)
+        self._path, self._cameras, self._found = path, cameras, found
+        self._fingerprint = plain_fingerprint(digest_of_parts(cameras, sums), options, interval)
+
+    def write(self, result: Result, *, has_ended: bool = False) -> None:
+        """Replace the checkpoint by one whose next solve starts from the problem of a result.
+
+        Raises:
+            OSError: the system refuses: no permission, disk full.
+        """
+        state = State(
+            problem=result.problem,
+            observation_mask=np.broadcast_to(True, self._found.num_observations),
+            point_mask=np.broadcast_to(True, len(self._found.owner)),
+            so_far=result,
+            has_ended=has_ended,
+        )
+        write(self._path, state, self._fingerprint)
+
+    def read(self, path: Path, options: SolveOptions) -> Kept:
+        """Return what a checkpoint of this run holds; ``options`` are those as used.
+
+        Raises:
+            InputError, OSError: as ``checkpoint.read``.
+        """
+
+        def kept(meta: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Kept:
+            state = {name: freeze(np.array(arrays[name], np.float64)) for name in STATE}
+            expected = {name: getattr(self._cameras, name).shape for name in STATE}
+            expected["points"] = (len(self._found.owner), 3)
+            for name, shape in expected.items():
+                if state[name].shape != shape or not np.isfinite(state[name]).all():
+                    raise ValueError(f"{name}: expected shape {shape}, found {state[name].shape}")
+            so_far = meta["so_far"]
+            if so_far is not None:
+                so_far = result_of_record(so_far, arrays, self._cameras, options)
+            return Kept(state, so_far, bool(meta["has_ended"]))
+
+        return read_by(kept, path, self._fingerprint)

@@ -1,0 +1,238 @@
+"""A BAL file or a binary COLMAP model refined by processes of which each has a slice."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.base.paths import as_path
+from bundle.errors import InputError, shown
+from bundle.interface.option_fields import number
+from bundle.interface.options import SolveOptions
+from bundle.interface.process_record import ProcessRecord, Traffic
+from bundle.interface.round_options import CHECKPOINT_INTERVAL
+from bundle.interface.solve_record import Progress
+from bundle.io import bal
+from bundle.io.atomic import atomic_write as atomic
+from bundle.io.colmap import colmap_files
+from bundle.io.georeference_file import remove_georeference
+from bundle.io.open import save_model
+from bundle.model.problem import Problem
+from bundle.model.worst_images import worst_of_sums
+from bundle.solving import solver
+from bundle.solving.free_degrees import gauge_freedom
+from bundle.solving.ranks.divided_solve import Crew, heeding
+from bundle.solving.result import Result
+from bundle.solving.rounds.segments import solve_in_segments
+from bundle.solving.slices.slice_process import Process
+from bundle.solving.slices.slice_reading import Meeting, Survey, survey
+from bundle.solving.slices.sliced_checkpoint import SlicedCheckpoint
+
+__all__ = ["SliceCrew", "SliceJob", "SlicedRefinement"]
+
+
+@dataclass
+class SliceJob:
+    """What the other processes do: read, then what the first one says."""
+
+    path: Path
+
+    def work(self, meeting: Meeting) -> None:
+        """Take part in all that ``SlicedRefinement`` does."""
+        Process(meeting, self.path, None).follow()
+
+
+class SliceCrew(Crew, Protocol):
+    """The processes, as the first of them sees them."""
+
+    def meeting(self) -> Meeting:
+        """Return how all of them meet."""
+
+    def send_to_all(self, job: SliceJob) -> None:
+        """Send a job to the others, which hear nothing else until its end."""
+
+    def release(self) -> None:
+        """Take note that the others wait again."""
+
+
+class SlicedRefinement:
+    """The first process's side of it. Calls have to come in the order of the methods.
+
+    Args:
+        crew: the others, which wait for a job.
+        path: of a BAL file, or the folder of a COLMAP model in binary.
+
+    Raises:
+        InputError: as ``bundle.load``; or there are no observations.
+        OSError: a file cannot be read.
+    """
+
+    def __init__(self, crew: SliceCrew, path: Path) -> None:
+        self._crew, self._num_ranks = crew, crew.num_ranks
+        self._path = path.absolute()
+        found = survey(path, crew.num_ranks)
+        if found.num_observations == 0:
+            raise InputError(f"{shown(path)}: expected observations to refine, found none")
+        crew.send_to_all(SliceJob(self._path))
+        self._process = Process(crew.meeting(), path, found)
+        self._slice = self._process.slice
+        self._survey = found
+        self._now = self._slice.cameras
+        self._points: NDArray[np.float64] = np.zeros((0, 3))
+
+    @property
+    def cameras(self) -> Problem:
+        """The cameras of the model as it is; counts of points and observations are the model's."""
+        return self._whole(self._slice.cameras)
+
+    def solve(
+        self,
+        options: SolveOptions,
+        progress: Progress | None,
+        *,
+        checkpoint: str | os.PathLike[str] | None = None,
+        resume: str | os.PathLike[str] | None = None,
+        checkpoint_interval: int = CHECKPOINT_INTERVAL,
+    ) -> Result:
+        """Refine; the problems of the result have cameras only.
+
+        Args:
+            options: how.
+            progress: called after each iteration.
+            checkpoint: as in :func:`bundle.solve_rounds`; it is one of the whole model, for any
+                number of processes.
+            resume: as there.
+            checkpoint_interval: as there.
+
+        Raises:
+            InputError, OSError: as :func:`bundle.solve_rounds`.
+        """
+        settled = solver.resolve_defaults(self._slice.cameras, options)
+        self._options = settled.asdict()
+        unknown = self._survey.unknown(np.asarray(settled.fixed_point_ids, np.int64))
+        if unknown.size:
+            raise InputError(f"fixed_point_ids: expected ids in the problem, found {unknown[0]}")
+        checkpoint = None if checkpoint is None else as_path(checkpoint, "checkpoint")
+        resume = None if resume is None else as_path(resume, "resume")
+        path = checkpoint if checkpoint is not None else resume
+        if path is None:
+            return self._finished(self._segment(settled, progress))
+        interval = number("checkpoint_interval", checkpoint_interval, whole=True, minimum=1)
+        sums = self._process.lead("digest")
+        keeper = SlicedCheckpoint(path, self._slice.cameras, sums, self._survey, options, interval)
+        so_far, has_ended = None, False
+        if resume is not None and resume.exists():
+            kept = keeper.read(resume, settled)
+            state = kept.state
+            self._points = state.pop("points")
+            self._now = self._now._moved(**state)
+            self._process.lead("restart", state, points=self._points)
+            so_far, has_ended = kept.so_far, kept.has_ended
+            if so_far is not None:
+                so_far = dataclasses.replace(so_far, problem=self._whole(self._now))
+        if so_far is None or not has_ended:
+            so_far = solve_in_segments(
+                lambda _, used, told: self._segment(used, told),
+                self._whole(self._now),
+                settled,
+                interval,
+                so_far=so_far,
+                progress=progress,
+                save=keeper.write,
+            )
+            if so_far.summary.is_solution_usable and not so_far.summary.interrupted:
+                keeper.write(so_far, has_ended=True)
+        return self._finished(so_far)
+
+    def save(self, path: Path) -> tuple[str, ...]:
+        """Write the refined model; return what is lost by that, one sentence each.
+
+        Raises:
+            InputError: the input has changed.
+            OSError: a file cannot be read or written.
+        """
+        found = self._survey
+        ids = found.point_ids
+        if ids is None:
+            with atomic.replace_file(path) as temporary:
+                bal.save_like(
+                    self._path, found.num_observations, self._now, self._points, temporary
+                )
+                remove_georeference(path, is_folder=False)
+            return ()
+        errors = np.empty(len(ids))
+        for rank, given in enumerate(
+            self._process.lead("point_errors", self._options["num_threads"])
+        ):
+            errors[found.owner == rank] = given
+
+        def write(folder: Path) -> tuple[str, ...]:
+            colmap_files.rewrite_like(self._now, ids, self._points, errors, folder)
+            return ()
+
+        return save_model(path, "colmap", write)
+
+    def measure(self, result: Result) -> None:
+        """Measure the errors before and after, and the worst images, into the result."""
+        before, after, sums, bones = self._process.lead("measure", self._options)
+        values = vars(result)  # where cached_property keeps them; the dataclass itself is frozen
+        values["reprojection_error_before"] = before
+        values["reprojection_error_after"] = after
+        count, total, largest = zip(*sums, strict=True)
+        values["worst_images"] = worst_of_sums(
+            self._now, sum(count), sum(total), np.max(largest, axis=0)
+        )
+        if bones is not None:
+            values["gauge_freedom"] = gauge_freedom(bones, result.options)
+        self._crew.release()
+
+    def _segment(self, options: SolveOptions, progress: Progress | None) -> Result:
+        """Adjust from where things are."""
+        output, given, ranks = self._process.lead(
+            "solve", options.asdict(), progress=heeding(self._crew, progress)
+        )
+        self._points = np.empty((len(self._survey.owner), 3))
+        for rank, of_rank in enumerate(given):
+            self._points[self._survey.owner == rank] = of_rank.points
+        traffic = tuple(
+            Traffic(what=what, num_messages=int(n), num_bytes=int(size), seconds=seconds)
+            for what, (n, size, seconds) in ranks.traffic.items()
+        )
+        output["summary"] |= {
+            "num_processes": self._num_ranks,
+            "processes": ProcessRecord(
+                parts=tuple(of_rank.process for of_rank in given), traffic=traffic
+            ),
+        }
+        before = self._now
+        result = solver.result_of(before, options, output | {"points": before.points})
+        self._now = result.problem
+        return dataclasses.replace(
+            result, problem=self._whole(self._now), initial_problem=self._whole(before)
+        )
+
+    def _finished(self, result: Result) -> Result:
+        return dataclasses.replace(result, initial_problem=self.cameras)
+
+    def _whole(self, cameras: Problem) -> Problem:
+        return cast("Problem", _Whole(cameras, self._survey, self._points))
+
+
+class _Whole:
+    """Cameras of a model with all its points and its counts, for reports and checkpoints."""
+
+    def __init__(self, cameras: Problem, found: Survey, points: NDArray[np.float64]) -> None:
+        self._cameras = cameras
+        vars(self)["source"] = vars(cameras)["source"]  # without pycolmap
+        self.points = points
+        self.num_points = len(found.owner)
+        self.num_observations = found.num_observations
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._cameras, name)

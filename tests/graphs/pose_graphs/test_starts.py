@@ -1,0 +1,191 @@
+"""Initial poses: exact where the edges are, near where they are noisy."""
+
+import numpy as np
+import pytest
+
+import bundle
+from bundle import _core
+from bundle.model import starts
+from tests.graphs.pose_graphs import graphs
+
+KINDS = ["odometry", "spanning_tree", "chordal"]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("init", KINDS)
+def test_exact_edges_give_exact_poses(dimension, init):
+    graph = graphs.loop(dimension, noise=0, start_noise=0)
+    rng = np.random.default_rng(1)
+    lost = [graphs.random_pose(rng, dimension) for _ in range(11)]
+    start = graph.replace(poses=np.concatenate([graph.poses[:1], lost]))
+    found = bundle.initial_poses(start, init)
+    np.testing.assert_array_equal(found[0], graph.poses[0])
+    for pose, truth in zip(found, graph.poses, strict=True):
+        np.testing.assert_allclose(graphs.matrix(pose), graphs.matrix(truth), atol=1e-7)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("init", KINDS)
+def test_a_fixed_pose_in_the_middle_and_ids_out_of_order(dimension, init):
+    graph = graphs.loop(dimension, noise=0, start_noise=0)
+    order = np.random.default_rng(4).permutation(12)
+    place = np.argsort(order)
+    fixed = order == 5
+    mixed = graph.replace(
+        poses=np.where(fixed[:, None], graph.poses[order], graph.poses[order][::-1]),
+        edges=place[graph.edges],
+        ids=order,
+        fixed=fixed,
+    )
+    for pose, k in zip(bundle.initial_poses(mixed, init), order, strict=True):
+        np.testing.assert_allclose(graphs.matrix(pose), graphs.matrix(graph.poses[k]), atol=1e-7)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_chordal_is_near_the_optimum_where_the_file_is_far(dimension):
+    graph = graphs.loop(dimension, num_poses=30, num_closures=30, noise=0.01, start_noise=2, seed=7)
+    results = {init: bundle.solve(graph, init=init) for init in ("chordal", "auto")}
+    for result in results.values():
+        assert result.summary.init == "chordal"
+        assert result.summary.chi2_initial < 3 * result.summary.chi2_final
+    assert results["auto"].summary.init_choice and not results["chordal"].summary.init_choice
+    spread = bundle.solve(graph, init="spanning_tree").summary
+    assert results["chordal"].summary.chi2_initial < spread.chi2_initial
+
+
+def test_auto_keeps_poses_that_are_good():
+    graph = bundle.solve(graphs.loop(2)).problem
+    summary = bundle.solve(graph, init="auto").summary
+    assert summary.init == "file" and summary.init_choice
+
+
+def test_chordal_weighs_edges_by_their_information():
+    """Of two edges that contradict each other, the one that is certain counts."""
+    graph = bundle.PoseGraph(
+        poses=np.zeros((2, 3)),
+        edges=[[0, 1], [1, 0]],
+        measurements=[[1, 0, 0.3], [-3, 0, 0.5]],
+        information=[1e8 * np.eye(3), np.eye(3)],
+    )
+    found = bundle.initial_poses(graph, "chordal")[1]
+    np.testing.assert_allclose(found, [1, 0, 0.3], atol=1e-6)
+
+
+def test_odometry_with_gaps_says_where():
+    graph = graphs.loop(2)
+    graph = graph.replace(ids=np.where(graph.ids > 6, graph.ids + 1, graph.ids))
+    bundle.solve(graph, init="odometry")  # ids may leave numbers out
+    cut = graph.replace(
+        edges=np.delete(graph.edges, 6, 0),
+        measurements=np.delete(graph.measurements, 6, 0),
+        information=np.delete(graph.information, 6, 0),
+        edge_lines=np.delete(graph.edge_lines, 6),
+    )
+    with pytest.raises(bundle.InputError, match=r"^init: expected an edge .* between 6 and 8"):
+        bundle.solve(cut, init="odometry")
+
+
+def test_an_end_above_the_chordal_start_is_said_to_be_a_local_minimum():
+    graph = twisted()
+    ends = {init: bundle.solve(graph, init=init).summary for init in ("file", "chordal")}
+    assert ends["file"].chi2_final > 1.1 * ends["chordal"].chi2_initial
+    assert ends["file"].warning_kinds == ("local_minimum",)
+    assert ends["chordal"].warning_kinds == ()
+    right = bundle.solve(bundle.solve(graph, init="chordal").problem).summary
+    assert right.init == "file" and right.warning_kinds == ()
+
+
+def twisted():
+    """A start from which the solve ends in a local minimum."""
+    graph = graphs.loop(2, num_poses=30, num_closures=30, noise=0.01, start_noise=2, seed=7)
+    circle = np.linspace(0, 2 * np.pi, 31)[:-1]
+    poses = np.stack([np.cos(3 * circle), np.sin(2 * circle), 5 * circle], axis=1)
+    return graph.replace(poses=poses)
+
+
+def test_an_end_that_has_not_converged_is_held_against_other_starts():
+    stopped = bundle.solve(twisted(), max_num_iterations=2).summary
+    assert stopped.termination_type == "NO_CONVERGENCE"
+    assert stopped.warning_kinds == ("better_start",)
+    assert "init auto" not in bundle.solve(twisted(), init="auto").summary.warnings
+    robust = bundle.solve(twisted(), max_num_iterations=2, loss="cauchy").summary
+    assert robust.warning_kinds == ("better_start",)
+    assert bundle.solve(twisted(), max_num_iterations=0).summary.warning_kinds == ()
+
+
+def test_after_a_slow_solve_other_starts_take_some_steps(monkeypatch):
+    """Starts that are above the end themselves, and below it after few steps."""
+    graph = twisted()
+    end = bundle.solve(graph).summary.chi2_final
+    far = {
+        init: graph.poses + 1e3 * (np.arange(30) % 7)[:, None] * np.array([1, -1, 0])
+        for init in ("odometry", "spanning_tree")
+    }
+    far["chordal"] = (
+        bundle.solve(graph, init="chordal").problem.poses
+        + np.array([1, 1, 0]) * (np.arange(30) % 2)[:, None]
+    )
+    real = _core.initial_poses
+    monkeypatch.setattr(
+        _core, "initial_poses", lambda g, held, init, n: far.get(init, real(g, held, init, n))
+    )
+    for poses in far.values():
+        assert bundle.pose_graph_chi2(graph.replace(poses=poses)).sum() > end
+    assert bundle.solve(graph).summary.warning_kinds == ()
+    monkeypatch.setattr(starts, "SLOW", 2)
+    slow = bundle.solve(graph).summary
+    assert slow.warning_kinds == ("local_minimum",) and "from the chordal start" in slow.warnings[0]
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_auto_ends_at_the_least_of_all_starts(dimension, seed):
+    """Rings with one winding too many, at random: the file's poses are often the worst."""
+    graph = graphs.loop(
+        dimension, num_poses=20, num_closures=4, noise=0.15, start_noise=1.5, seed=seed
+    )
+    ends = {
+        init: bundle.solve(graph, init=init).summary.chi2_final
+        for init in ("file", "odometry", "spanning_tree", "chordal", "auto")
+    }
+    assert ends["auto"] <= (1 + 1e-6) * min(ends.values())
+
+
+def test_auto_without_poses_and_without_a_chain():
+    graph = graphs.loop(2).replace(has_poses=False)
+    assert bundle.solve(graph, init="auto").summary.init in ("chordal", "odometry")
+    apart = graph.replace(ids=2 * graph.ids, has_poses=True)
+    for loss in ("trivial", "cauchy", "gnc_tls"):
+        summary = bundle.solve(apart, init="auto", loss=loss).summary
+        assert summary.init_choice.count("from") == 4  # consecutive among the ids there are
+    cut = apart.replace(
+        edges=apart.edges[5:],
+        measurements=apart.measurements[5:],
+        information=apart.information[5:],
+        edge_lines=apart.edge_lines[5:],
+    )
+    assert "odometry" not in bundle.solve(cut, init="auto").summary.init_choice
+
+
+def test_what_counts_is_where_more_steps_lead(monkeypatch):
+    """And of equal ends the start that is there sooner."""
+    graph = graphs.loop(2)
+    held, _, _ = _core.hold_poses(graph)
+    few = {"file": 10.0, "chordal": 12.0, "odometry": 11.0, "spanning_tree": 9.0}
+    more = {"file": 5.0, "chordal": 4.0, "odometry": 4.0 + 1e-9, "spanning_tree": 9.0}
+
+    def chosen():
+        poses = starts._starts(graph, held, 1)
+
+        def reached(there, _held, _doubted, _options, steps):
+            init = next(k for k in poses if (poses[k] == there.poses).all())
+            return few[init] if steps == starts.FEW else more[init]
+
+        monkeypatch.setattr(starts, "_reached", reached)
+        options = bundle.PoseGraphOptions(num_threads=1)
+        return starts.choose_start(graph, held, graph.is_closure, options)
+
+    found = chosen()
+    assert found.init == "chordal" and "8 from the chordal start" in found.reason
+    few["spanning_tree"] = 4.0
+    assert chosen().init == "spanning_tree"

@@ -1,0 +1,134 @@
+"""Gaps in a recording: what they may hide counts as noise, and is said."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bundle.cli.main import main
+from bundle.inertial.vio.imu_slices import ImuSlices
+from bundle.inertial.vio.odometry import run_odometry
+from bundle.inertial.vio.trajectory_comparison import compare_trajectories
+from bundle.io.sequences.sequence_folder import save_sequence
+from bundle.model.sequence.imu_noise import ImuNoise
+from bundle.model.sequence.sequence import Sequence
+from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+
+NOISE = ImuNoise(1e-3, 1e-2, 1e-5, 1e-4)
+STAMPS = np.array([0, 5, 10, 15, 90, 95, 100, 105], np.int64) * 1_000_000
+
+
+def holed(sequence: Sequence, at: float, milliseconds: float) -> Sequence:
+    stamps = sequence.imu_timestamps_ns
+    begin = stamps[0] + round(1e9 * at)
+    kept = (stamps <= begin) | (stamps >= begin + round(1e6 * milliseconds))
+    return replace(
+        sequence,
+        imu_timestamps_ns=stamps[kept],
+        gyro=sequence.gyro[kept],
+        accel=sequence.accel[kept],
+    )
+
+
+@pytest.mark.parametrize("rule", ["zero_order_hold", "midpoint"])
+def test_what_a_gap_may_hide(rule: str) -> None:
+    ramp = np.arange(len(STAMPS))[:, None] * np.array([1.0, 0.0, 0.0])
+    gyro, accel = ramp.copy(), 10 * ramp
+    slices = ImuSlices(STAMPS, gyro, accel, rule)
+    whole = slices.between(5_000_000, 100_000_000)
+    step = max(1.0, float(np.var(np.arange(8.0)))) / 3  # all samples are near
+    assert whole.doubt == pytest.approx((step * 0.075**2, 100 * step * 0.075**2))
+    if rule == "zero_order_hold":  # the mean of both ends
+        np.testing.assert_allclose(whole.gyro[:, 0], [1, 2, 3.5, 4, 5])
+    half = slices.between(5_000_000, 40_000_000)
+    other = slices.between(40_000_000, 100_000_000)
+    assert half.doubt == pytest.approx((step * 0.025**2, 100 * step * 0.025**2))
+    assert half.then(other).doubt[0] == pytest.approx(half.doubt[0] + other.doubt[0])
+    assert slices.between(0, 15_000_000).doubt == (0.0, 0.0)
+    np.testing.assert_array_equal(gyro, ramp)  # the recording stays
+    np.testing.assert_array_equal(accel, 10 * ramp)
+
+
+def test_doubt_is_part_of_the_covariance() -> None:
+    still = np.zeros((len(STAMPS), 3))
+    for changes, sigmas in (({}, (0.0, 0.0)), ({"gyro": 0.4}, (0.4, 0.0)), ({"accel": 3}, (0, 3))):
+        given = {"gyro": still.copy(), "accel": still.copy()}
+        for name, jump in changes.items():
+            given[name][4:, 0] = jump
+        interval = ImuSlices(STAMPS, given["gyro"], given["accel"], "zero_order_hold").between(
+            0, 105_000_000
+        )
+        found = interval.integrated(NOISE, np.zeros(16), "zero_order_hold").covariance
+        clean = replace(interval, doubt=(0.0, 0.0)).integrated(
+            NOISE, np.zeros(16), "zero_order_hold"
+        )
+        added = np.sqrt(np.maximum(np.diag(found - clean.covariance), 0))
+        assert added[0] == pytest.approx(sigmas[0] * 0.075 / np.sqrt(3), abs=1e-9)
+        assert added[6] >= sigmas[1] * 0.075 / np.sqrt(3) - 1e-9
+
+
+@pytest.mark.parametrize("at", [2.2, 4.0])
+def test_a_gap_below_the_fatal_one_does_no_harm(at: float) -> None:
+    pytest.importorskip("evo")
+    flight = synthesize_flight(motion="room", seed=5, duration=8.0, num_tracks=40)
+    whole, holey = (
+        compare_trajectories(
+            run_odometry(sequence, time_budget=100.0).trajectory, flight.ground_truth
+        ).ate
+        for sequence in (flight.sequence, holed(flight.sequence, at, 75))
+    )
+    assert holey < 2 * whole
+
+
+def test_a_real_gap_at_take_off(bundle_data: Path) -> None:
+    pytest.importorskip("evo")
+    from bundle.io.sequences.track_csv import read_track_csv
+    from bundle.io.sequences.trajectory_files import load_trajectory
+
+    real = read_track_csv(bundle_data / "vio" / "euroc_V1_01_tracks_imu_30s.csv")
+    truth = load_trajectory(bundle_data / "vio" / "euroc_V1_01_ground_truth.csv")
+    found = run_odometry(holed(real, 4.8, 75), time_budget=100.0)
+    assert compare_trajectories(found.trajectory, truth).ate < 0.03  # 0.395 before
+    assert not any(record.alarms for record in found.keyframes)
+
+
+def test_vio_repeats_what_info_finds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flight = synthesize_flight(duration=4.0, rest=1.5, num_tracks=30, seed=2).sequence
+    save_sequence(holed(flight, 2.5, 75), tmp_path / "s")
+    report: dict[str, Any] = {}
+    for command in (["info"], ["vio", "-o", str(tmp_path / "x.tum"), "--time-budget", "100"]):
+        target = tmp_path / f"{command[0]}.json"
+        arguments = [command[0], str(tmp_path / "s"), *command[1:], "--json", str(target)]
+        assert main([*arguments, "--quiet"]) == 0
+        report[command[0]] = json.loads(target.read_text())
+    found = report["info"]["findings"]
+    assert [entry["kind"] for entry in found] == ["imu gap"]
+    assert report["vio"]["findings"] == found
+    assert report["vio"]["summary"]["warnings"][0].startswith(found[0]["sentence"])
+    printed = " ".join(capsys.readouterr().out.split("output")[-1].split())
+    assert "imu.csv:" in printed
+
+
+def test_what_was_asked_for_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flight = synthesize_flight(duration=4.0, rest=1.5, num_tracks=30, seed=2).sequence
+    save_sequence(flight, tmp_path / "s")
+    arguments = ["vio", str(tmp_path / "s"), "-o", str(tmp_path / "x.tum"), "--quiet"]
+    shown = []
+    for flags in (
+        [],
+        ["--nullity"],
+        ["--covariance"],
+        ["--covariance", "--start-yaw-sigma", "3", "--start-position-sigma", "0.1"],
+    ):
+        assert main([*arguments, *flags]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        shown.append({row.split("  ")[0]: row for row in lines})
+    assert not {"nullity", "sigma of yaw"} & set(shown[0])
+    assert "4 at" in shown[1]["nullity"]
+    assert "--start-yaw-sigma" in shown[2]["sigma of yaw"]
+    assert "3" in shown[3]["sigma of yaw"] and "degrees" in shown[3]["sigma of yaw"]

@@ -1,0 +1,153 @@
+"""The speed that is held where nothing excites the accelerometer."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+
+from bundle import SlidingWindow
+from bundle.inertial.vio.odometry import OdometryResult, run_odometry
+from bundle.inertial.vio.steady_speed import steady_speed
+from bundle.inertial.vio.trajectory_comparison import states_at
+from bundle.inertial.vio.window_frame import WindowFrame
+from bundle.synthetic.flight.synthetic_flight import synthesize_flight
+from tests.inertial.vio.window_scenes import CAMERA, FOCAL, GRAVITY, NOISE, Flight
+
+SIGMA = 0.05
+
+
+def frames(seed: int = 0) -> list[WindowFrame]:
+    rng = np.random.default_rng(seed)
+    found = []
+    for k in range(3):
+        state = np.r_[0.0, 0.0, 0.0, 1.0, rng.normal(size=12)]
+        state[7:10] += [4.0, 1.0, 0.0]
+        frame = WindowFrame((k + 1) * (k + 1) * 10**8, state, None)  # type: ignore[arg-type]
+        frame.anchor = state.copy()
+        found.append(frame)
+    return found
+
+
+def by_hand(velocities: Any) -> Any:
+    speeds = np.linalg.norm(np.reshape(velocities, (3, 3)), axis=1)
+    return np.diff(speeds) / (SIGMA * np.array([0.3, 0.5]))
+
+
+def test_rows_are_the_changes_of_speed_and_their_derivatives() -> None:
+    given = frames()
+    prior = steady_speed(given, SIGMA, square_root=True)
+    assert prior is not None
+    velocities = np.concatenate([frame.state[7:10] for frame in given])
+    np.testing.assert_allclose(prior.vector, by_hand(velocities), rtol=1e-12)
+    columns = np.concatenate([9 * k + np.arange(3) for k in range(3)])
+    expected = approx_fprime(velocities, by_hand, 1e-7)
+    np.testing.assert_allclose(prior.matrix[:, columns], expected, rtol=1e-5, atol=1e-5)
+    assert not np.delete(prior.matrix, columns, axis=1).any()
+
+
+def test_both_forms_are_one() -> None:
+    root = steady_speed(frames(), SIGMA, square_root=True)
+    form = steady_speed(frames(), SIGMA, square_root=False)
+    assert root is not None and form is not None
+    d = np.random.default_rng(3).normal(size=27)
+    cost = form.constant - form.vector @ d + 0.5 * d @ form.matrix @ d
+    rows = root.matrix @ d + root.vector
+    assert cost == pytest.approx(0.5 * float(rows @ rows), rel=1e-10)
+
+
+def test_yaw_stays_free_at_first_estimates() -> None:
+    given = frames()
+    for frame in given:
+        frame.state[7:10] += [0.3, -0.2, 0.1]
+    prior = steady_speed(given, SIGMA, square_root=True)
+    assert prior is not None
+    turned = np.zeros(27)
+    for k, frame in enumerate(given):
+        assert frame.anchor is not None
+        turned[9 * k : 9 * k + 3] = np.cross(GRAVITY, frame.anchor[7:10])
+    assert np.abs(prior.matrix @ turned).max() < 1e-10 * np.abs(prior.matrix).max()
+
+
+def test_what_stands_has_no_speed_to_hold() -> None:
+    given = frames()
+    assert given[1].anchor is not None
+    given[1].anchor[7:10] = [0.1, 0.0, 0.0]
+    assert steady_speed(given, SIGMA, square_root=False) is None
+    given[1].anchor = None
+    assert steady_speed(given, SIGMA, square_root=False) is None
+    assert steady_speed(given[:1], SIGMA, square_root=False) is None
+
+
+def motorway(sigma: float) -> tuple[OdometryResult, Any]:
+    """Follow a motorway; return the scale of the speed from the verdict on."""
+    flight = synthesize_flight(
+        seed=1, duration=50.0, motion="motorway", camera_rate=5.0, num_tracks=30, track_length=15.0
+    )
+    result = run_odometry(
+        flight.sequence,
+        frame_rate=5.0,
+        imu_noise_scale=1.0,
+        steady_speed_sigma=sigma,
+        time_budget=10.0,
+        nullity=True,
+    )
+    stamps = result.trajectory.timestamps_ns
+    quiet = [r.timestamp_ns for r in result.keyframes if r.excitation_verdict == "unobservable"]
+    true = states_at(flight.ground_truth, stamps)
+    scale = np.linalg.norm(result.trajectory.states[:, 7:10], axis=1)
+    scale /= np.maximum(np.linalg.norm(true[:, 7:10], axis=1), 1e-9)
+    late = stamps > next(s for s in quiet if s - stamps[0] > 12 * 10**9)
+    return result, scale[late]
+
+
+def test_a_window_holds_its_scale_where_nothing_excites_it() -> None:
+    free, scale = motorway(0.0)
+    steady, held = motorway(0.05)
+    assert np.ptp(scale) > 0.02
+    assert np.ptp(held) < 0.01
+    for result in (free, steady):
+        # Later the lever arm to the world's origin, 1 km, turns rounding into an eigenvalue.
+        assert {record.nullity for record in result.keyframes[:100]} == {4}
+
+
+def test_a_change_of_speed_goes_into_one_prior(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one between the oldest two frames goes; solves have those of the frames that stay."""
+    asked: list[list[int]] = []
+    absorbed: list[tuple[int, int]] = []
+
+    def spy(given: Any, sigma: float, square_root: bool) -> Any:
+        asked.append([frame.stamp for frame in given])
+        if len(given) == 2:
+            absorbed.append((given[0].stamp, given[1].stamp))
+        return steady_speed(given, sigma, square_root)
+
+    monkeypatch.setattr("bundle.inertial.vio.sliding_window.steady_speed", spy)
+    flight = Flight(14, 11, landmarks=80, speed=8.0, shake=0.0)
+    settings: dict[str, Any] = {"window": 5, "min_parallax": 0.0, "min_translation": 0.0}
+    window = SlidingWindow(CAMERA, NOISE, FOCAL, steady_speed_sigma=SIGMA, **settings)
+    tracks, stamps = flight.tracks(), [int(stamp) for stamp in flight.stamps]
+    window.start(stamps[:4], flight.states[:4], tracks[:4], flight.intervals[:3])
+    for k in range(4, 14):
+        window.add_frame(stamps[k], flight.intervals[k - 1], tracks[k])
+    assert absorbed == list(pairwise(stamps))[: len(absorbed)]
+    assert len(absorbed) == 14 - 6
+    for given in asked:
+        if len(given) > 2:
+            assert given == stamps[stamps.index(given[0]) :][: len(given)]
+    assert asked[-2][-1] == stamps[-1]
+
+
+def test_an_excited_window_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise AssertionError("steady_speed")
+
+    monkeypatch.setattr("bundle.inertial.vio.sliding_window.steady_speed", fail)
+    flight = Flight(6, 11, landmarks=80)
+    window = SlidingWindow(CAMERA, NOISE, FOCAL, steady_speed_sigma=SIGMA)
+    tracks, stamps = flight.tracks(), [int(stamp) for stamp in flight.stamps]
+    window.start(stamps[:4], flight.states[:4], tracks[:4], flight.intervals[:3])
+    window.add_frame(stamps[4], flight.intervals[3], tracks[4])

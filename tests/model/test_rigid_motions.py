@@ -1,0 +1,49 @@
+"""Many rotations and poses at once, against SciPy, matrices and mpmath."""
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
+from bundle.model.rotations import inverse_jacobian_coefficient, vector_from_quaternion
+
+
+def random_poses(seed):
+    rng = np.random.default_rng(seed)
+    return np.hstack([Rotation.random(9, rng=rng).as_quat(), rng.normal(size=(9, 3))])
+
+
+def matrices(poses):
+    found = np.tile(np.eye(4), (len(poses), 1, 1))
+    found[:, :3, :3] = Rotation.from_quat(poses[:, :4]).as_matrix()
+    found[:, :3, 3] = poses[:, 4:]
+    return found
+
+
+def test_products_and_inverses_are_those_of_matrices():
+    a, b = random_poses(1), random_poses(2)
+    np.testing.assert_allclose(
+        matrices(multiply_poses(a, b)), matrices(a) @ matrices(b), atol=1e-14
+    )
+    np.testing.assert_allclose(matrices(inverse_poses(a)), np.linalg.inv(matrices(a)), atol=1e-14)
+    long = a * np.array([3.0] * 4 + [1.0] * 3)
+    np.testing.assert_allclose(unit_poses(long), a, atol=1e-15)
+
+
+@pytest.mark.parametrize("length", [1.0, 1.001])
+@pytest.mark.parametrize("angle", [0.0, 1e-14, 1e-9, 1e-3, 1.0, 3.1])
+def test_rotation_vectors_are_those_of_scipy(angle, length):
+    vectors = angle * np.array([[0.6, -0.48, 0.64], [0, 0, 1]])
+    q = length * Rotation.from_rotvec(vectors).as_quat()
+    for sign in (1, -1):
+        np.testing.assert_allclose(vector_from_quaternion(sign * q), vectors, rtol=1e-9, atol=0)
+
+
+@pytest.mark.parametrize("angle", [1e-9, 1e-4, 0.999e-3, 1.001e-3, 0.1, 3.0])
+def test_the_coefficient_of_the_inverse_jacobian(angle):
+    with mpmath.workdps(40):
+        half = mpmath.mpf(angle) / 2
+        expected = float((1 - half * mpmath.cot(half)) / (4 * half**2))
+    np.testing.assert_allclose(inverse_jacobian_coefficient(np.array([angle])), expected, rtol=1e-8)
+    assert inverse_jacobian_coefficient(np.zeros(1))[0] == 1 / 12

@@ -1,0 +1,125 @@
+"""The terms of predicted memory and time, each from counts that are made up."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from bundle.planning.inspection.counts import FactorizedSystem
+from bundle.planning.inspection.peak_memory import ceres_memory, fused_memory
+from bundle.planning.inspection.problem_pattern import FactorCount, PlanSize
+from bundle.planning.inspection.step_time import ceres_time, factor_rate, fused_time
+from tests.planning.inspection.conftest import RATES
+
+PLAN = PlanSize(
+    num_points=100,
+    num_observations=1000,
+    num_pairs=5000,
+    num_chunk_pairs=40,
+    num_chunk_images=10,
+    largest_chunk_blocks=7,
+    block_doubles=108,
+)
+PATTERN = SimpleNamespace(
+    plan=PLAN,
+    num_observations=1000,
+    num_free_points=100,
+    nnz_jacobian=24_000,
+    nnz_information=50_000,
+    num_reduced_values=9000.0,
+    reduced=SimpleNamespace(
+        num_columns=60, sums_are_twofold=lambda solver: solver != "ITERATIVE_SCHUR"
+    ),
+    pair_entries=70_000.0,
+    block_pairs=3000,
+    has_equal_blocks=True,
+)
+FACTOR = FactorCount(
+    nnz=6000, fill=0, flops=4e6, cholmod_flops=0, tree_height=1, profile=(30, 50, 20)
+)
+COUNTED = FactorizedSystem(60, 3000, FACTOR, values=3600.0, panel_values=7000.0)
+
+
+def test_memory_of_the_fused_backend():
+    expected = {
+        "plan of the points": 22 * 1000 + 2 * 5000 + 12 * 100 + 4 * (40 + 2 * 10),
+        "points": 4 * 3 * 8 * 100,  # four arrays of three doubles
+        "sorting": 2 * 1000,
+        "buffers of chunks": 2.5 * 3 * (7 * 108 * 8),
+        "process": 0.9e6,
+    }
+    dense = {"reduced system": 8 * 3600, "BLAS": 0.5e6 + 8 * 384 * 60, "rounding of S": 8 * 1800}
+    sparse = {"reduced system": 8 * 7000, "BLAS": 0.5e6 + 8 * 384 * 50, "rounding of S": 8 * 9000}
+    assert fused_memory(PATTERN, "DENSE_SCHUR", COUNTED, 3) == pytest.approx(expected | dense)
+    assert fused_memory(PATTERN, "SPARSE_SCHUR", COUNTED, 3) == pytest.approx(expected | sparse)
+    iterative = {"reduced system": 8 * 9000}
+    assert fused_memory(PATTERN, "ITERATIVE_SCHUR", None, 3) == pytest.approx(expected | iterative)
+    coarse = {**iterative, "coarse system": 0.5e6 + 8 * 500}
+    found = fused_memory(PATTERN, "ITERATIVE_SCHUR", None, 3, 500)
+    assert found == pytest.approx(expected | coarse)
+
+
+def test_memory_of_ceres():
+    expected = {
+        "observations": 390 * 1000,
+        "points": 820 * 100,
+        "Jacobian": 8 * 24_000,
+        "process": 1.4e6,
+    }
+    of_solver = {
+        "DENSE_SCHUR": {"reduced system": 8 * 60**2, "BLAS": 8 * 384 * 60},
+        "SPARSE_SCHUR": {"reduced system": 8 * 10 * 3600, "factor": 8 * 1.15 * 6000},
+        "SPARSE_NORMAL_CHOLESKY": {"J^T J": 8 * 2.7 * 50_000 / 2, "factor": 8 * 6000},
+    }
+    for solver, terms in of_solver.items():
+        assert ceres_memory(PATTERN, solver, COUNTED) == pytest.approx(expected | terms)
+    implicit = {"implicit products": 30 * 1000 + 120 * 100}
+    assert ceres_memory(PATTERN, "ITERATIVE_SCHUR", None) == pytest.approx(expected | implicit)
+
+
+@pytest.mark.parametrize(
+    ("preconditioner", "products"),
+    [("SCHUR_JACOBI", 200), ("SCHUR_POWER_SERIES_EXPANSION", 1200), ("TWO_LEVEL", 80)],
+)
+def test_time_of_conjugate_gradients(preconditioner, products):
+    coarse = 500 if preconditioner == "TWO_LEVEL" else 0
+    fused = fused_time(PATTERN, "ITERATIVE_SCHUR", preconditioner, None, RATES, coarse)
+    # Each reads S and, to and fro, the coarse factor.
+    assert fused["conjugate gradients"] == pytest.approx(products * 8 * (9000 + 2 * coarse) / 1e10)
+    assert fused.get("coarse system", 0) == pytest.approx(10e-9 * 9000 if coarse else 0)
+    ceres = ceres_time(PATTERN, "ITERATIVE_SCHUR", preconditioner, None, RATES)
+    assert ceres["conjugate gradients"] == pytest.approx(products * 3e-8 * 1000)  # 9 + 3 columns
+
+
+def test_time_of_a_direct_step():
+    fused = fused_time(PATTERN, "SPARSE_SCHUR", "", COUNTED, RATES)
+    expected = {
+        "observations": 1e-7 * 1000,
+        "pairs of observations": 1e-8 * 5000,
+        "other": 1e-5,
+        "factorisation": 4e6 / 1e10 + 6000 * 1e-8,
+    }
+    assert fused == pytest.approx(expected)
+    normal = ceres_time(PATTERN, "SPARSE_NORMAL_CHOLESKY", "", COUNTED, RATES)
+    assert normal["normal equations"] == pytest.approx(1e-8 * 70_000)
+    assert normal["factorisation"] == pytest.approx((4e6 - 6 * 70_000) / 1e10)
+
+
+@pytest.mark.parametrize(("megabytes", "is_scattered"), [(7.9, False), (8.1, True)])
+def test_beyond_the_caches_pairs_are_scattered(megabytes, is_scattered):
+    counted = COUNTED._replace(panel_values=megabytes * 1e6 / 8)
+    terms = fused_time(PATTERN, "SPARSE_SCHUR", "", counted, RATES)
+    assert ("adding to S" in terms) == is_scattered
+    if is_scattered:
+        assert terms["adding to S"] == pytest.approx(3e-7 * 40 + megabytes * 1e6 / 1e10)
+
+
+@pytest.mark.parametrize(("columns", "rate"), [(999, RATES.dense), (1000, RATES.dense_threaded)])
+def test_blas_threads_pay_from_a_thousand_columns(columns, rate):
+    assert factor_rate(RATES, True, columns, FACTOR) == rate
+    # Of a sparse factor the average column counts.
+    wide = FactorCount(
+        nnz=10, fill=0, flops=10.0 * columns, cholmod_flops=0, tree_height=1, profile=()
+    )
+    assert factor_rate(RATES, False, 1, wide) == (RATES.sparse if columns < 1000 else rate)

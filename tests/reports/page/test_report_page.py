@@ -1,0 +1,288 @@
+"""The report page: what it draws is what it holds, in a browser, in both themes."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import bundle
+from bundle import InputError
+from bundle.figures.residual_field import residual_fields
+from bundle.figures.residuals import residuals
+from bundle.reports.page.photographs import photograph
+from bundle.reports.page.report_page import write_report
+from tests.figures.matplotlib.test_placement_numbers import RECORD, covariances
+from tests.reports.page.browser import check_nothing_is_clipped
+from tests.reports.page.reader import Page
+from tests.scenes import make_problem, scene
+
+
+@pytest.fixture(scope="module")
+def solved():
+    problem = make_problem(num_images=8, num_points=300, shared=True, seed=4)
+    return bundle.solve(problem, max_num_iterations=5)
+
+
+def data_of(page):
+    return json.loads(page.scripts[0])
+
+
+@pytest.fixture
+def written(solved, tmp_path):
+    path = tmp_path / "report.html"
+    photographs = tmp_path / "photographs"
+    photographs.mkdir()
+    first, second = (image.name for image in solved.worst_images[:2])
+    Image.new("RGB", (400, 300), (90, 120, 150)).save(photographs / first)
+    Image.new("RGB", (300, 400)).save(photographs / second)  # of another shape
+    notes = write_report(solved, path, images=photographs, name="<b>scene")
+    return path, Page(path), notes
+
+
+def test_the_page_says_what_went_in_and_came_out(written, solved):
+    _, page, _ = written
+    rows = {row[0]: row[1:] for row in page.rows if len(row) == 3}
+    before, after = solved.reprojection_error_before, solved.reprojection_error_after
+    assert rows["RMSE [px]"] == [f"{before.rmse:.4f}", f"{after.rmse:.4f}"]
+    assert float(rows["cost"][1]) == pytest.approx(solved.summary.final_cost, rel=1e-8)
+    assert rows["observations"] == ["2,400", "2,400"]
+    assert "<b>scene" in page.text
+    assert "8 images, 1 camera, 300 points" in page.text
+    for words in solved.summary.warnings:
+        assert words in page.text
+
+
+def test_the_page_loads_nothing_and_leads_to_its_sections(written):
+    _, page, _ = written
+    inside = [address for address in page.loads if address.startswith("#")]
+    assert {address[1:] for address in inside} <= set(page.ids)
+    assert len(inside) == 8
+    others = set(page.loads) - set(inside)
+    assert all(address.startswith("data:image/") for address in others)
+    rest = re.sub(r"http://www\.w3\.org/(2000/svg|1999/xhtml)", "", page.source)
+    assert not re.search(r"https?:|@import|url\(", rest)
+    assert "default-src &#x27;none&#x27;" in page.source
+    assert len(page.ids) == len(set(page.ids))
+
+
+def test_photographs_are_shown_and_missed(written):
+    _, page, notes = written
+    assert page.source.count("data:image/jpeg;base64,") == 1
+    missing, misfit = notes
+    assert "No photograph" in missing and "300 x 400" in misfit
+    for words in notes:
+        assert words in page.text
+
+
+def test_photographs_outside_of_the_folder_and_broken_ones_are_none(tmp_path):
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    Image.new("RGB", (40, 30)).save(tmp_path / "outside.jpg")
+    Image.new("RGB", (40, 30)).save(folder / "inside.png")
+    (folder / "broken.jpg").write_bytes(b"no picture")
+    outside = str(tmp_path / "outside.jpg")
+    for name in ("../outside.jpg", outside, "broken.jpg", "", "none.jpg"):
+        assert photograph(folder, name) is None
+    assert photograph(folder, "inside.png").size == (40, 30)
+    assert photograph(folder, "left/inside.png").size == (40, 30)
+
+
+def test_histograms_are_those_before_and_after(written, solved):
+    held = data_of(written[1])["histogram"]
+    for label, problem in (("before", solved.initial_problem), ("after", solved.problem)):
+        values = residuals(problem).xy.ravel()
+        expected = np.histogram(values, held["edges"])[0]
+        np.testing.assert_allclose(held["coordinates"][label], expected, atol=1)
+        sigma = 1.4826 * np.median(np.abs(values))
+        assert held["sigma"][label] == pytest.approx(sigma)
+
+
+def test_every_drawn_cell_is_that_of_the_numbers_of_the_page(written, solved, browser):
+    path, page, _ = written
+    (field,) = data_of(page)["fields"]
+    (expected,) = residual_fields(solved.problem, residuals(solved.problem))
+    assert field["count"] == expected.count.ravel().tolist()
+    for name, values in (("mean_x", expected.mean[..., 0]), ("rms", expected.rms)):
+        held = np.array([np.nan if v is None else v for v in field[name]])
+        np.testing.assert_allclose(held, values.ravel(), rtol=1e-5, atol=1e-9)
+    browser.open(path)
+    cells = browser.evaluate(
+        "[...document.querySelectorAll('.heat')].map((g) => [g.ownerSVGElement.ariaLabel,"
+        " [...g.children].map((r) => [+r.dataset.cell, +r.getAttribute('fill-opacity')])])"
+    )
+    drawn = {name: dict(pairs) for name, pairs in cells}
+    count = np.array(field["count"], float)
+    mean = np.hypot(*np.array([field["mean_x"], field["mean_y"]], float))
+    error = np.array([np.nan if v is None else v for v in field["standard_error"]], float)
+    rms = np.array([np.nan if v is None else v for v in field["rms"]], float)
+    count[count == 0] = np.nan
+    significance = mean / error
+    for name, values, least in (
+        ("count", count, 0.0), ("magnitude", rms, 0.0), ("significance", significance, 6.06)
+    ):  # fmt: skip
+        known = np.isfinite(values)
+        assert set(drawn[name]) == set(np.flatnonzero(known).tolist())
+        top = max(np.quantile(values[known], 0.98), least)
+        shares = np.array([drawn[name][k] for k in np.flatnonzero(known)])
+        np.testing.assert_allclose(shares, np.minimum(values[known] / top, 1.0), atol=6e-4)
+    lines = browser.evaluate(
+        "[...document.querySelectorAll('.vectors path')].map((p) =>"
+        " [+p.dataset.cell, p.getAttribute('d'), p.classList.contains('bold')])"
+    )
+    left, top, right, bottom = field["box"]
+    unit = 400.0 / (right - left)
+    assert {cell for cell, _, _ in lines} == set(np.flatnonzero(np.isfinite(count)).tolist())
+    for cell, path_data, bold in lines:
+        row, column = divmod(cell, field["columns"])
+        start, step = path_data[1:].split("l")
+        place = [
+            2 + (column + 0.5) * 400.0 / field["columns"],
+            2 + (row + 0.5) * (bottom - top) * unit / field["rows"],
+        ]
+        np.testing.assert_allclose([float(v) for v in start.split()], place, atol=0.006)
+        vector = np.array([field["mean_x"][cell], field["mean_y"][cell]]) * field["vector_factor"]
+        np.testing.assert_allclose([float(v) for v in step.split()], vector * unit, atol=0.006)
+        assert bold == bool(significance[cell] > 3.03)
+
+
+def test_the_page_is_quiet_and_fits_in_both_themes(written, browser):
+    path, _, _ = written
+    colours = []
+    for theme in ("light", "dark"):
+        features = [{"name": "prefers-color-scheme", "value": theme}]
+        browser.call("Emulation.setEmulatedMedia", features=features)
+        check_nothing_is_clipped(browser, path, 1200)
+        assert browser.complaints() == []
+        assert browser.requested() == [path.as_uri()]
+        colours.append(browser.evaluate("getComputedStyle(document.body).backgroundColor"))
+    browser.call("Emulation.setEmulatedMedia", features=[])
+    check_nothing_is_clipped(browser, path, 400)
+    assert colours[0] != colours[1]
+    assert path.stat().st_size < 8e6
+
+
+def test_the_3d_view_paints_and_its_switches_change_it(written, solved, browser):
+    path, page, _ = written
+    scene = data_of(page)["scene"]
+    points = np.frombuffer(base64.b64decode(scene["points"]), "<f4").reshape(-1, 3)
+    world = np.array(scene["origin"]) + scene["unit"] * points
+    np.testing.assert_allclose(world, solved.problem.points, atol=1e-5)
+    browser.open(path)
+    browser.wait_for("Number(document.querySelector('.scene').dataset.drawn) >= 3")
+    painted = (
+        "(() => { const from = document.querySelector('.scene canvas');"
+        " const to = document.createElement('canvas'); to.width = from.width;"
+        " to.height = from.height; const pen = to.getContext('2d'); pen.drawImage(from, 0, 0);"
+        " const rgba = pen.getImageData(0, 0, to.width, to.height).data; const seen = new Map();"
+        " for (let i = 0; i < rgba.length; i += 4) { const key = rgba[i] + 256 * rgba[i + 1] +"
+        " 65536 * rgba[i + 2]; seen.set(key, (seen.get(key) || 0) + 1); }"
+        " return [seen.size, rgba.length / 4 - Math.max(...seen.values())]; })()"
+    )
+    colours, everything = browser.evaluate(painted)
+    assert colours > 10 and everything > 300
+    browser.click("[data-shows=points]")
+    _, others = browser.evaluate(painted)
+    browser.click("[data-shows=ellipsoids]")
+    _, cameras = browser.evaluate(painted)
+    browser.click("[data-shows=cameras]")
+    assert 0 < cameras < others < everything
+    assert browser.evaluate(painted)[1] == 0
+    assert browser.complaints() == []
+
+
+def test_sigmas_are_those_of_the_library(written, solved):
+    _, page, _ = written
+    cov = bundle.covariance(solved, scale="sigma0")
+    sigmas = {row[2]: row[-1] for row in page.rows if len(row) == 6 and row[0] == "1"}
+    expected = np.sqrt(np.diag(cov.camera(1)))
+    assert float(sigmas["f"]) == pytest.approx(expected[0], rel=1e-3)
+    assert float(sigmas["k"]) == pytest.approx(expected[3], rel=1e-3)
+    (lens,) = data_of(page)["lenses"]
+    assert max(lens["sigma"]) > 0
+    assert "inner" in page.text
+    rotations = next(row for row in page.rows if "rotation of a camera" in row[0])
+    worst = [np.linalg.eigvalsh(block[:3, :3])[-1] for block in cov.pose_covariance]
+    assert float(rotations[2]) == pytest.approx(np.degrees(np.sqrt(np.median(worst))), rel=1e-2)
+
+
+def test_placement_and_certainty_are_on_the_page_where_they_are_known(solved, tmp_path, browser):
+    problem = solved.problem
+    given = covariances(problem, np.random.default_rng(2))
+    path = tmp_path / "report.html"
+    write_report(solved, path, georeference=RECORD, covariance=given)
+    page = Page(path)
+    rows = {row[0]: row[1:] for row in page.rows if row}
+    assert rows["control points"][0] == "2"
+    assert rows["c"][0] == "suspect"
+    assert rows["c"][2:5] == ["1.0000", "2.0000", "2.0000"]
+    sigmas = {row[2]: row[-1] for row in page.rows if len(row) == 6 and row[0] == "1"}
+    assert sigmas == {"f": "2", "cx": "held", "cy": "held", "k": "0.001"}
+    assert ["f", "+1.000", "+0.500"] in page.rows
+    scene = data_of(page)["scene"]
+    for kind, covariance in (("point", given.point_covariance), ("camera", None)):
+        ellipsoids = scene[f"{kind}_ellipsoids"]
+        axes = np.frombuffer(base64.b64decode(ellipsoids["axes"]), "<f4").reshape(-1, 3, 3)
+        assert f"{ellipsoids['factor']:g} times as large" in page.text
+        if covariance is not None:
+            shape = np.swapaxes(axes, 1, 2) @ axes / ellipsoids["factor"] ** 2
+            np.testing.assert_allclose(shape * scene["unit"] ** 2, covariance, rtol=1e-3, atol=1e-9)
+    for theme in ("light", "dark"):
+        features = [{"name": "prefers-color-scheme", "value": theme}]
+        browser.call("Emulation.setEmulatedMedia", features=features)
+        check_nothing_is_clipped(browser, path, 1000)
+    browser.call("Emulation.setEmulatedMedia", features=[])
+    assert browser.complaints() == []
+    assert browser.count("[data-shows=ellipsoids]") == 1
+
+
+def nothing_observed():
+    problem = make_problem(num_images=3, num_points=10)
+    return problem.replace(
+        observation_image=np.zeros(0, int), observation_point=np.zeros(0, int),
+        observation_xy=np.zeros((0, 2)), observation_keypoint=np.zeros(0, int),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("problem", "num_notes"),
+    [
+        (nothing_observed(), 2),
+        (make_problem(num_images=1, num_points=5), 1),
+        (make_problem(num_images=2, num_points=1), 1),
+        (scene(), 0),  # no sizes, no names
+    ],
+    ids=["nothing", "one image", "one point", "bal"],
+)
+def test_hardly_a_problem_is_a_page_too(problem, num_notes, tmp_path):
+    path = tmp_path / "report.html"
+    notes = write_report(problem, path)
+    page = Page(path)
+    assert len(notes) == num_notes
+    assert all(words in page.text for words in notes)
+    assert "Co-visibility" in page.text
+
+
+def test_everything_fixed_is_a_page_too(tmp_path):
+    solved = bundle.solve(make_problem(num_images=2, num_points=8), refine=())
+    write_report(solved, tmp_path / "report.html")
+    rows = [row for row in Page(tmp_path / "report.html").rows if row and row[0] == "cost"]
+    assert rows[0][1] == rows[0][2]
+
+
+def test_bad_arguments_write_nothing(solved, tmp_path):
+    for arguments in ({"images": tmp_path / "none"}, {"name": 3}):
+        with pytest.raises(InputError):
+            write_report(solved, tmp_path / "report.html", **arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_reports_of_commands_do_not_hide_the_function(solved, tmp_path):
+    import bundle.reports.terminal.report
+
+    bundle.report(solved, tmp_path / "report.html")
+    assert (tmp_path / "report.html").stat().st_size > 10_000
