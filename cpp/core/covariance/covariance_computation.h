@@ -108,7 +108,7 @@ class CovarianceComputation {
 
   /// Unknowns of S stand in the order of its elimination: the minor that fails names one of them.
   void Check(const LinearSolution& solution) const {
-    if (solution.status == LinearSolution::Status::kSuccess) return;
+    if (solution.status == LinearStatus::kSuccess) return;
     if (solution.failed_minor > 0) NotDetermined(solution.failed_minor - 1, "a pivot of 0 or less");
     std::string why = solution.message;
     if (!why.empty() && why.back() == '.') why.pop_back();

@@ -20,7 +20,7 @@ constexpr int kMaxRepetitions = 20;
 /// Below so many unknowns a dense factorisation is the faster one.
 constexpr int kDenseBelow = 300;
 
-constexpr LinearSolution::Status kSuccess = LinearSolution::Status::kSuccess;
+constexpr LinearStatus kSuccess = LinearStatus::kSuccess;
 
 }  // namespace
 

@@ -210,7 +210,7 @@ LinearSolution ReducedSystem::Solve(const FullVectors& rhs, FullVectors* x) {
   x->cameras.assign(reduced.size(), 0.0);
   x->points.assign(rhs.points.size(), 0.0);
   const LinearSolution solution = Solve(reduced.data(), columns, x->cameras.data());
-  if (solution.status != LinearSolution::Status::kSuccess) return solution;
+  if (solution.status != LinearStatus::kSuccess) return solution;
   ForPoints([&](int point, const PointBlocks& blocks, const PointAssembler&, int) {
     for (int m = 0; m < columns; ++m) {
       const size_t at = m * num_coordinates + 3 * size_t(point);

@@ -192,13 +192,13 @@ LinearSolution SolveForScatter(ReducedSystem* system, const std::vector<double>&
       for (int c = 0; c < columns; ++c) y(begin + c, c) = 1;
     }
     LinearSolution solution = system->Solve(y.data(), columns, x.data());
-    if (solution.status != LinearSolution::Status::kSuccess) return solution;
+    if (solution.status != LinearStatus::kSuccess) return solution;
     if (gauge != nullptr) gauge->RemoveGauge(x);
     for (int c = 0; c < columns; ++c) product.Multiply(meat, x.col(c).data(), y.col(c).data());
     if (gauge != nullptr) gauge->RemoveGauge(y);
     of_columns.setZero(n, columns);
     solution = system->Solve(y.data(), columns, of_columns.data());
-    if (solution.status != LinearSolution::Status::kSuccess) return solution;
+    if (solution.status != LinearStatus::kSuccess) return solution;
     if (gauge != nullptr) gauge->RemoveGauge(of_columns);
     for (int j = first; j < last; ++j) {
       for (int64_t e = s.column_begin[j]; e < s.column_begin[j + 1]; ++e) {

@@ -49,7 +49,7 @@ LinearSolution ScatterGauge::Finish(ReducedSystem* system, const std::vector<dou
   LinearSolution solution;
   // to = S^+ from, or C from.
   const auto solve = [&](Eigen::MatrixXd from, bool without_gauge, Eigen::MatrixXd* to) {
-    if (solution.status != LinearSolution::Status::kSuccess) return;
+    if (solution.status != LinearStatus::kSuccess) return;
     if (without_gauge) RemoveGauge(from);
     to->setZero(from.rows(), d);
     solution = system->Solve(from.data(), d, to->data());
@@ -57,7 +57,7 @@ LinearSolution ScatterGauge::Finish(ReducedSystem* system, const std::vector<dou
   };
   solve(basis_, false, &solved_basis_);
   solve(gauge_.reduced(), true, &x_);
-  if (solution.status != LinearSolution::Status::kSuccess) return solution;
+  if (solution.status != LinearStatus::kSuccess) return solution;
   SymmetricProduct product(system->structure(), system->num_threads());
   Eigen::MatrixXd right = Eigen::MatrixXd::Zero(x_.rows(), d);
   for (int m = 0; m < d; ++m) product.Multiply(meat, x_.col(m).data(), right.col(m).data());

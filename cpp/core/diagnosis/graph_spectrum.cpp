@@ -96,7 +96,7 @@ class GraphSpectrumSearch {
       AddBlocks(compact_, values_.data(), s, system.values.data());
       s.ForDiagonal(
           [&](int column, int64_t at) { system.values[at] += shift / (d_[column] * d_[column]); });
-      if (problem_->solver().Factorize(&system, {}).status == LinearSolution::Status::kSuccess) {
+      if (problem_->solver().Factorize(&system, {}).status == LinearStatus::kSuccess) {
         return;
       }
     }

@@ -108,15 +108,14 @@ int ScaledSystem::Factorize(double shift) {
   AddBlocks(compact_, values_.data(), structure, values.data());
   structure.ForDiagonal([&](int, int64_t at) { values[at] += shift; });
   const LinearSolution solution = reduced_->Factorize();
-  if (solution.status == LinearSolution::Status::kSuccess) return -1;
+  if (solution.status == LinearStatus::kSuccess) return -1;
   return std::max(solution.failed_minor - 1, 0);
 }
 
 Eigen::MatrixXd ScaledSystem::Solve(const Eigen::MatrixXd& x) {
   Eigen::MatrixXd y(x.rows(), x.cols());
   const LinearSolution solution = reduced_->Solve(x.data(), static_cast<int>(x.cols()), y.data());
-  if (solution.status != LinearSolution::Status::kSuccess)
-    throw std::runtime_error(solution.message);
+  if (solution.status != LinearStatus::kSuccess) throw std::runtime_error(solution.message);
   return y;
 }
 

@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "core/interface/options.h"
-#include "core/problem/problem_view.h"
 
 namespace bundle {
 

@@ -17,7 +17,6 @@
 #include <utility>
 #include <vector>
 
-#include "core/cameras/camera_model.h"
 #include "core/parallel/thread_pool.h"
 
 namespace bundle {
@@ -114,8 +113,9 @@ struct BlockSystem {
   /// (model/gauge.h). Empty unless a preconditioner asks for it.
   std::vector<double> gauge_directions;
 
+  /// Both are those of the model's parameters (schur/assembler.cpp asserts it).
   static constexpr int kNumGaugeDirections = 7;
-  static constexpr int kMaxBlockSize = 6 + kMaxCameraParams;
+  static constexpr int kMaxBlockSize = 22;
 };
 
 /// Asks the system for large pages where nothing has been touched yet. No more than a hint.

@@ -42,7 +42,7 @@
 namespace bundle {
 namespace {
 
-using Status = LinearSolution::Status;
+using Status = LinearStatus;
 
 constexpr int kMaxIterations = 500;       // Ceres' max_linear_solver_iterations
 constexpr int kResidualResetPeriod = 10;  // Ceres' ConjugateGradientsSolver

@@ -20,13 +20,12 @@ namespace bundle {
 namespace {
 
 LinearSolution RefusedArgument(int info) {
-  return {LinearSolution::Status::kFatal, 1,
-          "LAPACK refused argument " + std::to_string(-info) + "."};
+  return {LinearStatus::kFatal, 1, "LAPACK refused argument " + std::to_string(-info) + "."};
 }
 
 /// `where`: "" or " in the order of ...".
 LinearSolution NotPositiveDefinite(int minor, const std::string& where) {
-  return {LinearSolution::Status::kFailure, 1,
+  return {LinearStatus::kFailure, 1,
           "The reduced camera system is not positive definite: its leading minor of order " +
               std::to_string(minor) + where + " is not.",
           minor};
@@ -34,8 +33,7 @@ LinearSolution NotPositiveDefinite(int minor, const std::string& where) {
 
 LinearSolution CheckFinite(const double* x, int64_t size) {
   if (std::all_of(x, x + size, [](double v) { return std::isfinite(v); })) return {};
-  return {LinearSolution::Status::kFailure, 1,
-          "The solution of the reduced camera system is not finite."};
+  return {LinearStatus::kFailure, 1, "The solution of the reduced camera system is not finite."};
 }
 
 class RemoteSolver final : public LinearSolver {

@@ -51,7 +51,7 @@ std::vector<double> SolveEdgeSystem(const EdgeSystem& system) {
   const std::vector<double> scale(n * d, 1.0);
   std::vector<double> permuted(n * d);
   const LinearSolution solution = solver->Solve(&blocks, scale, 0, permuted.data());
-  if (solution.status != LinearSolution::Status::kSuccess) return {};
+  if (solution.status != LinearStatus::kSuccess) return {};
   std::vector<double> x(n * d);
   for (int64_t i = 0; i < n; ++i) {
     std::copy_n(permuted.data() + int64_t{place[i]} * d, d, x.data() + i * d);

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "core/interface/linear_status.h"
 #include "core/interface/options.h"
 #include "core/linear/block_structure.h"
 
@@ -26,12 +27,7 @@ FillOrdering FindFillOrdering(const BlockStructure& structure);
 FillOrdering FindFillOrdering(const BlockStructure& structure, const std::string& method);
 
 struct LinearSolution {
-  enum class Status {
-    kSuccess,  ///< also where an iterative solver stopped at its limit, as in Ceres
-    kFailure,  ///< not positive definite, or not finite: more damping may help
-    kFatal,    ///< nothing will help, such as no memory
-  };
-  Status status = Status::kSuccess;
+  LinearStatus status = LinearStatus::kSuccess;
   int num_iterations = 1;  ///< of conjugate gradients; 1 for a factorisation, as in Ceres
   std::string message;
   int failed_minor = 0;  ///< order of the leading minor that is not positive definite; 0: unknown
@@ -59,7 +55,7 @@ class LinearSolver {
   LinearSolution Factorize(BlockSystem* system, const std::vector<double>& scale) {
     is_factorized_ = false;
     LinearSolution result = DoFactorize(system, scale);
-    is_factorized_ = result.status == LinearSolution::Status::kSuccess;
+    is_factorized_ = result.status == LinearStatus::kSuccess;
     return result;
   }
 
@@ -78,7 +74,7 @@ class LinearSolver {
   LinearSolution Solve(BlockSystem* system, const std::vector<double>& scale, double eta,
                        double* x) {
     LinearSolution factorized = Factorize(system, scale);
-    if (factorized.status != LinearSolution::Status::kSuccess) return factorized;
+    if (factorized.status != LinearStatus::kSuccess) return factorized;
     return Solve(system->rhs.data(), 1, eta, x);
   }
 

@@ -27,7 +27,7 @@ constexpr double kExactly = 0;  // the forcing term: a path needs the whole Newt
 Step Dogleg::ComputeStep(LeastSquares* problem) {
   Step step;
   if (!directions_are_known_) FindDirections(problem, &step);
-  if (step.status != NewtonResult::Status::kSuccess) return step;
+  if (step.status != LinearStatus::kSuccess) return step;
   const Combination best = path_(products_, radius_);
   length_ = best.length;
   step.candidate = problem->EvaluateDoglegStep(best.p, best.q);
@@ -35,18 +35,18 @@ Step Dogleg::ComputeStep(LeastSquares* problem) {
 }
 
 void Dogleg::FindDirections(LeastSquares* problem, Step* step) {
-  step->status = NewtonResult::Status::kFailure;
+  step->status = LinearStatus::kFailure;
   step->num_iterations = -1;  // as Ceres has it where even the largest damping has failed before
-  while (damping_ < kMaxDamping && step->status == NewtonResult::Status::kFailure) {
+  while (damping_ < kMaxDamping && step->status == LinearStatus::kFailure) {
     if (damping_has_changed_) problem->Linearize(damping_);
     damping_has_changed_ = false;
     NewtonResult newton = problem->SolveNewton(kExactly);
     step->status = newton.status;
     step->num_iterations = newton.num_iterations;
     step->message = std::move(newton.message);
-    if (step->status == NewtonResult::Status::kFailure) IncreaseDamping();
+    if (step->status == LinearStatus::kFailure) IncreaseDamping();
   }
-  if (step->status != NewtonResult::Status::kSuccess) return;
+  if (step->status != LinearStatus::kSuccess) return;
   products_ = problem->Products();
   directions_are_known_ = true;
 }

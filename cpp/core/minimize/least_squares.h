@@ -25,6 +25,8 @@
 
 #include <string>
 
+#include "core/interface/linear_status.h"
+
 namespace bundle {
 
 struct Linearization {
@@ -36,8 +38,7 @@ struct Linearization {
 };
 
 struct NewtonResult {
-  enum class Status { kSuccess, kFailure, kFatal };
-  Status status = Status::kSuccess;
+  LinearStatus status = LinearStatus::kSuccess;
   int num_iterations = 0;
   std::string message;
 };

@@ -11,7 +11,7 @@
 namespace bundle {
 
 struct Step {
-  NewtonResult::Status status = NewtonResult::Status::kSuccess;
+  LinearStatus status = LinearStatus::kSuccess;
   int num_iterations = 0;  ///< of the linear solver; 0 where it had nothing to do
   std::string message;
   Candidate candidate;  ///< where `status` is kSuccess

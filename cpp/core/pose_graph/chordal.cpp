@@ -114,10 +114,10 @@ class ChordalStage {
     structure_.ForDiagonal([&](int, int64_t at) { system_.values[at] += little; });
     solution_.resize(rhs_.size());
     LinearSolution found = solver_->Factorize(&system_, {});
-    if (found.status == LinearSolution::Status::kSuccess) {
+    if (found.status == LinearStatus::kSuccess) {
       found = solver_->Solve(rhs_.data(), num_rhs_, 0, solution_.data());
     }
-    if (found.status != LinearSolution::Status::kSuccess) {
+    if (found.status != LinearStatus::kSuccess) {
       throw InputError("init: the linear system of the chordal relaxation has no solution (" +
                        found.message + ")");
     }

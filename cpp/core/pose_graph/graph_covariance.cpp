@@ -107,7 +107,7 @@ class GraphCovariance {
     s.ForDiagonal([&](int, int64_t at) { diagonal_.push_back(system.values[at]); });
     const std::vector<double> rhs = system.rhs;
     const LinearSolution done = problem_->solver().Factorize(&problem_->system(), {});
-    if (done.status != LinearSolution::Status::kSuccess) {
+    if (done.status != LinearStatus::kSuccess) {
       const int block = s.BlockOf(std::max(done.failed_minor - 1, 0));
       output->undetermined_pose = problem_->pose_of_blocks()[block];
       return false;

@@ -8,7 +8,6 @@
 
 #include "core/interface/summary.h"
 #include "core/linear/block_structure.h"
-#include "core/linear/newton_result.h"
 #include "core/minimize/damping.h"
 #include "core/parallel/thread_pool.h"
 #include "core/pose_graph/block_pattern_of_edges.h"
@@ -96,7 +95,8 @@ class PoseGraphProblemOf final : public PoseGraphProblem {
   }
 
   NewtonResult SolveNewton(double eta) override {
-    return AsNewtonResult(solver_->Solve(&system_, scale_, eta, newton_.data()));
+    const LinearSolution solution = solver_->Solve(&system_, scale_, eta, newton_.data());
+    return {solution.status, solution.num_iterations, solution.message};
   }
 
   Candidate EvaluateNewtonStep() override {

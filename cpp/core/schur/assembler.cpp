@@ -2,9 +2,14 @@
 
 #include <algorithm>
 
+#include "core/model/gauge.h"
 #include "core/parallel/twofold_sum.h"
 
 namespace bundle {
+
+static_assert(BlockSystem::kMaxBlockSize == ColumnMap::kMaxSize);
+static_assert(BlockSystem::kNumGaugeDirections == kNumGaugeDirections);
+
 namespace {
 
 constexpr size_t kPairsAhead = 6;  // as many misses as a core has on their way at once, about

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <utility>
 
-#include "core/linear/newton_result.h"
 #include "core/model/gauge.h"
 #include "core/parallel/reducer.h"
 #include "core/parallel/thread_pool.h"
@@ -86,11 +85,11 @@ NewtonResult SchurProblem::SolveNewton(double eta) {
     solution = solver_->Solve(&sums_.sums().system, scale_, eta, newton_.data());
   }
   ShareSolution(ranks_, &solution, &newton_);
-  NewtonResult result = AsNewtonResult(solution);
+  NewtonResult result{solution.status, solution.num_iterations, solution.message};
   const bool finite = std::all_of(newton_.begin(), newton_.end(),
                                   [](double value) { return std::isfinite(value); });
-  if (result.status == NewtonResult::Status::kSuccess && !finite) {
-    result.status = NewtonResult::Status::kFailure;
+  if (result.status == LinearStatus::kSuccess && !finite) {
+    result.status = LinearStatus::kFailure;
   }
   return result;
 }

@@ -71,7 +71,7 @@ void SumSystems(Reducer* ranks, const BlockStructure& structure, const Assembler
 void ShareSolution(Reducer* ranks, LinearSolution* solution, std::vector<double>* step) {
   if (ranks == nullptr) return;
   const auto status = BroadcastFirst(ranks, static_cast<double>(solution->status));
-  solution->status = static_cast<LinearSolution::Status>(std::lround(status));
+  solution->status = static_cast<LinearStatus>(std::lround(status));
   const auto iterations = BroadcastFirst(ranks, static_cast<double>(solution->num_iterations));
   solution->num_iterations = static_cast<int>(std::lround(iterations));
   solution->message = FirstOverRanks(ranks, IsFirst(ranks) ? solution->message : "");

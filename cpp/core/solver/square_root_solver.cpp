@@ -79,7 +79,7 @@ class SquareRootProblem final : public LeastSquares {
     newton_ = scale_.cwiseProduct(qr_->Solve());
     NewtonResult result;
     if (!newton_.allFinite()) {
-      result.status = NewtonResult::Status::kFailure;
+      result.status = LinearStatus::kFailure;
       result.message = "The QR factorisation of the Jacobian failed.";
     }
     result.num_iterations = 1;

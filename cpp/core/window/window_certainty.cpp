@@ -50,7 +50,7 @@ void WindowProblem::FixGauge() {
 bool WindowProblem::FactorizeUndamped(bool fix_gauge) {
   if (!Linearize(0).is_finite) return false;
   if (fix_gauge) FixGauge();
-  return solver_->Factorize(&system_, scale_).status == LinearSolution::Status::kSuccess;
+  return solver_->Factorize(&system_, scale_).status == LinearStatus::kSuccess;
 }
 
 std::vector<double> WindowProblem::CovarianceOfLastState(bool fix_gauge) {
@@ -61,8 +61,7 @@ std::vector<double> WindowProblem::CovarianceOfLastState(bool fix_gauge) {
   for (int c = 0; c < kMotionSize; ++c) columns.push_back(Column(2 * last + 1) + c);
   std::vector<double> rhs(size_t(n) * kStateTangent, 0.0), x(rhs.size());
   for (int k = 0; k < kStateTangent; ++k) rhs[size_t(n) * k + columns[k]] = 1;
-  if (solver_->Solve(rhs.data(), kStateTangent, 0, x.data()).status !=
-      LinearSolution::Status::kSuccess) {
+  if (solver_->Solve(rhs.data(), kStateTangent, 0, x.data()).status != LinearStatus::kSuccess) {
     return {};
   }
   std::vector<double> covariance;
@@ -74,8 +73,7 @@ std::vector<double> WindowProblem::CovarianceOfLastState(bool fix_gauge) {
 
 double WindowProblem::ExpectedImuCost(bool fix_gauge) {
   constexpr int kBoth = 2 * kStateTangent, kRows = InertialRows::kImuRows;
-  if (!FactorizeUndamped(fix_gauge) ||
-      solver_->InvertBlocks().status != LinearSolution::Status::kSuccess) {
+  if (!FactorizeUndamped(fix_gauge) || solver_->InvertBlocks().status != LinearStatus::kSuccess) {
     return std::numeric_limits<double>::quiet_NaN();
   }
   double degrees = 0;

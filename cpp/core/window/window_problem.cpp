@@ -5,7 +5,6 @@
 #include <stdexcept>
 #include <utility>
 
-#include "core/linear/newton_result.h"
 #include "core/minimize/damping.h"
 #include "core/window/block_products.h"
 #include "core/window/window_gauge.h"
@@ -176,8 +175,9 @@ void WindowProblem::Damp(double damping) {
 }
 
 NewtonResult WindowProblem::SolveNewton(double eta) {
-  NewtonResult result = AsNewtonResult(solver_->Solve(&system_, scale_, eta, newton_.data()));
-  if (result.status != NewtonResult::Status::kSuccess) return result;
+  const LinearSolution solution = solver_->Solve(&system_, scale_, eta, newton_.data());
+  NewtonResult result{solution.status, solution.num_iterations, solution.message};
+  if (result.status != LinearStatus::kSuccess) return result;
   TakeOutFreeDirections();
   for (size_t l = 0; l < landmarks_.size(); ++l) {
     Landmark& landmark = landmarks_[l];

@@ -12,7 +12,7 @@
 namespace bundle {
 namespace {
 
-using Status = LinearSolution::Status;
+using Status = LinearStatus;
 
 struct Solver {
   BlockStructure structure;

@@ -17,7 +17,7 @@
 namespace bundle {
 namespace {
 
-using Status = LinearSolution::Status;
+using Status = LinearStatus;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 

@@ -19,7 +19,7 @@ namespace {
 
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
-using Status = LinearSolution::Status;
+using Status = LinearStatus;
 
 constexpr double kEta = 1e-15;  // as far as conjugate gradients come
 

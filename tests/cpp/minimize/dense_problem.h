@@ -46,8 +46,8 @@ class DenseProblem final : public LeastSquares {
     Eigen::VectorXd rhs = Eigen::VectorXd::Zero(m + n);
     rhs.head(m) = r_;
     q_ = -scale_ * oracle::SolveLeastSquares(lhs, rhs).array();
-    if (!q_.allFinite()) return {NewtonResult::Status::kFailure, 1, "not finite"};
-    return {NewtonResult::Status::kSuccess, 1, ""};
+    if (!q_.allFinite()) return {LinearStatus::kFailure, 1, "not finite"};
+    return {LinearStatus::kSuccess, 1, ""};
   }
 
   Candidate EvaluateNewtonStep() override { return Try(q_); }

@@ -271,7 +271,7 @@ TEST(TrustRegion, AQualityKeepsAnEighthHoweverUncertainItIs) {
   }
 }
 
-const NewtonResult kIndefinite{NewtonResult::Status::kFailure, 1, "not positive definite"};
+const NewtonResult kIndefinite{LinearStatus::kFailure, 1, "not positive definite"};
 
 TEST(TrustRegion, LevenbergMarquardtDampsMoreAfterAFailure) {
   Unreliable problem(Hilbert(), {kIndefinite, kIndefinite, kIndefinite});
@@ -347,7 +347,7 @@ TEST(TrustRegion, DoglegsReuseTheirDirectionsAfterARejectedStep) {
 
 TEST(TrustRegion, GivesUpAtOnceWhereNothingHelps) {
   for (const TrustRegionStrategy strategy : kStrategies) {
-    Unreliable problem(Wood(), {{NewtonResult::Status::kFatal, 0, "no memory"}});
+    Unreliable problem(Wood(), {{LinearStatus::kFatal, 0, "no memory"}});
     const MinimizerSummary minimum = Minimize(Endless(strategy), nullptr, &problem);
     EXPECT_EQ(minimum.termination_type, "FAILURE");
     EXPECT_EQ(minimum.message,

@@ -61,7 +61,7 @@ Found SolveWithError(const Scene& scene, const SolveOptions& options,
     }
   }
   schur.Linearize(kDamping);
-  EXPECT_EQ(schur.SolveNewton(0.1).status, NewtonResult::Status::kSuccess);
+  EXPECT_EQ(schur.SolveNewton(0.1).status, LinearStatus::kSuccess);
   Found found;
   found.products = schur.Products();
   found.candidate = schur.EvaluateDoglegStep(-1e-3, 0.7);

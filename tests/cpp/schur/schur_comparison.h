@@ -74,7 +74,7 @@ class Comparison {
     const RealVector d_squared = damping_.SquaredD(expected);
     const EliminatedEquations equations(expected, d_squared, damping);
     const Linearization found = schur_.Linearize(damping);
-    ASSERT_EQ(schur_.SolveNewton(0.1).status, NewtonResult::Status::kSuccess);
+    ASSERT_EQ(schur_.SolveNewton(0.1).status, LinearStatus::kSuccess);
     CheckLinearization(found, expected);
     CheckSystem(equations, expected);
     const RealVector q = equations.Solve();
