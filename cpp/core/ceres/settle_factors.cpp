@@ -5,15 +5,11 @@
 #include <string>
 #include <utility>
 
+#include "core/interface/settling.h"
 #include "core/model/problem_factors.h"
 
 namespace bundle {
 namespace {
-
-/// As in minimize/: the radius of a step without damping, and the change that rounding hides.
-constexpr double kWideRadius = 1e10;
-constexpr double kLostChange = 1e-12;
-constexpr double kTightTolerance = 1e-9;
 
 /// Numbers the iterations on, and ends the solve where the factors have settled.
 class WatchFactors final : public ceres::IterationCallback {

@@ -1,9 +1,8 @@
 #pragma once
 
-/// The end that minimize/trust_region.cpp gives a solve with factors, for Ceres:
-/// its tolerances look at all residuals together. Where one of them ends a solve, another one goes
-/// on from there nearly without damping, until a step changes the cost of no kind of factors by
-/// more than the function tolerance of its own. Both become one summary.
+/// A second solve by Ceres in which the factors settle (interface/settling.h). Ceres tests its
+/// tolerances on all residuals together, so the end of each kind of factors is watched here. Both
+/// solves become one summary.
 
 #include <cstdint>
 #include <map>

@@ -16,14 +16,13 @@
 #include <utility>
 
 #include "core/error.h"
+#include "core/interface/settling.h"
 
 namespace bundle {
 
 namespace {
 
 constexpr double kMaxRadius = 1e16;
-/// Where directions are free, rounding moves them by its 1e-16 times the radius.
-constexpr double kWideRadius = 1e10;
 constexpr double kForcingTerm = 0.1;  // Ceres' eta
 
 }  // namespace
@@ -33,7 +32,7 @@ Step LevenbergMarquardt::ComputeStep(LeastSquares* problem) {
   damping_has_changed_ = false;
   NewtonResult newton = problem->SolveNewton(kForcingTerm);
   Step step{newton.status, newton.num_iterations, std::move(newton.message), {}};
-  if (step.status == NewtonResult::Status::kSuccess) step.candidate = problem->EvaluateNewtonStep();
+  if (step.status == LinearStatus::kSuccess) step.candidate = problem->EvaluateNewtonStep();
   return step;
 }
 

@@ -1,4 +1,4 @@
-#include "core/dense/decompositions.h"
+#include "core/minimize/projected_line_search.h"
 
 /// A step d that disregards the bounds leads to P(x + d), P the projection onto them. The model of
 /// the cost knows nothing of the projection, so that P(x + d) may have a higher cost than the model
@@ -29,7 +29,7 @@
 #include <cmath>
 #include <vector>
 
-#include "core/minimize/trust_region.h"
+#include "core/dense/decompositions.h"
 
 namespace bundle {
 namespace {

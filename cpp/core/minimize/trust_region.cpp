@@ -14,12 +14,7 @@
 ///   candidate whose cost is not finite costs DBL_MAX. That of an invalid step has the cost at x,
 ///   and zeros. The radius in a record is that of the next step.
 ///
-/// One thing is not Ceres'. Thousands of pixels drown a few factors beside them, such as the
-/// positions that alone say where a model is: what is left to go for these changes the cost by less
-/// than the function tolerance, or is hidden by damping that is small beside the pixels and large
-/// beside them. So a solve with factors that meets a tolerance goes on once more, nearly without
-/// damping, until a step changes the cost of no kind of factors by more than the function tolerance
-/// of its own. That step is taken (ceres/settle_factors.h: Ceres tells of it only then).
+/// One thing is not Ceres': factors beside the observations settle (interface/settling.h).
 
 #include <algorithm>
 #include <array>
@@ -30,8 +25,10 @@
 #include <memory>
 #include <utility>
 
+#include "core/interface/settling.h"
+#include "core/minimize/projected_line_search.h"
 #include "core/minimize/strategy.h"
-#include "core/minimize/trust_region.h"
+#include "core/minimize/timed_problem.h"
 #include "core/parallel/thread_pool.h"
 
 namespace bundle {
@@ -41,11 +38,6 @@ namespace {
 constexpr double kMinRelativeDecrease = 1e-3;
 constexpr double kMinRadius = 1e-32;
 constexpr int kMaxConsecutiveInvalidSteps = 10;
-/// Relative change of the cost below which rounding hides it.
-constexpr double kLostChange = 1e-12;
-/// Function tolerances at most this leave factors nothing to settle, and undamped steps would add
-/// rounding alone.
-constexpr double kTightTolerance = 1e-9;
 
 constexpr double kNoCost = std::numeric_limits<double>::max();
 
@@ -140,12 +132,12 @@ class TrustRegion {
 
     Step step = strategy_->ComputeStep(&problem_);
     record_.linear_solver_iterations = step.num_iterations;
-    if (step.status == NewtonResult::Status::kFatal) {
+    if (step.status == LinearStatus::kFatal) {
       return Terminate("FAILURE", "Linear solver failed due to unrecoverable non-numeric causes. " +
                                       step.message);
     }
     const bool is_valid =
-        step.status == NewtonResult::Status::kSuccess && step.candidate.model_cost_change > 0;
+        step.status == LinearStatus::kSuccess && step.candidate.model_cost_change > 0;
     if (!is_valid) return HandleInvalidStep();
     num_consecutive_invalid_steps_ = 0;
 

@@ -1,6 +1,8 @@
 // The search along a projected step, on functions of one number; against_ceres_test.cpp has it
 // within solves.
 
+#include "core/minimize/projected_line_search.h"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -8,8 +10,6 @@
 #include <limits>
 #include <utility>
 #include <vector>
-
-#include "core/minimize/trust_region.h"
 
 namespace bundle {
 namespace {
