@@ -14,7 +14,10 @@ from bundle.interface.option_fields import spellings
 from bundle.model.reprojection import reprojection_error
 from tests import scenes
 
-LAZY = ("html", "losses", "pictures", "comparison", "inspection", "checking", "synthetic")
+LAZY = (
+    *("reports.page", "model.losses", "figures.matplotlib", "planning.comparison"),
+    *("planning.inspection", "checking", "synthetic"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +42,8 @@ early = {LAZY!r}
 assert not [name for name in early if f"bundle.{{name}}" in sys.modules]
 assert not {{"rich", "matplotlib", "pycolmap", "difflib"}} & set(sys.modules)
 assert bundle.losses.evaluate_loss and bundle.pictures.figure and bundle.html.write_comparison
+_ = bundle.compare, bundle.inspect, bundle.check_jacobians, bundle.synthesize
+assert all(f"bundle.{{name}}" in sys.modules for name in early)
 """
     subprocess.run([sys.executable, "-c", script], check=True)
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,12 @@ from tests.scenes import make_problem
 
 HEAVY = {
     *{"pycolmap", "matplotlib", "scipy", "pyproj", "PIL"},
-    *{"bundle.synthetic", "bundle.html", "bundle.pictures", "bundle.georeference"},
+    *{"bundle.reports.page", "bundle.figures.matplotlib", "bundle.georeference"},
+    *{"bundle.synthetic", "bundle.planning.comparison", "bundle.checking"},
 }
+COMMANDS = {f"bundle.cli.{name}" for name in ("compare", "inspect", "synth", "check", "info")}
+NOT_FOR_HELP = HEAVY | COMMANDS | {"rich", "bundle.planning.inspection"}
+NOT_FOR_REFINE = HEAVY | COMMANDS | {"bundle.analysis.statistics", "rich.live", "numpy.ma"}
 RUN = """
 import sys
 from bundle.cli.main import main
@@ -32,13 +37,17 @@ def imported(*words: str) -> set[str]:
     return set(done.stderr.split())
 
 
+@pytest.mark.parametrize("name", sorted(NOT_FOR_HELP | NOT_FOR_REFINE))
+def test_modules_that_must_not_be_imported_exist(name: str) -> None:
+    spec = find_spec(name)
+    assert spec is not None
+    assert spec.origin is not None, "a former name, which is never in sys.modules"
+
+
 def test_help_of_a_command_imports_no_other_command() -> None:
     found = imported("refine", "--help")
     assert "bundle.cli.refine" in found
-    others = {f"bundle.cli.{name}" for name in ("compare", "inspect", "synth", "check", "info")}
-    assert not found & (
-        HEAVY | others | {"rich", "bundle.planning.comparison", "bundle.planning.inspection"}
-    )
+    assert not found & NOT_FOR_HELP
 
 
 @pytest.mark.parametrize("format", ["colmap", "colmap-text"])
@@ -47,7 +56,5 @@ def test_refining_a_model_needs_no_pycolmap(tmp_path: Path, format: str) -> None
     words = ("refine", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--quiet")
     found = imported(*words, "--json", str(tmp_path / "report.json"))
     assert "bundle.reports.terminal.refine" in found
-    assert not found & (
-        HEAVY | {"bundle.analysis.statistics", "rich.live", "bundle.checking", "numpy.ma"}
-    )
+    assert not found & NOT_FOR_REFINE
     assert (tmp_path / "out").is_dir()

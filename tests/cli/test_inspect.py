@@ -97,9 +97,9 @@ def test_recalibrate(run, model, rates):
 
 def test_html(run, model, cycle, tmp_path, monkeypatch):
     written = []
-    page = types.ModuleType("bundle.html")
+    page = types.ModuleType("bundle.reports.page.inspection_page")
     page.write_inspection = lambda *arguments, **named: written.append((*arguments, named))
-    monkeypatch.setitem(sys.modules, "bundle.html", page)
+    monkeypatch.setitem(sys.modules, page.__name__, page)
     target = str(tmp_path / "page.html")
     assert run("inspect", model, "--html", target, "--ranks", "1,4").code == 0
     assert run("inspect", "--graph", cycle, "--html", target).code == 0
