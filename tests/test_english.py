@@ -1,0 +1,116 @@
+"""The countable part of the English: beginnings of descriptions, ends of messages, subjects.
+
+A description begins with a noun phrase or an imperative verb. A message names the cause or the
+remedy; one that ends in "found none" names neither.
+"""
+
+import ast
+import re
+import subprocess
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = ("benchmarks", "cpp", "examples", "python", "tests", "tools")
+FIRST_COMMIT = "4464b28"  # subjects are held from here on
+LONGEST_SUBJECT = 72
+
+# Exceptions that are left of each room. Both tables may only shrink.
+DESCRIPTIONS = {
+    "analysis": 31, "base": 6, "benchmarks": 17, "checking": 12, "cli": 16, "cpp": 373,
+    "editing": 5, "examples": 2, "figures": 11, "georeference": 15, "graphs": 30, "inertial": 24,
+    "interface": 20, "io": 3, "model": 11, "planning": 27, "reports": 33, "solving": 36,
+    "synthetic": 2, "tests": 120,
+}  # fmt: skip
+MESSAGES = {
+    "analysis": 2, "benchmarks": 1, "checking": 1, "cli": 4, "cpp": 12, "editing": 6,
+    "georeference": 9, "graphs": 12, "inertial": 4, "interface": 1, "io": 6, "model": 4,
+    "planning": 7, "reports": 2, "solving": 2, "tests": 23,
+}  # fmt: skip
+
+CLAUSE = re.compile(r"(what|whether|how|of|that)\b", re.IGNORECASE)
+DUMMY = re.compile(r"\b(found (none|one|others?|some|without|with|neither)|which is none)$")
+
+
+def room_of(path: Path) -> str:
+    """Return the room of the Python package, or the folder of the repository."""
+    parts = path.relative_to(ROOT).parts
+    return parts[2] if parts[0] == "python" else parts[0]
+
+
+def sources(*suffixes: str) -> Iterator[Path]:
+    for folder in FOLDERS:
+        for path in sorted((ROOT / folder).rglob("*")):
+            if path.suffix in suffixes:
+                yield path
+
+
+def descriptions(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line and text of docstrings and of /// comments, those of fields among them."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+                for before, each in zip([None, *node.body], node.body, strict=False):
+                    value = each.value if isinstance(each, ast.Expr) else None
+                    describes = before is None or isinstance(before, ast.Assign | ast.AnnAssign)
+                    if describes and isinstance(value, ast.Constant):
+                        yield each.lineno, str(value.value).strip()
+        return
+    inside = False
+    for number, line in enumerate(text.splitlines(), 1):
+        comment = re.search(r"///<? ?(.*)", line)
+        if comment and (not inside or "///<" in line):
+            yield number, comment[1]
+        inside = comment is not None
+
+
+def messages(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line and text of the literals that end a message, those of docstrings left out."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".py":
+        for literal in re.finditer(r'"((?:[^"\\\n]|\\.)*)"', text):
+            yield text.count("\n", 0, literal.start()) + 1, literal[1]
+        return
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+def held(found: dict[str, list[str]], allowed: dict[str, int]) -> None:
+    """Compare what each room has with what it may have."""
+    counts = Counter({room: len(places) for room, places in found.items()})
+    over = {room: found[room] for room in counts if counts[room] > allowed.get(room, 0)}
+    assert not over, "\n".join(place for places in over.values() for place in places)
+
+
+def test_descriptions_begin_with_a_noun_or_a_verb() -> None:
+    found: dict[str, list[str]] = {}
+    for path in sources(".py", ".h", ".cpp"):
+        for line, text in descriptions(path):
+            if CLAUSE.match(text):
+                place = f"{path.relative_to(ROOT)}:{line}: {text.splitlines()[0]}"
+                found.setdefault(room_of(path), []).append(place)
+    held(found, DESCRIPTIONS)
+
+
+def test_messages_name_what_they_found() -> None:
+    found: dict[str, list[str]] = {}
+    for path in sources(".py", ".h", ".cpp"):
+        for line, text in messages(path):
+            if DUMMY.search(text):
+                place = f"{path.relative_to(ROOT)}:{line}: {text}"
+                found.setdefault(room_of(path), []).append(place)
+    held(found, MESSAGES)
+
+
+def test_subjects_of_commits_are_short() -> None:
+    log = ["git", "-C", str(ROOT), "log", "--format=%s", f"{FIRST_COMMIT}..HEAD"]
+    try:
+        subjects = subprocess.run(log, capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip(f"no history back to {FIRST_COMMIT}: an export or a shallow clone")
+    assert [line for line in subjects.splitlines() if len(line) > LONGEST_SUBJECT] == []
