@@ -91,7 +91,7 @@ def interrupting(where: str) -> str:
     return (
         f"import os, signal, sys, importlib\n"
         f"from bundle.cli.main import main\n"
-        f"import bundle.io, bundle.reports.terminal.refine, bundle.cli.output\n"
+        f"import bundle.io.open, bundle.reports.terminal.refine, bundle.cli.output\n"
         f"owner = importlib.import_module({module!r}); real = owner.{name}\n"
         f"def interrupted(*a, **k):\n"
         f"    os.kill(os.getpid(), signal.SIGINT)\n"

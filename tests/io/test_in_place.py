@@ -102,7 +102,7 @@ def test_what_reads_or_writes_recovers_and_says_so(tmp_path: Path, what: str) ->
     bundle.save(problem, path)
     half_replaced(path)
     with pytest.warns(UserWarning, match=f"^{path}: finished the replacement"):
-        bundle.load(path) if what == "load" else getattr(bundle.io, what)(problem, path)
+        bundle.load(path) if what == "load" else getattr(bundle.io.open, what)(problem, path)
     assert not temporaries_in(path)
     assert bundle.load(path).num_points == problem.num_points
 

@@ -35,7 +35,7 @@ def colmap(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, bool]]:
     module.save = save  # type: ignore[attr-defined]
     monkeypatch.setattr(bundle.io.colmap.colmap_files, "load", load)
     monkeypatch.setitem(sys.modules, "bundle.io.colmap.colmap", module)
-    monkeypatch.setattr(bundle.io, "colmap", module, raising=False)
+    monkeypatch.setattr(bundle.io.colmap, "colmap", module, raising=False)
     return calls
 
 

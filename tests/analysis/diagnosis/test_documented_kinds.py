@@ -7,7 +7,7 @@ from pathlib import Path
 import bundle
 
 ROOT = Path(__file__).parents[3]
-PACKAGE = Path(bundle.__file__).parent / "diagnosis"
+PACKAGE = Path(bundle.__file__).parent / "analysis" / "diagnosis"
 MAKERS = {"_problem", "_note"}
 
 

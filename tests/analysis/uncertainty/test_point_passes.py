@@ -76,7 +76,7 @@ def test_observations_that_do_not_count_are_no_residuals():
 
 COMPUTE = """
 import sys, numpy as np, bundle
-from tests.uncertainty.test_point_passes import scene
+from tests.analysis.uncertainty.test_point_passes import scene
 cov = bundle.covariance(scene(model="OPENCV", num_images=5), fixed_image_ids=(2,))
 np.save(sys.argv[1], np.concatenate([cov.pose_covariance.ravel(), cov.point_covariance.ravel()]))
 """
