@@ -355,7 +355,7 @@ _MODULES = {
 """Public modules, by the place where they stand in the package."""
 
 
-class _FormerNames:
+class _OtherNames:
     """Finder of modules by public and former names (``import bundle.losses``, old pickles)."""
 
     @staticmethod
@@ -365,6 +365,16 @@ class _FormerNames:
         from bundle.base.former_names import spec_of
 
         return spec_of(name)
+
+
+class _BelowPublicNames:
+    """Finder of what is in a public module, before Python looks there and loads it once more."""
+
+    @staticmethod
+    def find_spec(name: str, *_: object) -> Any:
+        place = _MODULES.get(name[7:].partition(".")[0]) if name.startswith("bundle.") else None
+        is_below = place is not None and not f"{name}.".startswith(f"bundle.{place}.")
+        return _OtherNames.find_spec(name) if is_below else None
 
 
 def __getattr__(name: str) -> Any:
@@ -386,10 +396,11 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-def _install_former_names() -> None:
+def _install_finders() -> None:
     import sys
 
-    sys.meta_path.append(_FormerNames)
+    sys.meta_path.insert(0, _BelowPublicNames)
+    sys.meta_path.append(_OtherNames)
 
 
-_install_former_names()
+_install_finders()

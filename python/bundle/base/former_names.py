@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 from importlib.abc import Loader
 from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
 from types import ModuleType
 
 from bundle import _MODULES
@@ -16,6 +17,8 @@ from bundle import _MODULES
 __all__ = ["FORMER", "spec_of"]
 
 FORMER = {
+    "camera_bounds": "solving.constraints.camera_bounds",
+    "camera_changes": "solving.camera_changes",
     "camera_edits.camera_sharing": "editing.cameras.camera_sharing",
     "camera_edits.edit_record": "editing.cameras.edit_record",
     "camera_edits.model_change": "editing.cameras.model_change",
@@ -23,9 +26,12 @@ FORMER = {
     "comparison.compare_methods": "planning.comparison.compare_methods",
     "comparison.comparison_result": "planning.comparison.comparison_result",
     "comparison.graph_comparison": "planning.comparison.graph_comparison",
+    "comparison.method": "planning.comparison.method",
     "constraint_record": "solving.constraints.constraint_record",
+    "constraints.applied": "solving.constraints.applied",
     "constraints.rule_list": "solving.constraints.rule_list",
     "constraints.rules": "solving.constraints.rules",
+    "diagnosis.conditioning": "analysis.diagnosis.conditioning",
     "diagnosis.diagnose_problem": "analysis.diagnosis.diagnose_problem",
     "diagnosis.diagnosis_result": "analysis.diagnosis.diagnosis_result",
     "diagnosis.graph_diagnosis": "analysis.diagnosis.graph_diagnosis",
@@ -34,15 +40,18 @@ FORMER = {
     "filters.track_linearization": "inertial.filters.track_linearization",
     "free_degrees": "solving.free_degrees",
     "graph.digits": "graphs.factors.digits",
+    "graph.factor_check": "graphs.factors.factor_check",
     "graph.factor_graph": "graphs.factors.factor_graph",
     "graph.factors": "graphs.factors.factors",
     "graph.function_factor": "graphs.factors.function_factor",
+    "graph.graph_options": "interface.graph_options",
     "graph.graph_result": "graphs.factors.graph_result",
     "graph.incremental_smoother": "graphs.factors.incremental_smoother",
     "graph.linear_prior": "graphs.factors.linear_prior",
     "graph.problem_factors": "graphs.factors.problem_factors",
     "graph.spectrum": "graphs.factors.spectrum",
     "graph.square_root_prior": "graphs.factors.square_root_prior",
+    "graph.variables": "graphs.factors.variables",
     "headers": "base.headers",
     "html": "reports.page",
     "inertial.imu_factors": "inertial.preintegration.imu_factors",
@@ -52,18 +61,31 @@ FORMER = {
     "inertial.preintegration": "inertial.preintegration.preintegration",
     "inertial.propagation": "inertial.preintegration.propagation",
     "inertial.repropagation": "inertial.preintegration.repropagation",
+    "inspection.elimination": "planning.inspection.elimination",
     "inspection.graph_inspection": "planning.inspection.graph_inspection",
     "inspection.inspection_result": "planning.inspection.inspection_result",
+    "inspection.methods": "planning.inspection.methods",
     "inspection.pose_graph_inspection": "planning.inspection.pose_graph_inspection",
     "inspection.problem_inspection": "planning.inspection.problem_inspection",
+    "inspection.problem_pattern": "planning.inspection.problem_pattern",
+    "inspection.rank_limit": "planning.inspection.rank_limit",
+    "inspection.rank_prediction": "planning.inspection.rank_prediction",
+    "inspection.rates": "planning.inspection.rates",
+    "inspection.schur_counts": "planning.inspection.schur_counts",
+    "io.problem_source": "model.pycolmap.problem_source",
     "loops.loop_closing": "graphs.loops.loop_closing",
     "loops.loop_graph": "graphs.loops.loop_graph",
+    "merging.joining": "editing.merging.joining",
     "merging.merge_models": "editing.merging.merge_models",
     "merging.merge_result": "editing.merging.merge_result",
     "options": "interface.options",
+    "pose_graph.consistency": "graphs.pose_graphs.consistency",
+    "pose_graph.joints": "graphs.pose_graphs.joints",
+    "pose_graph.odometry_chain": "graphs.pose_graphs.odometry_chain",
     "pose_graph.pose_graph_arrays": "model.pose_graph_arrays",
     "pose_graph.pose_graph_result": "graphs.pose_graphs.pose_graph_result",
     "pose_graph.solve_pose_graph": "graphs.pose_graphs.solve_pose_graph",
+    "pose_graph.starts": "model.starts",
     "pose_graph_options": "interface.pose_graph_options",
     "problem": "model.problem",
     "process_record": "interface.process_record",
@@ -76,16 +98,24 @@ FORMER = {
     "rounds.filtering": "solving.rounds.filtering",
     "rounds.local_part": "solving.rounds.local_part",
     "rounds.round_options": "interface.round_options",
+    "sensor_changes": "solving.sensor_changes",
     "solve_record": "interface.solve_record",
     "solver": "solving.solver",
+    "statistics.covisibility": "analysis.statistics.covisibility",
+    "statistics.depths": "analysis.statistics.depths",
     "statistics.description": "analysis.statistics.description",
+    "statistics.lenses": "analysis.statistics.lenses",
+    "statistics.rig_summary": "analysis.statistics.rig_summary",
+    "statistics.suspicions": "analysis.statistics.suspicions",
     "summary": "interface.summary",
     "synthetic.flight_options": "interface.flight_options",
     "synthetic.scene_options": "interface.scene_options",
     "termination": "interface.termination",
     "two_loops.closure_loop": "inertial.two_loops.closure_loop",
     "two_loops.pose_publisher": "inertial.two_loops.pose_publisher",
+    "two_loops.replay": "inertial.two_loops.replay",
     "two_loops.window_loop": "inertial.two_loops.window_loop",
+    "two_loops.yaw_motion": "inertial.two_loops.yaw_motion",
     "uncertainty.compute_covariance": "analysis.uncertainty.compute_covariance",
     "uncertainty.covariance_choices": "interface.covariance_choices",
     "uncertainty.covariance_result": "analysis.uncertainty.covariance_result",
@@ -94,14 +124,18 @@ FORMER = {
     "vio.initialize": "inertial.vio.initialize",
     "vio.keyframe_record": "inertial.vio.keyframe_record",
     "vio.landmark_table": "inertial.vio.landmark_table",
+    "vio.marginal_prior": "inertial.vio.marginal_prior",
     "vio.odometry": "inertial.vio.odometry",
     "vio.sequence": "model.sequence.sequence",
+    "vio.sequence_findings": "model.sequence.sequence_findings",
     "vio.sequence_folder": "io.sequences.sequence_folder",
+    "vio.sequence_statistics": "inertial.vio.sequence_statistics",
     "vio.sliding_window": "inertial.vio.sliding_window",
     "vio.trajectory_comparison": "inertial.vio.trajectory_comparison",
     "vio.trajectory_files": "io.sequences.trajectory_files",
     "vio.window_frame": "inertial.vio.window_frame",
     "vio.window_options": "interface.window_options",
+    "worst_images": "model.worst_images",
 }
 """Former modules of public classes and of what they hold, without the package's name."""
 
@@ -110,6 +144,11 @@ def spec_of(name: str) -> ModuleSpec | None:
     """Return the spec of a module by its public or former name; None: there is no such name."""
     short = name.removeprefix("bundle.")
     place = _MODULES.get(short) or FORMER.get(short)
+    public, _, below = short.partition(".")
+    if place is None and below and public in _MODULES:
+        place = f"{_MODULES[public]}.{below}"
+        if find_spec(f"bundle.{place}") is None:
+            return None
     if place is not None:
         return ModuleSpec(name, _SameModule(f"bundle.{place}"))
     if any(former.startswith(f"{short}.") for former in FORMER):  # the package of one

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import os
-import pickle
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from bundle.base.paths import as_path
 from bundle.base.words import plural
-from bundle.errors import InputError, first_line
+from bundle.errors import InputError
 from bundle.interface.option_fields import choice, number
 from bundle.interface.options import SolveOptions
 from bundle.interface.round_options import CHECKPOINT_INTERVAL, RESTS, RoundOptions
@@ -22,7 +20,7 @@ from bundle.solving import solver
 from bundle.solving.placement import place_at_priors
 from bundle.solving.result import Result
 from bundle.solving.rounds.checkpoint import fingerprint_of_options
-from bundle.solving.rounds.input_digest import digest, digest_of_order
+from bundle.solving.rounds.input_digest import digest, digest_of_fields, digest_of_order
 from bundle.solving.rounds.local_part import LocalPart
 from bundle.solving.rounds.rest_prior import marginalize_rest, without_prior
 from bundle.solving.rounds.round_run import Bounds, RoundRun
@@ -178,7 +176,7 @@ def solve_rounds(
             "only_images": None if part is None else part.named_ids,
             **({} if prior is None else {"rest": rest}),
             **({"order": digest_of_order(given)} if limits.num_rounds > 0 else {}),
-            "factors and bounds": digest_of_pickle(
+            "factors and bounds": digest_of_fields(
                 _without_places(given_factors, given_bounds, placed.targets, applied)
             ),
         }
@@ -215,7 +213,7 @@ def plain_fingerprint(
         **RoundOptions().asdict(),
         "checkpoint_interval": checkpoint_interval,
         "only_images": None,
-        "factors and bounds": digest_of_pickle(_without_places((), None, None, None)),
+        "factors and bounds": digest_of_fields(_without_places((), None, None, None)),
     }
 
 
@@ -230,21 +228,6 @@ def _rule_ends(applied: Applied, before: Problem, after: Problem) -> tuple[RuleE
     from bundle.solving.constraints.ends import rule_ends
 
     return rule_ends(applied, before, after)
-
-
-def digest_of_pickle(value: Any) -> str:
-    """Return a digest of what has to be the same in the run that goes on.
-
-    Raises:
-        InputError: it does not pickle.
-    """
-    try:
-        return hashlib.sha256(pickle.dumps(value, protocol=5)).hexdigest()
-    except Exception as error:  # whatever the user's objects raise
-        raise InputError(
-            "checkpoint: expected factors that pickle, so that the run that goes on has the same, "
-            f"found one that does not ({first_line(error)})"
-        ) from None
 
 
 def _listed(factors: Iterable[Factor]) -> tuple[Factor, ...]:

@@ -32,6 +32,7 @@ from bundle.model.problem import Problem
 from bundle.solving.result import Result
 from bundle.solving.round_record import Round
 from bundle.solving.rounds.filtering import subset
+from bundle.solving.rounds.input_digest import digest_of_fields
 from bundle.solving.solver import STATE
 
 __all__ = [
@@ -44,7 +45,11 @@ __all__ = [
     "write",
 ]
 
-SCHEMA = "bundle checkpoint 2"  # 1: another digest of the input
+SCHEMA = "bundle checkpoint 3"  # 1: another digest of the input; 2: pickles of factors
+
+SCHEMA_OF_PICKLES = "bundle checkpoint 2"
+NO_FACTORS = "4a3475571dfe38659e491096b8138447bd69b242ce6511e9282ed8948c85769f"
+"""Digest of the pickle of no factors and no bounds, as checkpoints of that schema have it."""
 
 NOT_DECISIVE = ("num_threads", "check_solution")
 
@@ -150,7 +155,10 @@ def read_by(
         InputError, OSError: as :func:`read`.
     """
     meta, arrays = _open(path)
-    _compare(path, meta["fingerprint"], fingerprint)
+    saved = meta["fingerprint"]
+    if meta["schema"] == SCHEMA_OF_PICKLES:
+        saved |= _redigested(path, saved)
+    _compare(path, saved, fingerprint)
     try:
         return make(meta, arrays)
     except (KeyError, ValueError, TypeError, IndexError) as error:
@@ -243,8 +251,8 @@ def _open(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             with np.load(file, allow_pickle=False) as archive:
                 arrays = dict(archive.items())
         meta = json.loads(arrays.pop("meta").tobytes())
-        if meta["schema"] != SCHEMA:
-            raise ValueError(f"schema {meta['schema']!r}")
+        if meta["schema"] not in (SCHEMA, SCHEMA_OF_PICKLES):
+            raise ValueError(f"schema {meta['schema']!r}, expected {SCHEMA!r}")
         _ = meta["fingerprint"]["input"]
     except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(
@@ -252,6 +260,20 @@ def _open(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             f"({first_line(error)})"
         ) from None
     return meta, arrays
+
+
+def _redigested(path: Path, saved: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the digest of no factors as it is now, in place of that of their pickle.
+
+    Raises:
+        InputError: there were factors, bounds or rules: their pickles cannot be compared.
+    """
+    if saved.get("factors and bounds") != NO_FACTORS:
+        raise InputError(
+            f"{shown(path)}: expected {SCHEMA!r}, found {SCHEMA_OF_PICKLES!r}, which resumes "
+            "only without factors, priors, bounds and rules; start the run anew"
+        )
+    return {"factors and bounds": digest_of_fields(((), None))}
 
 
 def _compare(path: Path, saved: Mapping[str, Any], now: Mapping[str, Any]) -> None:

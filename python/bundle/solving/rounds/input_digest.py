@@ -1,24 +1,30 @@
-"""What tells the input of a run from others, whoever has which part of it.
+"""Digests of the input of a run: of its problem, and of its factors, bounds and rules.
 
-The digest is of all arrays and names of a problem, not of where it came from. Points and
-observations are rows: each is hashed, and the hashes are added modulo 2^64. So processes that have
-slices add what they have, and a checkpoint of theirs is one of the whole problem. A point's row has
-its index, as a checkpoint has coordinates by index. The order of observations does not matter to a
-solve; rounds, which remember the observations that are left, have ``digest_of_order`` besides.
+The digest of a problem covers its arrays and names, not its source. Points and observations are
+rows: each row is hashed, and the hashes are added modulo 2^64. So processes with slices add their
+sums, and their checkpoint is that of the whole problem. The row of a point includes its index: a
+checkpoint stores coordinates by index. The order of observations does not change a solve; rounds
+store masks of observations and add ``digest_of_order``.
+
+The digest of an object covers the name of its class and its fields, not the module of the class: a
+class may move. A function, and an object of another package, is digested as its pickle.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import pickle
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.errors import InputError, first_line
 from bundle.model.problem import Problem
 
-__all__ = ["digest", "digest_of_order", "digest_of_parts", "sums_of_rows"]
+__all__ = ["digest", "digest_of_fields", "digest_of_order", "digest_of_parts", "sums_of_rows"]
 
 _ROWS = ("points", "point_ids", "observation_sigma")
 _BLOCK = 1 << 18
@@ -54,6 +60,51 @@ def digest_of_parts(cameras: Problem, sums: _Sums) -> str:
         else:
             digest.update(f"{name} {value!r}".encode())
     return digest.hexdigest()
+
+
+def digest_of_fields(value: Any) -> str:
+    """Return the digest of an object by its fields.
+
+    Raises:
+        InputError: a function or a foreign object does not pickle.
+    """
+    try:
+        return _hash(value).hexdigest()
+    except Exception as error:  # whatever the user's objects raise
+        raise InputError(
+            "checkpoint: expected factors that pickle, so that the run that goes on has the same, "
+            f"found one that does not ({first_line(error)})"
+        ) from None
+
+
+def _hash(value: Any) -> hashlib._Hash:
+    """Hash the class and the parts of a value; each part has a length of its own."""
+    kind = type(value)
+    is_own = kind.__module__.startswith("bundle.")
+    if is_own and dataclasses.is_dataclass(value):
+        fields = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
+        return _joined(kind.__name__, map(_hash, fields))
+    if isinstance(value, tuple | list):
+        return _joined("list" if isinstance(value, list) else "tuple", map(_hash, value))
+    if isinstance(value, Mapping):
+        return _joined("mapping", _sorted(value.items()))
+    if isinstance(value, set | frozenset):
+        return _joined("set", _sorted(value))
+    if is_own:
+        return _joined(kind.__name__, map(_hash, value.__reduce_ex__(5)[1:]))
+    if isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
+        return hashlib.sha256(f"{value.dtype.str} {value.shape} ".encode() + value.tobytes())
+    if value is None or kind in (bool, int, float, str, bytes):
+        return hashlib.sha256(f"{kind.__name__} {value!r}".encode())
+    return hashlib.sha256(b"pickle " + pickle.dumps(value, protocol=5))
+
+
+def _sorted(values: Iterable[Any]) -> list[hashlib._Hash]:
+    return sorted(map(_hash, values), key=lambda one: one.digest())
+
+
+def _joined(name: str, parts: Iterable[hashlib._Hash]) -> hashlib._Hash:
+    return hashlib.sha256(f"{name} of ".encode() + b"".join(part.digest() for part in parts))
 
 
 def sums_of_rows(part: Any, places: NDArray[np.int64]) -> _Sums:
