@@ -1,5 +1,6 @@
 """What public objects show: a few lines of text, and HTML that escapes what users named."""
 
+import dataclasses
 from html.parser import HTMLParser
 
 import pytest
@@ -94,9 +95,14 @@ def test_a_summary_counts_the_steps_and_not_the_start(solved):
 
 def test_options_show_what_was_changed_and_evaluate_to_themselves():
     options = bundle.SolveOptions(loss="huber", fixed_image_ids=[3, 1])
-    assert repr(options) == "SolveOptions(loss='huber', fixed_image_ids=(1, 3))"
+    assert options.short() == "SolveOptions(loss='huber', fixed_image_ids=(1, 3))"
+    assert "\n    loss='huber',  # default: 'trivial'\n    loss_scale=1.0,\n" in repr(options)
     assert eval(repr(options), {"SolveOptions": bundle.SolveOptions}) == options
-    assert repr(bundle.SolveOptions()) == "SolveOptions()"
+    assert bundle.SolveOptions().short() == "SolveOptions()"
+    assert "#" not in repr(bundle.SolveOptions())
+    assert (
+        repr(bundle.SolveOptions()).count("\n") == len(dataclasses.fields(bundle.SolveOptions)) + 1
+    )
 
 
 def test_a_comparison_shows_every_run_and_no_nan():

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
-from bundle.interface.option_fields import documented, option
+from bundle.interface.option_class import documented
+from bundle.interface.option_fields import option
 from bundle.interface.options import TRUST_REGION_STRATEGIES, SolveOptions
 
 __all__ = ["GraphOptions"]

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from bundle.errors import InputError, brief
-from bundle.interface.option_fields import Options, checked, choice, documented, option
+from bundle.interface.option_class import Options, documented
+from bundle.interface.option_fields import checked, choice, option
 
 __all__ = ["SolveOptions"]
 

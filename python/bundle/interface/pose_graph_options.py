@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bundle.interface.option_fields import Options, documented, option
+from bundle.interface.option_class import Options, documented
+from bundle.interface.option_fields import option
 from bundle.interface.options import BACKENDS, LOSSES, TRUST_REGION_STRATEGIES
 
 __all__ = ["POSE_ERRORS", "PoseGraphOptions"]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bundle.interface.option_fields import Options, documented, option
+from bundle.interface.option_class import Options, documented
+from bundle.interface.option_fields import option
 
 __all__ = ["CHECKPOINT_INTERVAL", "RESTS", "RoundOptions"]
 

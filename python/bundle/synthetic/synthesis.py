@@ -40,7 +40,7 @@ class SyntheticScene(Displayed):
             ("contents", contents(self.problem)),
             ("outliers", plural(int(self.is_outlier.sum()), "observation")),
         )
-        return Display(title=f"SyntheticScene: {self.options!r}", facts=facts)
+        return Display(title=f"SyntheticScene: {self.options.short()}", facts=facts)
 
 
 def synthesize(options: SceneOptions | None = None, **changes: Any) -> SyntheticScene:

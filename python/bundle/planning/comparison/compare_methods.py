@@ -24,7 +24,8 @@ from bundle.interface.compare_defaults import (
     THREADS,
     TIMEOUT,
 )
-from bundle.interface.option_fields import number, spellings
+from bundle.interface.option_class import spellings
+from bundle.interface.option_fields import number
 from bundle.interface.options import SolveOptions
 from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.source import Source
