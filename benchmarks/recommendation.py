@@ -29,8 +29,8 @@ import bundle
 from benchmarks import machine, problems, table
 from bundle.planning.comparison.compare_methods import compare
 from bundle.planning.comparison.comparison_result import Comparison
-from bundle.planning.comparison.foresee import taken_by_auto
 from bundle.planning.comparison.method import Method
+from bundle.planning.comparison.predictions import taken_by_auto
 from bundle.planning.comparison.recommendation import COST_TOLERANCE, NEAR_ENOUGH
 
 # name: fields of bundle.SceneOptions

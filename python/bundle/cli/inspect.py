@@ -133,8 +133,7 @@ def _inspect_problem(arguments: argparse.Namespace) -> int:
     from bundle.errors import shown
     from bundle.io.open import load
     from bundle.planning.inspection.problem_inspection import inspect
-    from bundle.planning.inspection.rank_limit import find_rank_limit
-    from bundle.planning.inspection.rank_prediction import predict_ranks
+    from bundle.planning.inspection.rank_prediction import find_rank_limit, predict_ranks
     from bundle.reports.terminal.inspect import as_json, inspected
     from bundle.reports.terminal.process_tables import predicted_ranks
 
@@ -214,7 +213,7 @@ def _inspect_graph(arguments: argparse.Namespace) -> int:
 
 def _eliminate(arguments: argparse.Namespace) -> GraphInspection:
     from bundle.errors import InputError, shown
-    from bundle.planning.inspection.graph_file import load_graph
+    from bundle.planning.inspection.graph_input import load_graph
     from bundle.planning.inspection.graph_inspection import inspect_graph
 
     if arguments.block_size is not None and arguments.block_size < 1:

@@ -8,10 +8,9 @@ import pytest
 import bundle
 from bundle.base.tables import number, render
 from bundle.interface.options import SolveOptions
-from bundle.planning.comparison.combinations import expand
 from bundle.planning.comparison.compare_methods import compare
-from bundle.planning.comparison.foresee import foresee, taken_by_auto
-from bundle.planning.comparison.predictions import predict
+from bundle.planning.comparison.method import expand
+from bundle.planning.comparison.predictions import foresee, predict, taken_by_auto
 from bundle.reports.terminal.compare import compared
 from tests.planning.comparison.fakes import CERES, DENSE, ITERATIVE, SPARSE, prediction
 from tests.scenes import make_problem

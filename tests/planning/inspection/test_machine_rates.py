@@ -11,8 +11,7 @@ import pytest
 import bundle
 from bundle.planning.inspection import machine_rates as kept
 from bundle.planning.inspection.machine_rates import cache_path, machine_rates
-from bundle.planning.inspection.plausibility import implausible
-from bundle.planning.inspection.rates import FactorRate
+from bundle.planning.inspection.rates import FactorRate, implausible
 from tests.planning.inspection import conftest
 
 RATES = dataclasses.replace(conftest.RATES, dense_threaded=conftest.RATES.dense)

@@ -4,8 +4,7 @@ import dataclasses
 
 import pytest
 
-from bundle.planning.inspection.rank_limit import find_rank_limit
-from bundle.planning.inspection.rank_prediction import RankPrediction
+from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 
 
 def row(count, *, points, first, messages=0.0, evenly=True):

@@ -12,7 +12,7 @@ import pytest
 
 from bundle import SolveOptions
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
-from bundle.planning.inspection.rank_limit import find_rank_limit
+from bundle.planning.inspection.rank_prediction import find_rank_limit
 from bundle.reports.page.inspection_page import write_inspection
 from bundle.reports.page.subgraph import best_connected, image_graph, spread
 from tests.planning.inspection.test_rank_limit import row

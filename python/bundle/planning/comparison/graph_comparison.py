@@ -14,7 +14,7 @@ from bundle.base.arguments import check_function, check_type
 from bundle.base.display import Display, Displayed
 from bundle.base.paths import as_path, is_path
 from bundle.base.words import number, plural, seconds
-from bundle.errors import InputError, brief
+from bundle.errors import InputError
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
 from bundle.graphs.pose_graphs.solve_pose_graph import solve_pose_graph
 from bundle.interface.compare_defaults import BACKENDS, REPEAT, SECONDS_NOT_REPEATED, TIMEOUT
@@ -24,6 +24,7 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.g2o_files import load_g2o
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.planning.comparison.command_line import command_line
+from bundle.planning.comparison.method import as_tuple, thread_counts
 
 __all__ = ["GraphComparison", "GraphMethod", "GraphRun", "compare_graph"]
 
@@ -197,16 +198,15 @@ def compare_graph(
     )
 
 
-def _methods(backends: list[Any], threads: list[Any], loss: str) -> list[GraphMethod]:
-    cores = _core.hardware_threads()
-    counts = [checked_number("threads", count, whole=True, minimum=0) for count in threads]
+def _methods(backends: tuple[Any, ...], threads: tuple[Any, ...], loss: str) -> list[GraphMethod]:
+    counts = thread_counts("threads", threads)
     found = []
     for backend in [choice("backends", name, BACKENDS) for name in backends]:
         if backend == "ceres" and loss in ("geman_mcclure", "switchable", "dcs"):
             continue  # Ceres lacks these
         pairs = [(region, "amd") for region in TRUST_REGIONS]
         pairs += [(TRUST_REGIONS[0], ordering) for ordering in ORDERINGS[1:]]
-        for count in dict.fromkeys(min(count or cores, cores) for count in counts):
+        for count in counts:
             for region, ordering in pairs:
                 method = GraphMethod(
                     backend=backend,
@@ -221,13 +221,8 @@ def _methods(backends: list[Any], threads: list[Any], loss: str) -> list[GraphMe
     return found
 
 
-def _listed(name: str, values: Any) -> list[Any]:
-    if isinstance(values, str):
-        return [values]
-    try:
-        listed = list(values)
-    except TypeError:
-        raise InputError(f"{name}: expected a list, found {brief(values)}") from None
+def _listed(name: str, values: Any) -> tuple[Any, ...]:
+    listed = as_tuple(name, values)
     if not listed:
         raise InputError(f"{name}: expected at least one to compare, found none")
     return listed

@@ -1,8 +1,12 @@
-"""What `bundle.inspect` foresees of each method, in the terms of a comparison."""
+"""What `bundle.inspect` foresees of each method, in the terms of a comparison.
+
+Which method to take before anything is measured.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping, Sequence
 
 from bundle.errors import InputError
 from bundle.interface.options import AUTO_PRECONDITIONER, SolveOptions
@@ -11,8 +15,9 @@ from bundle.planning.comparison.comparison_result import Prediction
 from bundle.planning.comparison.method import Method
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.problem_inspection import inspect
+from bundle.solving.solver import solve
 
-__all__ = ["predict"]
+__all__ = ["foresee", "predict", "taken_by_auto"]
 
 
 def predict(
@@ -39,11 +44,11 @@ def predict(
 
 def _match(method: Method, inspection: Inspection) -> MethodInspection | None:
     """Return the inspection of a method; where several orders may be taken, the cheapest."""
-    fitting = [one for one in inspection.methods if one.is_taken and _fits(method, one)]
+    fitting = [one for one in inspection.methods if one.is_taken and _is_that(method, one)]
     return min(fitting, key=lambda one: one.flops, default=None)
 
 
-def _fits(method: Method, inspected: MethodInspection) -> bool:
+def _is_that(method: Method, inspected: MethodInspection) -> bool:
     same = (method.linear_solver_type, method.backend) == (
         inspected.linear_solver_type.lower(),
         inspected.backend.lower(),
@@ -74,4 +79,61 @@ def _prediction(inspected: MethodInspection, inspection: Inspection) -> Predicti
         time_per_step_in_seconds=inspected.time_per_step_in_seconds,
         fits_in_memory=inspected.fits_in_memory,
         note=inspected.note,
+    )
+
+
+def foresee(
+    problem: Problem,
+    options: SolveOptions,
+    methods: Sequence[Method],
+    predictions: Mapping[Method, Prediction],
+    memory_cap: int = 0,
+) -> Method | None:
+    """Return which of the methods will be the fastest, by all that is known without solving.
+
+    Where times are predicted, the least of those that fit into memory and under the cap (bytes
+    beyond the problem, 0 for none); otherwise what ``auto`` takes, with the most threads; None if
+    that is not among the methods.
+    """
+    times = {
+        method: predictions[method].time_per_step_in_seconds
+        for method in methods
+        if method in predictions and _fits(predictions[method], memory_cap)
+    }
+    times = {method: time for method, time in times.items() if math.isfinite(time)}
+    if times:
+        return min(times, key=lambda method: times[method])
+    most = max(method.num_threads for method in methods)
+    taken = taken_by_auto(problem, options, most)
+    return taken if taken in methods else None
+
+
+def _fits(prediction: Prediction, memory_cap: int) -> bool:
+    within = not memory_cap or prediction.memory_in_bytes <= memory_cap
+    return prediction.fits_in_memory and within
+
+
+def taken_by_auto(problem: Problem, options: SolveOptions, num_threads: int) -> Method | None:
+    """Return what ``auto`` takes for backend and linear solver; None if these options fail.
+
+    It is asked for no step, so that it chooses, evaluates the start, and ends.
+    """
+    asked = options.replace(
+        backend="auto",
+        linear_solver_type="auto",
+        preconditioner_type="auto",
+        linear_solver_ordering="points_first",
+        num_threads=num_threads,
+        max_num_iterations=0,
+    )
+    try:
+        summary = solve(problem, asked).summary
+    except (InputError, MemoryError):
+        return None
+    if summary.interrupted:  # a solve takes Ctrl-C for itself
+        raise KeyboardInterrupt
+    return Method(
+        backend=summary.backend_used.lower(),
+        linear_solver_type=summary.linear_solver_type_used.lower(),
+        num_threads=num_threads,
     )

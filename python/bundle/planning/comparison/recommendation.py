@@ -1,17 +1,168 @@
-"""One recommendation from what was measured, with its reason."""
+"""One recommendation from what was measured, with its reason.
+
+Why a method won, from the figures.
+"""
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from bundle.base.words import duration, plural
 from bundle.planning.comparison.command_line import command_line
-from bundle.planning.comparison.comparison_result import Comparison, Recommendation, Run
-from bundle.planning.comparison.method import Method
-from bundle.planning.comparison.reasons import reason_on_many, reason_on_one
+from bundle.planning.comparison.comparison_result import Comparison, Prediction, Recommendation, Run
+from bundle.planning.comparison.method import ITERATIVE, Method
 
-__all__ = ["COST_TOLERANCE", "NEAR_ENOUGH", "recommend"]
+__all__ = ["COST_TOLERANCE", "NEAR_ENOUGH", "reason_on_many", "reason_on_one", "recommend"]
+
+
+def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> str:
+    """Return "SPARSE_SCHUR: S is 14 % full, AMD needs 2.1e9 flops per step; DENSE_SCHUR takes ...".
+
+    Args:
+        comparison: of one problem.
+        method: the winner.
+        tolerance: relative distance to the best cost within which solutions are equally good.
+    """
+    runs = comparison.runs_of(0)
+    (winner,) = (run for run in runs if run.method == method)
+    structure = _structure(winner, runs)
+    begin = f"{method.name}: {structure}; " if structure else f"{method.name}: "
+    total = winner.total_time_in_seconds
+    words = [f"the solve takes {duration(total)}"]
+    rivals = _rivals(winner, runs)
+    slower = [rival for rival in rivals if rival.is_usable]
+    if slower:
+        words.append(", ".join(_behind(comparison, winner, rival, tolerance) for rival in slower))
+    words += [
+        f"{_told_apart(method, rival.method)} has no result ({rival.outcome.replace('_', ' ')})"
+        for rival in rivals
+        if not rival.is_usable
+    ]
+    return f"{begin}{'; '.join(words)}."
+
+
+def reason_on_many(method: Method, ratios: Sequence[Mapping[Method, float]]) -> str:
+    """Return how often the method is the fastest and how far off it is at worst.
+
+    Args:
+        method: the winner.
+        ratios: for each problem the time of each method that solved it, over the fastest one's.
+    """
+    own = [row[method] for row in ratios if method in row]
+    fastest = sum(ratio == 1 for ratio in own)
+    words = f"{method.name}: the fastest on {fastest} of {plural(len(ratios), 'problem')}"
+    if max(own) > 1:
+        words += f", at worst {_times(max(own))} the fastest"
+    if len(own) < len(ratios):
+        words += f"; it reached the best cost on {len(own)} of them"
+    return words + "."
+
+
+def _structure(winner: Run, runs: Sequence[Run]) -> str:
+    """Return what the matrix says, as far as it is known."""
+    known = winner.prediction
+    if known is None:
+        return _shares(winner)
+    full = _fullness(known)
+    solver = winner.method.linear_solver_type
+    if solver in ITERATIVE:
+        factor = _least_flops(runs)
+        words = [full] if full else []
+        if factor:
+            words.append(f"a factorisation would need {factor:.1e} flops per step")
+        words.append(_iterations(winner))
+        return ", ".join(words)
+    if not math.isfinite(known.flops):
+        return full or _shares(winner)
+    maker = known.ordering.upper() if solver == "sparse_schur" else "its dense factorisation"
+    flops = f"{maker or 'its factorisation'} needs {known.flops:.1e} flops per step"
+    return f"{full}, {flops}" if full else flops
+
+
+def _fullness(known: Prediction) -> str:
+    cells = float(known.num_unknowns) ** 2
+    if not 0 < known.nnz_reduced <= cells:
+        return ""
+    share = 100 * known.nnz_reduced / cells
+    full = f"{share:.0f}" if share >= 9.5 else f"{share:.1g}"
+    return f"S ({known.num_unknowns} columns) is {full} % full"
+
+
+def _least_flops(runs: Sequence[Run]) -> float:
+    known = [run.prediction.flops for run in runs if run.prediction and run.prediction.nnz_factor]
+    return min((flops for flops in known if math.isfinite(flops)), default=0.0)
+
+
+def _iterations(winner: Run) -> str:
+    measurement = winner.measurement
+    if measurement is None:
+        return ""
+    inner = np.asarray(measurement.iterations["linear_solver_iterations"], float)[1:]
+    mean = inner.mean() if inner.size else 0.0
+    return f"conjugate gradients take {mean:.0f} iterations per step"
+
+
+def _shares(winner: Run) -> str:
+    """Return what can be said without a prediction: where the time goes."""
+    measurement = winner.measurement
+    total = winner.total_time_in_seconds
+    if measurement is None or not total > 0:
+        return ""
+    share = measurement.breakdown["linear solver"] / total
+    return f"the linear solver takes {100 * share:.0f} % of the time"
+
+
+def _rivals(winner: Run, runs: Sequence[Run]) -> list[Run]:
+    """Return the best run of each other linear solver, and of each other backend."""
+    own = winner.method
+    groups: dict[str, list[Run]] = {}
+    for run in runs:
+        method = run.method
+        if method.backend != own.backend:
+            groups.setdefault(method.backend, []).append(run)
+        elif method.linear_solver_type != own.linear_solver_type:
+            groups.setdefault(method.linear_solver_type, []).append(run)
+        elif method.preconditioner_type != own.preconditioner_type:
+            groups.setdefault("preconditioner", []).append(run)
+        elif method.num_threads != own.num_threads:
+            groups.setdefault(method.threads, []).append(run)
+    return [min(group, key=_speed) for group in groups.values()]
+
+
+def _speed(run: Run) -> tuple[bool, float]:
+    return not run.is_usable, run.total_time_in_seconds if run.is_usable else 0.0
+
+
+def _behind(comparison: Comparison, winner: Run, rival: Run, tolerance: float) -> str:
+    """Return how much longer a rival takes, and how much worse it ends."""
+    ratio = rival.total_time_in_seconds / winner.total_time_in_seconds
+    name = _told_apart(winner.method, rival.method)
+    verb = "take" if name.endswith("threads") else "takes"
+    words = f"{name} {verb} {_times(ratio)} as long"
+    gap = comparison.gap(rival)
+    if gap > tolerance:
+        words += f" and ends {gap:.1e} above the best cost"
+    return words
+
+
+def _told_apart(winner: Method, rival: Method) -> str:
+    """Return as much of a method's name as tells it from the winner's."""
+    if rival.backend != winner.backend:
+        return rival.name
+    if rival.linear_solver_type != winner.linear_solver_type:
+        return rival.linear_solver_type.upper()
+    if rival.preconditioner_type != winner.preconditioner_type:
+        return rival.preconditioner_type.upper()
+    return rival.threads
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.2f} times" if ratio < 9.95 else f"{ratio:.0f} times"
+
 
 COST_TOLERANCE = 1e-3
 """Relative distance to the best final cost within which two solutions count as equally good."""

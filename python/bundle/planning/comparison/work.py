@@ -26,9 +26,8 @@ from bundle.planning.comparison.comparison_result import (
     Prediction,
     Run,
 )
-from bundle.planning.comparison.foresee import foresee
 from bundle.planning.comparison.method import Method
-from bundle.planning.comparison.predictions import predict
+from bundle.planning.comparison.predictions import foresee, predict
 from bundle.planning.comparison.process import WorkerEnd, run_worker
 
 __all__ = ["Progress", "Work"]

@@ -17,7 +17,7 @@ from bundle.errors import InputError
 from bundle.interface.option_fields import choice
 from bundle.interface.options import GRAPH_ORDERINGS
 from bundle.planning.inspection.elimination import EliminationStep, eliminate, minimum_degree_order
-from bundle.planning.inspection.graph_arguments import (
+from bundle.planning.inspection.graph_input import (
     as_block_sizes,
     as_edges,
     as_names,

@@ -20,8 +20,7 @@ from pathlib import Path
 
 from bundle import _core
 from bundle.planning.inspection.calibrate import calibrate
-from bundle.planning.inspection.plausibility import implausible
-from bundle.planning.inspection.rates import FactorRate, Rates
+from bundle.planning.inspection.rates import FactorRate, Rates, implausible
 
 __all__ = ["cache_path", "machine_rates"]
 

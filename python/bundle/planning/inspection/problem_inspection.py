@@ -1,12 +1,16 @@
-"""What each way to solve a problem costs, from its pattern alone."""
+"""What each way to solve a problem costs, from its pattern alone.
+
+Which method to take, and why, by what is predicted.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, overload
 
 from bundle import _core
 from bundle.base.arguments import as_flag
-from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY
+from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
 from bundle.errors import InputError
 from bundle.graphs.pose_graphs.edge_weights import is_graph, refuse_for_graphs
 from bundle.graphs.pose_graphs.pose_graph_result import PoseGraphResult
@@ -20,7 +24,6 @@ from bundle.planning.inspection.machine_rates import machine_rates
 from bundle.planning.inspection.methods import Method, all_methods
 from bundle.planning.inspection.peak_memory import Terms, ceres_memory, fused_memory, total
 from bundle.planning.inspection.pose_graph_inspection import PoseGraphInspection, inspect_pose_graph
-from bundle.planning.inspection.predicted_best import explain, recommend
 from bundle.planning.inspection.problem_pattern import ProblemPattern, find_pattern
 from bundle.planning.inspection.rates import Rates
 from bundle.planning.inspection.step_time import (
@@ -31,7 +34,7 @@ from bundle.planning.inspection.step_time import (
 )
 from bundle.solving.solver import resolve_defaults
 
-__all__ = ["inspect"]
+__all__ = ["explain", "inspect", "recommend"]
 
 
 @overload
@@ -217,3 +220,68 @@ class _Inspector:
         """Return the cheapest of the orders that supernodes.cpp tries, the first of equals."""
         tried = ("natural", "amd", "metis")
         return min(tried, key=lambda name: self._counter.sparse(name).factor.cholmod_flops)
+
+
+def recommend(methods: Sequence[MethodInspection]) -> int:
+    """Return the index of the fastest method that can be asked for and fits; -1 if none does."""
+    usable = [i for i, method in enumerate(methods) if method.is_taken and method.fits_in_memory]
+    return min(usable, key=lambda i: methods[i].time_per_step_in_seconds, default=-1)
+
+
+def explain(methods: Sequence[MethodInspection], best: int, density: float) -> str:
+    """Return the recommendation as a sentence with its reason; ``density`` is S's."""
+    if best < 0:
+        least = min(methods, key=lambda method: method.memory_in_bytes)
+        return (
+            f"No method fits into the free memory; {least.name} needs the least, "
+            f"{format_size(least.memory_in_bytes)}."
+        )
+    chosen = methods[best]
+    reasons = [f"S is {_two_digits(100 * density)} % full"]
+    if chosen.ordering:
+        order = (
+            ""
+            if chosen.linear_solver_type == "DENSE_SCHUR"
+            else f"the {chosen.ordering} order needs "
+        )
+        reasons.append(f"{order}{chosen.flops:.2g} flops per step")
+    else:
+        reasons.append("nothing is factorised")
+    rival = _rival(methods, chosen)
+    if rival is not None:
+        reasons.append(_against(rival, chosen))
+    return f"{chosen.linear_solver_type}: {', '.join(reasons)}."
+
+
+def _rival(
+    methods: Sequence[MethodInspection], chosen: MethodInspection
+) -> MethodInspection | None:
+    """Return the best of another linear solver, of the same backend if there is one."""
+    others = [
+        method
+        for method in methods
+        if method.is_taken
+        and method.linear_solver_type != chosen.linear_solver_type
+        and method.backend == chosen.backend
+    ]
+    direct = [method for method in others if method.nnz_factor > 0]
+    return min(direct or others, key=lambda m: m.time_per_step_in_seconds, default=None)
+
+
+def _against(rival: MethodInspection, chosen: MethodInspection) -> str:
+    name = rival.linear_solver_type
+    if not rival.fits_in_memory:
+        return f"{name} needs {format_size(rival.memory_in_bytes)}, more than is free"
+    times = rival.time_per_step_in_seconds / chosen.time_per_step_in_seconds
+    if chosen.flops and rival.flops > chosen.flops:
+        more = rival.flops / chosen.flops
+        return f"{name} needs {_two_digits(more)} times the flops and takes {_as_long(times)}"
+    return f"{name} takes {_as_long(times)}"
+
+
+def _as_long(times: float) -> str:
+    return "as long" if times < 1.05 else f"{_two_digits(times)} times as long"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from bundle.planning.inspection.graph_arguments import as_tracks
+from bundle.planning.inspection.graph_input import as_tracks
 
 __all__ = ["SchurCounts", "count_schur_by_hand"]
 

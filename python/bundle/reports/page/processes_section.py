@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from bundle.base.memory_sizes import format_size
-from bundle.planning.inspection.rank_limit import find_rank_limit
-from bundle.planning.inspection.rank_prediction import RankPrediction
+from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 from bundle.reports.page.line_charts import lines
 from bundle.reports.page.numbers import seconds
 from bundle.reports.page.page import tag

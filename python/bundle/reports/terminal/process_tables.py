@@ -10,8 +10,7 @@ from bundle.base.memory_sizes import format_size
 from bundle.base.tables import columns, facts, notes, seconds
 from bundle.base.words import duration
 from bundle.interface.process_record import ProcessPart, ProcessRecord
-from bundle.planning.inspection.rank_limit import find_rank_limit
-from bundle.planning.inspection.rank_prediction import RankPrediction
+from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
 
 __all__ = ["predicted_ranks", "process_tables"]
 
