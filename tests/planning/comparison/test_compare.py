@@ -161,7 +161,7 @@ def test_json_has_what_refine_says_of_each_run():
 
 
 def test_bad_problems_are_refused_before_anything_runs(tmp_path):
-    with pytest.raises(InputError, match="expected a problem to compare methods on, found none"):
+    with pytest.raises(InputError, match="problems: expected at least one problem, found 0"):
         compare([])
     empty = dataclasses.replace(
         PROBLEM,
@@ -170,7 +170,7 @@ def test_bad_problems_are_refused_before_anything_runs(tmp_path):
         observation_xy=np.empty((0, 2)),
         observation_keypoint=np.empty(0, np.int32),
     )
-    with pytest.raises(InputError, match="problem 2: expected observations to refine, found none"):
+    with pytest.raises(InputError, match="problem 2: expected observations to refine, found 0"):
         compare([PROBLEM, empty])
     with pytest.raises(OSError, match="nothing-here"):
         compare(tmp_path / "nothing-here")

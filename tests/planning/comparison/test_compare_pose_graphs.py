@@ -50,7 +50,7 @@ def test_the_first_of_the_fast_ones_that_came_low_is_recommended():
         run("d", 0.1, np.nan, "x"),
     ]
     best, reason = graph_comparison._recommend(runs)
-    assert best is runs[1] and "1 method ended higher" in reason
+    assert best is runs[1] and "1 method ended at a higher cost" in reason
     runs[1] = run("b", 1.3, 1.0)
     assert graph_comparison._recommend(runs)[0] is runs[2]
     best, reason = graph_comparison._recommend([run("d", 0.1, np.nan, "x")])

@@ -44,7 +44,7 @@ def test_every_combination_once():
     ("asked", "words"),
     [
         ({"solvers": ["qr"]}, "linear_solver_type: expected one of auto, dense_schur"),
-        ({"backends": []}, "backend: expected at least one to compare, found none"),
+        ({"backends": []}, "backend: expected at least one value to compare, found 0"),
         ({"threads": [-1]}, "num_threads: expected at least 0, found -1"),
     ],
 )

@@ -92,7 +92,7 @@ def test_threads_and_preconditioners_are_told_apart():
 def test_verdict_on_what_was_foreseen(foreseen, verdict, ratio):
     runs = (done(DENSE), done(SPARSE, 1.1), done(ITERATIVE, 1.2), failed(CERES))
     said = recommend(comparison(*runs), [foreseen]).verdict
-    assert said.startswith(foreseen.name)
+    assert said.startswith(f"`bundle inspect` predicted {foreseen.name}")
     assert verdict in said
     assert figures(said) == ["2", *ratio]  # threads
     assert recommend(comparison(*runs), [None]).verdict == ""

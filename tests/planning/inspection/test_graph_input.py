@@ -37,7 +37,7 @@ def test_nothing(load):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a b\na b c\n", "2: expected two variables, an edge, or one, found 3: a b c"),
+        ("a b\na b c\n", "2: expected one or two variables, found 3: a b c"),
         ("a b\n\nb b\n", "3: expected two different variables, found b twice"),
         (b"a b\n\xe9 b\n", "2: expected UTF-8 text, found byte 0xe9"),
         ("a\x1bb a\x1bb", r"1: expected two different variables, found a\x1bb twice"),

@@ -149,7 +149,9 @@ def test_nothing_to_eliminate(inspect, street, options):
 
 
 def test_nothing_refined(inspect, street):
-    with pytest.raises(bundle.InputError, match="refine: expected observations of what is refined"):
+    with pytest.raises(
+        bundle.InputError, match="refine: expected observations of the refined parameters"
+    ):
         inspect(street, refine=())
 
 

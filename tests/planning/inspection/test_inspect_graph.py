@@ -189,7 +189,7 @@ def test_steps_are_recorded_where_that_is_quick():
         ({"edges": [], "num_variables": -1}, "num_variables: expected 0 to 2147483646, found -1"),
         ({"edges": [(0, 2**31)]}, "num_variables: expected 0 to 2147483646, found 2147483649"),
         ({"edges": [], "num_variables": 2.0}, "num_variables: expected an integer, found 2.0"),
-        ({"names": ["a"], "num_variables": 6}, "names: expected 6, one a variable, found 1"),
+        ({"names": ["a"], "num_variables": 6}, "names: expected 6, one per variable, found 1"),
         ({"ordering": "camd"}, "ordering: expected one of natural, reverse, landmarks_first"),
         ({"ordering": [0, 1]}, "order: expected 6 entries, found 2"),
         (
@@ -197,11 +197,14 @@ def test_steps_are_recorded_where_that_is_quick():
             "order: expected each of the blocks 0 to 5 once, found 4 twice",
         ),
         ({"ordering": [0, 1, 2, 3, 4, 6]}, "ordering: expected variables 0 to 5, found 6"),
-        ({"ordering": "landmarks_first"}, "ordering landmarks_first: expected landmarks"),
+        (
+            {"ordering": "landmarks_first"},
+            "ordering landmarks_first: expected at least one landmark, found 0",
+        ),
         ({"landmarks": [6]}, "landmarks: expected variables 0 to 5, found 6"),
         ({"block_size": 0}, "block_size: expected 1 to 2147483647, found 0"),
         ({"block_size": 6.5}, "block_size: expected"),
-        ({"block_size": [6, 6]}, "block_size: expected one or 6, one a variable, found (2,)"),
+        ({"block_size": [6, 6]}, "block_size: expected one or 6, one per variable, found (2,)"),
     ],
 )
 def test_what_makes_no_sense_is_refused(arguments, message):

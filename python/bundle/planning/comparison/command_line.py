@@ -1,4 +1,4 @@
-"""A solve as the user would type it."""
+"""Command line of a solve with given options."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["command_line", "recommended_command"]
 def command_line(
     options: SolveOptions | PoseGraphOptions, source: str = "INPUT", output: str = "OUTPUT"
 ) -> str:
-    """Return the `bundle refine` that solves with these options; only what differs is named."""
+    """Return the `bundle refine` command of these options; defaults are left out."""
     words = ["bundle", "refine", source, "-o", output]
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)
@@ -28,7 +28,7 @@ def command_line(
 def recommended_command(
     inspection: Inspection, options: SolveOptions, source: str = "INPUT"
 ) -> str:
-    """Return the `bundle refine` that an inspection recommends; "" where it recommends nothing."""
+    """Return the `bundle refine` command that an inspection recommends; "" without one."""
     if inspection.recommended < 0:
         return ""
     best = inspection.methods[inspection.recommended]

@@ -1,4 +1,4 @@
-"""The comparison itself: every method on every problem, each run in a process of its own."""
+"""``bundle.compare``: every method on every problem, each run in its own process."""
 
 from __future__ import annotations
 
@@ -90,34 +90,35 @@ def compare(
 ) -> Comparison | GraphComparison:
     """Solve the same start by every combination of methods and recommend one.
 
-    Each run is a process of its own, one after the other. One that fails, takes too long, needs too
-    much memory or dies is a row that says so, never the end. Ctrl-C ends the comparison with what
-    is there.
+    Runs are sequential, each in its own process. A run that fails, exceeds the time or memory limit
+    or crashes becomes a row with the reason; the comparison continues. Ctrl-C ends the comparison
+    and returns the runs so far.
 
-    Of a pose graph, the result of a solve of one, or a g2o file the result is a
-    :class:`GraphComparison`: backends, orders of elimination and trust regions, from one start, in
-    this process, one after the other. It takes ``backends``, ``threads``, ``repeat``, ``timeout``
-    and options of :class:`bundle.PoseGraphOptions`; ``progress`` is called with the name of each
+    For a pose graph, the result of its solve, or a g2o file, the result is a
+    :class:`GraphComparison`: backends, elimination orders and trust regions from one start, run one
+    after the other in this process. It takes ``backends``, ``threads``, ``repeat``, ``timeout`` and
+    options of :class:`bundle.PoseGraphOptions`; ``progress`` is called with the name of each
     method.
 
     Args:
-        problems: one, or a list of several: problems, paths, or pycolmap.Reconstructions.
-        options: of every solve, but for what the methods vary.
+        problems: one or a list of problems, paths, or pycolmap.Reconstructions.
+        options: options of every solve, except those that the methods vary.
         solvers: values of ``linear_solver_type`` to compare.
-        preconditioners: values of ``preconditioner_type``, for the solvers that iterate.
+        preconditioners: values of ``preconditioner_type``, for iterative solvers.
         orderings: values of ``linear_solver_ordering``.
         backends: values of ``backend``.
         threads: values of ``num_threads``; 0 for all cores.
-        repeat: runs of each method, of which the median counts; one that took 10 s is not repeated.
+        repeat: runs of each method, of which the median counts; a run of more than 10 s is not
+            repeated.
         timeout: seconds after which a solve is stopped.
-        memory_cap: bytes that a solve may take beyond the loaded problem; 0: nine tenths of what
-            this machine has free when the comparison starts.
-        progress: called when a run starts, and with its iterations now and then.
-        **changes: options by name, in place of those in ``options``.
+        memory_cap: bytes that a solve may allocate beyond the loaded problem; 0: 90 % of the memory
+            that is free when the comparison starts.
+        progress: called when a run starts, and regularly with its iterations.
+        **changes: options by name, which replace those in ``options``.
 
     Raises:
-        InputError: an option does not exist, is compared or is out of its range, a problem cannot
-            be loaded or has no observations, or there is nothing to compare.
+        InputError: an option does not exist, is compared or is out of range, a problem cannot be
+            loaded or has no observations, or there is nothing to compare.
 
     Example:
         >>> comparison = bundle.compare("problem.txt", solvers=["dense_schur", "sparse_schur"])
@@ -155,7 +156,7 @@ def compare(
     check_function("progress", progress)
     sources: list[Any] = list(problems) if isinstance(problems, list | tuple) else [problems]
     if not sources:
-        raise InputError("expected a problem to compare methods on, found none")
+        raise InputError("problems: expected at least one problem, found 0")
     cap = memory_cap or int(SHARE_OF_FREE_MEMORY * process_memory.available_memory())
     report = progress or (lambda _: None)
     with tempfile.TemporaryDirectory(prefix="bundle-compare-") as folder:

@@ -1,4 +1,4 @@
-"""What a comparison gives back: problems, runs, profiles, one recommendation."""
+"""Result of a comparison: problems, runs, profiles, recommendation."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ __all__ = [
 ]
 
 GAPS = (1e-2, 1e-3, 1e-5)
-"""Relative distances to the best cost, the times to which are compared."""
+"""Relative distances to the best cost; the times to reach them are compared."""
 
 Trace = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComparedProblem:
-    """One input: ``name`` is the path of its file, or "problem 1" for one from memory."""
+    """One input; ``name`` is the path of its file, or "problem 1" for a problem in memory."""
 
     name: str
     is_file: bool
@@ -50,19 +50,18 @@ class ComparedProblem:
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """What was known before the solve; NaN where nothing is predicted, 0 where there is none.
+    """Predicted cost of a method. NaN: not predicted. 0: not applicable.
 
     Matrices count both triangles and the diagonal; L counts its lower triangle with the diagonal.
 
     Attributes:
-        ordering: what orders the factorisation, such as "amd"; "" where nothing is factorised.
-        num_unknowns: columns of S, or of the whole system where no S is made.
-        nnz_reduced: nonzeros of the reduced camera system S, whether the solver stores its zeros or
-            not.
-        nnz_factor: nonzeros of L.
-        flops: of one factorisation, of which each step makes one.
-        memory_in_bytes: peak beyond the loaded problem.
-        time_per_step_in_seconds: of one trust region step.
+        ordering: order of the factorisation, such as "amd"; "" without a factorisation.
+        num_unknowns: columns of S, or of the full system if S is not formed.
+        nnz_reduced: nonzeros of the reduced camera system S, even if the solver stores it as dense.
+        nnz_factor: nnz(L).
+        flops: flops of the factorisation of a step.
+        memory_in_bytes: peak memory beyond the loaded problem.
+        time_per_step_in_seconds: time of a trust region step.
     """
 
     ordering: str
@@ -81,13 +80,13 @@ class Measurement(Displayed):
     """One solve in one process.
 
     Attributes:
-        summary: what the solver says.
-        iterations: one array a field of Ceres' IterationSummary, one entry an iteration.
-        build_time_in_seconds: from the arrays to the solver's problem and back.
-        solve_time_in_seconds: inside the solver.
-        peak_memory_in_bytes: the most that was resident, interpreter and problem included.
-        added_memory_in_bytes: the peak of the solve beyond the loaded problem; -1 where the system
-            does not tell.
+        summary: the solver's summary.
+        iterations: one array per field of Ceres' IterationSummary, one entry per iteration.
+        build_time_in_seconds: time to build the solver's problem and to copy the result back.
+        solve_time_in_seconds: time inside the solver.
+        peak_memory_in_bytes: peak resident memory, including interpreter and problem.
+        added_memory_in_bytes: peak memory of the solve beyond the loaded problem; -1 if the system
+            does not report it.
     """
 
     summary: Summary
@@ -99,17 +98,17 @@ class Measurement(Displayed):
 
     @property
     def total_time_in_seconds(self) -> float:
-        """Return build and solve: all that depends on the method."""
+        """Build and solve time: all time that depends on the method."""
         return self.build_time_in_seconds + self.solve_time_in_seconds
 
     @property
     def num_steps(self) -> int:
-        """Return the number of steps tried, accepted or not; the start is none."""
+        """Number of attempted steps, accepted or not, without the start."""
         return len(self.iterations["iteration"]) - 1
 
     @property
     def time_per_step_in_seconds(self) -> float:
-        """Return the minimizer's time by linear system solved; NaN if none was."""
+        """Minimizer time per linear solve; NaN without a linear solve."""
         solves = self.summary.num_linear_solves
         return self.summary.minimizer_time_in_seconds / solves if solves > 0 else math.nan
 
@@ -125,9 +124,9 @@ class Measurement(Displayed):
 
     @property
     def breakdown(self) -> dict[str, float]:
-        """Return the seconds of residuals, Jacobians, linear solver and the rest of the total.
+        """Seconds of residuals, Jacobians and linear solver, and the rest of the total.
 
-        The fused backend eliminates the points while it computes Jacobians, see ``Summary``.
+        The fused backend eliminates the points while it computes Jacobians; see ``Summary``.
         """
         summary = self.summary
         parts = {
@@ -139,24 +138,23 @@ class Measurement(Displayed):
 
     @property
     def trace(self) -> Trace:
-        """Return (seconds since the loaded problem was handed over, cost) of accepted states."""
+        """(Seconds since the loaded problem was passed to the solver, cost) of accepted states."""
         return _trace(self.iterations, self.build_time_in_seconds)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Run(Displayed):
-    """One method on one problem, all repeats.
+    """All repeats of one method on one problem.
 
     Attributes:
         problem: index into ``Comparison.problems``.
-        outcome: "done" (with a usable solution, converged or not), "failed" (the solver found
-            none), "refused" (the method cannot serve these options), "timed_out",
-            "out_of_memory", "died" or "not_run".
-        message: why, in one sentence, unless the outcome is "done".
-        measurements: one per repeat that ended, in order; empty unless "done" or "failed".
-        unfinished: iterations that a run had sent before its process ended early, under the names
-            of Ceres' IterationSummary.
-        prediction: None where nothing was predicted.
+        outcome: "done" (usable solution, converged or not), "failed" (no usable solution),
+            "refused" (the method does not support these options), "timed_out", "out_of_memory",
+            "died" or "not_run".
+        message: reason in one sentence, unless the outcome is "done".
+        measurements: one per completed repeat, in order; empty unless "done" or "failed".
+        unfinished: iterations that an incomplete run sent, by the names of Ceres' IterationSummary.
+        prediction: None if nothing is predicted.
     """
 
     problem: int
@@ -169,12 +167,12 @@ class Run(Displayed):
 
     @property
     def is_usable(self) -> bool:
-        """Whether there is a solution to compare."""
+        """True if the run has a usable solution."""
         return self.outcome == "done"
 
     @property
     def measurement(self) -> Measurement | None:
-        """Return the repeat of median total time; the faster of the two in the middle."""
+        """Repeat with the median total time; the faster of the two in the middle."""
         if not self.measurements:
             return None
         totals = [one.total_time_in_seconds for one in self.measurements]
@@ -182,24 +180,24 @@ class Run(Displayed):
 
     @property
     def final_cost(self) -> float:
-        """Return the cost at the end; NaN without a usable solution."""
+        """Final cost; NaN without a usable solution."""
         measurement = self.measurement
         return measurement.summary.final_cost if measurement and self.is_usable else math.nan
 
     @property
     def total_time_in_seconds(self) -> float:
-        """Return the median total time; NaN without a usable solution."""
+        """Median total time; NaN without a usable solution."""
         measurement = self.measurement
         return measurement.total_time_in_seconds if measurement and self.is_usable else math.nan
 
     @property
     def peak_memory_in_bytes(self) -> int:
-        """Return the largest peak of all repeats; 0 where none ended."""
+        """Largest peak of all repeats; 0 without a completed repeat."""
         return max((one.peak_memory_in_bytes for one in self.measurements), default=0)
 
     @property
     def trace(self) -> Trace:
-        """Return (seconds, costs) of accepted states, of a run that did not end too."""
+        """(Seconds, costs) of accepted states, also of an incomplete run."""
         if self.measurement is not None:
             return self.measurement.trace
         return _trace(self.unfinished, 0.0) if self.unfinished else (np.empty(0), np.empty(0))
@@ -216,9 +214,10 @@ class Run(Displayed):
         return Display(title=title, facts=facts)
 
     def time_to(self, cost: float) -> float:
-        """Return the seconds to the first state of at most this cost; NaN if there is none.
+        """Return the seconds to the first state of at most this cost; NaN if it is never reached.
 
-        Times between iterations are not interpolated: a cost is reached when it has been computed.
+        Times are not interpolated between iterations: a cost counts from the time of its
+        evaluation.
         """
         times, costs = self.trace
         reached = np.flatnonzero(costs <= cost)
@@ -229,11 +228,12 @@ class Run(Displayed):
 class PerformanceProfile:
     """Share of problems that a method solves within a factor of the fastest (Dolan and More 2002).
 
-    A problem is solved when the cost is within ``gap`` of the best, the measure is the time to it.
+    A problem is solved when the cost is within ``gap`` of the best; the measure is the time to it.
 
     Attributes:
-        ratios: to the fastest method on each problem that this one solved, ascending.
-        num_problems: all that somebody solved.
+        ratios: times relative to the fastest method, of the problems that this one solved,
+            ascending.
+        num_problems: problems that at least one method solved.
     """
 
     method: Method
@@ -248,14 +248,14 @@ class PerformanceProfile:
 
 @dataclass(frozen=True, kw_only=True)
 class Recommendation:
-    """What to take and why.
+    """Recommended method and the reason.
 
     Attributes:
         reason: one or two sentences that begin with the method's name.
-        command: a ready command line of `bundle refine`.
-        foreseen: the method that would have been recommended before anything was measured, one for
-            each problem; None where there was nothing to tell it from.
-        verdict: whether that was right, in one sentence; "" where nothing was foreseen.
+        command: `bundle refine` command line of the method.
+        foreseen: for each problem the method that was predicted to be the fastest; None without a
+            prediction.
+        verdict: comparison of prediction and measurement in one sentence; "" without a prediction.
     """
 
     method: Method
@@ -267,19 +267,19 @@ class Recommendation:
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Comparison(Displayed):
-    """The same start under several methods.
+    """Solves of the same start by several methods.
 
     Attributes:
-        problems: what was solved.
-        runs: one for each problem and method, problem by problem, methods in the order asked for.
-        profiles: one for each gap of ``GAPS`` and method; empty with one problem.
-        recommendation: None where no run has a usable solution.
-        options: of every solve, but for what the methods vary.
-        repeat: how often each run was to be made; one that took long is not repeated.
+        problems: the solved problems.
+        runs: one per problem and method, problem by problem, methods in the requested order.
+        profiles: one per gap of ``GAPS`` and method; empty with one problem.
+        recommendation: None if no run has a usable solution.
+        options: options of every solve, except those that the methods vary.
+        repeat: requested runs of each method; long runs are not repeated.
         timeout: seconds after which a solve was stopped.
-        memory_cap_in_bytes: that a solve could take beyond the loaded problem.
-        interrupted: whether Ctrl-C ended the comparison.
-        wall_time_in_seconds: of everything.
+        memory_cap_in_bytes: bytes that a solve could allocate beyond the loaded problem.
+        interrupted: True if Ctrl-C ended the comparison.
+        wall_time_in_seconds: total wall time.
     """
 
     problems: tuple[ComparedProblem, ...]
@@ -295,7 +295,7 @@ class Comparison(Displayed):
 
     @property
     def methods(self) -> tuple[Method, ...]:
-        """Return every method, in the order asked for."""
+        """All methods in the requested order."""
         return tuple(dict.fromkeys(run.method for run in self.runs))
 
     def runs_of(self, problem: int) -> tuple[Run, ...]:
@@ -303,7 +303,7 @@ class Comparison(Displayed):
         return tuple(run for run in self.runs if run.problem == problem)
 
     def best_cost(self, problem: int) -> float:
-        """Return the lowest final cost of a problem; NaN where no run has a usable solution."""
+        """Return the lowest final cost of a problem; NaN if no run has a usable solution."""
         costs = [run.final_cost for run in self.runs_of(problem) if run.is_usable]
         return min(costs, default=math.nan)
 
@@ -320,7 +320,7 @@ class Comparison(Displayed):
         facts = [(shown(problem.name), contents(problem)) for problem in self.problems]
         found = self.recommendation
         if found is None:
-            facts.append(("recommended", "nothing: no method has a usable solution"))
+            facts.append(("recommended", "none: no method has a usable solution"))
         else:
             facts += [("recommended", found.reason), ("command", found.command)]
         return Display(
@@ -345,7 +345,7 @@ class Comparison(Displayed):
 
 
 def _trace(iterations: dict[str, NDArray[Any]], start: float) -> Trace:
-    """Return when which cost was reached; a rejected step's cost is that of no state."""
+    """Return times and costs of accepted states; rejected steps have no state."""
     accepted = np.asarray(iterations["step_is_successful"], bool).copy()
     accepted[:1] = True  # the evaluation at the start
     times = np.asarray(iterations["cumulative_time_in_seconds"], float)[accepted]

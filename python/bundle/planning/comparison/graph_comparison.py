@@ -1,4 +1,4 @@
-"""The solve of a pose graph by several methods: what was measured, and one recommendation."""
+"""Comparison of solver methods on a pose graph, with one recommendation."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ TRUST_REGIONS = ("gauss_newton", "levenberg_marquardt", "dogleg", "subspace_dogl
 VARIED = ("backend", "ordering", "trust_region_strategy_type", "num_threads")
 
 NEAR_ENOUGH = 1.15
-"""Factor of the least time within which methods count as equally fast."""
+"""Methods within this factor of the least time count as equally fast."""
 
 COST_TOLERANCE = 1e-6
-"""Relative distance to the best final cost within which two solutions count as equally good."""
+"""Solutions within this relative distance to the best final cost count as equally good."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraphMethod:
-    """The options that are compared, under the names of :class:`bundle.PoseGraphOptions`.
+    """Compared options, by the names of :class:`bundle.PoseGraphOptions`.
 
-    ``ordering`` is "" for Ceres, which has its own.
+    ``ordering`` is "" for Ceres, which chooses its own.
     """
 
     backend: str
@@ -69,17 +69,17 @@ class GraphMethod:
 
 @dataclass(frozen=True, kw_only=True)
 class GraphRun:
-    """One method, measured.
+    """Measurement of one method.
 
     Attributes:
-        method: which.
-        times_in_seconds: of each solve, without reading and without the start.
-        final_cost: 1/2 sum rho; NaN where nothing came out.
-        chi2_final: no 1/2, no loss; NaN likewise.
-        num_steps: steps tried.
+        method: the method.
+        times_in_seconds: time of each solve, without reading and without the start.
+        final_cost: 1/2 sum rho; NaN after a failure.
+        chi2_final: sum of squares without 1/2 and without loss; NaN after a failure.
+        num_steps: number of attempted steps.
         termination_type: as in a summary, or "TIMEOUT".
-        failure: a sentence where the method gave no usable solution; else "".
-        warnings: of the solve.
+        failure: reason why there is no usable solution, as a sentence; else "".
+        warnings: warnings of the solve.
     """
 
     method: GraphMethod
@@ -93,25 +93,26 @@ class GraphRun:
 
     @property
     def time_in_seconds(self) -> float:
-        """Median of the times; NaN where there is none."""
+        """Median time; NaN after a failure."""
         return statistics.median(self.times_in_seconds) if self.times_in_seconds else math.nan
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class GraphComparison(Displayed):
-    """What a comparison measured.
+    """Solves of one pose graph by several methods.
 
     Attributes:
-        graph: that all methods started from, at the poses of the start.
-        options: of every solve, but for what the methods vary.
-        runs: one a method.
-        recommended: of the methods that reached the best cost within 1e-6 the one of least time,
-            or the first within 15 % of it; None where no method has a usable solution.
-        reason: why, in a sentence.
-        command: that solves so.
-        warnings: of the recommended solve.
+        graph: common start of all methods, with its poses.
+        options: options of every solve, except those that the methods vary.
+        runs: one per method.
+        recommended: the fastest of the methods that reach the best cost within 1e-6; methods within
+            15 % of its time count as equal, and the first of them is taken. None if no method has a
+            usable solution.
+        reason: reason in one sentence.
+        command: command line of the method.
+        warnings: warnings of the recommended solve.
         repeat: solves of each method, of which the median time counts.
-        timeout: seconds.
+        timeout: seconds after which a solve was stopped.
     """
 
     graph: PoseGraph
@@ -152,10 +153,10 @@ def compare_graph(
     progress: Callable[[str], None] | None = None,
     **changes: Any,
 ) -> GraphComparison:
-    """Solve a pose graph from one start by every method; :func:`bundle.compare` says more.
+    """Solve a pose graph from one start by every method; see :func:`bundle.compare`.
 
     Raises:
-        InputError: an argument is wrong, or an option is compared.
+        InputError: an argument is invalid, or an option is compared.
         OSError: the path cannot be read.
     """
     if isinstance(source, PoseGraphResult):
@@ -169,14 +170,14 @@ def compare_graph(
     defaults = PoseGraphOptions()
     for name in VARIED:
         if getattr(options, name) != getattr(defaults, name):
-            raise InputError(f"{name}: expected its default, as it is compared")
+            raise InputError(f"{name}: expected its default, because it is compared")
     if options.loss == "auto":
-        raise InputError("loss: expected the name of one to compare methods with, found auto")
+        raise InputError("loss: expected a named loss to compare methods with, found auto")
     repeat = checked_number("repeat", repeat, whole=True, minimum=1)
     timeout = checked_number("timeout", timeout, above=0)
     check_function("progress", progress)
     methods = _methods(_listed("backends", backends), _listed("threads", threads), options.loss)
-    # The start is found once: what differs is the way from there.
+    # The start is computed once, because all methods must share it.
     started = solve_pose_graph(source, options.replace(max_num_iterations=0)).problem
     base = options.replace(init="file")
     runs = []
@@ -203,7 +204,7 @@ def _methods(backends: tuple[Any, ...], threads: tuple[Any, ...], loss: str) -> 
     found = []
     for backend in [choice("backends", name, BACKENDS) for name in backends]:
         if backend == "ceres" and loss in ("geman_mcclure", "switchable", "dcs"):
-            continue  # Ceres lacks these
+            continue  # Ceres does not have these losses
         pairs = [(region, "amd") for region in TRUST_REGIONS]
         pairs += [(TRUST_REGIONS[0], ordering) for ordering in ORDERINGS[1:]]
         for count in counts:
@@ -217,14 +218,14 @@ def _methods(backends: tuple[Any, ...], threads: tuple[Any, ...], loss: str) -> 
                 if method not in found:
                     found.append(method)
     if not found:
-        raise InputError("backends: expected one that takes this loss, found none")
+        raise InputError("backends: expected one that supports this loss, found 0")
     return found
 
 
 def _listed(name: str, values: Any) -> tuple[Any, ...]:
     listed = as_tuple(name, values)
     if not listed:
-        raise InputError(f"{name}: expected at least one to compare, found none")
+        raise InputError(f"{name}: expected at least one value to compare, found 0")
     return listed
 
 
@@ -268,7 +269,7 @@ def _run(
 
 
 class _TimeoutError(Exception):
-    """A solve took too long."""
+    """Time limit of a solve exceeded."""
 
 
 def _failed(method: GraphMethod, termination: str, failure: str) -> GraphRun:
@@ -290,18 +291,18 @@ def _best(runs: Iterable[GraphRun]) -> float:
 def _recommend(runs: list[GraphRun]) -> tuple[GraphRun | None, str]:
     usable = [run for run in runs if not run.failure]
     if not usable:
-        return None, "No method has a usable solution: bundle diagnose says what may be wrong."
+        return None, "No method has a usable solution: run bundle diagnose to find the cause."
     best = _best(usable)
     limit = best + COST_TOLERANCE * abs(best)
     good = sorted(
         (run for run in usable if run.final_cost <= limit), key=lambda run: run.time_in_seconds
     )
     near = [run for run in good if run.time_in_seconds <= NEAR_ENOUGH * good[0].time_in_seconds]
-    first = min(near, key=runs.index)  # the default comes first
+    first = min(near, key=runs.index)  # earlier methods are closer to the defaults
     reason = (
-        f"{first.method.name} took {seconds(first.time_in_seconds)} s to cost {best:.6g}: the "
-        f"least time, or within {round(100 * (NEAR_ENOUGH - 1))} % of it, of "
-        f"{plural(len(good), 'method')} that came so low"
+        f"{first.method.name} took {seconds(first.time_in_seconds)} s to cost "
+        f"{best:.6g}: the least time, or within {round(100 * (NEAR_ENOUGH - 1))} % of "
+        f"it, of the {plural(len(good), 'method')} with the lowest cost"
     )
     others = [run for run in good if run.method.backend != first.method.backend]
     if others:
@@ -309,12 +310,15 @@ def _recommend(runs: list[GraphRun]) -> tuple[GraphRun | None, str]:
         reason += f"; {others[0].method.name} took {number(ratio)} times as long"
     worse = len(usable) - len(good)
     if worse:
-        reason += f"; {plural(worse, 'method')} ended higher, in another minimum or not converged"
+        reason += (
+            f"; {plural(worse, 'method')} ended at a higher cost, in another minimum or not "
+            "converged"
+        )
     return first, reason + "."
 
 
 def _command(graph: PoseGraph, options: PoseGraphOptions, method: GraphMethod) -> str:
-    """Return the command, without what a solve takes anyway."""
+    """Return the command, without options that a solve would choose by itself."""
     chosen = method.options(options)
     held, _, _ = _core.hold_poses(graph)
     if chosen.num_threads == _core.hardware_threads():

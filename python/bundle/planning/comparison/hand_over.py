@@ -1,6 +1,6 @@
-"""A problem on disk for other processes: one file an array, read as fast as the disk cache allows.
+"""Problem on disk for other processes: one file per array, for fast reading from the disk cache.
 
-What only writing back needs (names, the reconstruction that was read) stays behind.
+Data that only writing a model needs (names, the original reconstruction) is not stored.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _REST = "problem.json"
 
 
 def store(problem: Problem, folder: Path) -> None:
-    """Write a problem into a folder, which is made."""
+    """Write a problem into a new folder."""
     folder.mkdir()
     for name, value in vars(problem).items():
         if isinstance(value, np.ndarray):
@@ -34,8 +34,8 @@ def store(problem: Problem, folder: Path) -> None:
 
 
 def restore(folder: Path, mmap_mode: Literal["r"] | None = None) -> Problem:
-    """Read it back; with mmap_mode "r" only what is touched takes memory."""
-    # Nobody else writes to these files, so what is mapped need not be copied.
+    """Read a problem; with mmap_mode "r" only the accessed pages take memory."""
+    # No other process writes to these files, so memory-mapped arrays need no copy.
     arrays: dict[str, Any] = {
         path.stem: freeze(np.load(path, mmap_mode=mmap_mode))
         for path in sorted(folder.glob("*.npy"))

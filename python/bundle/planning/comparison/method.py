@@ -1,7 +1,4 @@
-"""A way to solve: what a comparison varies.
-
-Which methods a comparison runs: every combination of what was asked for, each once.
-"""
+"""Methods of a comparison: every combination of the requested values, each once."""
 
 from __future__ import annotations
 
@@ -25,9 +22,9 @@ ITERATIVE = ("iterative_schur", "cgnr")
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """The options that a comparison varies, under the names and values of SolveOptions.
+    """Options that a comparison varies, by the names and values of SolveOptions.
 
-    ``num_threads`` is never 0. ``preconditioner_type`` is "auto" where nothing iterates.
+    ``num_threads`` is never 0. ``preconditioner_type`` is "auto" for direct solvers.
     """
 
     backend: str
@@ -38,7 +35,7 @@ class Method:
 
     @property
     def name(self) -> str:
-        """Return "fused SPARSE_SCHUR", with whatever differs from the defaults, but no threads."""
+        """Return "fused SPARSE_SCHUR" and values that differ from the defaults, without threads."""
         words = [self.backend, self.linear_solver_type.upper()]
         if self.preconditioner_type != "auto":
             words.append(self.preconditioner_type.upper())
@@ -53,7 +50,7 @@ class Method:
 
     @property
     def is_iterative(self) -> bool:
-        """Whether it is sure to iterate on the linear system."""
+        """True if the linear solver is iterative whatever the problem."""
         return self.linear_solver_type in ITERATIVE
 
     def options(self, base: SolveOptions) -> SolveOptions:
@@ -77,11 +74,11 @@ def expand(
 ) -> tuple[Method, ...]:
     """Return the methods, backend by backend.
 
-    What has no effect on a method, such as the preconditioner of a direct solver, is dropped.
-    Thread counts beyond the cores become the cores, as in a solve; 0 means all of them.
+    Values without effect, such as the preconditioner of a direct solver, are dropped. Thread counts
+    are limited to the number of cores, as in a solve; 0 stands for all cores.
 
     Raises:
-        InputError: a value is none of its option, or one of the lists is empty.
+        InputError: a value is not one of its option, or a list is empty.
     """
     given: dict[str, tuple[Any, ...]] = {
         "backend": as_tuple("backends", backends),
@@ -92,7 +89,7 @@ def expand(
     }
     for name, values in given.items():
         if not values:
-            raise InputError(f"{name}: expected at least one to compare, found none")
+            raise InputError(f"{name}: expected at least one value to compare, found 0")
     combinations = itertools.product(*given.values())
     chosen = (SolveOptions(**dict(zip(given, values, strict=True))) for values in combinations)
     return tuple(dict.fromkeys(map(_method, chosen)))

@@ -1,7 +1,4 @@
-"""What `bundle.inspect` foresees of each method, in the terms of a comparison.
-
-Which method to take before anything is measured.
-"""
+"""Predictions by `bundle.inspect` for the methods of a comparison, and the predicted fastest."""
 
 from __future__ import annotations
 
@@ -23,10 +20,10 @@ __all__ = ["foresee", "predict", "taken_by_auto"]
 def predict(
     problem: Problem, options: SolveOptions, methods: Iterable[Method]
 ) -> dict[Method, Prediction]:
-    """Return the predictions there are.
+    """Return the predictions by method.
 
-    A method that inspection does not know has none; options that it refuses leave all without one,
-    the runs will say why.
+    Methods that inspection does not know have none. If inspection refuses the options, no method
+    has one; the runs then report the reason.
     """
     methods = tuple(methods)
     found: dict[Method, Prediction] = {}
@@ -43,7 +40,7 @@ def predict(
 
 
 def _match(method: Method, inspection: Inspection) -> MethodInspection | None:
-    """Return the inspection of a method; where several orders may be taken, the cheapest."""
+    """Return the inspection of a method; of several orders, the cheapest."""
     fitting = [one for one in inspection.methods if one.is_taken and _is_that(method, one)]
     return min(fitting, key=lambda one: one.flops, default=None)
 
@@ -89,10 +86,10 @@ def foresee(
     predictions: Mapping[Method, Prediction],
     memory_cap: int = 0,
 ) -> Method | None:
-    """Return which of the methods will be the fastest, by all that is known without solving.
+    """Return the method that is predicted to be the fastest, without solving.
 
-    Where times are predicted, the least of those that fit into memory and under the cap (bytes
-    beyond the problem, 0 for none); otherwise what ``auto`` takes, with the most threads; None if
+    If times are predicted, it is the fastest that fits into memory and under the cap (bytes beyond
+    the problem; 0: no cap). Otherwise it is the choice of ``auto`` with the most threads; None if
     that is not among the methods.
     """
     times = {
@@ -114,9 +111,9 @@ def _fits(prediction: Prediction, memory_cap: int) -> bool:
 
 
 def taken_by_auto(problem: Problem, options: SolveOptions, num_threads: int) -> Method | None:
-    """Return what ``auto`` takes for backend and linear solver; None if these options fail.
+    """Return the backend and linear solver that ``auto`` chooses; None if these options fail.
 
-    It is asked for no step, so that it chooses, evaluates the start, and ends.
+    A solve without steps makes the choice and evaluates the start.
     """
     asked = options.replace(
         backend="auto",
@@ -130,7 +127,7 @@ def taken_by_auto(problem: Problem, options: SolveOptions, num_threads: int) -> 
         summary = solve(problem, asked).summary
     except (InputError, MemoryError):
         return None
-    if summary.interrupted:  # a solve takes Ctrl-C for itself
+    if summary.interrupted:  # a solve handles Ctrl-C itself
         raise KeyboardInterrupt
     return Method(
         backend=summary.backend_used.lower(),

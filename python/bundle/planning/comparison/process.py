@@ -1,4 +1,4 @@
-"""One worker from its start to its end, however it ends."""
+"""Life of one worker process, from its start to any kind of end."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _MEMORY_WORDS = re.compile(
 
 @dataclass(kw_only=True)
 class WorkerEnd:
-    """How a worker ended: an outcome of ``Run``, and what it sent before.
+    """End of a worker: an outcome of ``Run``, and the messages before.
 
     Attributes:
-        outcome: "done" for whatever the solver says of its solution.
-        iterations: those sent while it ran; the latest may be missing.
+        outcome: "done" for any termination type of the solver.
+        iterations: iterations that it sent; the latest may be missing.
     """
 
     outcome: str = ""
@@ -58,14 +58,14 @@ def run_worker(
     memory_cap: int,
     on_iteration: Callable[[dict[str, Any]], None],
 ) -> WorkerEnd:
-    """Run a worker; kill it, and all that it started, when it takes too long or too much.
+    """Run a worker; kill it and its children when it exceeds a limit.
 
     Args:
-        folder: the problem, see ``hand_over``.
+        folder: folder of the problem, see ``hand_over``.
         request: options and limits as the worker reads them.
-        timeout: seconds, from when the problem is loaded.
-        memory_cap: bytes beyond the loaded problem; 0 for none.
-        on_iteration: called with the latest iteration now and then.
+        timeout: seconds from the loading of the problem.
+        memory_cap: bytes beyond the loaded problem; 0: no cap.
+        on_iteration: called regularly with the latest iteration.
     """
     reader, writer = os.pipe()
     with tempfile.TemporaryFile() as words, os.fdopen(reader, "rb", buffering=0) as channel:
@@ -77,13 +77,14 @@ def run_worker(
                 stdout=words,
                 stderr=words,
                 pass_fds=(writer,),
-                process_group=0,  # Ctrl-C is the parent's, and killing reaches all
+                # Ctrl-C goes to the parent only, and killing the group reaches all
+                process_group=0,
             )
         finally:
             os.close(writer)
         try:
             end = _listen(process, channel, timeout, memory_cap, on_iteration)
-            if not end.outcome:  # it closed the channel, which only its end does
+            if not end.outcome:  # the channel closes only when the worker ends
                 process.wait(SECONDS_TO_END)
         except subprocess.TimeoutExpired:
             end = WorkerEnd(outcome="died", message="the process stopped responding")
@@ -100,7 +101,7 @@ def _listen(
     memory_cap: int,
     on_iteration: Callable[[dict[str, Any]], None],
 ) -> WorkerEnd:
-    """Take messages until the last or until a limit is reached."""
+    """Receive messages until the last one or until a limit is reached."""
     end = WorkerEnd()
     deadline = time.monotonic() + timeout
     resident, unread = 0, b""
@@ -129,7 +130,7 @@ def _listen(
 
 
 def _take(end: WorkerEnd, message: dict[str, Any], memory_cap: int) -> None:
-    """Note what a worker says."""
+    """Record a message of a worker."""
     end.iterations += message.get("iterations", [])
     if "refused" in message:
         end.outcome, end.message = "refused", message["refused"]
@@ -145,7 +146,7 @@ def _take(end: WorkerEnd, message: dict[str, Any], memory_cap: int) -> None:
 
 
 def beyond(memory_cap: int) -> str:
-    """Return "needed more than 500 MB"."""
+    """Return "needed more than 500 MB beyond the loaded problem"."""
     if not memory_cap:
         return "ran out of memory"
     return f"needed more than {format_size(memory_cap)} beyond the loaded problem"
@@ -160,7 +161,7 @@ def _too_long(timeout: float, iterations: Sequence[dict[str, Any]]) -> str:
 
 
 def _explained(end: WorkerEnd, code: int, words: str) -> WorkerEnd:
-    """Give an outcome to a worker that ended without a word, from what its libraries said."""
+    """Set the outcome of a worker that ended without a message, from its exit code and output."""
     said = [line.strip() for line in words.splitlines() if line.strip()]
     if end.outcome == "done" and end.measurement is not None:
         failed = end.measurement["summary"]["termination_type"] == "FAILURE"
@@ -173,7 +174,7 @@ def _explained(end: WorkerEnd, code: int, words: str) -> WorkerEnd:
         end.outcome, end.message = "out_of_memory", f"ran out of memory ({name})"
     elif code == -signal.SIGKILL:
         end.outcome = "died"
-        end.message = "the process was killed from outside, perhaps for lack of memory"
+        end.message = "the process was killed from outside, possibly for lack of memory"
     else:
         end.outcome = "died"
         why = f": {said[-1]}" if said else " and gave no message"
@@ -182,12 +183,12 @@ def _explained(end: WorkerEnd, code: int, words: str) -> WorkerEnd:
 
 
 def _environment() -> dict[str, str]:
-    """Return this environment, with modules found where this process finds them."""
+    """Return this environment, with the module search path of this process."""
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End a process that has not ended, and all that it started, and wait for it."""
+    """Kill a running process and its children, and wait for it."""
     if process.returncode is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

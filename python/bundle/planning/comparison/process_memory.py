@@ -1,17 +1,18 @@
-"""What memory a process takes, and a limit to it.
+"""Memory of a process, and a limit on it.
 
-Resident memory is what counts, for the report and for the cap. The kernel has no limit on that for
-a single process, so two things hold a run to its cap:
+The report and the cap count resident memory. The kernel cannot limit that for a single process, so
+two mechanisms enforce the cap:
 
-- RLIMIT_DATA, set by the process itself once its problem is loaded. It makes the allocation fail
-  that would go beyond the cap, before anything is touched: what asks for 3 GB of a dense matrix
-  under a cap of 500 MB never takes them. RLIMIT_AS would not do. It counts libraries, files and
-  address space that threads only set aside (64 MiB a malloc arena). RLIMIT_DATA still counts stacks
-  and the buffers of OpenBLAS (128 MiB a thread), which are reserved whole and touched in part; they
-  come on top of the cap, as `_reserve`. OpenBLAS waits for ever for a buffer that it cannot get.
-- The parent, which looks at the resident size several times a second and ends what exceeds the cap.
+- RLIMIT_DATA, which the process sets after loading its problem. An allocation beyond the cap fails
+  before its memory is touched: a dense matrix of 3 GB under a cap of 500 MB is never allocated.
+  RLIMIT_AS is unsuitable: it counts libraries, files and reserved address space (64 MiB per malloc
+  arena). RLIMIT_DATA still counts stacks and the buffers of OpenBLAS (128 MiB per thread), which
+  are reserved in full and touched in part; `_reserve` adds them to the cap, because OpenBLAS blocks
+  for ever if it cannot get a buffer.
+- The parent, which reads the resident size several times a second and kills a process above the
+  cap.
 
-What still ended, and took more between two looks, is found by its peak.
+A process that exceeds the cap between two readings and ends is found by its peak.
 """
 
 from __future__ import annotations
@@ -40,21 +41,20 @@ _SOME_STACK = 8 * _MIB
 
 
 def available_memory() -> int:
-    """Return the bytes that processes may still take on this machine; 0 where it does not tell."""
+    """Return the free memory of this machine in bytes; 0 if the system does not report it."""
     size = _core.available_memory()
     return int(size) if size < 2**63 else 0
 
 
 def resident_memory(pid: int | str = "self") -> int:
-    """Return the bytes of a process that are resident; 0 where the system does not tell."""
+    """Return the resident bytes of a process; 0 if the system does not report them."""
     return _kibibytes(Path(f"/proc/{pid}/status"), "VmRSS")
 
 
 def peak_memory() -> int:
-    """Return the largest resident size of this process so far, in bytes.
+    """Return the peak resident size of this process in bytes.
 
-    VmHWM belongs to this program alone; ru_maxrss, the stand-in, also knows the size of the parent
-    when it forked.
+    VmHWM counts this program only; the fallback ru_maxrss includes the parent's size at the fork.
     """
     unit = 1 if sys.platform == "darwin" else 1024
     peak = unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -62,9 +62,9 @@ def peak_memory() -> int:
 
 
 def restart_peak() -> bool:
-    """Let `peak_memory` count anew; False where that cannot be.
+    """Reset the peak that `peak_memory` returns; False if the system does not allow it.
 
-    What a loader needed for a moment would otherwise hide what the solver adds.
+    Otherwise a loader's temporary memory would hide the memory of the solver.
     """
     try:
         Path("/proc/self/clear_refs").write_text("5")
@@ -74,7 +74,7 @@ def restart_peak() -> bool:
 
 
 def limit_growth(size: int, num_threads: int) -> None:
-    """Make this process' allocations fail that grow it by more than `size` bytes from here on."""
+    """Make allocations fail that grow this process by more than `size` bytes from now on."""
     data = _kibibytes(Path("/proc/self/status"), "VmData")
     if not data:
         return
@@ -85,21 +85,21 @@ def limit_growth(size: int, num_threads: int) -> None:
 
 
 def go_first_when_memory_ends() -> None:
-    """Tell the kernel to end this process before any other, should the machine run out."""
+    """Tell the kernel to kill this process first if the machine runs out of memory."""
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
 
 
 def _reserve(num_threads: int) -> int:
-    """Return what threads set aside without touching it: stacks and buffers, the caller's too."""
+    """Return bytes that threads reserve without touching: stacks and buffers."""
     stack, _ = resource.getrlimit(resource.RLIMIT_STACK)
     stack = _SOME_STACK if stack == resource.RLIM_INFINITY else stack
-    cores = max(num_threads, os.cpu_count() or 1)  # OpenBLAS starts with all of them
+    cores = max(num_threads, os.cpu_count() or 1)  # OpenBLAS starts one thread per core
     return (cores + 1) * (stack + _BLAS_BUFFER) + _ARENAS
 
 
 def _kibibytes(path: Path, field: str) -> int:
-    """Return the value of a line "field:   123 kB" in bytes; 0 where there is none."""
+    """Return the value of a line "field:   123 kB" in bytes; 0 without such a line."""
     try:
         _, found, rest = path.read_text().partition(f"{field}:")
         return 1024 * int(rest.split(maxsplit=1)[0]) if found else 0

@@ -1,14 +1,14 @@
-"""Performance profiles: how often a method is how far from the fastest.
+"""Performance profiles: share of problems that a method solves within a factor of the fastest.
 
 E. D. Dolan and J. J. More, Benchmarking optimization software with performance profiles,
-Mathematical Programming 91 (2002). With t(p, s) the time of method s on problem p and
-r(p, s) = t(p, s) / min over s' of t(p, s'), the profile of s is
+Mathematical Programming 91 (2002). Let t(p, s) be the time of method s on problem p and r(p, s) =
+t(p, s) / min over s' of t(p, s'). The profile of s is
 
     rho_s(tau) = share of problems with r(p, s) <= tau,
 
-so rho_s(1) is how often s is the fastest, and rho_s at large tau how often it gets there at all.
-t is the time to a cost within a gap of the best cost known, which is a test of its own: all methods
-are held to the same accuracy, whatever their stopping rules made of them.
+so rho_s(1) is the share of problems where s is the fastest, and rho_s at large tau the share that
+it solves at all. t is the time to a cost within a gap of the best known cost. All methods are thus
+held to the same accuracy, independent of their stopping rules.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ __all__ = ["performance_profiles"]
 def performance_profiles(
     times: Sequence[Mapping[Method, float]], methods: Sequence[Method], gap: float
 ) -> tuple[PerformanceProfile, ...]:
-    """Return one profile a method.
+    """Return one profile per method.
 
     Args:
-        times: for each problem the seconds of each method; NaN, or nothing, where it was not
-            solved. A problem that no method solved is left out.
-        methods: whose profiles.
-        gap: what `times` are the times to.
+        times: for each problem the seconds of each method; NaN or missing if not solved. Problems
+            that no method solved are left out.
+        methods: methods to profile.
+        gap: gap that the times belong to.
     """
     fastest = [
         min((time for time in row.values() if math.isfinite(time)), default=math.nan)
@@ -53,4 +53,4 @@ def performance_profiles(
 def _ratio(time: float, best: float) -> float:
     if best > 0:
         return time / best
-    return 1.0 if time <= 0 else math.inf  # a clock that did not move
+    return 1.0 if time <= 0 else math.inf  # clock resolution too coarse

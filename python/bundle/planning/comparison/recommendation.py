@@ -1,7 +1,4 @@
-"""One recommendation from what was measured, with its reason.
-
-Why a method won, from the figures.
-"""
+"""Recommendation of one method from measurements, and the reason."""
 
 from __future__ import annotations
 
@@ -23,8 +20,8 @@ def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> s
     """Return "SPARSE_SCHUR: S is 14 % full, AMD needs 2.1e9 flops per step; DENSE_SCHUR takes ...".
 
     Args:
-        comparison: of one problem.
-        method: the winner.
+        comparison: comparison on one problem.
+        method: the recommended method.
         tolerance: relative distance to the best cost within which solutions are equally good.
     """
     runs = comparison.runs_of(0)
@@ -46,11 +43,11 @@ def reason_on_one(comparison: Comparison, method: Method, tolerance: float) -> s
 
 
 def reason_on_many(method: Method, ratios: Sequence[Mapping[Method, float]]) -> str:
-    """Return how often the method is the fastest and how far off it is at worst.
+    """Return on how many problems the method is the fastest, and its largest ratio.
 
     Args:
-        method: the winner.
-        ratios: for each problem the time of each method that solved it, over the fastest one's.
+        method: the recommended method.
+        ratios: for each problem, times of the methods that solved it relative to the fastest.
     """
     own = [row[method] for row in ratios if method in row]
     fastest = sum(ratio == 1 for ratio in own)
@@ -63,7 +60,7 @@ def reason_on_many(method: Method, ratios: Sequence[Mapping[Method, float]]) -> 
 
 
 def _structure(winner: Run, runs: Sequence[Run]) -> str:
-    """Return what the matrix says, as far as it is known."""
+    """Return the known properties of the matrix."""
     known = winner.prediction
     if known is None:
         return _shares(winner)
@@ -107,7 +104,7 @@ def _iterations(winner: Run) -> str:
 
 
 def _shares(winner: Run) -> str:
-    """Return what can be said without a prediction: where the time goes."""
+    """Return the linear solver's share of the time, for a method without a prediction."""
     measurement = winner.measurement
     total = winner.total_time_in_seconds
     if measurement is None or not total > 0:
@@ -117,7 +114,7 @@ def _shares(winner: Run) -> str:
 
 
 def _rivals(winner: Run, runs: Sequence[Run]) -> list[Run]:
-    """Return the best run of each other linear solver, and of each other backend."""
+    """Return the best run of each other linear solver and of each other backend."""
     own = winner.method
     groups: dict[str, list[Run]] = {}
     for run in runs:
@@ -138,7 +135,7 @@ def _speed(run: Run) -> tuple[bool, float]:
 
 
 def _behind(comparison: Comparison, winner: Run, rival: Run, tolerance: float) -> str:
-    """Return how much longer a rival takes, and how much worse it ends."""
+    """Return how much longer a rival takes, and how much higher its final cost is."""
     ratio = rival.total_time_in_seconds / winner.total_time_in_seconds
     name = _told_apart(winner.method, rival.method)
     verb = "take" if name.endswith("threads") else "takes"
@@ -150,7 +147,7 @@ def _behind(comparison: Comparison, winner: Run, rival: Run, tolerance: float) -
 
 
 def _told_apart(winner: Method, rival: Method) -> str:
-    """Return as much of a method's name as tells it from the winner's."""
+    """Return the part of a method's name that differs from the recommended method."""
     if rival.backend != winner.backend:
         return rival.name
     if rival.linear_solver_type != winner.linear_solver_type:
@@ -165,26 +162,26 @@ def _times(ratio: float) -> str:
 
 
 COST_TOLERANCE = 1e-3
-"""Relative distance to the best final cost within which two solutions count as equally good."""
+"""Solutions within this relative distance to the best final cost count as equally good."""
 
 NEAR_ENOUGH = 1.15
-"""Factor of the least total time within which a choice counts as right."""
+"""A predicted method within this factor of the least total time counts as right."""
 
 
 def recommend(
     comparison: Comparison, foreseen: Sequence[Method | None] = ()
 ) -> Recommendation | None:
-    """Return what to take: of the methods that reached the best cost, the one of least time.
+    """Return the fastest of the methods that reached the best cost.
 
-    With several problems it is the method that reached the best cost most often, and among those
-    the one whose time is on the geometric mean the least multiple of the fastest one's.
+    With several problems, it is the method that reached the best cost most often; ties go to the
+    least geometric mean of times relative to the fastest.
 
     Args:
-        comparison: whose recommendation is not read.
-        foreseen: for each problem the method that was thought the fastest before.
+        comparison: comparison without a recommendation.
+        foreseen: for each problem the method that was predicted to be the fastest.
 
     Returns:
-        None where no run has a usable solution.
+        None if no run has a usable solution.
     """
     ratios = [_ratios(comparison, index) for index in range(len(comparison.problems))]
     ranked = sorted(
@@ -208,7 +205,7 @@ def recommend(
 
 
 def _ratios(comparison: Comparison, problem: int) -> dict[Method, float]:
-    """Return the total times over the least one, of the runs that reached the best cost."""
+    """Return total times relative to the least, of the runs that reached the best cost."""
     good = [run for run in comparison.runs_of(problem) if _reached_best(comparison, run)]
     least = min((run.total_time_in_seconds for run in good), default=math.nan)
     return {run.method: run.total_time_in_seconds / least for run in good}
@@ -219,13 +216,13 @@ def _reached_best(comparison: Comparison, run: Run) -> bool:
 
 
 def _rank(method: Method, ratios: Sequence[dict[Method, float]]) -> tuple[int, float]:
-    """Return a key that sorts the best method first."""
+    """Return the sort key of a method; the best sorts first."""
     own = [row[method] for row in ratios if method in row]
     return -len(own), statistics.geometric_mean(own)
 
 
 def _verdict(ratios: Sequence[dict[Method, float]], foreseen: Sequence[Method | None]) -> str:
-    """Return whether what was foreseen is as good as what was found."""
+    """Compare the predicted method with the measured ones, in one sentence."""
     judged = [
         (method, row) for row, method in zip(ratios, foreseen, strict=False) if row and method
     ]
@@ -234,12 +231,12 @@ def _verdict(ratios: Sequence[dict[Method, float]], foreseen: Sequence[Method | 
     right = [row.get(method, math.inf) <= NEAR_ENOUGH for method, row in judged]
     within = f"within {round(100 * (NEAR_ENOUGH - 1))} % of the fastest"
     if len(judged) > 1:
-        return f"Foreseen before any solve, and {within}: {sum(right)} of {len(judged)} problems."
+        return f"Predicted before any solve and {within}: {sum(right)} of {len(judged)} problems."
     method, row = judged[0]
-    name = f"{method.name} on {method.threads} was foreseen before any solve"
+    name = f"`bundle inspect` predicted {method.name} on {method.threads}"
     if method not in row:
-        return f"{name}, which was wrong: it did not reach the best cost."
+        return f"{name}. This was wrong: it did not reach the best cost."
     if row[method] == 1:
-        return f"{name}, which was right."
+        return f"{name}. This was right."
     verdict = "right" if right[0] else "wrong"
-    return f"{name}, which was {verdict}: it takes {row[method]:.2f} times as long as the fastest."
+    return f"{name}. This was {verdict}: it takes {row[method]:.2f} times as long as the fastest."

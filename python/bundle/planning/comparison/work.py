@@ -1,4 +1,4 @@
-"""A comparison under way: one worker after the other, and what became of them."""
+"""Runs of a comparison: one worker process after the other, and their outcomes."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ __all__ = ["Progress", "Work"]
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
-    """What a comparison is at.
+    """Progress of a comparison.
 
     Attributes:
-        stage: in words, such as "3 of 18: fused SPARSE_SCHUR on 2 threads".
-        iteration: the latest one, under the names of Ceres' IterationSummary; None before any.
+        stage: description such as "3 of 18: fused SPARSE_SCHUR on 2 threads".
+        iteration: latest iteration, by the names of Ceres' IterationSummary; None before the first.
     """
 
     stage: str
@@ -48,7 +48,7 @@ class Progress:
 
 @dataclass(kw_only=True)
 class Work:
-    """A comparison that is under way: problems lie in `folder`, ends of workers in `ends`."""
+    """Comparison in progress; `folder` holds the problems, `ends` the ends of workers."""
 
     folder: Path
     options: SolveOptions
@@ -62,7 +62,7 @@ class Work:
     foreseen: list[Method | None] = field(default_factory=list)
 
     def take_over(self, index: int, source: Source) -> ComparedProblem:
-        """Load a problem if it is a path, and lay it out for the workers."""
+        """Load a problem from a path or take it, and store it for the workers."""
         is_file = is_path(source)
         name = f"problem {index + 1}"
         if is_path(source):
@@ -70,7 +70,7 @@ class Work:
             self.report(Progress(stage=f"reading {shown(name)}"))
         source = as_problem(source, name="problems")
         if source.num_observations == 0:
-            raise InputError(f"{shown(name)}: expected observations to refine, found none")
+            raise InputError(f"{shown(name)}: expected observations to refine, found 0")
         hand_over.store(source, self.folder / str(index))
         return ComparedProblem(
             name=name,
@@ -83,7 +83,7 @@ class Work:
         )
 
     def run_all(self, problems: Sequence[ComparedProblem]) -> bool:
-        """Run everything; return whether Ctrl-C ended it."""
+        """Run everything; return True if Ctrl-C ended it."""
         total = len(problems) * self.repeat * len(self.methods)
         number = 0
         try:
@@ -91,7 +91,8 @@ class Work:
                 where = f", {shown(problem.name)}" if len(problems) > 1 else ""
                 self.report(Progress(stage=f"predicting{where}"))
                 self._predict(index)
-                for _ in range(self.repeat):  # interleaved: slow drift affects all equally
+                # interleaved, so that slow drift affects all methods equally
+                for _ in range(self.repeat):
                     for method in self.methods:
                         number += 1
                         if self._is_settled(index, method):
@@ -104,7 +105,7 @@ class Work:
         return False
 
     def runs(self, num_problems: int) -> Iterable[Run]:
-        """Yield what became of each problem and method."""
+        """Yield the run of each problem and method."""
         for index in range(num_problems):
             predictions = self.predictions[index] if index < len(self.predictions) else {}
             for method in self.methods:
@@ -119,7 +120,7 @@ class Work:
         )
 
     def _is_settled(self, index: int, method: Method) -> bool:
-        """Whether a run would say nothing new: it failed, or it takes long."""
+        """Return True if another run is not worthwhile: one failed or took long."""
         for end in self.ends.get((index, method), []):
             if end.measurement is None:
                 return True
@@ -144,12 +145,12 @@ class Work:
 def _run(
     index: int, method: Method, ends: Sequence[WorkerEnd], prediction: Prediction | None
 ) -> Run:
-    """Return the run that its workers make up: the first end that is not well is the run's."""
+    """Combine worker ends into a run; the first failed one determines the outcome."""
     measurements = tuple(_measurement(end.measurement) for end in ends if end.measurement)
     bad = next((end for end in ends if end.outcome != "done"), None)
     outcome, message, unfinished = "done", "", None
     if not ends:
-        outcome, message = "not_run", "the comparison was interrupted before"
+        outcome, message = "not_run", "the comparison was interrupted before this run"
     elif bad is not None:
         outcome, message, unfinished = bad.outcome, bad.message, _columns(bad.iterations)
         if outcome == "out_of_memory" and prediction is not None:

@@ -1,13 +1,13 @@
-"""The process of one run: ``python -m bundle.planning.comparison.worker FOLDER REQUEST CHANNEL``.
+"""Worker of one run: ``python -m bundle.planning.comparison.worker FOLDER REQUEST CHANNEL``.
 
 FOLDER holds the problem (see ``hand_over``), REQUEST is a JSON file of options and limits, CHANNEL
-the number of an open file that takes one JSON object a line:
+is the number of an open file that receives one JSON object per line:
 
 - ``{"resident": bytes}`` once the problem is loaded,
-- ``{"iterations": [...]}`` now and then, under the names of Ceres' IterationSummary,
+- ``{"iterations": [...]}`` regularly, by the names of Ceres' IterationSummary,
 - one of ``{"measurement": {...}}``, ``{"refused": why}`` and ``{"out_of_memory": true}``.
 
-Standard output and error are left to libraries that complain there.
+Libraries may print to standard output and error.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SECONDS_BETWEEN_REPORTS = 0.1
 
 
 class Reporter:
-    """Sends iterations, but not each on its own: a step may take less than a message."""
+    """Sender of iterations in batches, because a step may take less time than a message."""
 
     def __init__(self, channel: TextIO) -> None:
         self._channel = channel
@@ -43,7 +43,7 @@ class Reporter:
         self._sent = time.perf_counter()
 
     def iteration(self, values: dict[str, Any]) -> None:
-        """Take an iteration, and send all that wait if the last time is a while ago."""
+        """Queue an iteration; send the queue if the last batch is long enough ago."""
         self._waiting.append(values)
         if time.perf_counter() - self._sent >= SECONDS_BETWEEN_REPORTS:
             self.send({"iterations": self._waiting})
@@ -51,7 +51,7 @@ class Reporter:
             self._sent = time.perf_counter()
 
     def send(self, message: dict[str, Any]) -> None:
-        """Send a message at once. A parent that is gone ends the work (BrokenPipeError)."""
+        """Send a message at once. BrokenPipeError ends the process if the parent is gone."""
         self._channel.write(json.dumps(message) + "\n")
         self._channel.flush()
 
@@ -59,7 +59,7 @@ class Reporter:
 def main() -> None:
     """Load, solve, report."""
     folder, request_path, channel = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # an abort is a row, not a file
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # an abort must not leave a core file
     process_memory.go_first_when_memory_ends()
     request = json.loads(request_path.read_text())
     options = SolveOptions(**request["options"])
@@ -68,7 +68,7 @@ def main() -> None:
         try:
             reporter.send(_run(folder, options, request["memory_cap"], reporter))
         except InputError as error:
-            # What the cap leaves is no news; what the machine has is.
+            # Running out of memory under a cap is an outcome; on the whole machine it is an error.
             is_beyond = isinstance(error, _core.NotEnoughMemoryError) and request["memory_cap"] > 0
             reporter.send({"out_of_memory": True} if is_beyond else {"refused": str(error)})
         except MemoryError:

@@ -1,7 +1,4 @@
-"""Solves that take a second in all, and the rates that follow from their times.
-
-Small problems of a chosen shape, to time the solvers on.
-"""
+"""Calibration: rates derived from the times of small solves, about a second in all."""
 
 from __future__ import annotations
 
@@ -39,23 +36,23 @@ def make_scene(
     shared_camera: bool = False,
     seed: int = 0,
 ) -> Problem:
-    """Return photographs along a line of points in front of them, with half a pixel of noise.
+    """Return a synthetic scene: images along a line, points in front of them, 0.5 px of noise.
 
     Args:
-        num_images: images in all.
-        num_points: points in all.
-        track_length: images that see a point: near each other, or ``scattered`` over all.
-        scattered: every image sees something in common with most others, in no order.
-        shared_camera: one camera for all images, in place of one each.
-        seed: of the noise and of who sees what.
+        num_images: number of images.
+        num_points: number of points.
+        track_length: images that observe a point: neighbours, or spread over all if ``scattered``.
+        scattered: each image shares points with most other images, in random order.
+        shared_camera: one camera for all images, instead of one per image.
+        seed: seed of the noise and of the tracks.
     """
     rng = np.random.default_rng(seed)
     if scattered:
-        # Random steps around the ring of images: distinct as long as they do not add up to it.
+        # Random steps around the ring of images: distinct while their sum is below its length.
         steps = rng.integers(1, max(num_images // track_length, 2), (num_points, track_length))
         images = (rng.integers(num_images, size=(num_points, 1)) + steps.cumsum(1)) % num_images
     else:
-        # Out of one and a half times as many neighbours, and the points in no order.
+        # Draw from 1.5 times as many neighbours; the order of the points is random.
         reach = min(track_length + track_length // 2, num_images)
         chosen = rng.random((num_points, reach)).argsort(axis=1)[:, :track_length]
         images = rng.integers(num_images - reach + 1, size=(num_points, 1)) + chosen
@@ -95,11 +92,11 @@ def make_scene(
 
 STEPS = 3
 LEAST_REPEATS, MOST_REPEATS, ENOUGH_SECONDS = 2, 12, 0.06
-LEAST = 1e-12  # of a rate that drowned in noise
+LEAST = 1e-12  # lower bound of a rate whose time vanishes in the noise
 
 
 class Timing(NamedTuple):
-    """Seconds of a step, of its linear solve, and conjugate gradients' iterations a step."""
+    """Seconds of a step and of its linear solve, and conjugate gradient iterations per step."""
 
     step: float
     linear_solver: float
@@ -107,19 +104,19 @@ class Timing(NamedTuple):
 
 
 def calibrate(num_threads: int) -> Rates:
-    """Measure the rates for solves by ``num_threads``.
+    """Measure the rates for solves on ``num_threads`` threads.
 
     Raises:
-        MemoryError: its solves, of up to 100 MB, do not fit into the memory that is free.
+        MemoryError: the solves, of up to 100 MB, do not fit into the free memory.
     """
     try:
         return _Calibration(num_threads).run()
-    except InputError as error:  # what is wrong cannot be the scenes nor the options
+    except InputError as error:  # scenes and options are valid: memory is the cause
         raise MemoryError("the solves that measure this machine's rates do not fit") from error
 
 
 class _Calibration:
-    """The scenes, what was timed on them, and the equations."""
+    """Scenes, their timings, and the equations for the rates."""
 
     def __init__(self, num_threads: int) -> None:
         self.num_threads = num_threads
@@ -148,7 +145,7 @@ class _Calibration:
         )
 
     def _time(self, problem: Problem, solver: str, backend: str = "fused") -> Timing:
-        """Return the least of many solves, by median steps: what else runs only adds to it."""
+        """Return the least of several solves' median step times; other load can only add time."""
         options = self._options(solver, backend)
         timings: list[Timing] = []
         begun = perf_counter()
@@ -190,7 +187,7 @@ class _Calibration:
             counts.append(count_dense(9 * images, 0, images))
             times.append(self._time(scene, "dense_schur").linear_solver)
         (small, large), (quick, slow) = counts, times
-        # The entries' share of the small one lies between none and all of it.
+        # The entries take between 0 and 100 % of the small system's time.
         ratio = large.nnz / small.nnz
         by_flops = slow - ratio * quick
         flops = large.flops - ratio * small.flops
@@ -222,7 +219,7 @@ class _Calibration:
         plan = pattern.plan
         known = step + observation * plan.num_observations + pair * plan.num_pairs
         scattered = timing.step - timing.linear_solver - known
-        # Every tenth iteration computes the residual afresh.
+        # Every tenth iteration recomputes the residual.
         products = max(1.1 * timing.iterations, 1.0)
         return {
             "fused_step": step,
@@ -270,7 +267,7 @@ class _Calibration:
         return seconds / pattern.block_pairs
 
     def _normal_entry(self, step: float, evaluation: float) -> float:
-        """Tracks are long enough for CHOLMOD to go by supernodes, as it does on most problems."""
+        """Return seconds per normal equation entry; on these long tracks CHOLMOD is supernodal."""
         pattern = self._pattern(self.long_few)
         seconds = self._time(self.long_few, "sparse_normal_cholesky", "ceres").step
         seconds -= step + evaluation * pattern.num_observations
@@ -287,10 +284,13 @@ class _Calibration:
     def _observation_and_pair(
         self, quick: float, slow: float, pairs: Callable[[ProblemPattern], int]
     ) -> tuple[float, float]:
-        """Solve for both, with as many observations in short tracks (quick) as in long ones."""
+        """Solve for seconds per observation and per pair.
+
+        Both scenes have equally many observations: in short tracks (quick) and in long ones (slow).
+        """
         short, long = self._pattern(self.short), self._pattern(self.long)
         pair = max((slow - quick) / (pairs(long) - pairs(short)), 0.0)
-        # Noise must not leave nothing for the observations themselves.
+        # Noise must not reduce the observations' share to zero.
         pair = min(pair, 0.8 * max(quick, LEAST) / pairs(short))
         observation = (quick - pair * pairs(short)) / short.num_observations
         return max(observation, LEAST), pair

@@ -1,4 +1,4 @@
-"""How the factor of each method is counted: exactly where that is affordable."""
+"""Cost of each method's factor, exact where an exact count is affordable."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from bundle.planning.inspection.problem_pattern import (
 
 __all__ = ["FactorCounter", "FactorizedSystem"]
 
-# Entries of the whole problem's pattern up to which AMD takes seconds on it.
+# Most entries of the full pattern for which AMD still takes only seconds.
 MOST_ENTRIES_FOR_AMD = _core.MOST_ENTRIES_FOR_AMD
 
-# Pairs of points to collect before duplicates are taken out.
+# Pairs of points to collect before duplicates are removed.
 CODES_AT_A_TIME = 1 << 22
-# Pairs of points that images see together, up to which the points' own system is counted.
+# Most pairs of covisible points for which the system of the points is counted.
 MOST_POINT_PAIRS = 20_000_000
 
 
 class FactorizedSystem(NamedTuple):
-    """The system that a method factorises, with the cost of its factor.
+    """System that a method factorises, with the cost of its factor.
 
     Attributes:
-        columns: scalar columns of the matrix that is factorised.
-        nnz_reduced: nonzeros of the reduced system, 0 without one.
-        factor: the cost of the factor.
-        note: how the numbers are to be read.
-        values: that hold the reduced system: its lower triangle, or all of it where it is dense.
-        panel_values: that hold the factor in the fused backend's panels.
+        columns: scalar columns of the factorised matrix.
+        nnz_reduced: nonzeros of the reduced system; 0 without one.
+        factor: cost of the factor.
+        note: remark on the numbers.
+        values: stored values of the reduced system: its lower triangle, or all of it if dense.
+        panel_values: stored values of the factor in the fused backend's panels.
     """
 
     columns: int
@@ -50,7 +50,7 @@ class FactorizedSystem(NamedTuple):
 
 
 class FactorCounter:
-    """Counts factors of one problem, each pattern made at most once."""
+    """Counter of the factors of one problem; each pattern is built at most once."""
 
     def __init__(self, problem: Problem, options: SolveOptions, pattern: ProblemPattern) -> None:
         self._problem = problem
@@ -59,7 +59,7 @@ class FactorCounter:
         self._reduced: dict[str, FactorizedSystem] = {}
 
     def dense(self) -> FactorizedSystem:
-        """Return S without regard to its zeros."""
+        """Return S as a dense system."""
         reduced = self._pattern.reduced
         blocks = len(reduced.sizes)
         missing = blocks * (blocks - 1) // 2 - reduced.num_edges
@@ -68,7 +68,7 @@ class FactorCounter:
         return FactorizedSystem(reduced.num_columns, reduced.nnz, count, "", values)
 
     def sparse(self, ordering: str) -> FactorizedSystem:
-        """Return S in the order of a method of ``_core.order_blocks``."""
+        """Return S in an elimination order of ``_core.order_blocks``."""
         reduced = self._pattern.reduced
         if ordering not in self._reduced:
             order = _core.order_blocks(*reduced, ordering)
@@ -90,13 +90,13 @@ class FactorCounter:
         if not points_first:
             return FactorizedSystem(full.num_columns, 0, count_factor(full, order))
         note = (
-            f"counted for the points first and AMD's order of the cameras: AMD of all "
-            f"{len(full.sizes)} blocks takes long and comes within a per cent or two"
+            "counted with points first and cameras in AMD order: AMD on all "
+            f"{len(full.sizes)} blocks takes long and differs by 1 to 2 %"
         )
         return FactorizedSystem(full.num_columns, 0, count_factor(full, order), note)
 
     def cameras_first(self) -> FactorizedSystem:
-        """Return the points' system after the cameras are eliminated, or an upper bound."""
+        """Return the system of the points after eliminating the cameras, or an upper bound."""
         points = self._point_pattern()
         if points is not None:
             order = _core.order_blocks(*points, "amd")
@@ -105,17 +105,17 @@ class FactorCounter:
             return FactorizedSystem(points.num_columns, points.nnz, count, "", values)
         columns = 3 * self._pattern.num_free_points
         number = self._pattern.num_free_points
-        note = "an upper bound, as if all points met: an exact count takes long"
+        note = "upper bound: assumes that all points are covisible; an exact count takes long"
         count = count_dense(columns, number * (number - 1) // 2, number)
         return FactorizedSystem(
             columns, columns**2, count, note, float(columns) * (columns + 1) / 2
         )
 
     def _point_pattern(self) -> BlockPattern | None:
-        """Return which free points some image sees together; None if that are too many pairs."""
+        """Return the pattern of covisible free points; None above MOST_POINT_PAIRS pairs."""
         blocks = _core.parameter_blocks(self._problem, self._options)
         free, image = blocks["point_is_free"], blocks["image_block"]
-        block = image[self._problem.observation_image]  # of the image, or of its frame
+        block = image[self._problem.observation_image]  # block of the image or of its frame
         wanted = free[self._problem.observation_point] & (block >= 0)
         observed = np.bincount(block[wanted], minlength=1).astype(float)
         if (observed * (observed + 1) / 2).sum() > MOST_POINT_PAIRS:
@@ -128,7 +128,7 @@ class FactorCounter:
 
 
 def _cliques(groups: list[NDArray[np.int64]], num_points: int) -> BlockPattern:
-    """Return the pattern in which the members of each group meet each other."""
+    """Return the pattern in which each group is a clique."""
     codes = [np.arange(num_points) * (num_points + 1)]
     num_codes = 0
     for group in groups:
@@ -144,7 +144,10 @@ def _cliques(groups: list[NDArray[np.int64]], num_points: int) -> BlockPattern:
 
 
 def _distinct(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return what np.unique returns; since NumPy 2.3 it hashes, at a tenth of the speed here."""
+    """Return sorted distinct numbers.
+
+    Np.unique hashes since NumPy 2.3 and takes 10 times longer.
+    """
     ordered = np.sort(numbers)
     is_new = np.ones(len(ordered), bool)
     is_new[1:] = ordered[1:] != ordered[:-1]

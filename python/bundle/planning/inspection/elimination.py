@@ -1,12 +1,12 @@
-"""Eliminating a small graph one variable at a time, with everything that happens on the way.
+"""Variable elimination on a small graph, with the neighbours and the fill-in of each step.
 
-The graph of a symmetric matrix has a vertex a variable and an edge a pair of variables whose block
-is not zero. Eliminating a variable from the linear system joins all its neighbours to each other:
-each edge this creates is fill, an entry of the Cholesky factor L where the matrix has none. The
-variable's column of L holds its neighbours at that moment.
+The graph of a symmetric matrix has one vertex per variable and one edge per pair of variables whose
+block is nonzero. Eliminating a variable makes its neighbours a clique. Each edge that this adds is
+fill-in: an entry of the Cholesky factor L where the matrix has a zero. The variable's column of L
+has one block for each neighbour at that step.
 
-This is the definition, step by step; what real sizes need is counted by ``_core.count_factor``
-without creating an edge (``cpp/core/symbolic/factor_counts.cpp``), and tests hold the two together.
+This file implements the definition. For real problems ``_core.count_factor`` computes the same
+counts without creating edges (``cpp/core/symbolic/factor_counts.cpp``); tests compare the two.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ Edge = tuple[int, int]
 
 @dataclass(frozen=True)
 class EliminationStep:
-    """The elimination of one variable.
+    """Elimination of one variable.
 
     Attributes:
-        variable: the one eliminated.
-        neighbours: those it met, which were left; ascending.
-        fill: pairs of neighbours that had not met and now do; ascending.
-        flops: of this step, c^2 + 3 c summed over the variable's scalar columns, c the entries
-            below the diagonal.
-        total_fill: fill edges up to and with this step.
-        total_flops: flops up to and with this step.
+        variable: the eliminated variable.
+        neighbours: its remaining neighbours, ascending.
+        fill: fill-in: pairs of neighbours that become adjacent, ascending.
+        flops: flops of this step: c^2 + 3 c summed over the variable's scalar columns, with c
+            entries below the diagonal.
+        total_fill: fill-in edges up to and including this step.
+        total_flops: flops up to and including this step.
     """
 
     variable: int
@@ -44,7 +44,7 @@ class EliminationStep:
 
 
 class _Graph:
-    """What is left of a graph as its variables go."""
+    """Graph of the variables that are not yet eliminated."""
 
     def __init__(self, num_variables: int, edges: Iterable[Edge]) -> None:
         self.neighbours: list[set[int]] = [set() for _ in range(num_variables)]
@@ -53,7 +53,7 @@ class _Graph:
             self.neighbours[b].add(a)
 
     def eliminate(self, variable: int) -> tuple[tuple[int, ...], tuple[Edge, ...]]:
-        """Take a variable out; return its neighbours and the edges created."""
+        """Eliminate a variable; return its neighbours and the fill-in edges."""
         neighbours = tuple(sorted(self.neighbours[variable]))
         fill = tuple((a, b) for a, b in combinations(neighbours, 2) if b not in self.neighbours[a])
         for a, b in fill:
@@ -68,7 +68,7 @@ class _Graph:
 def eliminate(
     edges: Iterable[Edge], block_sizes: Sequence[int], order: Iterable[int]
 ) -> tuple[EliminationStep, ...]:
-    """Eliminate the variables in ``order``, a permutation; one block size a variable."""
+    """Eliminate the variables in ``order``, a permutation; one block size per variable."""
     graph = _Graph(len(block_sizes), edges)
     steps: list[EliminationStep] = []
     total_fill = total_flops = 0
@@ -83,14 +83,14 @@ def eliminate(
 
 
 def minimum_degree_order(num_variables: int, edges: Iterable[Edge]) -> tuple[int, ...]:
-    """Return the exact greedy order: always a variable with the fewest neighbours left.
+    """Return the exact minimum degree order: always a variable with the fewest neighbours left.
 
-    Of several the one with the smallest index. AMD and COLAMD bound the number of neighbours
-    instead of counting it, which is why they are fast.
+    Ties go to the smallest index. AMD and COLAMD are fast because they bound the number of
+    neighbours instead of counting it.
     """
     graph = _Graph(num_variables, edges)
     left = set(range(num_variables))
-    # Every change of a degree is pushed; an entry that is no longer true is passed over.
+    # Every change of a degree is pushed; stale entries are skipped.
     queue = [(len(graph.neighbours[variable]), variable) for variable in left]
     heapq.heapify(queue)
     order: list[int] = []
@@ -98,7 +98,7 @@ def minimum_degree_order(num_variables: int, edges: Iterable[Edge]) -> tuple[int
         degree, variable = heapq.heappop(queue)
         if variable not in left or degree != len(graph.neighbours[variable]):
             continue
-        if degree == len(left) - 1:  # all that are left meet each other, and will
+        if degree == len(left) - 1:  # the remaining variables form a clique
             return (*order, *sorted(left))
         order.append(variable)
         left.remove(variable)

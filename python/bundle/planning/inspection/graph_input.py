@@ -1,6 +1,6 @@
-"""What users hand in as a graph, made into arrays or refused in one line.
+"""Graphs that users give, as arguments or as text files with one edge per line.
 
-Graphs as text files: an edge a line.
+Each function returns checked arrays or raises an InputError of one line.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ __all__ = [
 
 @dataclass(frozen=True)
 class GraphFile:
-    """A graph whose variables are numbered from 0.
+    """Graph whose variables are numbered from 0.
 
     Attributes:
-        names: of the variables. Integers come in their order, other names in that of the file.
-        edges: pairs of variables as they stand in the file.
-        landmarks: variables with names such as l17 or L17, GTSAM's for landmarks.
+        names: names of the variables: integers in ascending order, other names in file order.
+        edges: pairs of variables in file order.
+        landmarks: variables with names such as l17 or L17, as GTSAM names landmarks.
     """
 
     names: tuple[str, ...]
@@ -46,14 +46,13 @@ class GraphFile:
 
 
 def load_graph(path: str | os.PathLike[str]) -> GraphFile:
-    """Read edges "a b", one per line; a line with one name is a variable, of edges or without.
+    """Read edges "a b", one per line; a line with one name declares a variable.
 
-    Names are words without spaces or commas, either of which separates them. What follows # or %
-    is a comment. A repeated edge counts once.
+    Spaces or commas separate names. Text after # or % is a comment. A repeated edge counts once.
 
     Raises:
-        InputError: the text is not UTF-8, a line has more than two names or joins a variable to
-            itself; the message has path and line.
+        InputError: the text is not UTF-8, or a line has more than two names or the same name twice;
+            the message has path and line.
         OSError: the file cannot be read.
     """
     lines: list[list[str]] = []
@@ -69,7 +68,7 @@ def load_graph(path: str | os.PathLike[str]) -> GraphFile:
         if len(names) > 2:
             found = shown(" ".join(names))
             raise InputError(
-                f"{where}: expected two variables, an edge, or one, found {len(names)}: {found:.60}"
+                f"{where}: expected one or two variables, found {len(names)}: {found:.60}"
             )
         if len(names) == 2 and names[0] == names[1]:
             raise InputError(
@@ -113,7 +112,7 @@ def as_edges(edges: Any) -> NDArray[np.int64]:
 def as_names(
     names: Sequence[str] | None, pairs: NDArray[np.int64], num_variables: int | None
 ) -> tuple[str, ...]:
-    """Return a name for each variable, as many as there are."""
+    """Return one name per variable."""
     listed = isinstance(names, str | list | tuple) or (
         isinstance(names, np.ndarray) and names.ndim == 1
     )
@@ -132,14 +131,14 @@ def as_names(
     if names is None:
         return tuple(map(str, range(count)))
     if len(names) != count:
-        raise InputError(f"names: expected {count}, one a variable, found {len(names)}")
+        raise InputError(f"names: expected {count}, one per variable, found {len(names)}")
     return tuple(map(str, names))
 
 
 def as_variables(
     argument: str, values: Iterable[Any] | NDArray[np.int64], num_variables: int
 ) -> NDArray[np.int64]:
-    """Return numbers of variables; refuse numbers of no variable."""
+    """Return indices of variables; refuse indices out of range."""
     variables = as_integers(argument, values)
     wrong = variables[(variables < 0) | (variables >= num_variables)]
     if len(wrong):
@@ -149,14 +148,14 @@ def as_variables(
 
 
 def as_block_sizes(block_size: int | Sequence[int], num_variables: int) -> NDArray[np.int32]:
-    """Return the scalars of each variable."""
+    """Return the number of scalars of each variable."""
     one = isinstance(block_size, int | np.integer)
     sizes = as_integers("block_size", [block_size] if one else block_size)
     if one:
         sizes = np.full(num_variables, sizes[0])
     if sizes.shape != (num_variables,):
         raise InputError(
-            f"block_size: expected one or {num_variables}, one a variable, found {sizes.shape}"
+            f"block_size: expected one or {num_variables}, one per variable, found {sizes.shape}"
         )
     wrong = sizes[(sizes < 1) | (sizes > MOST_SCALARS_A_BLOCK)]
     if len(wrong):
@@ -165,7 +164,7 @@ def as_block_sizes(block_size: int | Sequence[int], num_variables: int) -> NDArr
 
 
 def as_tracks(track_lengths: Iterable[int], num_cameras: int) -> NDArray[np.int64]:
-    """Return track lengths of points, each at most one observation a camera."""
+    """Return track lengths of points, each at most ``num_cameras``."""
     tracks = as_integers("track_lengths", track_lengths)
     wrong = tracks[(tracks < 0) | (tracks > num_cameras)]
     if len(wrong):

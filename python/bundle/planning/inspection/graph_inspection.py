@@ -1,4 +1,4 @@
-"""``inspect_graph``: what eliminating a graph costs in some order, without arithmetic."""
+"""``inspect_graph``: fill-in and flops of eliminating a graph in a given order, counted only."""
 
 from __future__ import annotations
 
@@ -26,38 +26,38 @@ from bundle.planning.inspection.graph_input import (
 
 __all__ = ["GRAPH_ORDERINGS", "GraphInspection", "inspect_graph", "pattern_of_edges"]
 
-# Steps are recorded unasked where they look at no more pairs of neighbours than this: in about a
-# second, for some hundred variables or thousands with little fill.
+# Most pairs of neighbours for which steps are recorded by default. This takes about a second: some
+# hundred variables, or thousands with little fill-in.
 MOST_PAIRS_TO_RECORD = 2_000_000
 
 
 @dataclass(frozen=True, repr=False)
 class GraphInspection(Displayed):
-    """The Cholesky factor L of a matrix with a given graph, known before any arithmetic.
+    """Symbolic Cholesky factor L of a matrix with a given graph.
 
     Nonzeros of the matrix count both triangles and the diagonal; those of L count its lower
     triangle with the diagonal. A variable is a full block of ``block_sizes`` scalars.
 
     Attributes:
         num_variables: vertices of the graph.
-        names: of the variables.
-        edges: pairs of variables (smaller, larger) that meet, ascending, each once.
-        ordering: name of the order, "given" for one that was handed in.
-        order: ``order[k]`` is eliminated as the k-th.
-        steps: what happened at each; empty where they were not recorded.
-        column_counts: (num_variables,) in elimination order: neighbours left when eliminated, the
-            blocks below the diagonal of L.
-        fill: edges created on the way.
-        flops: sum of c^2 + 3 c over the scalar columns of L, c their entries below the diagonal: a
-            multiplication and a subtraction for each of the c (c + 1) / 2 entries of a triangle
-            and c of the right hand side that eliminating the column changes.
-        cholmod_flops: sum of (c + 1)^2, which CHOLMOD's analysis reports (``fl``).
+        names: names of the variables.
+        edges: adjacent variables (smaller, larger), ascending, each pair once.
+        ordering: name of the elimination order; "given" for a permutation.
+        order: ``order[k]`` is the k-th eliminated variable.
+        steps: elimination steps; empty if not recorded.
+        column_counts: (num_variables,) in elimination order: blocks below the diagonal of L, one
+            per remaining neighbour.
+        fill: fill-in edges.
+        flops: sum of c^2 + 3 c over the scalar columns of L with c entries below the diagonal.
+            Eliminating a column updates c (c + 1) / 2 entries of a triangle and c entries of the
+            right-hand side by one multiplication and one subtraction each.
+        cholmod_flops: sum of (c + 1)^2, as CHOLMOD's analysis reports it (``fl``).
         nnz: nonzeros of the matrix.
         nnz_factor: nonzeros of L.
-        tree_height: variables on the longest path through the elimination tree: steps that must
-            follow each other.
+        tree_height: variables on the longest path of the elimination tree; their eliminations are
+            sequential.
         block_sizes: scalars of each variable.
-        landmarks: the variables that ``landmarks_first`` begins with.
+        landmarks: variables that ``landmarks_first`` eliminates first.
     """
 
     num_variables: int
@@ -78,17 +78,17 @@ class GraphInspection(Displayed):
 
     @property
     def num_columns(self) -> int:
-        """Scalar columns of the matrix."""
+        """Number of scalar columns of the matrix."""
         return sum(self.block_sizes)
 
     @property
     def density(self) -> float:
-        """Share of the matrix' cells that are not zero."""
+        """Share of the matrix entries that are nonzero."""
         return self.nnz / max(1, self.num_columns) ** 2
 
     @cached_property
     def scalar_column_counts(self) -> tuple[int, ...]:
-        """(num_columns,) in elimination order: entries below the diagonal of L."""
+        """Entries below the diagonal of L, (num_columns,) in elimination order."""
         counts = _core.count_factor(*self.pattern(), np.array(self.order, np.int32))
         return tuple(
             below + left
@@ -108,7 +108,7 @@ class GraphInspection(Displayed):
         return Display(title=f"GraphInspection: {graph}", facts=facts)
 
     def pattern(self) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
-        """Return (sizes, column_begin, rows) as the core takes a matrix' lower triangle."""
+        """Return (sizes, column_begin, rows): the lower triangle in the core's format."""
         edges = np.array(self.edges, np.int64).reshape(-1, 2)
         return pattern_of_edges(np.array(self.block_sizes, np.int32), edges)
 
@@ -123,27 +123,26 @@ def inspect_graph(
     block_size: int | Sequence[int] = 1,
     record_steps: bool | None = None,
 ) -> GraphInspection:
-    """Eliminate the variables of a graph in some order and count what it costs.
+    """Eliminate the variables of a graph in a given order and count fill-in and flops.
 
-    Orders: "natural" and "reverse" by index; "landmarks_first" takes ``landmarks`` and then the
-    others, both by index; "minimum_degree" takes one with the fewest neighbours left, ties by
-    index; "amd", "colamd", "metis" and "nesdis" are CHOLMOD's.
+    Orders: "natural" and "reverse" by index; "landmarks_first" eliminates ``landmarks`` and then
+    the other variables, both by index; "minimum_degree" eliminates a variable with the fewest
+    remaining neighbours, ties by index; "amd", "colamd", "metis" and "nesdis" are CHOLMOD's.
 
     Args:
-        edges: (num_edges, 2) pairs of variables that meet. An edge more than once, or both ways
-            round, is one edge.
-        num_variables: numbered from 0; by default as many as there are names, or up to the largest
-            in an edge.
-        ordering: one of ``GRAPH_ORDERINGS``, in any case, with hyphens or underscores, or all
-            variables in the order in which they are to be eliminated.
-        names: of the variables; by default their numbers.
-        landmarks: variables.
-        block_size: scalars of each variable, such as 6 for poses; one number or one a variable.
-        record_steps: whether to keep every step; by default where that is quick.
+        edges: (num_edges, 2) pairs of adjacent variables. Repeated and reversed edges count once.
+        num_variables: number of variables; by default the number of names, or one more than the
+            largest index in an edge.
+        ordering: one of ``GRAPH_ORDERINGS``, in upper or lower case, with hyphens or underscores,
+            or a permutation of all variables.
+        names: names of the variables; by default their indices.
+        landmarks: indices of the landmarks.
+        block_size: scalars of each variable, such as 6 for poses: one number, or one per variable.
+        record_steps: keep every step; by default steps are kept where that is quick.
 
     Raises:
-        InputError: an edge from a variable to itself, a variable out of range, an order that is no
-            permutation, or any other argument that makes no sense.
+        InputError: an edge joins a variable to itself, an index is out of range, an order is no
+            permutation, or another argument is invalid.
     """
     pairs = as_edges(edges)
     labels = as_names(names, pairs, num_variables)
@@ -185,7 +184,7 @@ def inspect_graph(
 def pattern_of_edges(
     sizes: NDArray[np.int32], pairs: NDArray[np.int64]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]:
-    """Return the lower triangle by block columns; pairs (smaller, larger), each once."""
+    """Return the lower triangle by block columns of distinct pairs (smaller, larger)."""
     diagonal = np.arange(len(sizes))
     columns = np.concatenate([diagonal, pairs[:, 0]])
     rows = np.concatenate([diagonal, pairs[:, 1]])
@@ -201,13 +200,13 @@ def _find_order(
     landmarks: NDArray[np.int64],
     pattern: tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]],
 ) -> tuple[str, NDArray[np.int32]]:
-    """Return an order and its name."""
+    """Return the name of an order and its permutation."""
     if not isinstance(ordering, str):
         return "given", as_variables("ordering", ordering, num_variables).astype(np.int32)
     name = choice("ordering", ordering, GRAPH_ORDERINGS)
     if name == "landmarks_first":
         if len(landmarks) == 0:
-            raise InputError("ordering landmarks_first: expected landmarks, found none")
+            raise InputError("ordering landmarks_first: expected at least one landmark, found 0")
         others = np.setdiff1d(np.arange(num_variables), landmarks)
         return name, np.concatenate([landmarks, others]).astype(np.int32)
     if name == "minimum_degree":

@@ -1,4 +1,4 @@
-"""What inspecting a problem gives."""
+"""Result of ``bundle.inspect``: predicted cost of each solver method."""
 
 from __future__ import annotations
 
@@ -14,35 +14,36 @@ __all__ = ["Inspection", "MethodInspection"]
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class MethodInspection(Displayed):
-    """What one method is predicted to cost.
+    """Predicted cost of one method.
 
     Nonzeros of J, of the information matrix and of S count both triangles and the diagonal; those
     of L count its lower triangle with the diagonal.
 
     Attributes:
-        name: "SPARSE_SCHUR amd".
+        name: such as "SPARSE_SCHUR amd".
         linear_solver_type: Ceres' name.
-        backend: "FUSED", "CERES", or "": neither takes this order, which is here to be compared;
-            time and memory are then those of the fused backend.
-        ordering: of what is factorised; "" where nothing is.
-        preconditioner: Ceres' name, "" for direct solvers.
-        num_unknowns: refined numbers.
-        nnz_jacobian, nnz_information, nnz_reduced: of J, J^T J and S; S is 0 where it is not made.
-        nnz_factor: of L; 0 without a factor, and so the next four.
-        fill: pairs of blocks that L has and the matrix has not.
-        flops: sum of c^2 + 3 c over the columns of L, c entries below the diagonal.
+        backend: "FUSED", "CERES", or "" for an order that neither backend offers, listed for
+            comparison; its time and memory are predicted as for the fused backend.
+        ordering: elimination order; "" without a factorisation.
+        preconditioner: Ceres' name; "" for direct solvers.
+        num_unknowns: number of refined scalars.
+        nnz_jacobian, nnz_information, nnz_reduced: nonzeros of J, J^T J and S; 0 where S is not
+            formed.
+        nnz_factor: nnz(L). Without a factor this and the next four are 0.
+        fill: fill-in: pairs of blocks that are nonzero in L and zero in the matrix.
+        flops: sum of c^2 + 3 c over the columns of L with c entries below the diagonal.
         cholmod_flops: sum of (c + 1)^2, CHOLMOD's own estimate.
         tree_height: blocks on the longest path of the elimination tree.
         column_count_profile: largest c of up to 200 equal portions of the columns of L, in
             elimination order.
-        memory_in_bytes: peak beyond the loaded problem.
-        memory_terms: what it is made of, in bytes.
-        time_per_step_in_seconds: of a step of the trust region.
-        time_terms: what it is made of, in seconds.
-        fits_in_memory: whether the machine has that much free, with a tenth to spare.
-        is_taken: whether a solve can be made to do this. The fused backend takes the cheapest of
-            three orders, whatever the others cost.
-        note: what is to be known about the numbers, "" if nothing.
+        memory_in_bytes: peak memory beyond the loaded problem.
+        memory_terms: terms of the memory in bytes.
+        time_per_step_in_seconds: time of one trust region step.
+        time_terms: terms of the time in seconds.
+        fits_in_memory: True if the memory is at most 90 % of the free memory.
+        is_taken: True if options can select this method. The fused backend always takes the
+            cheapest of three orders.
+        note: remark on the numbers; "" if there is none.
     """
 
     name: str
@@ -70,7 +71,7 @@ class MethodInspection(Displayed):
 
     @property
     def backend_name(self) -> str:
-        """The backend as people write it; "-" where neither takes the order."""
+        """Name of the backend for display; "-" for an order that neither backend offers."""
         return {"FUSED": "fused", "CERES": "Ceres"}.get(self.backend, "-")
 
     def _display(self) -> Display:
@@ -91,20 +92,19 @@ class MethodInspection(Displayed):
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Inspection(Displayed):
-    """What is known of a problem before it is solved.
+    """Predicted cost of solving a problem by each method.
 
     Attributes:
-        num_observations: those with something to refine.
-        num_free_points, num_camera_columns, num_camera_blocks: of the unknowns.
-        reduced_density: share of S that is not zero, by nonzeros; 1.0 where no camera
-            parameter is refined.
-        num_threads: that the times are for.
-        available_memory_in_bytes: of the machine, now.
-        methods: what each costs.
-        recommended: index into methods of the fastest that fits; -1 if none does.
-        recommendation: the same in a sentence, with its reason.
-        auto_choice: linear solver that the fused backend's ``auto`` takes, which goes by rates of
-            its own (cpp/core/prepare/choose_solver.cpp); "" where it does not come into it.
+        num_observations: observations of refined parameters.
+        num_free_points, num_camera_columns, num_camera_blocks: counts of the unknowns.
+        reduced_density: share of nonzeros in S; 1.0 if no camera parameter is refined.
+        num_threads: threads for which times are predicted.
+        available_memory_in_bytes: free memory of the machine.
+        methods: predicted cost of each method.
+        recommended: index into ``methods`` of the fastest that fits into memory; -1 if none fits.
+        recommendation: recommended method and reason in one sentence.
+        auto_choice: linear solver that the fused backend's ``auto`` chooses by its own rates
+            (cpp/core/prepare/choose_solver.cpp); "" if the fused backend cannot solve the problem.
     """
 
     num_observations: int
@@ -123,7 +123,7 @@ class Inspection(Displayed):
         unknowns = self.methods[0].num_unknowns if self.methods else 0
         facts = (
             ("problem", plural(self.num_observations, "observation")),
-            ("unknowns", f"{unknowns}, those of {plural(self.num_free_points, 'point')} included"),
+            ("unknowns", f"{unknowns}, including {plural(self.num_free_points, 'point')}"),
             ("recommended", self.recommendation),
         )
         rows = tuple(

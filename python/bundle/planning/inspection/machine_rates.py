@@ -1,9 +1,9 @@
-"""The rates of this machine, measured once and kept.
+"""Rates of this machine, measured once and cached.
 
-Every rate comes from real solves of small problems by the solver whose steps it predicts, so that
-it holds what is particular to the machine: instruction set, caches, BLAS, threads (``calibrate``).
+Each rate is measured on real solves of small problems by the solver that it predicts. It therefore
+includes the instruction set, caches, BLAS and threads of the machine (``calibrate``).
 
-They are kept in a file per version and number of threads, in ``bundle`` under XDG_CACHE_HOME, by
+The cache has one file per version and number of threads, in ``bundle`` under XDG_CACHE_HOME, by
 default ~/.cache.
 """
 
@@ -25,18 +25,18 @@ from bundle.planning.inspection.rates import FactorRate, Rates, implausible
 __all__ = ["cache_path", "machine_rates"]
 
 ATTEMPTS = 3
-"""Calibrations before rates are used that cannot be right, and not kept."""
+"""Calibrations before implausible rates are used once, without caching them."""
 
 
 def machine_rates(num_threads: int, *, recalibrate: bool = False) -> Rates:
-    """Return the rates for solves by this many threads, measuring them unless they are kept."""
+    """Return the rates for solves on ``num_threads`` threads; measure them unless cached."""
     path = cache_path(num_threads)
     rates = None if recalibrate else _read(path)
     if rates is None:
         rates = _measure(num_threads)
-        if implausible(rates):  # good enough for this once
+        if implausible(rates):  # used once, not cached
             return rates
-        with contextlib.suppress(OSError):  # without a place to keep them they are measured again
+        with contextlib.suppress(OSError):  # if they cannot be cached, the next call measures again
             _write(path, rates)
     return rates
 
@@ -52,11 +52,11 @@ def _measure(num_threads: int) -> Rates:
 
 
 def cache_path(num_threads: int) -> Path:
-    """Return where the rates are kept."""
+    """Return the path of the cached rates."""
     base = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    if not base.is_absolute():  # as the XDG specification has it
+    if not base.is_absolute():  # required by the XDG specification
         base = Path.home() / ".cache"
-    # A home folder may be shared by machines, and a processor run several instruction sets.
+    # Machines may share a home folder, and one processor may offer several instruction sets.
     machine = (
         _core.__version__,
         _core.CERES_VERSION,
@@ -73,7 +73,7 @@ def cache_path(num_threads: int) -> Path:
 
 
 def _processor() -> tuple[str, ...]:
-    """Return the model and its instruction sets, of which a virtual machine may hide some."""
+    """Return the processor model and the instruction sets that this (virtual) machine offers."""
     try:
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
     except OSError:
@@ -83,7 +83,7 @@ def _processor() -> tuple[str, ...]:
 
 
 def _blas() -> tuple[str, ...]:
-    """Return the BLAS libraries that are loaded, with sizes and dates, and what selects kernels."""
+    """Return the loaded BLAS libraries with sizes and dates, and the choice of their kernels."""
     choice = os.environ.get("OPENBLAS_CORETYPE", "")
     try:
         maps = Path("/proc/self/maps").read_text(errors="replace").splitlines()
@@ -99,7 +99,7 @@ def _blas() -> tuple[str, ...]:
 
 
 def _read(path: Path) -> Rates | None:
-    """Return the rates of a file, None if there are none: absent, cut off, of another version."""
+    """Return the rates of a file; None if it is missing, incomplete or of another version."""
     try:
         fields = json.loads(path.read_text(encoding="ascii"))
         for name in ("dense", "dense_threaded", "sparse"):

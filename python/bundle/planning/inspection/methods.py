@@ -1,4 +1,4 @@
-"""The ways to solve a problem that an inspection compares."""
+"""Solver methods that an inspection compares."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bundle.interface.options import PRECONDITIONER_TYPES
 __all__ = ["ORDERINGS", "Method", "all_methods"]
 
 ORDERINGS = ("natural", "amd", "colamd", "metis", "nesdis")
-"""Of the blocks of S, in the order of a report."""
+"""Orders of the blocks of S, as a report lists them."""
 
 _CERES_ALONE = ("cluster_jacobi", "cluster_tridiagonal")
 _FUSED_ALONE = ("two_level",)
@@ -19,12 +19,12 @@ _FIRST_CERES_WITH_POWER_SERIES = (2, 2)
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A linear solver under Ceres' name, whose it is, and what it is told.
+    """Linear solver (Ceres' name) with its backend, order and preconditioner.
 
     Attributes:
-        backend: "FUSED", "CERES", or "" for an order that neither takes.
-        ordering: of the factorised blocks, "" where nothing is factorised; "cameras_first" is
-            AMD's of the points once the cameras are eliminated.
+        backend: "FUSED", "CERES", or "" for an order that neither backend offers.
+        ordering: order of the factorised blocks; "" without a factorisation. "cameras_first"
+            eliminates the cameras and orders the points by AMD.
         preconditioner: "" for direct solvers.
     """
 
@@ -41,7 +41,7 @@ class Method:
 
 
 def all_methods() -> tuple[Method, ...]:
-    """Return the methods in the order of a report."""
+    """Return the methods as a report lists them."""
     methods = [Method(linear_solver_type="DENSE_SCHUR", backend="FUSED", ordering="natural")]
     methods.append(Method(linear_solver_type="DENSE_SCHUR", backend="CERES", ordering="natural"))
     for ordering in ORDERINGS:
@@ -68,7 +68,7 @@ def all_methods() -> tuple[Method, ...]:
 
 
 def _who_takes(ordering: str) -> tuple[str, ...]:
-    """Return whose sparse solver may take an order of S (supernodes.cpp, Ceres' defaults)."""
+    """Return the backends that offer an order of S (supernodes.cpp, Ceres' defaults)."""
     if ordering == "amd":
         return ("FUSED", "CERES")
     return ("FUSED",) if ordering in ("natural", "metis") else ("",)

@@ -1,8 +1,8 @@
 """Peak memory of a solve beyond the loaded problem, as a sum of named terms.
 
-Arrays are counted as the sources make them. What is not an array but many small objects, which is
-how Ceres keeps a problem, was measured (glibc, Ceres 2.1): bytes per observation and per point, the
-same on all real data and on synthetic scenes of 50 to 1000 images to 7 per cent.
+Arrays are counted as the sources allocate them. Ceres stores a problem in many small objects; their
+bytes per observation and per point were measured (glibc, Ceres 2.1) and agree within 7 % on all
+real data and on synthetic scenes of 50 to 1000 images.
 """
 
 from __future__ import annotations
@@ -13,35 +13,35 @@ from bundle.planning.inspection.problem_pattern import ProblemPattern
 __all__ = ["Terms", "ceres_memory", "fused_memory", "total"]
 
 Terms = dict[str, float]
-"""Bytes by what they are for."""
+"""Bytes by purpose."""
 
 DOUBLE = 8
 
-# Pages of libraries that run for the first time, and the heap's own; BLAS and LAPACK among them.
+# Pages of libraries on first use (BLAS and LAPACK among them), and of the heap.
 _PROCESS, _BLAS_PAGES = 0.9e6, 0.5e6
 
-# OpenBLAS packs slices of 384 columns of a matrix, as wide as the matrix.
+# OpenBLAS packs slices of 384 columns over the full width of a matrix.
 _PACKED_COLUMNS = 384
 
-# Zeros that CHOLMOD's supernodes store besides the entries of L, merged where it pays.
+# Stored values of CHOLMOD's merged supernodes relative to nnz(L).
 _SUPERNODE_PADDING = 1.15
 
-# Buffers of chunks that each thread of the fused backend fills. It has three, and takes the last of
-# them only when it is two chunks ahead of the others (assembler.h): small problems seldom, large
-# ones always.
+# Chunk buffers in use by each thread of the fused backend. It has three and uses the third only
+# when it is two chunks ahead of the others (assembler.h): rarely on small problems, always on large
+# ones.
 _CHUNK_BUFFERS = 2.5
 
-# Ceres. An observation: the cost function and its residual block, the row of the Jacobian with its
-# cells, pointers in the problem, the program and the evaluator. A point: its parameter block with
-# state and manifold, and a node each in the problem's map and in the ordering's map and sets.
+# Ceres. Per observation: cost function, residual block, Jacobian row with its cells, and pointers
+# in the problem, the program and the evaluator. Per point: parameter block with state and manifold,
+# and one node each in the problem's map and in the ordering's map and sets.
 _CERES_OBSERVATION = 390.0
 _CERES_POINT = 820.0
-# Implicit Schur products keep a row of the partitions a second time, and blocks of the diagonal.
+# Implicit Schur products store a second copy of the partitions' rows, and diagonal blocks.
 _CERES_IMPLICIT_OBSERVATION = 30.0
 _CERES_IMPLICIT_POINT = 120.0
-# S by cells behind a hash map, then as triplets, as compressed columns, and as CHOLMOD's copy.
+# Four forms of S: cells in a hash map, triplets, compressed columns, CHOLMOD's copy.
 _CERES_REDUCED_COPIES = 10.0
-# J^T J with its indices, the list of products that make it, and CHOLMOD's copy in its order.
+# J^T J with its indices, the list of products that form it, and CHOLMOD's reordered copy.
 _CERES_NORMAL_COPIES = 2.7
 
 
@@ -57,21 +57,21 @@ def fused_memory(
     num_threads: int,
     coarse_entries: float = 0.0,
 ) -> Terms:
-    """Return what a solve by the fused backend takes; ``counted`` is what it factorises.
+    """Return the memory of a solve by the fused backend; ``counted`` is the factorised system.
 
-    ``coarse_entries``: of the factor of a second level.
+    ``coarse_entries``: entries of the factor of the coarse system (TWO_LEVEL).
     """
     plan = pattern.plan
     buffer = plan.largest_chunk_blocks * plan.block_doubles * DOUBLE
     terms = {
-        # Image, measurement and place in the chunk of an observation; place of a pair's block.
+        # Image, measurement and chunk index of an observation; block index of a pair.
         "plan of the points": 22.0 * plan.num_observations
         + 2.0 * plan.num_pairs
         + 12.0 * plan.num_points
         + 4.0 * (plan.num_chunk_pairs + 2 * plan.num_chunk_images),
-        # Two states, the scale of their columns, and the refined points.
+        # Two states, column scales, and refined points.
         "points": 4 * 3 * DOUBLE * plan.num_points,
-        # Sorting the points' observations comes first; later the same memory holds other things.
+        # Sorting the observations comes first; its memory is reused later.
         "sorting": 2.0 * plan.num_observations,
         "buffers of chunks": _CHUNK_BUFFERS * num_threads * float(buffer),
         "process": _PROCESS,
@@ -84,12 +84,12 @@ def fused_memory(
         terms["reduced system"] = DOUBLE * counted.values
         terms["BLAS"] = _BLAS_PAGES + DOUBLE * float(_PACKED_COLUMNS) * counted.columns
     else:
-        # S becomes its factor where it is.
+        # S is factorised in place.
         terms["reduced system"] = DOUBLE * counted.panel_values
         widest = max(counted.factor.profile, default=0)
         terms["BLAS"] = _BLAS_PAGES + DOUBLE * float(_PACKED_COLUMNS) * widest
     if pattern.reduced.sums_are_twofold(linear_solver_type):
-        # What rounding takes from each number of S, without the fill of its factor.
+        # Error terms of the sums in S, without the fill-in of its factor.
         is_dense = linear_solver_type == "DENSE_SCHUR"
         values = (
             float(pattern.reduced.num_columns) ** 2 / 2 if is_dense else pattern.num_reduced_values
@@ -101,7 +101,7 @@ def fused_memory(
 def ceres_memory(
     pattern: ProblemPattern, linear_solver_type: str, counted: FactorizedSystem | None
 ) -> Terms:
-    """Return what a solve by Ceres takes; ``counted`` is what it factorises."""
+    """Return the memory of a solve by Ceres; ``counted`` is the factorised system."""
     terms = {
         "observations": _CERES_OBSERVATION * pattern.num_observations,
         "points": _CERES_POINT * pattern.num_free_points,

@@ -1,4 +1,4 @@
-"""What a step of the solve of a pose graph costs in each order of elimination."""
+"""Cost of factorising the normal equations of a pose graph, by elimination order."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from bundle.planning.inspection.graph_inspection import pattern_of_edges
 __all__ = ["EliminationCost", "PoseGraphInspection", "inspect_pose_graph"]
 
 ORDERINGS = ("natural", "amd", "metis")
-"""Those that a solve can be asked for."""
+"""Orders that a solve offers."""
 
 BYTES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class EliminationCost:
-    """What the Cholesky factor L costs in one order of the poses, counted exactly.
+    """Exact cost of the Cholesky factor L in one order of the poses.
 
     Attributes:
         ordering: "natural" (by position), "amd" or "metis".
-        nnz_factor: nonzeros of the lower triangle of L with its diagonal, without zeros that
-            supernodes add.
-        fill: pairs of poses that meet in L and not in the matrix.
-        flops: sum of c^2 + 3 c over the columns of L, c their entries below the diagonal.
+        nnz_factor: nnz(L): lower triangle with its diagonal, without the zeros that supernodes
+            store.
+        fill: fill-in: pairs of poses that are nonzero in L and zero in the matrix.
+        flops: sum of c^2 + 3 c over the columns of L with c entries below the diagonal.
         tree_height: poses on the longest path of the elimination tree.
-        memory_in_bytes: of the numbers of L.
+        memory_in_bytes: memory of the values of L.
     """
 
     ordering: str
@@ -49,18 +49,18 @@ class EliminationCost:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PoseGraphInspection(Displayed):
-    """The normal equations of a pose graph and what factorising them costs.
+    """Normal equations of a pose graph and the cost of factorising them.
 
     Attributes:
-        num_poses: of the graph.
-        num_edges: pairs of poses that edges join, each once.
-        block_size: 3 in the plane, 6 in space.
+        num_poses: number of poses.
+        num_edges: distinct pairs of poses with an edge.
+        block_size: 3 in the plane (SE(2)), 6 in space (SE(3)).
         nnz: nonzeros of the information matrix over all poses, both triangles and the diagonal.
-        density: share of its cells that are not zero.
-        num_free_poses: that a solve does not hold; the costs are of these.
-        nnz_free: nonzeros of the information matrix over these.
-        costs: one an ordering.
-        auto_ordering: the one that a solve takes; "" where nothing is free.
+        density: share of nonzeros in that matrix.
+        num_free_poses: poses that a solve does not hold constant; the costs are for these.
+        nnz_free: nonzeros of the information matrix over the free poses.
+        costs: one per order.
+        auto_ordering: order that ``auto`` selects; "" without free poses.
     """
 
     num_poses: int
@@ -75,20 +75,20 @@ class PoseGraphInspection(Displayed):
 
     @property
     def recommendation(self) -> str:
-        """Return which order to take, and why, in a sentence."""
+        """Recommended order and the reason, in one sentence."""
         if not self.auto_ordering:
-            return "Nothing to factorise: every pose is held."
+            return "Nothing to factorise: every pose is constant."
         flops = {cost.ordering: cost.flops for cost in self.costs}
         chosen, worst = flops[self.auto_ordering], max(flops.values())
         least = min(flops, key=lambda name: flops[name])
-        words = f"Leave --pose-ordering at auto: it takes {self.auto_ordering}, "
+        words = f"Leave --pose-ordering at auto: it selects {self.auto_ordering}, "
         if worst > chosen:
-            words += f"{number(worst / max(chosen, 1))} times fewer flops than the worst"
+            words += f"{number(worst / max(chosen, 1))} times fewer flops than the worst order"
         else:
             words += "and all orders cost the same"
         if flops[least] < chosen:
-            words += f" ({least} would save {100 - round(100 * flops[least] / chosen)} % of them, "
-            words += "and take longer to find than that saves)"
+            words += f" ({least} needs {100 - round(100 * flops[least] / chosen)} % fewer, "
+            words += "but computing it takes longer than it saves)"
         return words + "."
 
     def _display(self) -> Display:
@@ -105,7 +105,7 @@ class PoseGraphInspection(Displayed):
 
 
 def inspect_pose_graph(source: Any) -> PoseGraphInspection:
-    """Count what a step of the solve of a pose graph costs; see :func:`bundle.inspect`.
+    """Count the cost of a step of a pose graph's solve; see :func:`bundle.inspect`.
 
     Raises:
         InputError: the source is no pose graph.

@@ -1,7 +1,4 @@
-"""What each way to solve a problem costs, from its pattern alone.
-
-Which method to take, and why, by what is predicted.
-"""
+"""Predicted cost of each solver method, from the pattern of a problem, and a recommendation."""
 
 from __future__ import annotations
 
@@ -58,25 +55,25 @@ def inspect(
     recalibrate: bool = False,
     **changes: Any,
 ) -> Inspection | PoseGraphInspection:
-    """Predict what each way to solve a problem costs, without solving it.
+    """Predict the cost of each solver method on a problem, without solving it.
 
-    Counts are exact, by elimination on the blocks, unless a method's note says otherwise. Times are
-    counts times the rates of this machine, measured when they are first needed,
-    in a second or two.
+    Counts are exact, by symbolic elimination on blocks, unless a method's note says otherwise.
+    Times are counts multiplied by the rates of this machine. The first call measures the rates in a
+    second or two.
 
-    Of a pose graph, the result of a solve of one, or a g2o file the result is a
-    :class:`PoseGraphInspection`: nonzeros of the normal equations, and fill, flops and memory of
-    their factor in each order of elimination. It takes no options.
+    For a pose graph, the result of its solve, or a g2o file, the result is a
+    :class:`PoseGraphInspection`: nonzeros of the normal equations, and fill-in, flops and memory of
+    their factor in each elimination order. Pose graphs take no options.
 
     Args:
-        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
-        options: what is refined and by how many threads; which solver they name does not matter.
+        problem: Problem, path of one, or pycolmap.Reconstruction; not modified.
+        options: refined parameters and number of threads; their choice of solver has no effect.
         recalibrate: measure the rates of this machine again.
-        **changes: options by name, in place of those in ``options``.
+        **changes: options by name, which replace those in ``options``.
 
     Raises:
-        InputError: an option or a fixed id that does not exist, a camera model that is not
-            supported, or no observations of anything that is refined.
+        InputError: an option or a fixed id does not exist, a camera model is not supported, or no
+            observations constrain the refined parameters.
         OSError: the path cannot be read.
     """
     if is_graph(problem):
@@ -108,7 +105,7 @@ def inspect(
 
 
 class _Inspector:
-    """One problem's methods, each counted and predicted."""
+    """Counts and predictions of each method on one problem."""
 
     def __init__(
         self, problem: Problem, options: SolveOptions, pattern: ProblemPattern, rates: Rates
@@ -120,14 +117,14 @@ class _Inspector:
         self._counter = FactorCounter(problem, options, pattern)
 
     def methods(self) -> tuple[Method, ...]:
-        """Return the methods that there are for this problem.
+        """Return the methods that apply to this problem.
 
         Raises:
             InputError: nothing is refined.
         """
         pattern = self._pattern
         if pattern.num_unknowns == 0 or pattern.num_observations == 0:
-            raise InputError("refine: expected observations of what is refined, found none")
+            raise InputError("refine: expected observations of the refined parameters, found 0")
         every = all_methods()
         if pattern.num_free_points == 0 or pattern.num_camera_columns == 0:  # nothing to eliminate
             return tuple(m for m in every if m.linear_solver_type == "SPARSE_NORMAL_CHOLESKY")
@@ -136,7 +133,7 @@ class _Inspector:
         return every
 
     def auto_choice(self) -> str:
-        """Return the linear solver that the fused backend would choose, "" if it cannot."""
+        """Return the linear solver that the fused backend would choose; "" if it cannot."""
         if all(method.backend == "CERES" for method in self.methods()):
             return ""
         return _core.auto_choice(*self._pattern.reduced, self._num_threads)
@@ -178,7 +175,7 @@ class _Inspector:
         )
 
     def _count(self, method: Method) -> FactorizedSystem | None:
-        """Return what a method factorises, None if nothing."""
+        """Return the system that a method factorises; None without a factorisation."""
         if method.linear_solver_type == "DENSE_SCHUR":
             return self._counter.dense()
         if method.linear_solver_type == "SPARSE_NORMAL_CHOLESKY":
@@ -204,11 +201,14 @@ class _Inspector:
     def _note(self, method: Method, counted: FactorizedSystem | None) -> str:
         if counted is None:
             products = products_per_step(method.preconditioner)
-            return f"assumes {products} products with S per step; the number depends on the values"
+            return (
+                f"assumes {products} products with S per step; the actual number depends on the "
+                "values"
+            )
         if not method.backend:
-            return "for comparison: neither backend takes this order"
+            return "for comparison: neither backend offers this order"
         if not self._is_taken(method):
-            return f"the fused backend takes {self._taken_by_fused()}, which makes fewer flops"
+            return f"the fused backend selects {self._taken_by_fused()}, which needs fewer flops"
         return counted.note
 
     def _is_taken(self, method: Method) -> bool:
@@ -217,19 +217,19 @@ class _Inspector:
         return method.backend != ""
 
     def _taken_by_fused(self) -> str:
-        """Return the cheapest of the orders that supernodes.cpp tries, the first of equals."""
+        """Return the cheapest of the orders that supernodes.cpp tries; ties go to the first."""
         tried = ("natural", "amd", "metis")
         return min(tried, key=lambda name: self._counter.sparse(name).factor.cholmod_flops)
 
 
 def recommend(methods: Sequence[MethodInspection]) -> int:
-    """Return the index of the fastest method that can be asked for and fits; -1 if none does."""
+    """Return the index of the fastest method that is available and fits; -1 if none fits."""
     usable = [i for i, method in enumerate(methods) if method.is_taken and method.fits_in_memory]
     return min(usable, key=lambda i: methods[i].time_per_step_in_seconds, default=-1)
 
 
 def explain(methods: Sequence[MethodInspection], best: int, density: float) -> str:
-    """Return the recommendation as a sentence with its reason; ``density`` is S's."""
+    """Return the recommendation and its reason as a sentence; ``density`` is that of S."""
     if best < 0:
         least = min(methods, key=lambda method: method.memory_in_bytes)
         return (
@@ -246,7 +246,7 @@ def explain(methods: Sequence[MethodInspection], best: int, density: float) -> s
         )
         reasons.append(f"{order}{chosen.flops:.2g} flops per step")
     else:
-        reasons.append("nothing is factorised")
+        reasons.append("no factorisation")
     rival = _rival(methods, chosen)
     if rival is not None:
         reasons.append(_against(rival, chosen))
@@ -256,7 +256,7 @@ def explain(methods: Sequence[MethodInspection], best: int, density: float) -> s
 def _rival(
     methods: Sequence[MethodInspection], chosen: MethodInspection
 ) -> MethodInspection | None:
-    """Return the best of another linear solver, of the same backend if there is one."""
+    """Return the best method with another linear solver, of the same backend if possible."""
     others = [
         method
         for method in methods
@@ -271,7 +271,7 @@ def _rival(
 def _against(rival: MethodInspection, chosen: MethodInspection) -> str:
     name = rival.linear_solver_type
     if not rival.fits_in_memory:
-        return f"{name} needs {format_size(rival.memory_in_bytes)}, more than is free"
+        return f"{name} needs {format_size(rival.memory_in_bytes)}, more than the free memory"
     times = rival.time_per_step_in_seconds / chosen.time_per_step_in_seconds
     if chosen.flops and rival.flops > chosen.flops:
         more = rival.flops / chosen.flops

@@ -1,7 +1,7 @@
-"""The pattern of a problem: unknowns, nonzeros, and who meets whom, before any arithmetic.
+"""Sparsity pattern of a problem: unknowns, nonzeros, and pairs of coupled blocks.
 
-With the free points p and the blocks c of camera parameters (an image's pose and
-intrinsics, or a shared camera's intrinsics; ``cpp/core/model/parameter_layout.h``) as unknowns,
+The unknowns are the free points p and the blocks c of camera parameters: an image's pose and
+intrinsics, or a shared camera's intrinsics (``cpp/core/model/parameter_layout.h``).
 
     J   two rows an observation, nonzero in its point's and its image's blocks,
     H   = J^T J, the information matrix; H_pp is block diagonal,
@@ -9,7 +9,7 @@ intrinsics, or a shared camera's intrinsics; ``cpp/core/model/parameter_layout.h
         image's and the camera's of one image, or if some free point is seen by both.
 
 Nonzeros of H and S count both triangles and the diagonal; those of L, its lower triangle with the
-diagonal. Blocks count as full.
+diagonal. Blocks count as dense.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ PROFILE_BINS = 200
 
 
 class BlockPattern(NamedTuple):
-    """The lower triangle of a symmetric matrix of full blocks, by block columns.
+    """Lower triangle of a symmetric matrix of dense blocks, by block columns.
 
     Attributes:
         sizes: (num_blocks,) rows and columns of each diagonal block.
         column_begin: (num_blocks + 1,) first entry of each block column.
-        rows: block row of each entry; ascending in a column, the diagonal first.
+        rows: block row of each entry, ascending within a column; the diagonal comes first.
     """
 
     sizes: Sizes
@@ -54,23 +54,23 @@ class BlockPattern(NamedTuple):
 
     @property
     def num_columns(self) -> int:
-        """Scalar columns."""
+        """Number of scalar columns."""
         return int(self.sizes.sum(dtype=np.int64))
 
     @property
     def num_edges(self) -> int:
-        """Pairs of different blocks that meet."""
+        """Number of coupled pairs of different blocks."""
         return len(self.rows) - len(self.sizes)
 
     @property
     def nnz(self) -> int:
-        """Nonzeros, both triangles and the diagonal."""
+        """Nonzeros of both triangles and the diagonal."""
         sizes = self.sizes.astype(np.int64)
         columns = np.repeat(sizes, np.diff(self.column_begin))
         return int(2 * (columns * sizes[self.rows]).sum() - (sizes**2).sum())
 
     def sums_are_twofold(self, linear_solver_type: str) -> bool:
-        """Whether the fused backend sums S up with twice the digits of a double."""
+        """Return True if the fused backend sums S in double-double arithmetic."""
         return _core.sums_are_twofold(
             linear_solver_type.lower(), self.num_columns, len(self.sizes), len(self.rows)
         )
@@ -78,15 +78,15 @@ class BlockPattern(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FactorCount:
-    """What a Cholesky factor L costs in one order.
+    """Cost of a Cholesky factor L in one elimination order.
 
     Attributes:
-        nnz: entries of L, the diagonal included.
-        fill: pairs of blocks that L has and the matrix has not.
-        flops: sum of c^2 + 3 c over the columns, c their entries below the diagonal: the update of
-            what is left, and of the right side.
-        cholmod_flops: sum of (c + 1)^2, which CHOLMOD's analysis prints.
-        tree_height: blocks on the longest path through the elimination tree.
+        nnz: nnz(L), including the diagonal.
+        fill: fill-in: pairs of blocks that are nonzero in L and zero in the matrix.
+        flops: sum of c^2 + 3 c over the columns with c entries below the diagonal: updates of the
+            remaining matrix and of the right-hand side.
+        cholmod_flops: sum of (c + 1)^2, as CHOLMOD's analysis prints it.
+        tree_height: blocks on the longest path of the elimination tree.
         profile: largest c of up to 200 equal portions of the columns, in elimination order.
     """
 
@@ -100,9 +100,9 @@ class FactorCount:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanSize:
-    """``bundle::PlanSize``: the passes of the fused backend over the points.
+    """Sizes of the fused backend's passes over the points (``bundle::PlanSize``).
 
-    All zero where a track is too long for it.
+    All are zero if a track is too long for the fused backend.
     """
 
     num_points: int = 0
@@ -117,21 +117,21 @@ class PlanSize:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ProblemPattern:
-    """All that the predictions rest on.
+    """Counts on which the predictions are based.
 
     Attributes:
-        num_observations: those with something to refine.
-        num_free_points: points that are refined.
-        reduced: the pattern of S.
-        nnz_jacobian, nnz_information: of J and H.
-        block_pairs: over all free points, the pairs of camera blocks that see it, each pair
-            once and every block with itself: block products of the elimination.
-        pair_entries: the same in entries: half the sum of F^2 over the free points, F the columns
-            of camera parameters that a point meets.
-        longest_track: most observations of a point.
-        has_equal_blocks: all camera blocks have one size, and no observation sees two:
-            where Ceres has Schur kernels of fixed size.
-        plan: of the fused backend.
+        num_observations: observations of refined parameters.
+        num_free_points: number of refined points.
+        reduced: pattern of S.
+        nnz_jacobian, nnz_information: nonzeros of J and H.
+        block_pairs: block products of the elimination: pairs of camera blocks that observe a free
+            point, summed over the points, each pair once and each block with itself.
+        pair_entries: the same in scalars: half the sum of F^2 over the free points, where F columns
+            of camera parameters observe a point.
+        longest_track: largest number of observations of a point.
+        has_equal_blocks: all camera blocks have the same size and each observation has one of them;
+            Ceres then uses Schur kernels of fixed size.
+        plan: sizes of the fused backend's passes.
     """
 
     num_observations: int
@@ -147,26 +147,26 @@ class ProblemPattern:
 
     @property
     def num_camera_columns(self) -> int:
-        """Unknown camera parameters."""
+        """Number of free camera parameters."""
         return self.reduced.num_columns
 
     @property
     def num_reduced_values(self) -> float:
-        """Values of S where its lower triangle is stored, diagonal blocks whole."""
+        """Values stored for a sparse S: its lower triangle with full diagonal blocks."""
         squares = float((self.reduced.sizes.astype(float) ** 2).sum())
         return (self.reduced.nnz + squares) / 2
 
     @property
     def num_unknowns(self) -> int:
-        """Unknowns in all."""
+        """Total number of unknowns."""
         return self.num_camera_columns + 3 * self.num_free_points
 
 
 def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
-    """Return the pattern of what ``options`` leave free; a gauge and a cheirality are chosen.
+    """Return the pattern of the free parameters; ``options`` must have a gauge and a cheirality.
 
     Raises:
-        InputError: a camera model that is not supported or a fixed id that does not exist.
+        InputError: a camera model is not supported or a fixed id does not exist.
     """
     given = options.asdict()
     blocks = _core.parameter_blocks(problem, given)
@@ -176,8 +176,8 @@ def find_pattern(problem: Problem, options: SolveOptions) -> ProblemPattern:
     if longest_track <= _core.MAX_TRACK_LENGTH:
         plan = PlanSize(**_core.elimination_plan(problem, given))
     is_free = blocks["point_is_free"]
-    sizes = np.append(blocks["size"], 0).astype(np.int64)  # block -1 is none
-    # Three blocks an image: of its pose or its frame's, of its sensor, of its camera.
+    sizes = np.append(blocks["size"], 0).astype(np.int64)  # block -1: no block
+    # Three blocks per image: pose of the image or frame, pose of the sensor, intrinsics.
     camera_block = blocks["camera_block"][problem.image_camera]
     of_image = np.stack([blocks["image_block"], blocks["sensor_block"], camera_block])
     width = sizes[of_image].sum(axis=0)[problem.observation_image]
@@ -209,7 +209,7 @@ def _seen_blocks(
     of_image: Sizes,
     num_blocks: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return (point, block) of each free point and each camera block that sees it, once."""
+    """Return the distinct (point, block) of free points and camera blocks that observe them."""
     point = problem.observation_point[free].astype(np.int64)
     image = problem.observation_image[free]
     codes = [
@@ -223,7 +223,7 @@ def _seen_blocks(
 
 
 def count_factor(pattern: BlockPattern, order: Sizes) -> FactorCount:
-    """Return the exact cost of the factor when the blocks are eliminated in this order."""
+    """Return the exact cost of the factor for this elimination order of the blocks."""
     counts: dict[str, Any] = _core.count_factor(*pattern, order)
     return FactorCount(
         nnz=round(counts["entries"]),
@@ -238,8 +238,9 @@ def count_factor(pattern: BlockPattern, order: Sizes) -> FactorCount:
 def _profile(rows_below: NDArray[np.int64], sizes: NDArray[np.int64]) -> tuple[int, ...]:
     """Return the largest column counts of equal portions, from blocks in elimination order.
 
-    The k-th scalar column of a block of m has the rows below the block and m - 1 - k within it, so
-    that a portion's largest count is that of its first column, or of the first of some block.
+    The k-th scalar column of a block of size m has the rows below the block and m - 1 - k rows
+    within it. The largest count of a portion is therefore that of its first column, or of the first
+    column of a block.
     """
     ends = np.cumsum(sizes)
     num_columns = int(ends[-1]) if len(ends) else 0
@@ -256,7 +257,7 @@ def _profile(rows_below: NDArray[np.int64], sizes: NDArray[np.int64]) -> tuple[i
 
 
 def count_dense(num_columns: int, num_missing: int, num_blocks: int) -> FactorCount:
-    """Return the cost of a factor without zeros; ``num_missing`` pairs of blocks are fill."""
+    """Return the cost of a dense factor; ``num_missing`` pairs of blocks are fill-in."""
     n = float(num_columns)
     bins = min(PROFILE_BINS, num_columns)
     return FactorCount(

@@ -1,37 +1,34 @@
-"""What a solve by N processes costs, from the problem's own pattern.
+"""Predicted cost of a solve by N MPI processes, from the problem's own pattern.
 
-A step of N processes takes
+A step by N processes takes
 
     t(N) = w t_points + t_first + (b + (ceil(log2 N) - 1) b_2) / bandwidth + m ceil(log2 N) latency,
 
-t_points the terms of one process that are sums over points, w the share of the fullest part (of
-``ranks.partition``, by pairs of observations), t_first what the first process does alone while the
-others wait: the linear solver and what does not depend on the size. b are the bytes of a step's
-messages as `bundle refine` tallies them, m their number. Those of MPI go through trees in
-pipelines: large ones take the time of their bytes once, however many processes there are. Of
-twofold sums, b_2 of the bytes, the first process receives one at each level of a binary tree.
-Efficiency is t(1) / (N t(N)).
+with t_points the terms of one process that are sums over points, w the largest share of a process
+(``ranks.partition``, by pairs of observations), and t_first the serial work of rank 0: the linear
+solver and the constant cost. A step sends m messages of b bytes (the count that `bundle refine`
+reports). MPI pipelines large messages through trees, so their time does not depend on the number of
+processes. Of double-double sums, b_2 of the bytes, rank 0 receives one at each level of a binary
+tree. Efficiency is t(1) / (N t(N)).
 
-Bytes of a step with blocks (i, j) of S of h x w numbers, n columns:
+Bytes per step, for blocks (i, j) of S of h x w numbers and n columns:
 
     normal equations   8 (sum of h w over the lower triangle, diagonal blocks whole, + n)
     gradient, norms    8 * 4 n   (two vectors, each summed and sent back)
     step               8 n
 
-Twofold sums (cpp/core/parallel/twofold_sum.h) have two numbers each on the way to the first:
-8 (2 sum of h w + 9 n) in all.
+Double-double sums (cpp/core/parallel/twofold_sum.h) send two numbers each to rank 0: 8 (2 sum of h
+w + 9 n) in all.
 
-With conjugate gradients the block diagonal of J_c^T J_c may come on top. Memory is that of a
-process without a problem, of a part and of S, without fill; the first process has the factor
-besides and all points: several processes read BAL files and COLMAP models in binary in slices
-(``bundle.solving.slices``), and of a model each has the ids of all points.
+Conjugate gradients may add the block diagonal of J_c^T J_c. Memory is that of a process without a
+problem, of its part of the points, and of S without fill-in. Rank 0 adds the factor and all points:
+with several processes, BAL files and binary COLMAP models are read in slices
+(``bundle.solving.slices``), and each process stores the ids of all points of a model.
 
-Where more processes stop to pay, and why.
-
-Of a step t(N) = w(N) t_points + t_first + t_messages(N) (``rank_prediction``) only the first term
-falls with N. Processes pay as long as their efficiency t(1) / (N t(N)) is at least one half: so far
-each doubling saves more than it wastes. What stops them is the largest of what each adds to
-N t(N), the time of all processes, over that of a single one:
+Scaling limit: of a step t(N) = w(N) t_points + t_first + t_messages(N) only the first term falls
+with N. Processes pay while the efficiency t(1) / (N t(N)) is at least one half, so that doubling N
+saves more time than it wastes. The limit is due to the largest of the terms that are added to N
+t(N), the time of all processes:
 
     imbalance   N w(N) t_points - t_points
     first       (N - 1) t_first            (N - 1 processes wait)
@@ -67,19 +64,18 @@ __all__ = [
 
 
 NETWORK = (10.0, 50.0)
-"""Gigabits per second and microseconds of latency that are assumed: 10 Gbit Ethernet."""
+"""Assumed network: 10 Gbit/s Ethernet with 50 microseconds of latency."""
 
 PROCESS = 62e6
-"""Bytes of a process before it has a problem: Python, NumPy, the core and its threads, MPI."""
+"""Bytes of a process without a problem: Python, NumPy, the core and its threads, MPI."""
 
 COLMAP = 85.0
-"""Bytes per observation that the files of a COLMAP model and their index take."""
+"""Bytes per observation of the files of a COLMAP model and their index."""
 
 POINT_IDS = 30.0
-"""Bytes per point of a COLMAP model in slices that each process has: ids, their index, owners and
-sections."""
+"""Bytes per point of a sliced COLMAP model in each process: ids, index, owners, sections."""
 
-# Of a step: S in one or more portions, its right-hand side, sums with their way back, the step.
+# Messages per step: S in one or more portions, right-hand side, sums with replies, step.
 _MESSAGES = 24
 
 _OF_POINTS = ("observations", "pairs of observations", "adding to S")
@@ -89,19 +85,19 @@ _OF_THE_FIRST = ("reduced system", "coarse system", "BLAS")
 
 @dataclass(frozen=True, kw_only=True)
 class RankPrediction:
-    """A solve by so many processes.
+    """Predicted solve by N processes.
 
     Attributes:
-        num_processes: N.
-        method: the linear solver that the numbers are for, Ceres' name.
-        most_observations: of the fullest process.
-        bytes_per_step: of messages, as ``summary.processes.traffic`` counts them.
-        time_per_step_in_seconds: predicted.
-        points_time_per_step_in_seconds: the part of it that is divided, of the fullest process.
-        first_time_per_step_in_seconds: the part that the first process does alone, which is not.
-        network_time_per_step_in_seconds: the part that messages take.
-        efficiency: time of one process over N times the time of N.
-        memory_of_first_in_bytes, memory_of_others_in_bytes: peak of a process.
+        num_processes: number of processes N.
+        method: linear solver (Ceres' name) that is predicted.
+        most_observations: largest number of observations of a process.
+        bytes_per_step: bytes of messages, as ``summary.processes.traffic`` counts them.
+        time_per_step_in_seconds: predicted time of a step.
+        points_time_per_step_in_seconds: divided part, of the process with the most work.
+        first_time_per_step_in_seconds: serial part of rank 0.
+        network_time_per_step_in_seconds: part of the messages.
+        efficiency: time of one process over N times the time of N processes.
+        memory_of_first_in_bytes, memory_of_others_in_bytes: peak of rank 0 and of another rank.
     """
 
     num_processes: int
@@ -125,24 +121,24 @@ def predict_ranks(
     counts: Sequence[int],
     network: tuple[float, float] = NETWORK,
 ) -> tuple[RankPrediction, ...]:
-    """Predict solves by several processes with as many threads each as the inspection is for.
+    """Predict solves by several processes, each with as many threads as the inspection assumes.
 
     Args:
-        problem: what was inspected.
-        inspection: what ``bundle.inspect`` said of it.
-        options: with which.
+        problem: the inspected problem.
+        inspection: result of ``bundle.inspect``.
+        options: options of the inspection.
         counts: numbers of processes.
-        network: gigabits per second, and microseconds of latency.
+        network: bandwidth in gigabits per second, and latency in microseconds.
 
     Raises:
         InputError: a count is below 1 or above the number of points, the network is not positive,
-            or the fused backend, which alone can be divided, does not take the problem.
+            or the fused backend does not support the problem; Ceres cannot be divided.
     """
     if not all(math.isfinite(value) and value > 0 for value in network):
         raise InputError(f"network: expected two positive numbers, found {network}")
     for count in counts:
         if count < 1:
-            raise InputError(f"ranks: expected numbers of processes from 1 on, found {count}")
+            raise InputError(f"ranks: expected at least 1 process, found {count}")
     if not counts:
         return ()
     method = _method(inspection)
@@ -154,7 +150,7 @@ def predict_ranks(
     num_vectors = 9 if twofold else 6
     sent_values = size - 8 * num_vectors * reduced.num_columns
     sent_twofold = sent_values + 8 * 6 * reduced.num_columns if twofold else 0
-    # Of S alone: what rounding takes from it is a term of the method.
+    # Values of S alone: its error terms belong to the method.
     values = sent_values / 2 if twofold else sent_values
     tracks = np.bincount(problem.observation_point, minlength=problem.num_points)
     work = tracks * (tracks + 1.0)
@@ -205,7 +201,7 @@ def predict_ranks(
 
 
 def step_bytes(reduced: BlockPattern, *, is_dense: bool, twofold: bool) -> int:
-    """Return the bytes of a step's messages; without a few scalars."""
+    """Return the bytes of a step's messages, without a few scalars."""
     sizes = reduced.sizes.astype(np.int64)
     if is_dense:
         values = (int(sizes.sum()) ** 2 + int((sizes**2).sum())) // 2
@@ -218,13 +214,13 @@ def step_bytes(reduced: BlockPattern, *, is_dense: bool, twofold: bool) -> int:
 
 
 def _method(inspection: Inspection) -> MethodInspection:
-    """Return the fastest method that can be divided."""
+    """Return the fastest method that several processes can run."""
     able = [
         method for method in inspection.methods if method.backend == "FUSED" and method.is_taken
     ]
     if not able:
         raise InputError(
-            "ranks: expected a problem for the fused backend, found one for Ceres alone"
+            "ranks: expected a problem for the fused backend, found one that only Ceres solves"
         )
     return min(able, key=lambda method: method.time_per_step_in_seconds)
 
@@ -235,25 +231,25 @@ def _bytes_of(problem: Problem) -> int:
 
 
 PAYS = 0.5
-"""Efficiency from which on processes are said to pay."""
+"""Least efficiency at which processes pay."""
 
 _WHY = {
-    "first": "all wait while the first one solves the reduced system",
-    "messages": "sums of S and of vectors go through the network",
-    "imbalance": "points can be divided no more evenly",
+    "first": "all wait while rank 0 solves the reduced system",
+    "messages": "messages with S and vectors load the network",
+    "imbalance": "the points cannot be divided more evenly",
 }
 
 
 @dataclass(frozen=True, kw_only=True)
 class RankLimit:
-    """Where more processes stop to pay.
+    """Largest number of processes that pays, and the reason.
 
     Attributes:
-        num_processes: the most of those asked for that pay.
-        next_num_processes: the fewest of those asked for that do not; 0 if all pay.
+        num_processes: largest requested number that pays.
+        next_num_processes: smallest requested number that does not pay; 0 if all pay.
         reason: what wastes most of their time: "first", "messages" or "imbalance"; "" if all pay.
-        share: of their time that goes there, 0 to 1.
-        message: the same in a sentence.
+        share: share of their time that this wastes, 0 to 1.
+        message: limit and reason in one sentence.
     """
 
     num_processes: int
@@ -264,7 +260,7 @@ class RankLimit:
 
 
 def find_rank_limit(predictions: Sequence[RankPrediction]) -> RankLimit | None:
-    """Return where processes stop to pay; None without predictions of more than one process."""
+    """Return the scaling limit; None without predictions for more than one process."""
     rows = sorted(predictions, key=lambda row: row.num_processes)
     if not rows or rows[-1].num_processes < 2:
         return None
@@ -279,8 +275,8 @@ def find_rank_limit(predictions: Sequence[RankPrediction]) -> RankLimit | None:
             reason="",
             share=0.0,
             message=(
-                f"All pay: {most} processes still work at {last.efficiency:.0%} "
-                f"efficiency, a step takes {duration(last.time_per_step_in_seconds)}."
+                f"All pay: {most} processes still have {last.efficiency:.0%} efficiency; a step "
+                f"takes {duration(last.time_per_step_in_seconds)}."
             ),
         )
     waste = _waste(beyond)
@@ -293,14 +289,14 @@ def find_rank_limit(predictions: Sequence[RankPrediction]) -> RankLimit | None:
         reason=reason,
         share=share,
         message=(
-            f"{pay}; {beyond.num_processes} would work at {beyond.efficiency:.0%} efficiency: "
+            f"{pay}; {beyond.num_processes} would have {beyond.efficiency:.0%} efficiency: "
             f"{_WHY[reason]}, {share:.0%} of their time."
         ),
     )
 
 
 def _waste(row: RankPrediction) -> dict[str, float]:
-    """Return the seconds of all processes that one process would not need."""
+    """Return the seconds, summed over all processes, that a single process would not need."""
     count = row.num_processes
     alone = count * row.efficiency * row.time_per_step_in_seconds  # t(1)
     divided = alone - row.first_time_per_step_in_seconds

@@ -1,9 +1,8 @@
-"""How fast a machine does what a step is made of.
+"""Rates of the operations of a step on a machine, and bounds of plausible rates.
 
-Whether measured rates can be those of a machine: physical bounds, and one rate against another.
-
-A calibration subtracts times that another process may have stretched. What then comes out is a
-rate of nothing, or one that no processor reaches.
+A calibration subtracts measured times. Load by other processes distorts them, and a difference may
+give a rate near zero or one that no processor reaches. Physical bounds and ratios of rates detect
+this.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ __all__ = ["FactorRate", "Rates", "implausible"]
 
 @dataclass(frozen=True, kw_only=True)
 class FactorRate:
-    """A Cholesky factorisation takes flops / flops_per_second + seconds_per_entry * nnz(L)."""
+    """Rate of a Cholesky factorisation: flops / flops_per_second + seconds_per_entry * nnz(L)."""
 
     flops_per_second: float
     seconds_per_entry: float
@@ -27,26 +26,26 @@ class FactorRate:
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """Seconds of a step for one of each; entries are those of blocks of 9 camera parameters.
+    """Seconds per operation of a step, for blocks of 9 camera parameters.
 
     Attributes:
-        num_threads: of the solves that were timed.
-        dense: factorisations with one BLAS thread.
-        dense_threaded: with ``num_threads``, of 1000 columns and more.
+        num_threads: threads of the timed solves.
+        dense: dense factorisations with one BLAS thread.
+        dense_threaded: dense factorisations of 1000 or more columns with ``num_threads`` threads.
         sparse: supernodal factorisations of panels too narrow for BLAS threads.
-        reduced_bytes_per_second: S read by the products of conjugate gradients.
-        fused_step: whatever the size: starting threads, the trust region.
-        fused_observation: linearised, back-substituted, evaluated.
-        fused_pair: two observations of a point: a block product.
-        fused_scattered_pair: a pair of images of a chunk, added to an S beyond the caches.
-        ceres_step: the same.
-        ceres_evaluation: an observation evaluated, and all else outside of the linear solver.
-        ceres_elimination: an observation in the elimination and the back-substitution.
-        ceres_pair: two blocks that see a point, in kernels of fixed size.
-        ceres_dynamic_pair: the same in the kernels of any size.
-        ceres_reduced_value: a value of a sparse S, found, converted and copied.
+        reduced_bytes_per_second: bytes of S that conjugate gradients read per second.
+        fused_step: constant cost of a step: starting threads, the trust region.
+        fused_observation: linearise, back-substitute and evaluate an observation.
+        fused_pair: block product of two observations of a point.
+        fused_scattered_pair: add a pair of images of a chunk to an S larger than the caches.
+        ceres_step: constant cost of a step.
+        ceres_evaluation: evaluate an observation, and all else outside the linear solver.
+        ceres_elimination: eliminate and back-substitute an observation.
+        ceres_pair: two blocks that observe a point, in kernels of fixed size.
+        ceres_dynamic_pair: the same in kernels of dynamic size.
+        ceres_reduced_value: find, convert and copy a value of a sparse S.
         ceres_product: an observation in an implicit product with S.
-        ceres_normal_entry: an entry of the update that a point makes to the whole system's factor.
+        ceres_normal_entry: an entry of a point's update of the full system's factor.
     """
 
     num_threads: int
@@ -68,11 +67,11 @@ class Rates:
     ceres_normal_entry: float
 
 
-# From a slow single board to wide vector units: flops and bytes per second and core.
+# Flops and bytes per second and core, from slow single-board computers to wide vector units.
 _FLOPS = (1e7, 5e11)
 _BYTES = (1e7, 1e12)
 
-# Seconds for one of each. The lower bounds are a few clock cycles for what takes hundreds.
+# Seconds per operation. The lower bounds are a few clock cycles; the operations take hundreds.
 _SECONDS = {
     "fused_step": (1e-7, 1.0),
     "fused_observation": (2e-9, 1e-4),
@@ -87,7 +86,7 @@ _SECONDS = {
 
 
 def implausible(rates: Rates) -> tuple[str, ...]:
-    """Return the names of the rates that cannot be, or cannot be beside the others."""
+    """Return the names of rates that are out of bounds or contradict other rates."""
     found = []
     for name, rate in (
         ("dense", rates.dense),
@@ -103,11 +102,11 @@ def implausible(rates: Rates) -> tuple[str, ...]:
     for name, (low, high) in _SECONDS.items():
         if not low < getattr(rates, name) < high:
             found.append(name)
-    # More threads make a factorisation neither slower by much nor faster than their number.
+    # Threads neither slow a factorisation down much nor speed it up by more than their number.
     gain = rates.dense_threaded.flops_per_second / rates.dense.flops_per_second
     if not 0.5 <= gain <= 1.5 * rates.num_threads:
         found.append("dense_threaded")
-    # Ceres stores and reads the Jacobian that the fused backend keeps in registers.
+    # Ceres stores and reads the Jacobian; the fused backend holds it in registers.
     if rates.ceres_evaluation + rates.ceres_elimination < 0.3 * rates.fused_observation:
         found.append("ceres_evaluation")
     return tuple(dict.fromkeys(found))

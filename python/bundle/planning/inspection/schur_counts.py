@@ -1,8 +1,8 @@
-"""What a bundle adjustment costs with and without eliminating its points first, by hand.
+"""Textbook estimate of bundle adjustment with and without eliminating the points first.
 
-The estimate that lectures and papers make, for n_c cameras of 6 unknowns and n_p points of 3, S
-full, orders of magnitude rather than instructions: a product of matrices m x k and k x n counts
-m k n, an inverse of a 3 x 3 block 3^3, a Cholesky factorisation of n columns n^3 / 3.
+The estimate of lectures and papers, for n_c cameras of 6 unknowns, n_p points of 3 unknowns and a
+dense S. It gives orders of magnitude, not instructions: a product of m x k and k x n matrices
+counts m k n, an inverse of a 3 x 3 block 3^3, a Cholesky factorisation of n columns n^3 / 3.
 
     points    V_p^-1 for each point: 27 n_p
     products  W_ip V_p^-1 W_jp^T for each point p and each ordered pair of cameras (i, j) that see
@@ -11,7 +11,7 @@ m k n, an inverse of a 3 x 3 block 3^3, a Cholesky factorisation of n columns n^
     reduced   Cholesky of S: (6 n_c)^3 / 3
     dense     Cholesky of all 6 n_c + 3 n_p unknowns at once, for comparison
 
-``inspect`` counts what solvers do: the pattern of S, an elimination order, a triangle only.
+``inspect`` counts the work of solvers: the pattern of S, an elimination order, one triangle.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ __all__ = ["SchurCounts", "count_schur_by_hand"]
 
 @dataclass(frozen=True)
 class SchurCounts:
-    """Flops of one linear solve, estimated by hand.
+    """Textbook flops of one linear solve.
 
     Attributes:
-        num_unknowns: of cameras and points together.
+        num_unknowns: unknowns of cameras and points.
         num_reduced_unknowns: rows and columns of S.
-        num_block_products: W V^-1 W^T, one an ordered pair of cameras a point.
+        num_block_products: products W V^-1 W^T, one per ordered pair of cameras and point.
         points: flops of inverting the points' blocks.
         products: flops of the block products.
         reduced: flops of factorising S.
-        dense: flops of factorising the matrix of all unknowns, as if it were full.
+        dense: flops of factorising the dense matrix of all unknowns.
     """
 
     num_unknowns: int
@@ -55,10 +55,10 @@ class SchurCounts:
 def count_schur_by_hand(
     num_cameras: int, track_lengths: Iterable[int], *, camera_size: int = 6, point_size: int = 3
 ) -> SchurCounts:
-    """Count for points seen by as many cameras as ``track_lengths`` says, one length a point.
+    """Count flops for points with these track lengths, one length per point.
 
     Raises:
-        InputError: a track of fewer than no cameras or more than there are.
+        InputError: a track length is negative or larger than the number of cameras.
     """
     tracks = as_tracks(track_lengths, num_cameras)
     num_points = len(tracks)

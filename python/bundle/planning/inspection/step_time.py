@@ -1,4 +1,4 @@
-"""Time of one step of the trust region, as a sum of named terms: counts times measured rates."""
+"""Time of a trust region step as a sum of named terms: counts multiplied by measured rates."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from bundle.planning.inspection.rates import FactorRate, Rates
 __all__ = ["COARSE_FACTOR_SHARE", "ceres_time", "factor_rate", "fused_time", "products_per_step"]
 
 PRODUCTS_PER_STEP, PRODUCTS_WITH_TWO_LEVELS = 200, 80
-"""Products with S that a step by conjugate gradients is taken to need: from 2 to 500 were seen,
-more towards the end; from 2 to 100 with two levels (cpp/core/prepare/choose_solver.cpp)."""
+"""Assumed products with S per step by conjugate gradients. Between 2 and 500 were measured, most of
+them in late steps; between 2 and 100 with two levels (cpp/core/prepare/choose_solver.cpp).
+"""
 
-# Of the coarse system of two levels: putting it together, for each value of S and thread, and its
-# factor's entries against those of the whole factor. As `auto` takes them, in the same place.
+# Coarse system of TWO_LEVEL: seconds to form it per value of S and thread, and nnz of its factor
+# relative to nnz(L). Both as in choose_solver.cpp.
 _SECONDS_PER_COARSE_VALUE, COARSE_FACTOR_SHARE = 10e-9, 0.05
 
 POWER_SERIES_PRODUCTS = 6
 """Products of one iteration with the power series as preconditioner."""
 
-# What the rates are for: 9 camera parameters per block, whose blocks take 9 x 12 doubles in chunks.
+# Blocks that the rates assume: 9 camera parameters, 9 x 12 doubles in chunks.
 _COLUMNS, _BLOCK_DOUBLES = 9, 108
 
-# From here on S is read and written beyond the caches.
+# Size from which S does not fit into the caches.
 _CACHED_BYTES = 8e6
 
-# From here on a factorisation gets BLAS threads: the columns of a dense matrix, or the entries of
-# the average column of a sparse factor (cpp/core/blas_threads.h, direct_solvers.cpp).
+# Size from which factorisations use BLAS threads: columns of a dense matrix, or entries of the
+# average column of a sparse factor (cpp/core/blas_threads.h, direct_solvers.cpp).
 _COLUMNS_WORTH_THREADS = 1000
 
 
 def factor_rate(rates: Rates, is_dense: bool, num_columns: int, count: FactorCount) -> FactorRate:
-    """Return the rate at which a factorisation of this kind and size runs."""
+    """Return the rate of a factorisation of this kind and size."""
     if is_dense:
         return rates.dense_threaded if num_columns >= _COLUMNS_WORTH_THREADS else rates.dense
     wide = count.flops >= _COLUMNS_WORTH_THREADS * count.nnz
@@ -49,9 +50,9 @@ def fused_time(
     rates: Rates,
     coarse_entries: float = 0.0,
 ) -> Terms:
-    """Return what a step by the fused backend takes; ``counted`` is what it factorises.
+    """Return the time of a step by the fused backend; ``counted`` is the factorised system.
 
-    ``coarse_entries``: of the factor of a second level.
+    ``coarse_entries``: entries of the factor of the coarse system (TWO_LEVEL).
     """
     plan = pattern.plan
     block = plan.block_doubles / _BLOCK_DOUBLES
@@ -67,7 +68,7 @@ def fused_time(
     }
     if 8 * values > _CACHED_BYTES:
         terms["adding to S"] = rates.fused_scattered_pair * block * plan.num_chunk_pairs
-        terms["adding to S"] += 8 * values / rates.reduced_bytes_per_second  # zeros, to begin with
+        terms["adding to S"] += 8 * values / rates.reduced_bytes_per_second  # zeroing S
     if counted is not None:
         rate = factor_rate(rates, is_dense, counted.columns, counted.factor)
         terms["factorisation"] = rate.seconds(counted.factor.flops, counted.factor.nnz)
@@ -89,7 +90,7 @@ def ceres_time(
     counted: FactorizedSystem | None,
     rates: Rates,
 ) -> Terms:
-    """Return what a step by Ceres takes; ``counted`` is what it factorises, None if nothing."""
+    """Return the time of a step by Ceres; ``counted`` is the factorised system or None."""
     observations = pattern.num_observations
     width = (pattern.nnz_jacobian / (2 * max(observations, 1))) / (3 + _COLUMNS)
     terms = {
@@ -98,7 +99,7 @@ def ceres_time(
     }
     if counted is not None and linear_solver_type == "SPARSE_NORMAL_CHOLESKY":
         terms["normal equations"] = rates.ceres_normal_entry * pattern.pair_entries
-        updates = 3 * 2 * pattern.pair_entries  # what the points' columns cost is in there
+        updates = 3 * 2 * pattern.pair_entries  # the rate above includes the points' columns
         flops = max(counted.factor.flops - updates, 0.0)
         terms["factorisation"] = flops / rates.sparse.flops_per_second
         return terms
@@ -119,7 +120,7 @@ def ceres_time(
 
 
 def products_per_step(preconditioner: str) -> int:
-    """Return the products with S that are counted for a step."""
+    """Return the assumed number of products with S per step."""
     if preconditioner == "TWO_LEVEL":
         return PRODUCTS_WITH_TWO_LEVELS
     is_series = preconditioner == "SCHUR_POWER_SERIES_EXPANSION"
