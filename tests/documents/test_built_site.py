@@ -13,6 +13,7 @@ import pytest
 from tests.reports.page.conftest import browser  # noqa: F401 (a fixture)
 
 SITE = Path(__file__).parents[2] / "build" / "site"
+THEORY = (Path(__file__).parents[2] / "docs" / "theory").glob("*.md")
 PAGES = [
     "index.html",
     "overview.html",
@@ -86,6 +87,15 @@ def test_notebooks_show_what_they_computed(browser, site):  # noqa: F811
     browser.open(site / "tutorials" / "first_refinement.html")
     assert browser.count(".cell_output img") == 1
     assert "7 null directions" in browser.evaluate("document.body.textContent")
+
+
+@pytest.mark.parametrize("page", sorted(path.stem for path in THEORY), ids=str)
+def test_theory_has_rendered_formulas(browser, site, page):  # noqa: F811
+    browser.open(site / "theory" / f"{page}.html")
+    assert browser.count('div.formula > math[display="block"]') >= (1 if page == "index" else 2)
+    high = "[...document.querySelectorAll('div.formula math')].every((m) => m.clientHeight > 15)"
+    assert browser.evaluate(high)
+    assert browser.evaluate("document.querySelector('article').textContent").count("$$") == 0
 
 
 def test_derivations_are_those_of_the_sources(browser, site):  # noqa: F811

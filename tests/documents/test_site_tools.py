@@ -8,7 +8,8 @@ import pytest
 import bundle
 
 pytest.importorskip("sphinx")
-from tools.site import derivations, repository_files
+from docutils import nodes
+from tools.site import derivations, mathml, repository_files
 
 ROOT = Path(__file__).parents[2]
 
@@ -107,6 +108,22 @@ def test_code_in_text_is_set_as_code():
     found = derivations.text_nodes("as :func:`bundle.solve` does with ``x[0]``::")
     assert [node.astext() for node in found] == ["as ", "bundle.solve", " does with ", "x[0]", ":"]
     assert [node.tagname for node in found] == ["#text", "literal", "#text", "literal", "#text"]
+
+
+def test_a_formula_becomes_mathml():
+    block = nodes.math_block("", r"S = U - W V^{-1} W^\top")
+    converted = mathml.converted(block, as_block=True)
+    assert re.search(r'<math [^>]*display="block"', converted)
+    assert "<mi>W</mi>" in converted
+    inline = mathml.converted(nodes.math("", "x_i"), as_block=False)
+    assert "<msub>" in inline and 'display="block"' not in inline
+
+
+def test_a_formula_that_cannot_be_converted_is_a_warning(monkeypatch):
+    warnings = []
+    monkeypatch.setattr(mathml.logger, "warning", lambda *given, **_: warnings.append(given))
+    assert mathml.converted(nodes.math("", r"a < \nonsense"), as_block=False) == r"a &lt; \nonsense"
+    assert r"\nonsense" in str(warnings)
 
 
 @pytest.mark.parametrize(

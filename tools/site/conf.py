@@ -28,6 +28,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "tools.site.repository_files",
     "tools.site.derivations",
+    "tools.site.mathml",
     "tools.site.options_reference",
     "tools.site.public_names",
 ]
@@ -35,7 +36,8 @@ exclude_patterns = ["**.ipynb_checkpoints"]
 
 # Anchors of headings as GitHub makes them, for links such as align.md#gcp_listtxt.
 myst_heading_anchors = 4
-myst_enable_extensions = ["deflist"]
+myst_enable_extensions = ["deflist", "dollarmath"]
+html_math_renderer = "mathml"  # no script and no font of another host
 
 # Notebooks are kept without outputs: what a page shows was computed while the site was built.
 # Kernels take no settings of the user's, and warn of nothing that is not ours.
