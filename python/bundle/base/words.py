@@ -7,6 +7,7 @@ from typing import Protocol
 
 __all__ = [
     "Counts",
+    "amount",
     "change",
     "contents",
     "distinct",
@@ -17,6 +18,7 @@ __all__ = [
     "pixels",
     "plural",
     "seconds",
+    "span",
 ]
 
 
@@ -27,6 +29,13 @@ def number(value: float) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e6:
         return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
     return f"{value:.3e}"
+
+
+def amount(value: float) -> str:
+    """Return a count in full up to seven digits, else with three of them; "-" for none."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:,.0f}" if abs(value) < 1e7 else f"{value:.2e}"
 
 
 def distinct(one: float, other: float) -> tuple[str, str]:
@@ -73,6 +82,19 @@ def duration(value: float) -> str:
     if value < 0.9995:
         return f"{1e3 * value:.3g} ms"
     return f"{value:.3g} s" if value < 1e4 else f"{value:.1e} s"
+
+
+def span(time: float) -> str:
+    """Return a duration from "5 ms" to "3 days"; "-" where there is none."""
+    if not math.isfinite(time) or time < 0:
+        return "-"
+    if time >= 2 * 86400:
+        return f"{time / 86400:,.0f} days"
+    if time >= 3600:
+        return f"{time / 3600:.1f} h"
+    if time >= 1:
+        return f"{time:.1f} s" if time >= 10 else f"{time:.2f} s"
+    return f"{1e3 * time:.3g} ms"
 
 
 def plural(count: int, singular: str, many: str | None = None, *, grouped: bool = False) -> str:

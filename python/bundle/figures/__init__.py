@@ -1,9 +1,10 @@
 """The numbers behind the figures of a report page, which ``bundle.pictures`` draws too."""
 
 from bundle.figures.certainty import Certainty, certainty
+from bundle.figures.drawing import Figure, LineFigure
 from bundle.figures.image_residuals import ImageResiduals, image_residuals, worst_residuals
 from bundle.figures.lens_curves import LensCurve, lens_curve, most_observed_cameras
-from bundle.figures.line_figure import Line, LineFigure
+from bundle.figures.marks import Line
 from bundle.figures.odometry_figures import odometry_figures
 from bundle.figures.placement_errors import Placement, placement
 from bundle.figures.projection_uncertainty import (
@@ -18,6 +19,7 @@ from bundle.figures.track_statistics import TrackStatistics, track_statistics
 
 __all__ = [
     "Certainty",
+    "Figure",
     "ImageResiduals",
     "LensCurve",
     "Line",

@@ -57,6 +57,20 @@ class Certainty:
     point_covariance: Array
     cameras: dict[int, Array]
 
+    def correlations(self, camera: int) -> tuple[Ids, Array]:
+        """Return the refined parameters of a camera by index, and their correlation matrix."""
+        covariance = self.cameras[camera]
+        free = np.flatnonzero(np.diag(covariance) > 0)
+        sigma = np.sqrt(np.diag(covariance)[free])
+        return free, covariance[np.ix_(free, free)] / np.outer(sigma, sigma)
+
+    def sigmas(self, camera: int) -> Array:
+        """Return standard deviations of the parameters of a camera, nan where held."""
+        variance = np.diag(self.cameras[camera]).copy()
+        variance[~(variance > 0)] = np.nan
+        sigma: Array = np.sqrt(variance)
+        return sigma
+
 
 def certainty(problem: Problem, given: Covariance) -> Certainty:
     """Return covariances as the report shows them."""

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.figures.axes import round_down
 from bundle.figures.residuals import Residuals
 from bundle.model.cameras import param_kinds
 from bundle.model.problem import Problem
@@ -124,11 +125,7 @@ class ResidualField:
         """Round factor by which mean vectors are drawn longer: the 95th percentile fills a cell."""
         lengths = np.hypot(self.mean[..., 0], self.mean[..., 1])[self.count > 0]
         typical = float(np.quantile(lengths, 0.95)) if len(lengths) else 0.0
-        rough = min(self.cell_size) / typical if typical > 0 else 1.0
-        if not np.isfinite(rough) or rough <= 0:
-            return 1.0
-        power = 10.0 ** np.floor(np.log10(rough))
-        return float(max(step * power for step in (1, 2, 5, 10) if step * power <= rough * 1.001))
+        return round_down(min(self.cell_size) / typical, 1e-3) if typical > 0 else 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.words import amount
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import Bars
 from bundle.model.problem import Problem
+from bundle.model.ray_angles import enclose_angle
 
-__all__ = ["TrackStatistics", "track_statistics"]
+__all__ = ["TrackStatistics", "angle_figure", "length_figure", "track_statistics"]
 
 ANGLES = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 LONGEST = 20
@@ -37,8 +42,6 @@ def track_statistics(problem: Problem) -> TrackStatistics:
 
     The angle of two rays is at most 90 degrees, as ``bundle.filter_observations`` has it.
     """
-    from bundle.model.ray_angles import enclose_angle
-
     length = np.bincount(problem.observation_point, minlength=problem.num_points)
     longest = min(int(length.max(initial=0)), LONGEST)
     order = np.argsort(problem.observation_point, kind="stable")
@@ -49,3 +52,32 @@ def track_statistics(problem: Problem) -> TrackStatistics:
         angle_limits=ANGLES,
         angles=np.array([twice, *reached]) - np.array([*reached, 0]),
     )
+
+
+def length_figure(tracks: TrackStatistics, longest: int | None = None) -> Figure:
+    """Return the number of points by observations.
+
+    Args:
+        tracks: the distributions.
+        longest: length of the longest track; None: the last class may hold longer ones.
+    """
+    last = len(tracks.lengths) - 1
+    names = [f"{length}" for length in range(last + 1)]
+    names[-1] += " or more" if longest is None or longest > last else ""
+    title = "Points by number of observations, log scale"
+    return _bars("track_lengths", title, names, tracks.lengths)
+
+
+def angle_figure(tracks: TrackStatistics) -> Figure:
+    """Return the number of points by the largest angle of two of their rays."""
+    limits = tracks.angle_limits
+    names = [f"below {limits[0]:g}°"]
+    names += [f"{low:g} to {high:g}°" for low, high in pairwise(limits)]
+    names.append(f"{limits[-1]:g} to 90°")
+    title = "Points by the largest angle of two rays, log scale"
+    return _bars("triangulation_angles", title, names, tracks.angles)
+
+
+def _bars(name: str, title: str, names: list[str], counts: NDArray[np.int64]) -> Figure:
+    values = dict(zip(names, map(float, counts.tolist()), strict=True))
+    return Figure(name=name, title=title, marks=(Bars(values, amount, is_ordered=True),))

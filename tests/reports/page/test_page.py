@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import bundle
+from bundle.figures.axes import linear, logarithmic, short
 from bundle.reports.page.image import png
 from bundle.reports.page.page import as_json, tag, write_page
-from bundle.reports.page.scale import linear, logarithmic, short
 from bundle.reports.page.vertex_positions import place
 from tests.reports.page.reader import Page, check_self_contained
 

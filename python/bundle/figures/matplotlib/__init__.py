@@ -18,35 +18,32 @@ from bundle.figures.matplotlib.charts import (
 )
 from bundle.figures.matplotlib.covisibility_graph import draw_covisibility
 from bundle.figures.matplotlib.figure import figure
-from bundle.figures.matplotlib.line_pictures import draw_lines
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
-from bundle.figures.matplotlib.placement_pictures import (
-    draw_correlations,
-    draw_position_errors,
-    draw_target_errors,
-)
 from bundle.figures.matplotlib.problem_patterns import (
     ORDERINGS,
     information_pattern,
     order_blocks,
     reduced_pattern,
 )
-from bundle.figures.matplotlib.projection_pictures import (
-    draw_projection_uncertainty,
-    draw_uncertainty_against_distance,
-)
-from bundle.figures.matplotlib.residual_pictures import (
+from bundle.figures.matplotlib.report_pictures import (
+    draw_correlations,
     draw_image_residuals,
+    draw_lens_curves,
+    draw_lines,
+    draw_position_errors,
+    draw_projection_uncertainty,
     draw_radial_profile,
     draw_residual_cells,
     draw_residual_directions,
     draw_residual_histogram,
     draw_residual_lengths,
     draw_residual_vectors,
+    draw_scene,
+    draw_target_errors,
     draw_track_lengths,
     draw_triangulation_angles,
+    draw_uncertainty_against_distance,
 )
-from bundle.figures.matplotlib.scene_pictures import draw_lens_curves, draw_scene
 from bundle.figures.matplotlib.spy import draw_orderings, spy, spy_factor
 
 __all__ = [

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import number, plural
+from bundle.figures.axes import round_down
 from bundle.figures.certainty import Certainty, largest_eigenvalues
 from bundle.figures.scene_view import SceneView
 from bundle.model.cameras import camera_models
@@ -18,7 +19,7 @@ from bundle.reports.page.page import tag
 from bundle.reports.page.scene_section import packed
 from bundle.reports.page.table import table
 
-__all__ = ["certainty_section", "scene_ellipsoids", "sigmas_of"]
+__all__ = ["certainty_section", "scene_ellipsoids"]
 
 MOST_ELLIPSOIDS = 400
 LARGE = 0.02
@@ -49,23 +50,12 @@ def certainty_section(problem: Problem, known: Certainty, cameras: Sequence[int]
         *notes,
         table(head, [row for row in rows if row]),
     ]
-    figures = [_correlations(problem, index, known.cameras[index])
-               for index in cameras if index in known.cameras]  # fmt: skip
+    figures = [_correlations(problem, known, index) for index in cameras if index in known.cameras]
     figures = [figure for figure in figures if figure]
     if figures:
         parts.append(tag("h3", "Correlations of intrinsics"))
         parts.append(tag("div", *figures, class_="grid"))
     return "".join(parts)
-
-
-def sigmas_of(known: Certainty) -> dict[int, NDArray[np.float64]]:
-    """Return standard deviations of camera parameters by index, nan where held."""
-    result = {}
-    for index, covariance in known.cameras.items():
-        variance = np.diag(covariance).copy()
-        variance[~(variance > 0)] = np.nan
-        result[index] = np.sqrt(variance)
-    return result
 
 
 def scene_ellipsoids(view: SceneView, known: Certainty) -> tuple[dict[str, Any], str]:
@@ -103,9 +93,7 @@ def ellipsoid_data(
     typical = float(np.median(halves[:, 2]))
     factor = 1.0
     if typical > 0:
-        rough = LARGE / typical
-        power = 10.0 ** np.floor(np.log10(rough))
-        factor = float(max(s * power for s in (1, 2, 5, 10) if s * power <= rough * 1.001))
+        factor = round_down(LARGE / typical, 1e-3)
     # Rows are the half axes; one without length would leave no volume to draw.
     half_axes = np.swapaxes(vectors * np.maximum(factor * halves, 1e-6)[:, None, :], 1, 2)
     # A mirrored sphere is a sphere, but its faces would point inwards.
@@ -123,14 +111,11 @@ def _row(name: str, values: NDArray[np.float64]) -> list[str]:
     return [name, f"{len(known):,}", *(number(float(value)) for value in shares)]
 
 
-def _correlations(problem: Problem, index: int, covariance: NDArray[np.float64]) -> str:
+def _correlations(problem: Problem, known: Certainty, index: int) -> str:
     names = camera_models()[problem.camera_models[index]]
-    variance = np.diag(covariance)[: len(names)]
-    free = np.flatnonzero(variance > 0)
+    free, matrix = known.correlations(index)
     if len(free) < 2:
         return ""
-    sigma = np.sqrt(variance[free])
-    matrix = covariance[np.ix_(free, free)] / np.outer(sigma, sigma)
     head = tag("tr", tag("th", ""), *(tag("th", escape(names[i]), scope="col") for i in free))
     rows = []
     for row, i in enumerate(free):

@@ -9,12 +9,14 @@ from html import escape
 from bundle.base.arguments import check_type
 from bundle.base.memory_sizes import format_size
 from bundle.base.paths import as_path
-from bundle.figures.matplotlib.series import cost_curve, labels, profile_curve, styles
+from bundle.base.words import amount, plural, span
+from bundle.figures.cost_figures import breakdown_figure, profile_figure, time_figure
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import StackedBars
+from bundle.figures.series import labels
 from bundle.planning.comparison.comparison_result import GAPS, Comparison, Run
-from bundle.reports.page.numbers import amount_if_any, counted, seconds
 from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.scale import Scale, linear, logarithmic
-from bundle.reports.page.svg_charts import Curve, curves, stacked_bars
+from bundle.reports.page.svg import grid
 from bundle.reports.page.table import Notes, convention, table
 
 __all__ = ["write_comparison"]
@@ -42,7 +44,7 @@ def _scope(comparison: Comparison) -> str:
     words = (
         f"{len(comparison.methods)} methods, each in its own process, stopped after "
         f"{comparison.timeout:g} seconds or at {cap} beyond the loaded problem; "
-        f"{seconds(comparison.wall_time_in_seconds)} in all."
+        f"{span(comparison.wall_time_in_seconds)} in all."
     )
     if comparison.repeat > 1:
         words += f" Runs of up to {comparison.repeat} repeats show the one of median time."
@@ -66,12 +68,16 @@ def _recommendation(comparison: Comparison) -> str:
 
 def _problem(comparison: Comparison, problem: int) -> str:
     given = comparison.problems[problem]
+    figures = [
+        time_figure(comparison, problem, outcomes=True),
+        breakdown_figure(comparison, problem),
+    ]
     size = ", ".join(
         [
-            counted(given.num_images, "image"),
-            counted(given.num_cameras, "camera"),
-            counted(given.num_points, "point"),
-            counted(given.num_observations, "observation"),
+            plural(given.num_images, "image", grouped=True),
+            plural(given.num_cameras, "camera", grouped=True),
+            plural(given.num_points, "point", grouped=True),
+            plural(given.num_observations, "observation", grouped=True),
         ]
     )
     return "".join(
@@ -80,9 +86,14 @@ def _problem(comparison: Comparison, problem: int) -> str:
             tag("p", size, class_="quiet"),
             _runs(comparison, problem),
             _predictions(comparison, problem),
-            tag("div", _cost(comparison, problem), _breakdown(comparison, problem), class_="grid"),
+            grid(figure for figure in figures if not _is_empty(figure)),
         ]
     )
+
+
+def _is_empty(figure: Figure) -> bool:
+    """Tell whether nothing was measured that a figure could show."""
+    return not any(mark.rows if isinstance(mark, StackedBars) else True for mark in figure.marks)
 
 
 def _runs(comparison: Comparison, problem: int) -> str:
@@ -101,7 +112,7 @@ def _runs(comparison: Comparison, problem: int) -> str:
 
 def _measured(comparison: Comparison, run: Run) -> list[str]:
     measurement = run.measurement
-    gaps = [seconds(comparison.time_to_gap(run, gap)) for gap in GAPS]
+    gaps = [span(comparison.time_to_gap(run, gap)) for gap in GAPS]
     if measurement is None:
         return ["-", "-", "-", "-", "-", *gaps, "-", _outcome(run)]
     above = comparison.gap(run)
@@ -109,8 +120,8 @@ def _measured(comparison: Comparison, run: Run) -> list[str]:
         f"{run.final_cost:#.7g}" if run.is_usable else "-",
         _above(above),
         f"{measurement.num_steps}",
-        seconds(measurement.time_per_step_in_seconds),
-        seconds(measurement.total_time_in_seconds),
+        span(measurement.time_per_step_in_seconds),
+        span(measurement.total_time_in_seconds),
         *gaps,
         format_size(run.peak_memory_in_bytes),
         _outcome(run),
@@ -145,12 +156,12 @@ def _predictions(comparison: Comparison, problem: int) -> str:
         rows.append([
             names[run.method],
             before.ordering or "-",
-            amount_if_any(before.num_unknowns),
-            amount_if_any(before.nnz_reduced),
-            amount_if_any(before.nnz_factor),
-            amount_if_any(before.flops),
-            seconds(before.time_per_step_in_seconds),
-            seconds(after.time_per_step_in_seconds) if after else "-",
+            amount(before.num_unknowns or math.nan),
+            amount(before.nnz_reduced or math.nan),
+            amount(before.nnz_factor or math.nan),
+            amount(before.flops or math.nan),
+            span(before.time_per_step_in_seconds),
+            span(after.time_per_step_in_seconds) if after else "-",
             format_size(before.memory_in_bytes),
             format_size(after.added_memory_in_bytes) if after else "-",
             notes.refer(note),
@@ -160,67 +171,10 @@ def _predictions(comparison: Comparison, problem: int) -> str:
     return table(head, rows) + convention() + notes.listed()
 
 
-def _cost(comparison: Comparison, problem: int) -> str:
-    names, looks = labels(comparison.methods), styles(comparison.methods)
-    lines = []
-    for index, run in enumerate(comparison.runs):
-        times, gaps = cost_curve(comparison, index)
-        if run.problem == problem and len(times):
-            look = looks[run.method]
-            name = names[run.method] + ("" if run.is_usable else f" ({_short(run)})")
-            lines.append(Curve(name, times.tolist(), gaps.tolist(), look.colour, look.line))
-    chart = curves(
-        lines,
-        logarithmic([time for line in lines for time in line.x]),
-        logarithmic([gap for line in lines for gap in line.y]),
-        "seconds from the loaded problem on",
-        "cost / best cost - 1",
-    )
-    return tag("figure", tag("h3", "Cost against time"), chart) if lines else ""
-
-
-def _short(run: Run) -> str:
-    return run.outcome.replace("_", " ")
-
-
-def _breakdown(comparison: Comparison, problem: int) -> str:
-    names = labels(comparison.methods)
-    runs = [run for run in comparison.runs_of(problem) if run.is_usable and run.measurement]
-    runs.sort(key=lambda run: run.total_time_in_seconds)
-    rows = {names[run.method]: run.measurement.breakdown for run in runs if run.measurement}
-    note = tag(
-        "figcaption",
-        "The fused backend eliminates the points while it computes Jacobians: its linear solver "
-        "is that of the reduced system alone.",
-    )
-    chart = stacked_bars(rows, " s") + note
-    return tag("figure", tag("h3", "Where the time went"), chart) if rows else ""
-
-
 def _profiles(comparison: Comparison) -> str:
     if not comparison.profiles:
         return ""
-    names, looks = labels(comparison.methods), styles(comparison.methods)
-    figures = []
-    for gap in GAPS:
-        profiles = [profile for profile in comparison.profiles if profile.gap == gap]
-        ratios = [ratio for profile in profiles for ratio in profile.ratios]
-        scale = logarithmic([1.0, max(ratios, default=1.0)])
-        lines = []
-        for profile in profiles:
-            factors, shares = profile_curve(profile, scale.high)
-            look = looks[profile.method]
-            lines.append(
-                Curve(
-                    names[profile.method],
-                    factors.tolist(), shares.tolist(), look.colour, look.line,
-                )
-            )  # fmt: skip
-        chart = curves(
-            lines, scale, _share_scale(), f"time to {gap:g} of the best cost / the fastest's",
-            "share of problems",
-        )  # fmt: skip
-        figures.append(tag("figure", tag("h3", f"To {gap:g} of the best cost"), chart))
+    figures = [profile_figure(comparison, gap) for gap in GAPS]
     words = (
         "The share of problems that a method solves within a factor of the fastest on each (Dolan "
         "and Moré 2002): the higher and the further left, the better."
@@ -229,10 +183,6 @@ def _profiles(comparison: Comparison) -> str:
         [
             tag("h2", "Performance profiles"),
             tag("p", words, class_="quiet"),
-            tag("div", *figures, class_="grid"),
+            grid(figures),
         ]
     )
-
-
-def _share_scale() -> Scale:
-    return linear([0.0, 1.0])

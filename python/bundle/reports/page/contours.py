@@ -13,7 +13,6 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.reports.page.heat import PAD, Boxed, plane_size
 from bundle.reports.page.page import tag
 
 __all__ = ["contour", "contours"]
@@ -62,17 +61,23 @@ def contour(values: Array, level: float) -> Array:
     return np.array(segments).reshape(-1, 2, 2)
 
 
-def contours(field: Boxed, values: Array, levels: Sequence[float]) -> str:
-    """Return contours with their levels written on them, in the coordinates of a plane."""
+def contours(values: Array, levels: Sequence[float], cell: tuple[float, float], pad: float) -> str:
+    """Return contours with their levels written on them.
+
+    Args:
+        values: (rows, columns) in the middles of cells.
+        levels: to draw.
+        cell: width and height of a cell as drawn.
+        pad: margin to the left of the first cell and above it.
+    """
     rows, columns = values.shape
-    unit = np.array(plane_size(field)) / (columns, rows)
     middle = np.array([columns, rows]) / 2
     lines, labels = [], []
     for index, level in enumerate(levels):
         segments = contour(values, level)
         if not len(segments):
             continue
-        ends = PAD + segments * unit
+        ends = pad + segments * cell
         path = "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in ends)
         lines.append(tag("path", d=path, data_level=f"{level:g}"))
         # Labels stand around the middle, so that those of neighbours do not meet.
@@ -80,8 +85,8 @@ def contours(field: Boxed, values: Array, levels: Sequence[float]) -> str:
         offset = segments.mean(axis=1) - middle
         along = offset @ towards / np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
         x, y = ends.mean(axis=1)[int(np.argmax(along))]
-        width, height = np.array([columns, rows]) * unit
-        x, y = np.clip([x, y], [PAD + 18, PAD + 10], [PAD + width - 18, PAD + height - 10])
+        width, height = np.array([columns, rows]) * cell
+        x, y = np.clip([x, y], [pad + 18, pad + 10], [pad + width - 18, pad + height - 10])
         words = escape(f"{level:g}")
         labels.append(tag("text", words, x=f"{x:.1f}", y=f"{y + 4:.1f}", text_anchor="middle"))
     return tag("g", *lines, *labels, class_="contours")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bundle.base.words import amount
+from bundle.figures.cost_figures import bar_figure, column_figure
 from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.reports.page.elimination_player import (
     MOST_VARIABLES,
@@ -15,16 +17,14 @@ from bundle.reports.page.elimination_player import (
     order_name,
 )
 from bundle.reports.page.matrices import orderings
-from bundle.reports.page.numbers import amount
 from bundle.reports.page.page import tag, write_page
-from bundle.reports.page.scale import linear
-from bundle.reports.page.svg_charts import Curve, bars, curves
+from bundle.reports.page.svg import grid
 from bundle.reports.page.table import convention, table
 
 if TYPE_CHECKING:
     from bundle.planning.inspection.graph_inspection import GraphInspection
 
-__all__ = ["column_counts", "write_graph"]
+__all__ = ["write_graph"]
 
 
 def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str]) -> None:
@@ -49,31 +49,15 @@ def write_graph(graphs: Sequence[GraphInspection], path: str | os.PathLike[str])
         if steppable
         else tag("p", f"Graphs are drawn step by step up to {MOST_VARIABLES} variables."),
         tag("h2", "Orders compared"),
-        tag("div", tag("figure", tag("h3", "Flops, on a log scale"), bars(flops)),
-            column_counts(profiles), class_="grid"),
+        grid([
+            bar_figure("flops", "Flops, on a log scale", flops, amount),
+            column_figure(profiles),
+        ]),
         tag("h2", "Matrix and factor"),
         orderings(pattern, {order_name(graph): graph.order for graph in graphs}, "matrix"),
     ]  # fmt: skip
     data = {"elimination": elimination_data(steppable)} if steppable else None
     write_page(Path(path), "Elimination of a graph", sections, data)
-
-
-def column_counts(profiles: Mapping[str, Sequence[int]]) -> str:
-    """Return the nonzeros below the diagonal of L along its columns, a curve for each order."""
-    lines = []
-    for index, (name, profile) in enumerate(profiles.items()):
-        counts = [float(count) for count in profile]
-        place = [k / max(len(counts), 1) for k in range(len(counts) + 1)]
-        # An order that shares its colour with another is dashed.
-        lines.append(Curve(name, place, [*counts, *counts[-1:]], index, index // 10))
-    chart = curves(
-        [line for line in lines if line.y],
-        linear([0.0, 1.0]),
-        linear([count for line in lines for count in line.y]),
-        "share of the columns, first eliminated at the left",
-        "nonzeros below the diagonal",
-    )
-    return tag("figure", tag("h3", "Column counts of L"), chart)
 
 
 def _orders(graphs: Sequence[GraphInspection], best: int) -> str:

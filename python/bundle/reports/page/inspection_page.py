@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from html import escape
@@ -10,7 +11,9 @@ from pathlib import Path
 from bundle.base.arguments import check_type
 from bundle.base.memory_sizes import format_size
 from bundle.base.paths import as_path
+from bundle.base.words import amount, span
 from bundle.errors import InputError
+from bundle.figures.cost_figures import bar_figure, column_figure
 from bundle.figures.matplotlib.covisibility_graph import covisibility_graph
 from bundle.figures.matplotlib.problem_patterns import (
     ORDERINGS,
@@ -29,13 +32,12 @@ from bundle.reports.page.elimination_player import (
     elimination_data,
     elimination_section,
 )
-from bundle.reports.page.graph_page import column_counts, write_graph
+from bundle.reports.page.graph_page import write_graph
 from bundle.reports.page.matrices import covisibility, matrix, orderings
-from bundle.reports.page.numbers import amount, amount_if_any, seconds
 from bundle.reports.page.page import tag, write_page
 from bundle.reports.page.processes_section import processes_section
 from bundle.reports.page.subgraph import image_graph
-from bundle.reports.page.svg_charts import bars
+from bundle.reports.page.svg import grid
 from bundle.reports.page.table import Notes, convention, table
 
 __all__ = ["write_inspection"]
@@ -180,7 +182,7 @@ def _headline(inspection: Inspection) -> str:
         free = format_size(inspection.available_memory_in_bytes)
         return f"No method fits into the free memory ({free})"
     best = inspection.methods[inspection.recommended]
-    time = seconds(best.time_per_step_in_seconds)
+    time = span(best.time_per_step_in_seconds)
     return f"Use {_label(best)}: {time} per step, {format_size(best.memory_in_bytes)}"
 
 
@@ -213,7 +215,7 @@ def _methods(inspection: Inspection, methods: Sequence[MethodInspection]) -> str
     rows = [
         [
             _label(method),
-            seconds(method.time_per_step_in_seconds),
+            span(method.time_per_step_in_seconds),
             format_size(method.memory_in_bytes),
             "yes" if method.fits_in_memory else "NO",
             notes.refer(method.note),
@@ -245,7 +247,7 @@ def _factors(methods: Sequence[MethodInspection]) -> str:
     rows = {
         method.name: [
             method.name,
-            amount_if_any(method.nnz_reduced),
+            amount(method.nnz_reduced or math.nan),
             amount(method.nnz_factor),
             amount(method.fill),
             amount(method.flops),
@@ -271,15 +273,18 @@ def _costs(methods: Sequence[MethodInspection]) -> str:
         and method.ordering != "cameras_first"
         and method.column_count_profile
     }
-    charts = [
-        tag("figure", tag("h3", "Time per step, on a log scale"),
-            bars(times, impossible=[_label(method) for method in unfit], show=seconds,
-                 rows_shown=ROWS_SHOWN)),
-        tag("figure", tag("h3", "Flops of the factorisation, on a log scale"),
-            bars(flops, impossible=[method.name for method in unfit], rows_shown=ROWS_SHOWN)),
-        column_counts(profiles) if profiles else "",
+    figures = [
+        bar_figure(
+            "time_per_step", "Time per step, on a log scale", times, span,
+            [_label(method) for method in unfit], ROWS_SHOWN,
+        ),
+        bar_figure(
+            "flops", "Flops of the factorisation, on a log scale", flops, amount,
+            [method.name for method in unfit], ROWS_SHOWN,
+        ),
+        *([column_figure(profiles)] if profiles else []),
     ]  # fmt: skip
-    return tag("div", *charts, class_="grid")
+    return grid(figures)
 
 
 def _matrices(problem: Problem, options: SolveOptions) -> list[str]:

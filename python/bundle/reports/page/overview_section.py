@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from html import escape
 
 import numpy as np
 
 from bundle.analysis.statistics.description import Description
 from bundle.base.words import contents, pixels, plural, seconds
+from bundle.figures.cost_figures import iteration_figure
 from bundle.figures.residuals import Residuals
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.model.reprojection import ReprojectionError
 from bundle.reports.page.page import tag
-from bundle.reports.page.scale import linear, logarithmic
-from bundle.reports.page.svg_charts import Curve, curves
+from bundle.reports.page.svg import draw
 from bundle.reports.page.table import table
 from bundle.solving.result import Result
 
 __all__ = ["overview_section"]
-
-WIDE = 30.0
-"""Ratio of costs from which on they are drawn on a logarithmic axis."""
 
 ERRORS = {
     "rmse": "RMSE [px]",
@@ -48,7 +44,7 @@ def overview_section(
     sections.append(tag("p", escape(result.outcome)))
     charts = [tag("figure", tag("h3", "Before and after"), _errors_of(result))]
     if len(result.iterations.get("cost", ())) > 1:
-        charts.append(tag("figure", tag("h3", "Cost by iteration"), _costs(result)))
+        charts.append(draw(iteration_figure(np.asarray(result.iterations["cost"], float))))
     sections.append(tag("div", *charts, class_="grid"))
     if result.rounds:
         sections.append(_rounds(result))
@@ -96,25 +92,6 @@ def _errors_of(result: Result) -> str:
         rows.append([title, f"{getattr(first, name):,}", f"{getattr(last, name):,}"])
     rows.append(["behind camera", f"{before.num_behind_camera:,}", f"{after.num_behind_camera:,}"])
     return table(["", "before", "after"], rows)
-
-
-def _costs(result: Result) -> str:
-    cost = np.asarray(result.iterations["cost"], float)
-    steps = np.arange(len(cost), dtype=float)
-    last = cost[np.isfinite(cost)][-1:]
-    positive = cost[np.isfinite(cost) & (cost > 0)]
-    if len(positive) and positive.max() > WIDE * positive.min():
-        label, values = "cost, log scale", cost
-        y_scale = logarithmic(positive.tolist())
-    else:  # a cost that hardly falls is not seen on an axis of whole decades
-        label = "cost above the last one, % of the first"
-        values = 100.0 * (cost - last) / cost[0] if cost[0] else 0.0 * cost
-        y_scale = linear(values.tolist(), low=min(0.0, float(np.nanmin(values))))
-    shown = np.where(np.isfinite(values), values, y_scale.high).tolist()
-    line = Curve("cost", [*steps.tolist(), float(len(cost))], [*shown, shown[-1]])
-    x_scale = linear([0.0, float(len(cost))])
-    whole = tuple(tick for tick in x_scale.ticks if tick == int(tick))
-    return curves([line], replace(x_scale, ticks=whole), y_scale, "iteration", label)
 
 
 def _rounds(result: Result) -> str:

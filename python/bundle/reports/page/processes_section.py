@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+import numpy as np
+
 from bundle.base.memory_sizes import format_size
+from bundle.base.words import span
+from bundle.figures.axes import logarithmic
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import Line
 from bundle.planning.inspection.rank_prediction import RankPrediction, find_rank_limit
-from bundle.reports.page.line_charts import lines
-from bundle.reports.page.numbers import seconds
 from bundle.reports.page.page import tag
-from bundle.reports.page.scale import logarithmic
-from bundle.reports.page.svg_charts import Curve
+from bundle.reports.page.svg import grid
 from bundle.reports.page.table import table
 
 __all__ = ["processes_section"]
-
-_AXIS = "processes"
 
 
 def processes_section(
@@ -43,7 +44,7 @@ def processes_section(
         *([] if limit is None else [tag("p", escape(limit.message))]),
         tag("p", escape(words), class_="quiet"),
         _table(rows, None if limit is None else limit.num_processes),
-        *([tag("div", *drawn, class_="grid")] if drawn else []),
+        *([grid(drawn)] if drawn else []),
     ]
 
 
@@ -55,7 +56,7 @@ def _table(rows: Sequence[RankPrediction], best: int | None) -> str:
     cells = [
         [
             f"{row.num_processes}",
-            seconds(row.time_per_step_in_seconds),
+            span(row.time_per_step_in_seconds),
             f"{row.efficiency:.0%}",
             format_size(row.bytes_per_step) if row.num_processes > 1 else "-",
             format_size(row.memory_of_first_in_bytes),
@@ -66,7 +67,7 @@ def _table(rows: Sequence[RankPrediction], best: int | None) -> str:
     return table(head, cells, best=counts.index(best) if best in counts else None)
 
 
-def _time(rows: Sequence[RankPrediction]) -> str:
+def _time(rows: Sequence[RankPrediction]) -> Figure:
     counts = [float(row.num_processes) for row in rows]
     parts = {
         "a step": [row.time_per_step_in_seconds for row in rows],
@@ -77,10 +78,10 @@ def _time(rows: Sequence[RankPrediction]) -> str:
             row.efficiency * row.time_per_step_in_seconds for row in rows
         ],
     }
-    return _chart("Time of a step, on a log scale", parts, counts, "seconds")
+    return _figure("Time of a step, on a log scale", parts, counts, "seconds")
 
 
-def _memory(rows: Sequence[RankPrediction]) -> str:
+def _memory(rows: Sequence[RankPrediction]) -> Figure:
     counts = [float(row.num_processes) for row in rows]
     parts = {
         "the first process": [row.memory_of_first_in_bytes / 1e9 for row in rows],
@@ -89,11 +90,17 @@ def _memory(rows: Sequence[RankPrediction]) -> str:
             for row in rows
         ],
     }
-    return _chart("Peak memory, on a log scale", parts, counts, "GB")
+    return _figure("Peak memory, on a log scale", parts, counts, "GB")
 
 
-def _chart(title: str, parts: dict[str, list[float]], counts: list[float], unit: str) -> str:
-    drawn = [Curve(name, counts, values, k, k) for k, (name, values) in enumerate(parts.items())]
-    y_scale = logarithmic(value for values in parts.values() for value in values)
-    chart = lines(drawn, logarithmic(counts), y_scale, _AXIS, unit)
-    return tag("figure", tag("h3", title), chart)
+def _figure(title: str, parts: dict[str, list[float]], counts: list[float], unit: str) -> Figure:
+    x = np.array(counts)
+    lines = tuple(
+        Line(name, x, np.array(values), colour=k, dash=k)
+        for k, (name, values) in enumerate(parts.items())
+    )
+    heights = [value for values in parts.values() for value in values]
+    return Figure(
+        name="processes", title=title, marks=lines, x=logarithmic(counts, "processes"),
+        y=logarithmic(heights, unit),
+    )  # fmt: skip

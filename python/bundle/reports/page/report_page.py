@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,21 +31,21 @@ from bundle.figures.track_statistics import track_statistics
 from bundle.interface.options import SolveOptions
 from bundle.io.source import Source, as_problem
 from bundle.model.problem import Problem
-from bundle.reports.page.certainty_section import certainty_section, scene_ellipsoids, sigmas_of
-from bundle.reports.page.lens_section import lens_data, lens_section, parameter_table
+from bundle.reports.page.certainty_section import certainty_section, scene_ellipsoids
+from bundle.reports.page.lens_section import lens_section, parameter_table
 from bundle.reports.page.overview_section import overview_section
 from bundle.reports.page.page import asset, tag, write_page
-from bundle.reports.page.placement_section import placement_data, placement_section
+from bundle.reports.page.placement_section import placement_section
 from bundle.reports.page.projection_section import projection_data, projection_section
 from bundle.reports.page.residual_section import (
     field_data,
     field_section,
-    histogram_data,
     histogram_section,
 )
 from bundle.reports.page.scene_section import scene_data, scene_script, scene_section
 from bundle.reports.page.structure_section import structure_section
 from bundle.reports.page.worst_section import worst_section
+from bundle.reports.terminal.json import plain
 from bundle.solving.result import Result
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ class _Page:
         if self.place is not None:
             self.sections.append(tag("h2", "Control points and positions", id="placement"))
             self.sections.append(placement_section(self.place))
-            self.data["placement"] = placement_data(self.place)
+            self.data["placement"] = plain(asdict(self.place))
         self._scene(found)
         self.sections.insert(0, self._contents())
         title = f"Report on {name}" if name else "Report on a reconstruction"
@@ -184,7 +185,7 @@ class _Page:
         self.sections.append(tag("h2", "Residuals", id="residuals"))
         if histogram is not None:
             self.sections.append(histogram_section(histogram))
-            self.data["histogram"] = histogram_data(histogram)
+            self.data["histogram"] = plain(asdict(histogram))
         fields = residual_fields(self.problem, found)
         observed = np.unique(self.problem.image_camera[self.problem.observation_image])
         self.sections.append(tag("h2", "Residuals over the image plane", id="fields"))
@@ -212,8 +213,10 @@ class _Page:
         self.sections.append(tag("h2", "Lenses", id="lenses"))
         if curves:
             self.sections.append(lens_section(curves, before, len(observed)))
-            self.data["lenses"] = lens_data(curves)
-        sigmas = None if self.certainty is None else sigmas_of(self.certainty)
+            self.data["lenses"] = plain([asdict(curve) for curve in curves])
+        sigmas = None
+        if self.certainty is not None:
+            sigmas = {index: self.certainty.sigmas(index) for index in known}
         self.sections.append(parameter_table(self.problem, initial, cameras, sigmas))
 
     def _scene(self, found: Residuals | None) -> None:

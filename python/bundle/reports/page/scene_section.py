@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.base.words import plural
+from bundle.figures.axes import short
 from bundle.figures.scene_view import SceneView
 from bundle.reports.page.page import asset, tag
-from bundle.reports.page.scale import short
 
 __all__ = ["scene_data", "scene_script", "scene_section"]
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from html import escape
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bundle.reports.page.page import tag
 
-__all__ = ["Notes", "convention", "table"]
+__all__ = ["Notes", "convention", "rounded", "table"]
 
 # Characters of a sentence that wraps.
 LONG = 20
@@ -82,6 +85,11 @@ class Notes:
         """Return the notes that were referred to."""
         lines = [tag("li", escape(note)) for note in self._numbers]
         return tag("ol", *lines, class_="quiet") if lines else ""
+
+
+def rounded(values: NDArray[np.float64]) -> list[float]:
+    """Return numbers to six digits; nan, which the page writes as null, stays."""
+    return [float(f"{value:.6g}") for value in values.ravel().tolist()]
 
 
 def convention() -> str:

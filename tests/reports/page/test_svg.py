@@ -1,18 +1,34 @@
-"""Where curves and bars fall, computed from what they show."""
+"""Places of curves and bars on a page, computed from what they show."""
 
 from __future__ import annotations
 
 import math
 import re
 
+import numpy as np
 import pytest
 
-from bundle.reports.page import svg_charts
-from bundle.reports.page.scale import linear, logarithmic
-from bundle.reports.page.svg_charts import Curve, bars, curves, stacked_bars
+from bundle.base.words import amount
+from bundle.figures.axes import linear, logarithmic
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import Bars, StackedBars, Steps
+from bundle.reports.page import svg
 
-LEFT, RIGHT = svg_charts.LEFT, svg_charts.WIDTH - svg_charts.RIGHT
-TOP, BOTTOM = svg_charts.TOP, svg_charts.HEIGHT - svg_charts.BOTTOM
+LEFT, RIGHT = svg.LEFT, svg.WIDTH - svg.RIGHT
+TOP, BOTTOM = svg.TOP, svg.HEIGHT - svg.BOTTOM
+
+
+def curves(steps, x, y):
+    marks = tuple(Steps("a", np.array(xs), np.array(ys)) for xs, ys in steps)
+    return svg.drawing(Figure(name="f", title="", x=x, y=y, marks=marks))
+
+
+def bars(values, **look):
+    return svg.drawing(Figure(name="f", title="", marks=(Bars(values, amount, **look),)))
+
+
+def stacked_bars(rows, unit):
+    return svg.drawing(Figure(name="f", title="", marks=(StackedBars(rows, unit),)))
 
 
 def corners(markup):
@@ -24,8 +40,8 @@ def corners(markup):
 
 
 def test_larger_values_stand_higher_and_further_right():
-    line = Curve("a", [0.0, 5.0, 10.0], [0.0, 1.0, 4.0])
-    found = corners(curves([line], linear([10.0]), linear([4.0]), "x", "y"))
+    line = [0.0, 5.0, 10.0], [0.0, 1.0, 4.0]
+    found = corners(curves([line], linear([10.0]), linear([4.0])))
     middle = LEFT + 0.5 * (RIGHT - LEFT)
     quarter = BOTTOM - 0.25 * (BOTTOM - TOP)
     expected = [(LEFT, BOTTOM), (middle, quarter), (RIGHT, TOP)]
@@ -35,13 +51,13 @@ def test_larger_values_stand_higher_and_further_right():
 
 def test_a_value_holds_until_the_next():
     """First along the x axis at the old value, then up or down: H before V."""
-    line = Curve("a", [1.0, 2.0], [9.0, 3.0])
-    markup = curves([line], linear([2.0]), linear([9.0]), "x", "y")
+    line = [1.0, 2.0], [9.0, 3.0]
+    markup = curves([line], linear([2.0]), linear([9.0]))
     assert re.search(r"M[\d.]+ [\d.]+H[\d.]+V[\d.]+\"", markup)
 
 
 def test_ticks_stand_at_their_values():
-    markup = curves([], linear([10.0]), linear([4.0]), "across", "up")
+    markup = curves([], linear([10.0], "across"), linear([4.0], "up"))
     lines = [
         tuple(float(number) for number in found)
         for found in re.findall(r'x1="([\d.]+)" x2="([\d.]+)" y1="([\d.]+)" y2="([\d.]+)"', markup)
@@ -57,8 +73,8 @@ def test_ticks_stand_at_their_values():
 
 def test_a_logarithmic_axis_has_equal_steps_for_equal_ratios():
     scale = logarithmic([1e-3, 1.0])
-    line = Curve("a", [1.0, 2.0, 3.0, 4.0], [1e-3, 1e-2, 1e-1, 1.0])
-    heights = [y for _, y in corners(curves([line], linear([4.0]), scale, "x", "y"))]
+    line = [1.0, 2.0, 3.0, 4.0], [1e-3, 1e-2, 1e-1, 1.0]
+    heights = [y for _, y in corners(curves([line], linear([4.0]), scale))]
     third = (BOTTOM - TOP) / 3
     assert heights == pytest.approx([BOTTOM - third * k for k in range(4)], abs=0.06)
 
@@ -80,10 +96,10 @@ def test_bars_are_as_long_as_their_values_on_the_scale():
 
 def test_folded_bars_share_the_scale():
     values = {name: 10.0**power for power, name in enumerate("abcdefgh")}
-    folded = bars(values, rows_shown=5)
+    folded = bars(values, most=5)
     assert widths(folded) == widths(bars(values))
     assert folded.index(">e<") < folded.index("<details") < folded.index(">f<")
-    assert "<details" not in bars(values, rows_shown=7)
+    assert "<details" not in bars(values, most=7)
 
 
 def test_stacked_bars_add_up_to_their_totals():

@@ -1,0 +1,148 @@
+"""Figures of costs: of an iteration, of methods compared, predicted and measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bundle.figures.axes import linear, logarithmic
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import Array, Bars, StackedBars, Steps
+from bundle.figures.series import cost_curve, labels, profile_curve, styles
+from bundle.planning.comparison.comparison_result import Comparison
+
+__all__ = [
+    "bar_figure",
+    "breakdown_figure",
+    "column_figure",
+    "iteration_figure",
+    "profile_figure",
+    "time_figure",
+]
+
+WIDE = 30.0
+"""Ratio of costs from which on they are drawn on a logarithmic axis."""
+
+
+def iteration_figure(cost: Array) -> Figure:
+    """Return the cost by iteration; above the last one where it hardly falls."""
+    count = float(len(cost))
+    last = cost[np.isfinite(cost)][-1:]
+    positive = cost[np.isfinite(cost) & (cost > 0)]
+    if len(positive) and positive.max() > WIDE * positive.min():
+        values, y = cost, logarithmic(positive.tolist(), "cost, log scale")
+    else:  # on an axis of whole decades a small decrease is not seen
+        label = "cost above the last one, % of the first"
+        values = 100.0 * (cost - last) / cost[0] if cost[0] else 0.0 * cost
+        y = linear(values.tolist(), label, low=min(0.0, float(np.nanmin(values))))
+    x = linear([0.0, count], "iteration")
+    whole = tuple(tick for tick in x.ticks if tick == int(tick))
+    shown = np.where(np.isfinite(values), values, y.high)
+    return Figure(
+        name="cost",
+        title="Cost by iteration",
+        x=replace(x, ticks=whole),
+        y=y,
+        marks=(Steps("cost", np.arange(count + 1), shown),),
+    )
+
+
+def time_figure(comparison: Comparison, problem: int, *, outcomes: bool = False) -> Figure:
+    """Return the distance of each run's cost to the best against time, both logarithmic.
+
+    Args:
+        comparison: of the runs.
+        problem: index of the problem.
+        outcomes: labels also name the outcome of runs without a usable solution.
+    """
+    names, looks = labels(comparison.methods), styles(comparison.methods)
+    marks = []
+    for index, run in enumerate(comparison.runs):
+        times, gaps = cost_curve(comparison, index)
+        if run.problem == problem and len(times):
+            look = looks[run.method]
+            name = names[run.method]
+            if outcomes and not run.is_usable:
+                name += f" ({run.outcome.replace('_', ' ')})"
+            marks.append(Steps(name, times, gaps, look.colour, look.line))
+    return Figure(
+        name="cost_against_time",
+        title="Cost against time",
+        x=logarithmic(_values(mark.x for mark in marks), "seconds from the loaded problem on"),
+        y=logarithmic(_values(mark.y for mark in marks), "cost / best cost - 1"),
+        marks=tuple(marks),
+    )
+
+
+def breakdown_figure(comparison: Comparison, problem: int) -> Figure:
+    """Return the phases of each run as stacked bars, the fastest on top."""
+    names = labels(comparison.methods)
+    runs = [run for run in comparison.runs_of(problem) if run.is_usable and run.measurement]
+    runs.sort(key=lambda run: run.total_time_in_seconds)
+    rows = {names[run.method]: run.measurement.breakdown for run in runs if run.measurement}
+    return Figure(
+        name="breakdown",
+        title="Where the time went",
+        marks=(StackedBars(rows, " s"),),
+        note="The fused backend eliminates the points while it computes Jacobians: its linear "
+        "solver is that of the reduced system alone.",
+    )
+
+
+def profile_figure(comparison: Comparison, gap: float) -> Figure:
+    """Return the share of problems that each method solves within a factor of the fastest."""
+    names, looks = labels(comparison.methods), styles(comparison.methods)
+    profiles = [profile for profile in comparison.profiles if profile.gap == gap]
+    ratios = [ratio for profile in profiles for ratio in profile.ratios]
+    x = logarithmic([1.0, *ratios], "time / that of the fastest method")
+    marks = []
+    for profile in profiles:
+        factors, shares = profile_curve(profile, x.high)
+        look = looks[profile.method]
+        marks.append(Steps(names[profile.method], factors, shares, look.colour, look.line))
+    return Figure(
+        name="profile",
+        title=f"To {gap:g} of the best cost",
+        x=x,
+        y=linear([0.0, 1.0], "share of problems"),
+        marks=tuple(marks),
+    )
+
+
+def column_figure(profiles: Mapping[str, Sequence[float] | Array]) -> Figure:
+    """Return nonzeros below the diagonal of L by column, for each method.
+
+    Profiles may have any number of bins; each is drawn over the whole width of L.
+    """
+    marks = []
+    for index, (name, profile) in enumerate(profiles.items()):
+        counts = np.asarray(profile, float)
+        place = np.linspace(0.0, 1.0, len(counts) + 1)
+        # An order that shares its colour with another is dashed.
+        marks.append(Steps(name, place, counts, index % 10, index // 10))
+    return Figure(
+        name="column_counts",
+        title="Column counts of L",
+        x=linear([0.0, 1.0], "share of columns, as eliminated"),
+        y=linear(_values(mark.y for mark in marks), "nonzeros below the diagonal"),
+        marks=tuple(mark for mark in marks if len(mark.y)),
+    )
+
+
+def bar_figure(
+    name: str,
+    title: str,
+    values: Mapping[str, float],
+    show: Callable[[float], str],
+    impossible: Collection[str] = (),
+    most: int | None = None,
+) -> Figure:
+    """Return a bar for each value; see :class:`Bars`."""
+    bars = Bars(values, show, impossible, most=most)
+    return Figure(name=name, title=title, marks=(bars,))
+
+
+def _values(parts: Iterable[Array]) -> list[float]:
+    return [value for part in parts for value in part.tolist()]

@@ -1,0 +1,148 @@
+"""Figures as data: axes and marks, which a page and Matplotlib draw alike.
+
+Each renderer knows each mark once: :mod:`bundle.reports.page.svg` for pages,
+:mod:`bundle.figures.matplotlib.draw` for Matplotlib. A new figure is a function that returns a
+:class:`Figure`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.figures.axes import SHAPE, Axis, linear, logarithmic, square
+from bundle.figures.marks import GREY, Line, Mark, Steps
+
+__all__ = ["NO_AXIS", "Figure", "LineFigure", "over_image"]
+
+Array = NDArray[np.float64]
+
+NO_AXIS = Axis(0.0, 1.0, ())
+"""Of figures of bars."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Figure:
+    """A figure over one pair of axes.
+
+    Attributes:
+        name: by which programs and readers of screens tell figures apart.
+        title: above the figure.
+        x, y: axes, with labels and units.
+        marks: in the order of the legend.
+        note: below the figure; "": nothing.
+        is_image: over an image: y goes down, both axes have the same scale.
+        is_plan: both axes have the same scale.
+    """
+
+    name: str
+    title: str
+    marks: tuple[Mark, ...]
+    x: Axis = NO_AXIS
+    y: Axis = NO_AXIS
+    note: str = ""
+    is_image: bool = False
+    is_plan: bool = False
+
+    @property
+    def legend(self) -> list[Line | Steps]:
+        """Marks with a label."""
+        return [mark for mark in self.marks if isinstance(mark, Line | Steps) and mark.label]
+
+
+def over_image(box: Array, name: str, title: str, *marks: Mark, note: str = "") -> Figure:
+    """Return a figure over the image plane.
+
+    Args:
+        box: (4,) left, top, right, bottom [pixels].
+        name: of the figure.
+        title: of the figure.
+        *marks: in pixels.
+        note: below it.
+    """
+    left, top, right, bottom = box.tolist()
+    x, y = Axis(left, right, (), label="x [px]"), Axis(top, bottom, (), label="y [px]")
+    return Figure(name=name, title=title, x=x, y=y, marks=marks, note=note, is_image=True)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LineFigure:
+    """A figure of lines over one pair of axes.
+
+    Attributes:
+        name: one word, by which programs tell figures apart.
+        title: of the figure.
+        x_label, y_label: of the axes, with units.
+        lines: in the order of the legend.
+        is_logarithmic: the y axis is; values of 0 and below have no place on it.
+        is_plan: both axes have the same scale.
+        note: a sentence below the figure, or nothing.
+    """
+
+    name: str
+    title: str
+    x_label: str
+    y_label: str
+    lines: tuple[Line, ...]
+    is_logarithmic: bool = False
+    is_plan: bool = False
+    note: str = ""
+
+    def asdict(self) -> dict[str, Any]:
+        """Return the numbers for JSON."""
+        return {
+            "name": self.name,
+            "lines": [
+                {
+                    "label": line.label,
+                    "x": line.x.tolist(),
+                    "y": line.y.tolist(),
+                    "sigma": None if line.sigma is None else line.sigma.tolist(),
+                }
+                for line in self.lines
+            ],
+        }
+
+    def figure(self) -> Figure:
+        """Return the figure with axes over all lines and bands; limits are grey, each dashed."""
+        limits = [line for line in self.lines if line.is_limit]
+        marks = tuple(
+            replace(line, colour=GREY, dash=1 + limits.index(line))
+            if line.is_limit
+            else replace(line, colour=index if line.colour is None else line.colour)
+            for index, line in enumerate(self.lines)
+        )
+        x = _finite(line.x for line in self.lines)
+        bands = [(line.y, line.sigma) for line in self.lines if line.sigma is not None]
+        y = _finite(
+            [line.y for line in self.lines] + [y + sign * s for y, s in bands for sign in (-1, 1)]
+        )
+        if self.is_plan and len(x) and len(y):
+            axes = _plan(x, y, (self.x_label, self.y_label))
+        elif self.is_logarithmic:
+            axes = linear(x, self.x_label), logarithmic(y, self.y_label)
+        else:
+            low = None if (y < 0).any() else 0.0
+            axes = linear(x, self.x_label), linear(y, self.y_label, low=low)
+        return Figure(
+            name=self.name, title=self.title, x=axes[0], y=axes[1], marks=marks, note=self.note,
+            is_plan=self.is_plan,
+        )  # fmt: skip
+
+
+def _plan(x: Array, y: Array, labels: tuple[str, str]) -> tuple[Axis, Axis]:
+    """Return axes on which a metre is as long across as up."""
+    middle = [(values.min() + values.max()) / 2 for values in (x, y)]
+    half = [(values.max() - values.min()) / 2 for values in (x, y)]
+    reach = max(1.05 * half[0] / SHAPE, 1.05 * half[1], 1e-3)
+    return square((middle[0], middle[1]), reach, labels)
+
+
+def _finite(parts: Iterable[Array]) -> Array:
+    """Return the finite values of all."""
+    values: Array = np.concatenate([np.zeros(0), *parts])
+    return values[np.isfinite(values)]

@@ -1,0 +1,263 @@
+"""Figures as marks on a Matplotlib axis, with the ranges, colours and legends of a page."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bundle.figures.directions import direction_colours
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import (
+    Bars,
+    Cells,
+    Dots,
+    Ellipses,
+    Line,
+    Photo,
+    Places,
+    StackedBars,
+    Steps,
+    Vectors,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = ["COLOURS", "DASHES", "draw", "legend_below", "show_title"]
+
+# Okabe and Ito's colours, which the colour-blind tell apart too, then three greys of other hues, as
+# dark as a page has them on white.
+COLOURS = (
+    "#0072b2", "#d55e00", "#008a64", "#b5568d", "#b87f00", "#3a9bd0", "#5b5b5b", "#7a5aa6",
+    "#8a5a20", "#2f7f77",
+)  # fmt: skip
+DASHES = ("-", "--", ":", "-.")
+# Characters of a title, of labels of which two stand side by side, and of a line of a label on an
+# axis narrower than 4 inches, by the inch.
+TITLE, OF_TWO, OF_A_LINE = 11.0, 5.5, 7.0
+WIDE = 4.0  # inches from which labels have one line
+# Points that ticks and label take below an axis.
+LABELS_BELOW = 38
+
+
+def draw(ax: Axes, figure: Figure, title: str | None = None) -> None:
+    """Draw a figure.
+
+    Args:
+        ax: where.
+        figure: to draw.
+        title: in place of the figure's own; of a long one the end is shown.
+    """
+    if not any(isinstance(mark, Bars | StackedBars) for mark in figure.marks):
+        _set_axes(ax, figure)
+    for mark in figure.marks:
+        _KINDS[type(mark)](ax, mark)
+    show_title(ax, figure.title if title is None else title)
+    if figure.legend:
+        legend_below(ax)
+
+
+def _set_axes(ax: Axes, figure: Figure) -> None:
+    for axis, set_scale in ((figure.x, ax.set_xscale), (figure.y, ax.set_yscale)):
+        if axis.is_logarithmic:
+            set_scale("log", nonpositive="mask")
+    y = (figure.y.high, figure.y.low) if figure.is_image else (figure.y.low, figure.y.high)
+    ax.set(xlim=(figure.x.low, figure.x.high), ylim=y)
+    ax.set(xlabel=figure.x.label, ylabel=figure.y.label)
+    if figure.is_image or figure.is_plan:
+        ax.set_aspect("equal", adjustable="box")
+    else:
+        ax.grid(which="major", color="0.9")
+
+
+def _line(ax: Axes, line: Line) -> None:
+    colour = _paint(line.colour or 0)
+    style = "none" if line.is_dotted else DASHES[line.dash % len(DASHES)]
+    lonely = line.is_dotted or len(line.x) == 1 or line.error is not None
+    name = line.label or "_nolegend_"
+    ax.plot(
+        line.x, line.y, style, marker="." if lonely else None, color=colour, label=name,
+        linewidth=1.2,
+    )  # fmt: skip
+    if line.sigma is not None:
+        low, high = line.y - line.sigma, line.y + line.sigma
+        ax.fill_between(line.x, low, high, color=colour, alpha=0.22, linewidth=0)
+    if line.error is not None:
+        known = np.isfinite(line.error)
+        low, high = (line.y[known] + sign * line.error[known] for sign in (-1, 1))
+        ax.vlines(line.x[known], low, high, color=colour, linewidth=1)
+
+
+def _steps(ax: Axes, steps: Steps) -> None:
+    look: dict[str, Any] = {
+        "label": steps.label or "_nolegend_", "color": _paint(steps.colour),
+        "linestyle": DASHES[steps.dash % len(DASHES)], "linewidth": 1.4,
+    }  # fmt: skip
+    if len(steps.x) > len(steps.y):
+        ax.stairs(steps.y, steps.x, **look)
+    else:
+        ax.step(steps.x, steps.y, where="post", **look)
+
+
+def _places(ax: Axes, mark: Places) -> None:
+    low, high = ax.get_xlim()
+    for level, (label, value) in enumerate(mark.at.items()):
+        ax.axvline(value, color=_paint(mark.colour), linestyle=":", linewidth=1)
+        side = "right" if value > (low + high) / 2 else "left"
+        shift = (-3 if side == "right" else 3, -3 - 8 * level)
+        ax.annotate(
+            label, (value, 1), shift, xycoords=("data", "axes fraction"),
+            textcoords="offset points", va="top", ha=side, fontsize=7, parse_math=False,
+        )  # fmt: skip
+
+
+def _bars(ax: Axes, mark: Bars) -> None:
+    """Draw classes of a histogram upright, other names at the left of bars on a log scale."""
+    if mark.is_ordered:
+        ax.bar(np.arange(len(mark.values)), [*mark.values.values()], color=_paint(0))
+        ax.set_xticks(np.arange(len(mark.values)), [*mark.values], rotation=90, fontsize=7)
+        ax.set_ylabel("points")
+        return
+    values = np.array([*mark.values.values()], float)
+    values[~(values > 0)] = np.nan
+    lowest, highest = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
+    lowest, highest = (lowest / 10, highest) if np.isfinite(highest) else (1.0, 10.0)
+    ax.set_xscale("log")
+    lengths = np.fmax(values, lowest) - lowest
+    bars = ax.barh(np.arange(len(values)), lengths, left=lowest, color=_paint(0))
+    for bar, name, value in zip(bars, mark.values, values, strict=True):
+        if name in mark.impossible:
+            bar.set(facecolor="none", edgecolor=_paint(1), hatch="////")
+        text = "none" if np.isnan(value) else mark.show(float(value))
+        text += "\ndoes not fit" if name in mark.impossible else ""
+        middle = bar.get_y() + bar.get_height() / 2
+        ax.annotate(
+            text, (lowest if np.isnan(value) else value, middle), (3, 0),
+            textcoords="offset points", va="center", fontsize=8,
+        )  # fmt: skip
+    ax.set_xlim(lowest, highest * (highest / lowest) ** 0.6)  # room for the words
+    _name_rows(ax, [*mark.values])
+
+
+def _stacked_bars(ax: Axes, mark: StackedBars) -> None:
+    left = np.zeros(len(mark.rows))
+    parts = [*mark.rows.values()]
+    for index, phase in enumerate(parts[0] if parts else ()):
+        lengths = np.array([part[phase] for part in parts])
+        colour = _paint(index) if phase != "rest" else "0.75"
+        ax.barh(np.arange(len(parts)), lengths, left=left, label=phase, color=colour)
+        left += lengths
+    _name_rows(ax, [*mark.rows])
+    if parts:
+        legend_below(ax)
+
+
+def _name_rows(ax: Axes, names: list[str]) -> None:
+    ax.set_yticks(np.arange(len(names)), [*map(_wrapped, names)], fontsize=7)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+
+
+def _cells(ax: Axes, mark: Cells) -> None:
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    high = mark.top if mark.top > 0 else 1.0
+    image = ax.imshow(
+        mark.values, extent=(left, right, bottom, top), cmap="Blues", vmin=0, vmax=high
+    )
+    ax.figure.colorbar(image, ax=ax, label=mark.unit, shrink=0.8)
+    if mark.levels:
+        rows, columns = mark.values.shape
+        x = left + (np.arange(columns) + 0.5) * (right - left) / columns
+        y = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
+        lines = ax.contour(x, y, mark.values, mark.levels, colors="black", linewidths=0.7)
+        ax.clabel(lines, fontsize=7)
+
+
+def _vectors(ax: Axes, mark: Vectors) -> None:
+    if mark.is_bold is None:
+        ends = np.stack([mark.at, mark.at + mark.step], axis=1)
+        ax.plot(ends[..., 0].T, ends[..., 1].T, color=_paint(mark.colour), linewidth=0.8)
+        return
+    colours = np.where(mark.is_bold, _paint(mark.colour), _paint(6))
+    ax.quiver(
+        *mark.at.T, *mark.step.T, color=colours, angles="xy", scale_units="xy", scale=1,
+        width=0.003, headwidth=0, headlength=0, headaxislength=0,
+    )  # fmt: skip
+    ax.scatter(mark.at[:, 0], mark.at[:, 1], s=1.5, color=_paint(6), linewidths=0)
+
+
+def _dots(ax: Axes, mark: Dots) -> None:
+    if mark.directions is not None:
+        colours: Any = direction_colours(mark.directions) / 255.0
+        ax.scatter(mark.xy[:, 0], mark.xy[:, 1], c=colours, s=2, linewidths=0)
+        return
+    kinds = np.array(mark.colours or (0,) * len(mark.xy), int)
+    for place, kind in enumerate(dict.fromkeys(kinds.tolist())):
+        chosen = mark.xy[kinds == kind] if place else mark.xy  # other colours come on top
+        ax.plot(*chosen.T, "o", markersize=4, color=_paint(kind))
+    for name, at in zip(mark.names if mark.is_labelled else (), mark.xy.tolist(), strict=False):
+        ax.annotate(name, at, (4, 4), textcoords="offset points", fontsize=7, parse_math=False)
+
+
+def _ellipses(ax: Axes, mark: Ellipses) -> None:
+    for outline in mark.outlines():
+        ax.plot(*outline.T, color=_paint(mark.colour))
+
+
+def _photo(ax: Axes, mark: Photo) -> None:
+    picture: Any = mark.picture
+    ax.imshow(picture, extent=(*ax.get_xlim(), *ax.get_ylim()))
+
+
+_KINDS: dict[type, Callable[..., None]] = {
+    Line: _line, Steps: _steps, Places: _places, Bars: _bars, StackedBars: _stacked_bars,
+    Cells: _cells, Vectors: _vectors, Dots: _dots, Ellipses: _ellipses, Photo: _photo,
+}  # fmt: skip
+
+
+def legend_below(ax: Axes) -> None:
+    """Put the legend where no curve is: under the axis and its label."""
+    from matplotlib.transforms import offset_copy  # not installed with bundle
+
+    handles, names = ax.get_legend_handles_labels()
+    inches = _inches(ax)
+    two_fit = max(map(len, names), default=0) <= OF_TWO * inches
+    if inches < WIDE and not two_fit:
+        names = [_wrapped(name, round(OF_A_LINE * inches)) for name in names]
+    ax.legend(
+        handles,
+        names,
+        fontsize=7,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.0),
+        bbox_transform=offset_copy(
+            ax.transAxes, ax.get_figure(root=True), y=-LABELS_BELOW, units="points"
+        ),
+        borderaxespad=0.0,
+        ncols=2 if two_fit else 1,
+    )
+
+
+def show_title(ax: Axes, name: str) -> None:
+    """Show a title, of a long one the end, which tells files apart."""
+    longest = max(round(TITLE * _inches(ax)), 10)
+    shown = name if len(name) <= longest else "..." + name[3 - longest :]
+    ax.set_title(shown, fontsize=9, parse_math=False)
+
+
+def _paint(colour: int) -> str:
+    return COLOURS[colour % len(COLOURS)]
+
+
+def _inches(ax: Axes) -> float:
+    """Return the width of an axis with all that is written around it."""
+    spec = ax.get_subplotspec()
+    columns = 1 if spec is None else spec.get_gridspec().ncols
+    return float(ax.get_figure(root=True).get_figwidth()) / columns  # type: ignore[union-attr]
+
+
+def _wrapped(name: str, width: int = 22) -> str:
+    """Return a name in short lines."""
+    return textwrap.fill(name, width, break_long_words=False, break_on_hyphens=False)

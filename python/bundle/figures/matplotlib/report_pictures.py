@@ -1,0 +1,222 @@
+"""Figures of the page of ``bundle report`` and of an odometry: functions of a Matplotlib axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bundle.base.arguments import check_type
+from bundle.errors import InputError
+from bundle.figures import lens_figures, placement_figures, residual_figures
+from bundle.figures.certainty import Certainty
+from bundle.figures.drawing import LineFigure
+from bundle.figures.image_residuals import ImageResiduals
+from bundle.figures.lens_curves import LensCurve
+from bundle.figures.matplotlib.draw import COLOURS, draw
+from bundle.figures.placement_errors import Placement
+from bundle.figures.projection_uncertainty import ProjectionUncertainty
+from bundle.figures.residual_field import ResidualField
+from bundle.figures.residual_histogram import ResidualHistogram
+from bundle.figures.scene_view import SceneView
+from bundle.figures.track_statistics import TrackStatistics, angle_figure, length_figure
+from bundle.interface.option_fields import choice, number
+from bundle.model.cameras import camera_models
+from bundle.model.problem import Problem
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__all__ = [
+    "draw_correlations",
+    "draw_image_residuals",
+    "draw_lens_curves",
+    "draw_lines",
+    "draw_position_errors",
+    "draw_projection_uncertainty",
+    "draw_radial_profile",
+    "draw_residual_cells",
+    "draw_residual_directions",
+    "draw_residual_histogram",
+    "draw_residual_lengths",
+    "draw_residual_vectors",
+    "draw_scene",
+    "draw_target_errors",
+    "draw_track_lengths",
+    "draw_triangulation_angles",
+    "draw_uncertainty_against_distance",
+]
+
+CELLS = {"count": "count", "rms": "magnitude", "significance": "significance"}
+
+
+def draw_lines(ax: Axes, figure: LineFigure) -> None:
+    """Draw a figure of lines, as :func:`bundle.figures.odometry_figures` returns them.
+
+    Raises:
+        InputError: ``figure`` is none.
+    """
+    check_type("figure", figure, LineFigure)
+    draw(ax, figure.figure())
+
+
+def draw_residual_histogram(ax: Axes, histogram: ResidualHistogram) -> None:
+    """Draw coordinates of residuals, each set under its label."""
+    check_type("histogram", histogram, ResidualHistogram)
+    draw(ax, residual_figures.coordinate_figure(histogram))
+
+
+def draw_residual_lengths(ax: Axes, histogram: ResidualHistogram) -> None:
+    """Draw lengths of residuals on a logarithmic axis, each set under its label."""
+    check_type("histogram", histogram, ResidualHistogram)
+    draw(ax, residual_figures.length_figure(histogram))
+
+
+def draw_residual_vectors(ax: Axes, field: ResidualField, factor: float | None = None) -> None:
+    """Draw the mean residual of each cell, orange where it is significant.
+
+    Args:
+        ax: where.
+        field: of a camera, from ``bundle.figures.residual_fields``.
+        factor: by which lines are longer than residuals; None chooses a round one.
+    """
+    check_type("field", field, ResidualField)
+    factor = field.vector_factor if factor is None else number("factor", factor, above=0)
+    figure = residual_figures.vector_figure(field, factor)
+    draw(ax, figure, f"mean residual, x {factor:g}")
+
+
+def draw_residual_cells(ax: Axes, field: ResidualField, what: str = "significance") -> None:
+    """Draw a number of each cell: "count", "rms" [pixels] or "significance" [standard errors]."""
+    check_type("field", field, ResidualField)
+    draw(ax, residual_figures.cell_figure(field, CELLS[choice("what", what, tuple(CELLS))]))
+
+
+def draw_residual_directions(ax: Axes, field: ResidualField) -> None:
+    """Draw residuals as dots, coloured by direction: clusters of a colour are systematic."""
+    check_type("field", field, ResidualField)
+    draw(ax, residual_figures.direction_figure(field))
+
+
+def draw_radial_profile(ax: Axes, field: ResidualField) -> None:
+    """Draw mean residuals outwards and across against the distance from the principal point."""
+    check_type("field", field, ResidualField)
+    draw(ax, residual_figures.profile_figure(field))
+
+
+def draw_image_residuals(
+    ax: Axes, image: ImageResiduals, factor: float = 10.0, photograph: object = None
+) -> None:
+    """Draw the residuals of an image, from the measurement on.
+
+    Args:
+        ax: where.
+        image: from ``bundle.figures.worst_residuals``.
+        factor: by which lines are longer than residuals.
+        photograph: what ``imshow`` takes, drawn below; None for none.
+    """
+    check_type("image", image, ImageResiduals)
+    factor = number("factor", factor, above=0)
+    photograph = photograph if min(image.size) > 0 else None
+    figure = residual_figures.image_figure(image, factor, photograph)
+    draw(ax, figure, f"{residual_figures.image_name(image)}, x {factor:g}")
+
+
+def draw_track_lengths(ax: Axes, tracks: TrackStatistics) -> None:
+    """Draw the number of points by observations."""
+    check_type("tracks", tracks, TrackStatistics)
+    draw(ax, length_figure(tracks), "points by observations")
+
+
+def draw_triangulation_angles(ax: Axes, tracks: TrackStatistics) -> None:
+    """Draw the number of points by the largest angle of two of their rays."""
+    check_type("tracks", tracks, TrackStatistics)
+    draw(ax, angle_figure(tracks), "points by largest angle of two rays")
+
+
+def draw_lens_curves(ax: Axes, curves: Sequence[LensCurve]) -> None:
+    """Draw distortion against the distance from the principal point, and the observed radius.
+
+    Args:
+        ax: where.
+        curves: of cameras, from ``bundle.figures.lens_curve``; one with a sigma has a band.
+    """
+    for curve in curves:
+        check_type("curves", curve, LensCurve)
+    named = {f"camera {curve.camera_id}": curve for curve in curves}
+    draw(ax, lens_figures.lens_figure(named))
+
+
+def draw_projection_uncertainty(
+    ax: Axes, known: ProjectionUncertainty, distance: float | None = None
+) -> None:
+    """Draw the uncertainty of a projection over the image, with contours.
+
+    Args:
+        ax: where.
+        known: of a camera, from ``bundle.figures.projection_uncertainty``.
+        distance: of the points [length unit]; None: at infinity.
+    """
+    check_type("known", known, ProjectionUncertainty)
+    at = np.inf if distance is None else number("distance", distance, above=0)
+    where = "at infinity" if distance is None else f"at a distance of {at:g}"
+    draw(ax, lens_figures.sigma_figure(known, at), f"camera {known.camera_id}, {where}")
+
+
+def draw_uncertainty_against_distance(ax: Axes, known: ProjectionUncertainty) -> None:
+    """Draw the uncertainty of a projection against the distance, the median distance dotted."""
+    check_type("known", known, ProjectionUncertainty)
+    draw(ax, lens_figures.distance_figure(known), f"camera {known.camera_id}")
+
+
+def draw_target_errors(ax: Axes, place: Placement) -> None:
+    """Draw horizontal errors of control and check points, and the ellipses of their survey."""
+    check_type("place", place, Placement)
+    figure = placement_figures.target_figure(place)
+    if figure is not None:
+        draw(ax, figure)
+
+
+def draw_position_errors(ax: Axes, place: Placement) -> None:
+    """Draw horizontal errors of measured positions, and the ellipse of their mean square."""
+    check_type("place", place, Placement)
+    figure = placement_figures.position_figure(place)
+    if figure is not None:
+        draw(ax, figure)
+
+
+def draw_correlations(ax: Axes, problem: Problem, known: Certainty, camera: int) -> None:
+    """Draw the correlation matrix of the refined parameters of a camera, given by its index.
+
+    Raises:
+        InputError: the camera has no covariance.
+    """
+    check_type("known", known, Certainty)
+    if camera not in known.cameras:
+        raise InputError(f"camera: expected one of {sorted(known.cameras)}, found {camera}")
+    free, matrix = known.correlations(camera)
+    names = camera_models()[problem.camera_models[camera]]
+    image = ax.imshow(matrix, cmap="RdBu", vmin=-1, vmax=1)
+    labels = [names[index] for index in free]
+    ax.set_xticks(range(len(free)), labels)
+    ax.set_yticks(range(len(free)), labels)
+    ax.figure.colorbar(image, ax=ax, label="correlation", shrink=0.8)
+    ax.set_title(f"camera {problem.camera_ids[camera]}")
+
+
+def draw_scene(ax: Axes, view: SceneView) -> None:
+    """Draw points and camera centres on an axis with ``projection="3d"``, in the world's frame.
+
+    Raises:
+        InputError: the axis is a flat one.
+    """
+    check_type("view", view, SceneView)
+    if ax.name != "3d":
+        raise InputError(f'ax: expected an axis with projection="3d", found {ax.name!r}')
+    points = view.origin + view.unit * view.points
+    centers = view.origin + view.unit * view.centers
+    ax.scatter(*points.T, s=0.5, color=COLOURS[0], linewidths=0)  # type: ignore[misc]
+    ax.scatter(*centers.T, s=8, color=COLOURS[1], marker="^")  # type: ignore[misc]
+    ax.set(xlabel="x", ylabel="y", zlabel="z")
+    ax.set_aspect("equal")

@@ -1,0 +1,224 @@
+"""Figures of residuals: histograms, the image plane of a camera, single images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from bundle.base.words import plural
+from bundle.errors import shown
+from bundle.figures.axes import linear, logarithmic, round_down
+from bundle.figures.drawing import Figure, over_image
+from bundle.figures.image_residuals import ImageResiduals
+from bundle.figures.marks import GREY, Array, Cells, Dots, Line, Photo, Steps, Vectors
+from bundle.figures.residual_field import SIGNIFICANT, ResidualField
+from bundle.figures.residual_histogram import ResidualHistogram
+
+__all__ = [
+    "CELL_NUMBERS",
+    "cell_figure",
+    "coordinate_figure",
+    "direction_figure",
+    "field_figures",
+    "image_figure",
+    "image_name",
+    "length_figure",
+    "profile_figure",
+    "vector_figure",
+]
+
+LONGEST = 0.08
+"""Length of the largest residual of an image as drawn, by the longer side of the image."""
+
+CELL_NUMBERS = {
+    "significance": ("Significance of the mean", "standard errors"),
+    "magnitude": ("Magnitude", "px RMSE"),
+    "count": ("Count", "observations"),
+}
+"""Numbers of cells by name: title and unit."""
+
+
+def coordinate_figure(histogram: ResidualHistogram) -> Figure:
+    """Return histograms of the coordinates, and the normal distribution of the last set."""
+    last = [*histogram.coordinates][-1]
+    drawn = _histograms(histogram.edges, histogram.coordinates)
+    x, y = _normal(histogram, last)
+    note = f"Dashed: the normal distribution of sigma {histogram.sigma[last]:.3g} px"
+    note += ", from the median."
+    outside = ", ".join(
+        f"{share:.2%} {label}" for label, share in histogram.share_outside.items() if share
+    )
+    return Figure(
+        name="coordinates",
+        title="Coordinates",
+        x=linear(histogram.edges.tolist(), "residual in x or y [px]", low=None),
+        y=linear([0.0, 1.05 * _highest(histogram.coordinates)], "count"),
+        marks=(*drawn, Line("", x, y, colour=GREY, dash=1)),
+        note=note + (f" Beyond the axis: {outside}." if outside else ""),
+    )
+
+
+def length_figure(histogram: ResidualHistogram) -> Figure:
+    """Return histograms of the lengths on a logarithmic axis."""
+    label = "length of the residual [px], log scale"
+    return Figure(
+        name="lengths",
+        title="Lengths",
+        x=logarithmic(histogram.length_edges.tolist(), label),
+        y=linear([0.0, 1.05 * _highest(histogram.lengths)], "count"),
+        marks=_histograms(histogram.length_edges, histogram.lengths),
+    )
+
+
+def _histograms(edges: Array, counts: dict[str, np.ndarray]) -> tuple[Steps, ...]:
+    return tuple(
+        Steps(label, edges, values.astype(float), index)
+        for index, (label, values) in enumerate(counts.items())
+    )
+
+
+def _highest(counts: dict[str, np.ndarray]) -> float:
+    return max((float(values.max(initial=0)) for values in counts.values()), default=1.0) or 1.0
+
+
+def _normal(histogram: ResidualHistogram, label: str) -> tuple[Array, Array]:
+    """Return the normal distribution of the middle of a histogram, as counts per bin."""
+    sigma = max(histogram.sigma[label], 1e-300)
+    edges = histogram.edges
+    inside = float(histogram.coordinates[label].sum())
+    total = inside / max(1.0 - histogram.share_outside[label], 1e-12)
+    x = np.linspace(edges[0], edges[-1], 121)
+    y = (
+        total
+        * (edges[1] - edges[0])
+        / (sigma * np.sqrt(2 * np.pi))
+        * np.exp(-0.5 * (x / sigma) ** 2)
+    )
+    return x, y
+
+
+def field_figures(field: ResidualField) -> tuple[Figure, ...]:
+    """Return the figures of a camera's image plane."""
+    return (
+        vector_figure(field, field.vector_factor),
+        direction_figure(field),
+        *(cell_figure(field, name) for name in CELL_NUMBERS),
+        profile_figure(field),
+    )
+
+
+def vector_figure(field: ResidualField, factor: float) -> Figure:
+    """Return the mean residual of each cell, ``factor`` times as long, bold where significant."""
+    rows, columns = field.count.shape
+    cells = np.flatnonzero(field.count.ravel() > 0)
+    row, column = np.divmod(cells, columns)
+    middle = field.box[:2] + (np.column_stack([column, row]) + 0.5) * field.cell_size
+    significance = field.significance.ravel()
+    means = field.mean.reshape(-1, 2)
+
+    def title(cell: int) -> str:
+        count = int(field.count.ravel()[cell])
+        if count == 0:
+            return "no observation"
+        x, y = means[cell]
+        words = f"{plural(count, 'observation')}, mean {x:+.3f}, {y:+.3f} px"
+        if np.isfinite(significance[cell]):
+            words += f", significance {significance[cell]:.1f}"
+        return words
+
+    vectors = Vectors(
+        middle, factor * means[cells], is_bold=significance[cells] > SIGNIFICANT, cells=cells,
+        grid=(rows, columns), titles=tuple(map(title, range(rows * columns))),
+    )  # fmt: skip
+    note = f"lines {factor:g} times as long as residuals"
+    return over_image(field.box, "mean residual of each cell", "Mean residual", vectors, note=note)
+
+
+def direction_figure(field: ResidualField) -> Figure:
+    """Return residuals as dots, coloured by direction: clusters of a colour are systematic."""
+    dots = Dots(field.dots, directions=field.dot_residuals)
+    note = f"{len(field.dots):,} residuals"
+    return over_image(field.box, "directions of residuals", "Directions", dots, note=note)
+
+
+def cell_figure(field: ResidualField, name: str) -> Figure:
+    """Return a number of each cell, one of ``CELL_NUMBERS``."""
+    find: dict[str, Callable[[], Array]] = {
+        "significance": lambda: field.significance,
+        "magnitude": lambda: field.rms,
+        "count": lambda: np.where(field.count > 0, field.count, np.nan).astype(float),
+    }
+    values = find[name]()
+    known = values[np.isfinite(values)]
+    top = float(np.quantile(known, 0.98)) if len(known) else 1.0
+    top = max(top, 2 * SIGNIFICANT) if name == "significance" else top
+    title, unit = CELL_NUMBERS[name]
+    return over_image(field.box, name, title, Cells(values, top, unit))
+
+
+def profile_figure(field: ResidualField) -> Figure:
+    """Return mean residuals outwards and across, by distance from the principal point."""
+    profile = field.profile
+    parts = (
+        ("outwards", profile.radial, profile.radial_error),
+        ("across", profile.tangential, profile.tangential_error),
+    )
+    reach = [
+        sign * (np.abs(mean) + np.where(np.isfinite(error), error, 0.0))
+        for _, mean, error in parts
+        for sign in (-1, 1)
+    ]
+    heights = np.concatenate(reach)
+    heights = heights[np.isfinite(heights)] if np.isfinite(heights).any() else np.array([-1.0, 1.0])
+    return Figure(
+        name="radial_profile",
+        title="Radial profile",
+        x=linear([0.0, *profile.radius.tolist()], "distance from the principal point [px]"),
+        y=linear(heights.tolist(), "mean residual [px]", low=None),
+        marks=tuple(
+            Line(name, profile.radius, mean, colour=index, error=error)
+            for index, (name, mean, error) in enumerate(parts)
+        ),
+    )
+
+
+def image_figure(
+    image: ImageResiduals, factor: float | None = None, picture: object = None
+) -> Figure:
+    """Return the residuals of an image, from the measurement on.
+
+    Args:
+        image: whose residuals they are.
+        factor: by which lines are longer than residuals; None chooses a round one.
+        picture: the photograph below; None for none.
+    """
+    box = _frame(image)
+    if factor is None:
+        largest = float(np.hypot(*image.residual.T).max(initial=0.0))
+        size = float((box[2:] - box[:2]).max())
+        factor = round_down(LONGEST * size / largest) if largest > 0 else 1.0
+    words = f"{image_name(image)}: {plural(len(image.xy), 'residual')}"
+    if len(image.xy) < image.error.num_observations:
+        words = f"{image_name(image)}: the largest {len(image.xy)} residuals"
+    vectors = Vectors(image.xy, factor * image.residual)
+    marks = (vectors,) if picture is None else (Photo(picture), vectors)
+    note = f"{words}, {factor:g} times as long"
+    return over_image(box, f"residuals of {image_name(image)}", "", *marks, note=note)
+
+
+def image_name(image: ImageResiduals) -> str:
+    """Return the name of an image, or its id."""
+    return shown(image.error.name) or f"image {image.error.image_id}"
+
+
+def _frame(image: ImageResiduals) -> Array:
+    """Return the box of an image; that of its observations where its size is unknown."""
+    if min(image.size) > 0:
+        return np.array([0.0, 0.0, *image.size])
+    if len(image.xy) == 0:
+        return np.array([0.0, 0.0, 1.0, 1.0])
+    low, high = image.xy.min(axis=0), image.xy.max(axis=0)
+    margin = max(0.05 * float((high - low).max()), 1.0)
+    box: Array = np.concatenate([low - margin, high + margin])
+    return box

@@ -1,0 +1,283 @@
+"""Figures as markup of a page; colours are the page's, so that they suit light and dark."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from html import escape
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bundle.figures.axes import Axis, short
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import (
+    Array,
+    Bars,
+    Dots,
+    Ellipses,
+    Line,
+    Places,
+    StackedBars,
+    Steps,
+    Vectors,
+)
+from bundle.reports.page.bars import COLOURS, bars, stacked_bars
+from bundle.reports.page.page import tag
+from bundle.reports.page.svg_planes import plane
+
+__all__ = ["BOTTOM", "HEIGHT", "LEFT", "RIGHT", "TOP", "WIDTH", "draw", "drawing", "grid"]
+
+WIDTH, HEIGHT = 480, 320
+LEFT, RIGHT, TOP, BOTTOM = 58, 12, 10, 44
+DASHES = (None, "7 4", "2 3", "9 3 2 3")
+LETTER = 7.4
+"""Width of a letter of a label."""
+
+
+def draw(figure: Figure, heading: str = "h3") -> str:
+    """Return a figure with its title and its note.
+
+    Args:
+        figure: to draw.
+        heading: element of the title.
+    """
+    title = tag(heading, escape(figure.title)) if figure.title else ""
+    note = tag("figcaption", escape(figure.note)) if figure.note else ""
+    return tag("figure", title, drawing(figure), note, data_figure=figure.name)
+
+
+def grid(figures: Iterable[Figure], heading: str = "h3", class_: str = "grid") -> str:
+    """Return figures beside each other."""
+    return tag("div", *(draw(figure, heading) for figure in figures), class_=class_)
+
+
+def drawing(figure: Figure) -> str:
+    """Return the figure alone, and its legend."""
+    if figure.is_image:
+        return plane(figure)
+    for mark in figure.marks:
+        if isinstance(mark, Bars):
+            return bars(mark)
+        if isinstance(mark, StackedBars):
+            return stacked_bars(mark)
+    chart = _Chart(figure.x, figure.y)
+    # Bands and places lie below lines, error bars and dots above them.
+    layers = [
+        [chart.band(mark) for mark in figure.marks if isinstance(mark, Line)],
+        [chart.places(mark) for mark in figure.marks if isinstance(mark, Places)],
+        [chart.mark(mark) for mark in figure.marks],
+        [chart.dots_of_line(mark) for mark in figure.marks if isinstance(mark, Line)],
+    ]
+    label = f"{figure.y.label} against {figure.x.label}"
+    inside = [part for layer in layers for part in layer]
+    made = tag(
+        "svg", *chart.axes(), *inside,
+        viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", aria_label=label,
+    )  # fmt: skip
+    return made + _legend(figure.legend) if figure.legend else made
+
+
+class _Chart:
+    """The area of a chart, and how marks stand on it."""
+
+    def __init__(self, x: Axis, y: Axis) -> None:
+        self._x, self._y = x, y
+
+    def place(self, x: float, y: float) -> tuple[float, float]:
+        """Return where a point of the axes falls in the drawing."""
+        return self._across(x), HEIGHT - BOTTOM - self._y(y) * (HEIGHT - TOP - BOTTOM)
+
+    def _across(self, x: float) -> float:
+        return LEFT + self._x(x) * (WIDTH - LEFT - RIGHT)
+
+    def axes(self) -> list[str]:
+        """Return grid lines, ticks and labels."""
+        right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
+        parts = []
+        for tick in self._x.ticks:
+            place = self._across(tick)
+            x, anchor, words = f"{place:.1f}", "middle", escape(short(tick))
+            parts.append(tag("line", class_="line", x1=x, x2=x, y1=TOP, y2=bottom))
+            if place + 3.8 * len(words) > WIDTH:  # half of its width
+                x, anchor = f"{WIDTH - 1}", "end"
+            parts.append(tag("text", words, class_="tick", x=x, y=bottom + 16, text_anchor=anchor))
+        for tick in self._y.ticks:
+            y = self.place(self._x.low, tick)[1]
+            at = f"{y:.1f}"
+            parts.append(tag("line", class_="line", x1=LEFT, x2=right, y1=at, y2=at))
+            words = escape(short(tick))
+            parts.append(
+                tag("text", words, class_="tick", x=LEFT - 6, y=f"{y + 4:.1f}", text_anchor="end")
+            )
+        middle = (LEFT + right) / 2
+        label = escape(self._x.label)
+        parts.append(tag("text", label, x=middle, y=HEIGHT - 6, text_anchor="middle"))
+        turned = f"translate(14 {(TOP + bottom) / 2}) rotate(-90)"
+        parts.append(tag("text", escape(self._y.label), transform=turned, text_anchor="middle"))
+        return parts
+
+    def mark(self, mark: Any) -> str:
+        """Return a mark; nothing where it has no points on the axes."""
+        draw = self._KINDS.get(type(mark))
+        return "" if draw is None else draw(self, mark)
+
+    def _line(self, line: Line) -> str:
+        path = "" if line.is_dotted else self._path(line.x, line.y)
+        return _curve(line, path) if path else ""
+
+    def _steps(self, steps: Steps) -> str:
+        if len(steps.x) == 0:
+            return ""
+        y = [*steps.y.tolist(), *steps.y[-1:].tolist()][: len(steps.x)]
+        (x0, y0), *corners = (self.place(a, b) for a, b in zip(steps.x.tolist(), y, strict=True))
+        path = f"M{x0:.1f} {y0:.1f}" + "".join(f"H{a:.1f}V{b:.1f}" for a, b in corners)
+        return _curve(steps, path)
+
+    def _dots(self, dots: Dots) -> str:
+        at = [self.place(x, y) for x, y in dots.xy.tolist()]
+        names = dots.names or ("",) * len(at)
+        colours = dots.colours or (0,) * len(at)
+        parts = [
+            tag("circle", tag("title", escape(name)), cx=f"{x:.1f}", cy=f"{y:.1f}", r=3.4,
+                style=f"fill:var(--c{colour % COLOURS})")
+            for (x, y), name, colour in zip(at, names, colours, strict=True)
+        ]  # fmt: skip
+        return "".join([*parts, *(_labels(at, names) if dots.is_labelled else [])])
+
+    def _ellipses(self, mark: Ellipses) -> str:
+        parts = []
+        for outline in mark.outlines():
+            points = "L".join(f"{x:.1f} {y:.1f}" for x, y in map(self._pair, outline))
+            style = f"stroke:var(--c{mark.colour})"
+            parts.append(tag("path", d=f"M{points}Z", class_="ellipse", style=style))
+        return "".join(parts)
+
+    def _vectors(self, mark: Vectors) -> str:
+        style = f"stroke:var(--c{mark.colour});stroke-width:1.6;fill:none"
+        unit = (HEIGHT - TOP - BOTTOM) / (self._y.high - self._y.low)
+        return "".join(
+            tag("path", d=f"M{x:.1f} {y:.1f}l{dx * unit:.1f} {-dy * unit:.1f}", style=style)
+            for (x, y), (dx, dy) in zip(map(self._pair, mark.at), mark.step.tolist(), strict=True)
+        )
+
+    _KINDS: ClassVar[dict[type, Callable[..., str]]] = {
+        Line: _line, Steps: _steps, Dots: _dots, Ellipses: _ellipses, Vectors: _vectors,
+    }  # fmt: skip
+
+    def _pair(self, xy: Array) -> tuple[float, float]:
+        return self.place(float(xy[0]), float(xy[1]))
+
+    def band(self, line: Line) -> str:
+        """Return one standard deviation to both sides of a line."""
+        if line.sigma is None:
+            return ""
+        there = self._path(line.x, line.y + line.sigma)
+        back = self._path(line.x[::-1], (line.y - line.sigma)[::-1])
+        if not there or not back:
+            return ""
+        style = f"fill:var(--c{_colour(line)});fill-opacity:0.22;stroke:none"
+        return tag("path", d=f"{there}L{back[1:]}Z", style=style, class_="band")
+
+    def dots_of_line(self, line: Line) -> str:
+        """Return a dot for each value that no line joins, and standard errors."""
+        lonely = line.is_dotted or len(line.x) == 1
+        if not lonely and line.error is None:
+            return ""
+        parts = []
+        errors = np.full(len(line.x), np.nan) if line.error is None else line.error
+        for x, y, error in zip(line.x.tolist(), line.y.tolist(), errors.tolist(), strict=True):
+            if not self._stands(x, y):
+                continue
+            paint = f"var(--c{_colour(line)})"
+            across, up = (f"{value:.1f}" for value in self.place(x, y))
+            if math.isfinite(error):
+                low, high = (f"{self.place(x, y + k * error)[1]:.1f}" for k in (-1, 1))
+                style = f"stroke:{paint}"
+                parts.append(tag("line", x1=across, x2=across, y1=low, y2=high, style=style))
+            name = tag("title", escape(line.label)) if lonely else ""
+            parts.append(tag("circle", name, cx=across, cy=up, r=2.6, style=f"fill:{paint}"))
+        return "".join(parts)
+
+    def places(self, mark: Places) -> str:
+        """Return a dashed vertical line with its label at each place."""
+        at = {label: value for label, value in mark.at.items() if math.isfinite(value)}
+        parts = []
+        for level, (label, value) in enumerate(at.items()):
+            share, x = self._x(value), f"{self._across(value):.1f}"
+            parts.append(tag("line", class_="mark", x1=x, x2=x, y1=TOP, y2=HEIGHT - BOTTOM))
+            left = share > 0.5
+            # Beside the outermost line of its half, so that no line crosses it.
+            half = [self._across(v) for v in at.values() if (self._x(v) > 0.5) == left]
+            beside = min(half) - 5 if left else max(half) + 5
+            parts.append(
+                tag("text", escape(label), class_="tick", x=f"{beside:.1f}",
+                    y=TOP + 14 + 16 * level, text_anchor="end" if left else "start")
+            )  # fmt: skip
+        return "".join(parts)
+
+    def _stands(self, x: float, y: float) -> bool:
+        """Tell whether a point has a place: on a logarithmic axis, 0 and below have none."""
+        return (
+            math.isfinite(x) and math.isfinite(y)
+            and (x > 0 or not self._x.is_logarithmic) and (y > 0 or not self._y.is_logarithmic)
+        )  # fmt: skip
+
+    def _path(self, x: Array, y: Array) -> str:
+        pieces, pen = [], "M"
+        for a, b in zip(x.tolist(), y.tolist(), strict=True):
+            if self._stands(a, b):
+                across, up = self.place(a, b)
+                pieces.append(f"{pen}{across:.1f} {up:.1f}")
+            pen = "L" if self._stands(a, b) else "M"
+        return "".join(pieces)
+
+
+def _colour(mark: Line | Steps) -> int:
+    return (mark.colour or 0) % COLOURS
+
+
+def _curve(mark: Line | Steps, path: str) -> str:
+    title = tag("title", escape(mark.label)) if mark.label else ""
+    return tag("path", title, d=path, **_look(mark))
+
+
+def _look(mark: Line | Steps) -> dict[str, str | None]:
+    """Return the attributes of a path that is drawn as a curve."""
+    return {
+        "class_": "curve",
+        "style": f"stroke:var(--c{_colour(mark)})",
+        "stroke_dasharray": DASHES[mark.dash % len(DASHES)],
+    }
+
+
+def _legend(marks: Iterable[Line | Steps]) -> str:
+    """Return labels beside strokes."""
+    entries = []
+    for mark in marks:
+        stroke = tag("path", d="M0 5H30", **_look(mark))
+        swatch = tag("svg", stroke, viewBox="0 0 30 10", aria_hidden="true")
+        entries.append(tag("li", swatch, escape(mark.label)))
+    return tag("ul", *entries, class_="legend")
+
+
+def _labels(dots: list[tuple[float, float]], names: Iterable[str]) -> list[str]:
+    """Return the names that have room beside their dots."""
+    taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in dots]
+    parts = []
+    for (x, y), name in zip(dots, names, strict=True):
+        width = LETTER * len(name)
+        for left in (x + 6, x - 6 - width):
+            box = (left, y - 7, left + width, y + 7)
+            others = [other for other in taken if other != (x - 4, y - 4, x + 4, y + 4)]
+            inside = box[0] > LEFT and box[2] < WIDTH - RIGHT and box[1] > TOP
+            if inside and not any(_meet(box, other) for other in others):
+                taken.append(box)
+                at = {"x": f"{left:.1f}", "y": f"{y + 4:.1f}"}
+                parts.append(tag("text", escape(name), class_="tick", **at))
+                break
+    return parts
+
+
+def _meet(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]

@@ -1,0 +1,167 @@
+"""Figures over an image plane as markup: cells by darkness, vectors, dots, photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from html import escape
+from typing import Any, ClassVar
+
+import numpy as np
+
+from bundle.figures.axes import short
+from bundle.figures.directions import direction_colours
+from bundle.figures.drawing import Figure
+from bundle.figures.marks import Array, Cells, Dots, Photo, Vectors
+from bundle.reports.page.contours import contours
+from bundle.reports.page.image import data_uri
+from bundle.reports.page.page import tag
+
+__all__ = ["plane"]
+
+WIDTH = 400.0
+PAD = 2.0
+BELOW = 18.0
+DOTS_WIDE = 560
+
+
+def plane(figure: Figure) -> str:
+    """Return a drawing in the shape of the image, its corners written below, and what explains it.
+
+    The drawing is 400 wide, or 600 high where it would be higher.
+    """
+    area = _Plane(figure)
+    content = [area.mark(mark) for mark in figure.marks]
+    size = {"width": f"{area.width:.1f}", "height": f"{area.height:.1f}"}
+    y = f"{area.height + 2 * PAD + 13:.1f}"
+    frame = tag("rect", class_="plane", x=PAD, y=PAD, **size)
+    corners = [
+        tag("text", f"{figure.x.low:.0f}, {figure.y.low:.0f}", class_="tick", x=PAD, y=y),
+        tag("text", f"{figure.x.high:.0f}, {figure.y.high:.0f} px", class_="tick",
+            x=f"{PAD + area.width:.1f}", y=y, text_anchor="end"),
+    ]  # fmt: skip
+    view = f"0 0 {area.width + 2 * PAD:.1f} {area.height + 2 * PAD + BELOW:.1f}"
+    photographed = any(isinstance(mark, Photo) for mark in figure.marks)
+    drawing = tag(
+        "svg", frame, *content, *corners, viewBox=view, role="img", aria_label=figure.name,
+        class_="photographed" if photographed else None,
+    )  # fmt: skip
+    return drawing + "".join(map(_scale, figure.marks))
+
+
+class _Plane:
+    """The area of an image, and how marks stand on it."""
+
+    def __init__(self, figure: Figure) -> None:
+        self._corner = np.array([figure.x.low, figure.y.low])
+        self._size = np.array([figure.x.high, figure.y.high]) - self._corner
+        height = WIDTH * float(self._size[1] / self._size[0])
+        limit = 1.5 * WIDTH
+        self.width, self.height = (
+            (WIDTH, height) if height <= limit else (WIDTH * limit / height, limit)
+        )
+        self._unit = self.width / float(self._size[0])
+        self._photographed = any(isinstance(mark, Photo) for mark in figure.marks)
+
+    def mark(self, mark: Any) -> str:
+        """Return a mark."""
+        return self._KINDS[type(mark)](self, mark)
+
+    def _cells(self, mark: Cells) -> str:
+        rows, columns = mark.values.shape
+        wide, high = self.width / columns, self.height / rows
+        drawn = []
+        for cell, value in enumerate(mark.values.ravel().tolist()):
+            if not np.isfinite(value):
+                continue
+            row, column = divmod(cell, columns)
+            share = min(value / mark.top, 1.0) if mark.top > 0 else 0.0
+            title = tag("title", escape(mark.titles[cell])) if mark.titles else ""
+            drawn.append(
+                tag("rect", title, data_cell=cell, x=f"{PAD + column * wide:.1f}",
+                    y=f"{PAD + row * high:.1f}", width=f"{wide + 0.2:.1f}",
+                    height=f"{high + 0.2:.1f}", fill_opacity=f"{share:.3f}")
+            )  # fmt: skip
+        lines = contours(mark.values, mark.levels, (wide, high), PAD) if mark.levels else ""
+        return tag("g", *drawn, class_="heat") + lines
+
+    def _vectors(self, mark: Vectors) -> str:
+        start, step = self._places(mark.at), self._unit * mark.step
+        if mark.cells is None or mark.is_bold is None:
+            path = "".join(
+                f"M{x:.1f} {y:.1f}l{dx:.1f} {dy:.1f}"
+                for (x, y), (dx, dy) in zip(start.tolist(), step.tolist(), strict=True)
+            )
+            casing = tag("path", d=path, class_="casing") if self._photographed else ""
+            return casing + tag("path", d=path, class_="residuals") if path else ""
+        drawn = []
+        for (x, y), (dx, dy), bold, cell in zip(
+            start.tolist(), step.tolist(), mark.is_bold, mark.cells, strict=True
+        ):
+            path = f"M{x:.2f} {y:.2f}l{dx:.2f} {dy:.2f}"
+            drawn.append(tag("path", d=path, data_cell=cell, class_="bold" if bold else None))
+            drawn.append(tag("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=1.2))
+        return tag("g", *drawn, class_="vectors") + self._areas(mark)
+
+    def _areas(self, mark: Vectors) -> str:
+        """Return a transparent area with its title for each cell."""
+        rows, columns = mark.grid
+        wide, high = self.width / columns, self.height / rows
+        areas = []
+        for cell, title in enumerate(mark.titles):
+            row, column = divmod(cell, columns)
+            areas.append(
+                tag("rect", tag("title", escape(title)), class_="area",
+                    x=f"{PAD + column * wide:.1f}", y=f"{PAD + row * high:.1f}",
+                    width=f"{wide:.1f}", height=f"{high:.1f}")
+            )  # fmt: skip
+        return "".join(areas)
+
+    def _dots(self, mark: Dots) -> str:
+        """Return dots as a picture, coloured by direction: there are thousands."""
+        vectors = np.ones((len(mark.xy), 2)) if mark.directions is None else mark.directions
+        across, down = DOTS_WIDE, max(round(DOTS_WIDE * self.height / self.width), 1)
+        image = np.zeros((down, across, 4), np.uint8)
+        share = (mark.xy - self._corner) / self._size
+        x = (share[:, 0] * across).astype(int)
+        y = (share[:, 1] * down).astype(int)
+        colours = direction_colours(vectors)
+        for dx in (-1, 0, 1):
+            for dy in (-1, 0, 1):
+                place = np.clip(y + dy, 0, down - 1), np.clip(x + dx, 0, across - 1)
+                image[(*place, slice(0, 3))] = colours
+                image[(*place, 3)] = 255
+        return self._picture(data_uri(image), "dots")
+
+    def _photo(self, mark: Photo) -> str:
+        return self._picture(str(mark.picture), None)
+
+    def _picture(self, address: str, kind: str | None) -> str:
+        return tag(
+            "image", href=address, x=PAD, y=PAD, width=f"{self.width:.1f}",
+            height=f"{self.height:.1f}", preserveAspectRatio="none", class_=kind,
+        )  # fmt: skip
+
+    _KINDS: ClassVar[dict[type, Callable[..., str]]] = {
+        Cells: _cells, Vectors: _vectors, Dots: _dots, Photo: _photo,
+    }  # fmt: skip
+
+    def _places(self, xy: Array) -> Array:
+        places: Array = PAD + self._unit * (xy - self._corner)
+        return places
+
+
+def _scale(mark: Any) -> str:
+    """Return what explains the shades or colours of a mark."""
+    if isinstance(mark, Cells):
+        words = f"{short(float(f'{mark.top:.3g}'))} {mark.unit}".strip()
+        ends = [tag("span", "0"), tag("span", class_="ramp"), tag("span", escape(words))]
+        return tag("p", *ends, class_="scale")
+    if not isinstance(mark, Dots):
+        return ""
+    parts = []
+    for index, name in enumerate(("right", "down", "left", "up")):
+        angle = 0.5 * np.pi * index
+        red, green, blue = direction_colours(np.array([[np.cos(angle), np.sin(angle)]]))[0]
+        colour = f"background:rgb({red},{green},{blue})"
+        parts.append(tag("li", tag("span", class_="swatch", style=colour), name))
+    return tag("ul", *parts, class_="legend")
