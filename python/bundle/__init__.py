@@ -364,7 +364,7 @@ class _OtherNames:
             return None
         from bundle.base.former_names import spec_of
 
-        return spec_of(name)
+        return spec_of(name, _MODULES)
 
 
 class _BelowPublicNames:

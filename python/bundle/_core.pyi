@@ -2,34 +2,52 @@
 
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bundle.model.pose_graph_arrays import PoseGraph
-from bundle.model.problem import Problem
-from bundle.solving.constraints.restrictions import Restrictions
-from bundle.solving.ranks.divided_solve import Ranks
-from bundle.solving.ranks.partition import ProblemPart
-
 __version__: str
+
+# The classes above that the core reads, by some of their arrays.
+class _Problem(Protocol):
+    @property
+    def points(self) -> NDArray[np.float64]: ...
+    @property
+    def observation_xy(self) -> NDArray[np.float64]: ...
+
+class _PoseGraph(Protocol):
+    @property
+    def poses(self) -> NDArray[np.float64]: ...
+    @property
+    def measurements(self) -> NDArray[np.float64]: ...
+
+class _Restrictions(Protocol):
+    @property
+    def held_pose_parts(self) -> NDArray[np.uint8] | None: ...
+    @property
+    def camera_tie(self) -> NDArray[np.int32] | None: ...
+
+class _Ranks(Protocol):
+    rank: int
+    num_ranks: int
+    traffic: dict[str, list[float]]
 
 class InputError(ValueError): ...
 class NotEnoughMemoryError(InputError): ...
 
 # bind_problem.cpp
-def validate(problem: Problem) -> None: ...
+def validate(problem: _Problem) -> None: ...
 def freeze(array: NDArray[Any]) -> NDArray[Any]: ...
 def is_immutable(array: NDArray[Any]) -> bool: ...
 def reprojection_errors(
-    problem: Problem, num_threads: int, cheirality: str
+    problem: _Problem, num_threads: int, cheirality: str
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
 def reprojection_residuals(
-    problem: Problem, num_threads: int, cheirality: str
+    problem: _Problem, num_threads: int, cheirality: str
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]: ...
 def linearize(
-    problem: Problem, cheirality: str, rotation_offsets: NDArray[np.float64]
+    problem: _Problem, cheirality: str, rotation_offsets: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 
 # bind_cameras.cpp
@@ -201,19 +219,19 @@ def option_choices() -> dict[str, list[str]]: ...
 def reason_for_ceres(options: dict[str, Any]) -> str: ...
 def watch_convergence(iterations: dict[str, Any], advice: str) -> str: ...
 def solve(
-    problem: Problem,
+    problem: _Problem,
     options: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
-    restrictions: Restrictions | None = None,
+    restrictions: _Restrictions | None = None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
 ) -> dict[str, Any]: ...
 def solve_part(
-    problem: ProblemPart,
+    problem: _Problem,
     options: dict[str, Any],
     progress: Callable[[dict[str, Any]], None] | None,
-    restrictions: Restrictions | None,
+    restrictions: _Restrictions | None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
-    ranks: Ranks,
+    ranks: _Ranks,
     image_is_observed: NDArray[np.uint8],
 ) -> dict[str, Any]: ...
 def num_point_sections(num_observations: int) -> int: ...
@@ -227,24 +245,24 @@ def add_twofold(
 class Solver:
     def __init__(
         self,
-        problem: Problem,
+        problem: _Problem,
         options: dict[str, Any],
-        restrictions: Restrictions | None = None,
+        restrictions: _Restrictions | None = None,
         factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
     ) -> None: ...
-    def check_structure(self, problem: Problem) -> None: ...
+    def check_structure(self, problem: _Problem) -> None: ...
     def solve(
         self,
-        problem: Problem,
+        problem: _Problem,
         options: dict[str, Any] | None,
         progress: Callable[[dict[str, Any]], None] | None,
     ) -> dict[str, Any]: ...
 
 # bind_covariance.cpp
 def covariance(
-    problem: Problem,
+    problem: _Problem,
     options: dict[str, Any],
-    restrictions: Restrictions | None,
+    restrictions: _Restrictions | None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
     inner: bool,
     sandwich: bool,
@@ -254,18 +272,18 @@ def covariance(
 
 # bind_rest.cpp
 def marginalize_rest(
-    problem: Problem,
+    problem: _Problem,
     options: dict[str, Any],
-    restrictions: Restrictions | None,
+    restrictions: _Restrictions | None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
     images: list[int],
     frames: list[int],
     cameras: list[int],
 ) -> dict[str, Any]: ...
 def free_similarities(
-    problem: Problem,
+    problem: _Problem,
     options: dict[str, Any],
-    restrictions: Restrictions | None,
+    restrictions: _Restrictions | None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None,
     images: list[int],
     frames: list[int],
@@ -291,13 +309,13 @@ def manifold_plus(
     manifold: tuple[str, list[int]], x: NDArray[np.float64], delta: NDArray[np.float64]
 ) -> NDArray[np.float64]: ...
 def spot_check(
-    problem: Problem,
+    problem: _Problem,
     options: dict[str, Any],
     rotation_offsets: NDArray[np.float64],
     lie: Callable[[int, NDArray[np.float64]], NDArray[np.float64]] | None,
 ) -> str: ...
 def check_reprojections(
-    problem: Problem,
+    problem: _Problem,
     observations: NDArray[np.int64],
     offsets: NDArray[np.float64],
     cheirality: str,
@@ -328,18 +346,18 @@ def count_factor(
     order: NDArray[np.int32],
 ) -> dict[str, Any]: ...
 def reduced_pattern(
-    problem: Problem, options: dict[str, Any]
+    problem: _Problem, options: dict[str, Any]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...
 
 MOST_ENTRIES_FOR_AMD: int
 
 def ordered_full_pattern(
-    problem: Problem, options: dict[str, Any], most_entries: int
+    problem: _Problem, options: dict[str, Any], most_entries: int
 ) -> tuple[
     tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]], NDArray[np.int32], bool
 ]: ...  # full_pattern, an order of its blocks, whether that has the points first
 def full_pattern(
-    problem: Problem, options: dict[str, Any]
+    problem: _Problem, options: dict[str, Any]
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int32]]: ...
 
 # bind_synthetic.cpp
@@ -385,10 +403,10 @@ class SyntheticImages:
 
 # bind_diagnosis.cpp
 def reduced_spectrum(
-    problem: Problem,
+    problem: _Problem,
     options: dict[str, Any],
     image_piece: NDArray[np.int32],
-    restrictions: Restrictions | None = None,
+    restrictions: _Restrictions | None = None,
     factors: tuple[list[Any], list[Any], list[tuple[str, int]]] | None = None,
     num_modes: int = 8,
 ) -> dict[str, Any]: ...
@@ -402,8 +420,8 @@ def sums_are_twofold(
 def available_memory() -> float: ...
 
 # size, image_block, sensor_block, camera_block: NDArray[np.int32]; point_is_free: bool
-def parameter_blocks(problem: Problem, options: dict[str, Any]) -> dict[str, Any]: ...
-def elimination_plan(problem: Problem, options: dict[str, Any]) -> dict[str, int]: ...
+def parameter_blocks(problem: _Problem, options: dict[str, Any]) -> dict[str, Any]: ...
+def elimination_plan(problem: _Problem, options: dict[str, Any]) -> dict[str, int]: ...
 def auto_choice(
     sizes: NDArray[np.int32],
     column_begin: NDArray[np.int64],
@@ -523,9 +541,9 @@ def propagate(
 
 # bind_pose_graph.cpp
 def read_g2o(path: str | os.PathLike[str]) -> dict[str, Any]: ...
-def write_g2o(path: str | os.PathLike[str], graph: PoseGraph, compression: str) -> None: ...
+def write_g2o(path: str | os.PathLike[str], graph: _PoseGraph, compression: str) -> None: ...
 def solve_pose_graph(
-    graph: PoseGraph,
+    graph: _PoseGraph,
     held: NDArray[np.bool_],
     robust: NDArray[np.bool_],
     options: dict[str, Any],
@@ -533,28 +551,28 @@ def solve_pose_graph(
 ) -> dict[str, Any]: ...
 def pose_components(num_poses: int, edges: NDArray[np.int32]) -> list[int]: ...
 def graph_covariance(
-    graph: PoseGraph,
+    graph: _PoseGraph,
     error: str,
     inner: bool,
     of_edges: bool,
     relative: list[tuple[int, int]],
     num_threads: int,
 ) -> dict[str, Any]: ...
-def auto_ordering(graph: PoseGraph, held: NDArray[np.bool_]) -> str: ...
+def auto_ordering(graph: _PoseGraph, held: NDArray[np.bool_]) -> str: ...
 def graph_spectrum(
-    graph: PoseGraph,
+    graph: _PoseGraph,
     held: NDArray[np.bool_],
     error: str,
     null_directions: NDArray[np.float64],
     num_threads: int,
 ) -> dict[str, Any]: ...
-def hold_poses(graph: PoseGraph) -> tuple[NDArray[np.bool_], int, list[int]]: ...
+def hold_poses(graph: _PoseGraph) -> tuple[NDArray[np.bool_], int, list[int]]: ...
 def find_bad_information(information: NDArray[np.float64]) -> list[int]: ...
-def edge_chi2(graph: PoseGraph, error: str) -> NDArray[np.float64]: ...
+def edge_chi2(graph: _PoseGraph, error: str) -> NDArray[np.float64]: ...
 def initial_poses(
-    graph: PoseGraph, held: NDArray[np.bool_], init: str, num_threads: int
+    graph: _PoseGraph, held: NDArray[np.bool_], init: str, num_threads: int
 ) -> NDArray[np.float64]: ...
-def odometry_gap(graph: PoseGraph) -> tuple[int, int]: ...
+def odometry_gap(graph: _PoseGraph) -> tuple[int, int]: ...
 def solve_edge_system(
     edges: NDArray[np.int32],
     diagonal: NDArray[np.float64],

@@ -12,8 +12,6 @@ from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from types import ModuleType
 
-from bundle import _MODULES
-
 __all__ = ["FORMER", "spec_of"]
 
 FORMER = {
@@ -140,13 +138,18 @@ FORMER = {
 """Former modules of public classes and of what they hold, without the package's name."""
 
 
-def spec_of(name: str) -> ModuleSpec | None:
-    """Return the spec of a module by its public or former name; None: there is no such name."""
+def spec_of(name: str, public_modules: dict[str, str]) -> ModuleSpec | None:
+    """Return the spec of a module by its public or former name; None: there is no such name.
+
+    Args:
+        name: as in an import.
+        public_modules: the place of each, without the package's name.
+    """
     short = name.removeprefix("bundle.")
-    place = _MODULES.get(short) or FORMER.get(short)
+    place = public_modules.get(short) or FORMER.get(short)
     public, _, below = short.partition(".")
-    if place is None and below and public in _MODULES:
-        place = f"{_MODULES[public]}.{below}"
+    if place is None and below and public in public_modules:
+        place = f"{public_modules[public]}.{below}"
         if find_spec(f"bundle.{place}") is None:
             return None
     if place is not None:

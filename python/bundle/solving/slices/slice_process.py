@@ -135,4 +135,4 @@ class Process:
 
 
 def _errors_of(part: ProblemPart, num_threads: int, cheirality: str) -> tuple[Any, Any]:
-    return _core.reprojection_errors(part, num_threads, cheirality)  # type: ignore[arg-type]
+    return _core.reprojection_errors(part, num_threads, cheirality)
