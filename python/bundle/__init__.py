@@ -106,9 +106,10 @@ if TYPE_CHECKING:
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.free_degrees import GaugeFreedom, gauge_freedom
     from bundle.solving.result import Result
-    from bundle.solving.rounds.adjust_and_filter import solve_rounds
     from bundle.solving.rounds.filtering import Filtered, filter_observations
-    from bundle.solving.solver import Solver, solve
+    from bundle.solving.rounds.solve_rounds import solve_rounds
+    from bundle.solving.solve import solve
+    from bundle.solving.solver import Solver
     from bundle.synthetic.flight.synthetic_flight import SyntheticFlight, synthesize_flight
     from bundle.synthetic.synthesis import SyntheticScene, synthesize
 
@@ -331,9 +332,10 @@ _DEFERRED = {
     "solving.constraints.rule_list": ("Constraints",),
     "solving.free_degrees": ("GaugeFreedom", "gauge_freedom"),
     "solving.result": ("Result",),
-    "solving.rounds.adjust_and_filter": ("solve_rounds",),
     "solving.rounds.filtering": ("Filtered", "filter_observations"),
-    "solving.solver": ("Solver", "solve"),
+    "solving.rounds.solve_rounds": ("solve_rounds",),
+    "solving.solve": ("solve",),
+    "solving.solver": ("Solver",),
     "synthetic.flight.synthetic_flight": ("SyntheticFlight", "synthesize_flight"),
     "synthetic.synthesis": ("SyntheticScene", "synthesize"),
 }

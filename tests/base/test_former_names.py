@@ -17,6 +17,10 @@ from tests.rig_scenes import rig_problem
 STAYED = ("checking", "errors", "georeference", "synthetic", "_core")
 """Rooms, and the core, whose modules have the names of before."""
 
+NEW = ("solving.request",)
+"""Modules of classes that were not there before."""
+
+RULES = bundle.Constraints("cameras *: f prior 2 %", "image 1: rotation fixed")
 POSE, MOVED = np.array([0, 0, 0, 1.0, 0, 0, 0]), np.array([0, 0, 0, 1.0, 1, 0, 0])
 """Two poses."""
 
@@ -26,8 +30,7 @@ def held():
     """Objects of all kinds that users keep in pickles."""
     scene = resumes.make_scene(40)
     factor = bundle.PositionFactor(("image", 1), scene.projection_centers[0], 1e4)
-    rules = bundle.Constraints("cameras *: f prior 2 %", "image 1: rotation fixed")
-    known = {"factors": [factor], "constraints": rules}
+    known = {"factors": [factor], "constraints": RULES}
     solved = bundle.solve_rounds(scene, num_rounds=1, max_num_iterations=3, **known)
     part = {"only_images": "1-3", "rest": "marginal", "num_rounds": 0}
     poses = bundle.PoseGraph(
@@ -52,7 +55,7 @@ def held():
         bundle.WindowOptions(),
         bundle.PositionPrior("a.jpg", (1, 2, 3), (1, 2)),
         bundle.GroundControlPoint(name="a", position=(1, 2, 3), measurements=[("a", 1.0, 2.0)]),
-        rules,
+        RULES,
         solved,
         solved.summary,
         solved.gauge_freedom,
@@ -114,7 +117,7 @@ def test_pickles_of_before_the_move_load(held):
         assert pickle.dumps(loaded, protocol=3)
     moved = {name.removeprefix("bundle.") for name in places}
     moved = {name for name in moved if name.split(".")[0] not in STAYED}
-    assert moved <= {*FORMER.values()}, "classes that no former name leads to"
+    assert moved <= {*FORMER.values(), *NEW}, "classes that no former name leads to"
 
 
 @pytest.mark.parametrize("name", sorted(FORMER))
@@ -133,6 +136,24 @@ def test_former_names_are_the_modules_themselves(name):
 def test_public_classes_have_a_former_name_or_stayed(name):
     place = getattr(bundle, name).__module__.removeprefix("bundle.")
     assert place in FORMER.values() or place.split(".")[0] in STAYED
+
+
+def test_a_covariance_of_before_there_were_requests_computes_relative_poses():
+    scene = resumes.make_scene(40)
+    factors = (bundle.PositionFactor(("image", 1), scene.projection_centers[0], 1e4),)
+    given = {"bounds": None, "priors": (), "factors": factors}
+    now = bundle.covariance(scene, of="poses", scale="sigma0", constraints=RULES, **given)
+    recipe = now._relative.__self__
+    before = object.__new__(type(recipe))
+    before.__setstate__(
+        {
+            **given,
+            **{"given": scene, "options": recipe.request.options, "constraints": RULES},
+            **{"of": ("poses",), "gauge": "inner", "scale": "sigma0", "robust": "weights"},
+        }
+    )
+    found = before.compute([(1, 3)]).relative_covariance[0]
+    np.testing.assert_array_equal(found, now.relative(1, 3))
 
 
 def test_the_functions_that_pickles_call_are_where_they_were():

@@ -163,7 +163,7 @@ def test_output_is_refused_before_the_solve(run, model, monkeypatch):
     def solve(*_arguments, **_options):
         pytest.fail("solved for nothing")
 
-    monkeypatch.setattr("bundle.solving.solver.solve", solve)
+    monkeypatch.setattr("bundle.solving.rounds.solve_rounds.solve_prepared", solve)
     assert_refused(run("refine", model, "-o", "no/such/r.txt", "--quiet"), "no/such")
 
 

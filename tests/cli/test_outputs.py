@@ -35,7 +35,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.fail("worked for nothing")
 
     for name in (
-        "bundle.solving.solver.solve",
+        "bundle.solving.rounds.solve_rounds.solve_prepared",
         "bundle.synthetic.synthesis.synthesize",
         "bundle.analysis.statistics.description.describe",
     ):
@@ -182,7 +182,8 @@ def test_bal_output_that_the_solve_would_make_impossible(
     if refused:
         with monkeypatch.context() as patch:
             patch.setattr(
-                "bundle.solving.solver.solve", lambda *_, **__: pytest.fail("solved for nothing")
+                "bundle.solving.rounds.solve_rounds.solve_prepared",
+                lambda *_, **__: pytest.fail("solved for nothing"),
             )
             assert_refused(run(*arguments), model, "BAL")
         assert not (tmp_path / "out.txt").exists()

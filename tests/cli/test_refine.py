@@ -200,11 +200,11 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
     assert not [name for name, value in wanted.asdict().items() if value == defaults[name]]
     seen = []
 
-    def solve(problem, options, **_):
-        seen.append(options)
-        return fakes.result(problem)
+    def solve(prepared, _):
+        seen.append(prepared.options)
+        return fakes.result(prepared.start)
 
-    monkeypatch.setattr("bundle.solving.solver.solve", solve)
+    monkeypatch.setattr("bundle.solving.rounds.solve_rounds.solve_prepared", solve)
     code, _, err = run(
         "refine", model, "-o", tmp_path / "r.txt", "--backend", "CERES", "--solver",
         "ITERATIVE_SCHUR", "--ordering", "automatic", "--preconditioner", "schur-jacobi",
@@ -229,11 +229,10 @@ def test_every_flag_reaches_the_solve(run, model, tmp_path, monkeypatch):
     ],
 )
 def test_exit_codes_and_what_is_saved(run, model, tmp_path, monkeypatch, changes, code, saved):
-    def solve(problem, options, **_) -> Result:
-        del options
-        return fakes.result(problem, summary=fakes.summary(**changes))
+    def solve(prepared, _) -> Result:
+        return fakes.result(prepared.start, summary=fakes.summary(**changes))
 
-    monkeypatch.setattr("bundle.solving.solver.solve", solve)
+    monkeypatch.setattr("bundle.solving.rounds.solve_rounds.solve_prepared", solve)
     output, report = tmp_path / "r.txt", tmp_path / "r.json"
     assert run("refine", model, "-o", output, "--json", report).code == code
     assert output.exists() == saved

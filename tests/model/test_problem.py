@@ -104,7 +104,7 @@ def test_loading_copies_nothing(tmp_path):
         array = immutable("xy", problem.observation_xy, np.float64)
         assert np.shares_memory(array, problem.observation_xy)
     solved = _core.solve(
-        problem, bundle.solving.solver.resolve_defaults(problem, OPTIONS).asdict(), None
+        problem, bundle.solving.layout.resolve_defaults(problem, OPTIONS).asdict(), None
     )
     assert all(_core.is_immutable(solved[name]) for name in ("cam_from_world", "points"))
     assert all(_core.is_immutable(array) for array in _core.read_bal(tmp_path / "in.txt"))

@@ -142,7 +142,7 @@ def run(arguments: argparse.Namespace) -> int:
     from bundle.reports.terminal import json
     from bundle.reports.terminal.refine import outcome, refinement
     from bundle.reports.terminal.timing import WallTime
-    from bundle.solving.rounds.adjust_and_filter import solve_rounds
+    from bundle.solving.rounds.solve_rounds import solve_rounds
 
     options = options_given(arguments, SolveOptions, names_follow=True)
     if arguments.rest is not None and arguments.only_images is None:

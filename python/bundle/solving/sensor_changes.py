@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bundle.interface.options import SolveOptions
 from bundle.model.cameras import param_kinds
+from bundle.model.problem import Problem
 from bundle.model.rotations import rotation_matrices
-from bundle.solving.result import Result
+
+if TYPE_CHECKING:
+    from bundle.solving.result import Result
 
 __all__ = ["SensorChange", "sensor_changes", "weak_baseline"]
 
@@ -37,7 +43,11 @@ class SensorChange:
 
 def sensor_changes(solved: Result) -> list[SensorChange]:
     """Return the sensors that a solve moved, the largest change of the baseline first."""
-    first, last = solved.initial_problem.sensor_from_rig, solved.problem.sensor_from_rig
+    return _changes(solved.initial_problem, solved.problem)
+
+
+def _changes(initial: Problem, problem: Problem) -> list[SensorChange]:
+    first, last = initial.sensor_from_rig, problem.sensor_from_rig
     moved = np.flatnonzero((first != last).any(axis=1))
     before, after = (np.linalg.norm(poses[moved, 4:], axis=1) for poses in (first, last))
     turns = np.swapaxes(rotation_matrices(first[moved, :4]), 1, 2)
@@ -46,7 +56,6 @@ def sensor_changes(solved: Result) -> list[SensorChange]:
     skew = np.stack([turns[:, i, j] - turns[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=1)
     cosine = np.trace(turns, axis1=1, axis2=2) - 1
     angles = np.degrees(np.arctan2(np.linalg.norm(skew, axis=1), cosine))
-    problem = solved.problem
     changes = [
         SensorChange(
             rig_id=int(problem.sensor_rig_ids[row]),
@@ -60,16 +69,16 @@ def sensor_changes(solved: Result) -> list[SensorChange]:
     return sorted(changes, key=lambda change: -abs(change.baseline_after - change.baseline_before))
 
 
-def weak_baseline(solved: Result) -> str | None:
-    """Return a warning where a focal length and a baseline changed together, None elsewhere.
+def weak_baseline(
+    options: SolveOptions, first: Problem, last: Problem, summary: Mapping[str, Any]
+) -> str:
+    """Return a warning where a focal length and a baseline changed together, "" elsewhere.
 
     A longer baseline before longer lenses is nearly the same picture: images determine both
     together only by how perspective changes within them, and a solve wanders far for little cost.
     """
-    options = solved.options
     if not options.refine_sensor_from_rig or "focal" not in options.refine:
-        return None
-    first, last = solved.initial_problem, solved.problem
+        return ""
     framed = last.image_frame >= 0 if last.num_frames else np.zeros(last.num_images, bool)
     focal = (0.0, "")
     for camera in np.unique(last.image_camera[framed]).tolist():
@@ -80,7 +89,7 @@ def weak_baseline(solved: Result) -> str | None:
                 words = f"focal length {before:.6g} -> {after:.6g} px {lens}"
                 focal = max(focal, (abs(after / before - 1), words))
     arm = (0.0, "")
-    for change in sensor_changes(solved):
+    for change in _changes(first, last):
         if change.baseline_before > 0:
             words = (
                 f"baseline {change.baseline_before:.4g} -> {change.baseline_after:.4g} "
@@ -88,8 +97,8 @@ def weak_baseline(solved: Result) -> str | None:
             )
             arm = max(arm, (abs(change.baseline_after / change.baseline_before - 1), words))
     if min(focal[0], arm[0]) < WEAK_CHANGE:
-        return None
-    before, after = solved.summary.initial_cost, solved.summary.final_cost
+        return ""
+    before, after = summary["initial_cost"], summary["final_cost"]
     return (
         f"Weakly determined: {focal[1]} and {arm[1]} changed together, while the cost went from "
         f"{before:.6g} to {after:.6g}; hold one of them (--fix-sensors, --fix-cameras) unless the "

@@ -6,7 +6,7 @@ import pytest
 import bundle
 from bundle import _core
 from bundle.analysis.diagnosis.track_table import TrackTable
-from bundle.solving.solver import resolve_defaults
+from bundle.solving.layout import resolve_defaults
 from tests.analysis.diagnosis.blocks import block
 from tests.scenes import make_problem
 

@@ -9,7 +9,7 @@ import pytest
 
 import bundle
 from bundle import SolveOptions, _core
-from bundle.solving.solver import resolve_defaults
+from bundle.solving.layout import resolve_defaults
 from tests.planning.inspection.dense_oracle import (
     drive,
     eliminate_first,

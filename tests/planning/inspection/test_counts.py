@@ -10,7 +10,7 @@ from bundle.interface.options import SolveOptions
 from bundle.planning.inspection import counts
 from bundle.planning.inspection.counts import FactorCounter
 from bundle.planning.inspection.problem_pattern import find_pattern
-from bundle.solving.solver import resolve_defaults
+from bundle.solving.layout import resolve_defaults
 from tests.planning.inspection.dense_oracle import (
     drive,
     factor_pattern,

@@ -9,7 +9,7 @@ from bundle import _core
 from bundle.interface.options import SolveOptions
 from bundle.planning.inspection.calibrate import make_scene
 from bundle.planning.inspection.problem_pattern import count_dense, count_factor, find_pattern
-from bundle.solving.solver import resolve_defaults
+from bundle.solving.layout import resolve_defaults
 from tests.planning.inspection.dense_oracle import (
     eliminate_first,
     factor_pattern,

@@ -7,7 +7,7 @@ import pytest
 import bundle
 from bundle.planning.inspection.problem_pattern import find_pattern
 from bundle.planning.inspection.rank_prediction import predict_ranks, step_bytes
-from bundle.solving.solver import resolve_defaults
+from bundle.solving.layout import resolve_defaults
 from tests.solving.ranks.thread_crew import processes
 
 STREET = {"scene": "street", "num_images": 30, "num_points": 600, "seed": 2}

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bundle
+from bundle.solving.layout import resolve_defaults
 from bundle.solving.ranks.divided_solve import solve_divided
 from tests.rig_scenes import rig_problem
 from tests.scenes import make_problem, scene
@@ -261,10 +262,8 @@ def test_a_factor_of_two_points():
 def test_alone_without_a_crew():
     crew = ThreadCrew(1)
     problem = scene()
-    ready = bundle.solving.solver.prepare(
-        problem, bundle.SolveOptions(**QUICK), (), (), None, None, ()
-    )
-    output = solve_divided(crew, problem, ready.options.asdict(), None, None, None)
+    options = resolve_defaults(problem, bundle.SolveOptions(**QUICK))
+    output = solve_divided(crew, problem, options.asdict(), None, None, None)
     alone = bundle.solve(problem, **QUICK)
     assert np.array_equal(output["points"], alone.problem.points)  # bit for bit
 

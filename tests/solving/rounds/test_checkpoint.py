@@ -8,8 +8,8 @@ import pytest
 
 import bundle
 from bundle.solving.rounds import segments
-from bundle.solving.rounds.checkpoint import fingerprint_of_options
-from bundle.solving.rounds.input_digest import digest
+from bundle.solving.rounds import solve_rounds as rounds_of_solves
+from bundle.solving.rounds.input_digest import digest, fingerprint_of_options
 from tests.campaigns import resumes
 
 OPTIONS = bundle.SolveOptions(
@@ -92,7 +92,7 @@ def test_a_run_that_was_stopped_at_any_step_ends_the_same(scene, backend, tmp_pa
 def test_a_run_that_has_ended_is_not_repeated(scene, tmp_path, monkeypatch):
     path = tmp_path / "run"
     expected = bundle.solve_rounds(scene, OPTIONS, checkpoint=path, **ROUNDS)
-    monkeypatch.setattr("bundle.solving.solver.solve", lambda *_, **__: pytest.fail("solved again"))
+    monkeypatch.setattr(rounds_of_solves, "solve_prepared", lambda *_: pytest.fail("solved again"))
     result = bundle.solve_rounds(scene, OPTIONS, resume=path, **ROUNDS)
     assert equal(result.problem, expected.problem)
     assert result.summary == expected.summary

@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 
 import bundle
-from bundle.solving.rounds import round_run
+from bundle.solving.rounds import solve_rounds as rounds_of_solves
 from tests.scenes import make_problem
 
 TIGHT = {"function_tolerance": 1e-14, "gradient_tolerance": 1e-12, "parameter_tolerance": 1e-14}
@@ -86,7 +86,7 @@ def test_rounds_end_when_one_changes_next_to_nothing(monkeypatch):
     shares = [done.num_observations_removed / done.num_observations for done in rounds]
     assert 2 < len(rounds) < 20
     assert shares[-1] < 5e-4 <= min(shares[:-1])
-    monkeypatch.setattr(round_run, "SMALLEST_CHANGE", 1.0)
+    monkeypatch.setattr(rounds_of_solves, "SMALLEST_CHANGE", 1.0)
     assert (
         len(bundle.solve_rounds(problem, num_rounds=20, max_error=1.2, loss="cauchy").rounds) == 1
     )
@@ -109,9 +109,9 @@ def test_rounds_end_at_a_minimum(backend, num_rounds, loss):
 def test_a_filter_that_removes_nothing_is_not_followed(monkeypatch):
     problem, _ = with_outliers(share=0)
     solves = []
-    solve = round_run.solver.solve
+    solve = rounds_of_solves.solve_prepared
     monkeypatch.setattr(
-        round_run.solver, "solve", lambda *a, **k: solves.append(1) or solve(*a, **k)
+        rounds_of_solves, "solve_prepared", lambda *a: solves.append(1) or solve(*a)
     )
     result = bundle.solve_rounds(problem, num_rounds=3, max_error=100.0, min_angle=0.0)
     assert len(result.rounds) == len(solves) == 1

@@ -30,15 +30,16 @@ from bundle.io.source import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
 from bundle.solving.free_degrees import gauge_freedom
+from bundle.solving.prepare import prepare
+from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.solver import prepare
 
 if TYPE_CHECKING:
+    from bundle.georeference.placed_problem import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.solving.constraints.applied import Applied
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.placement import Prior
 
 __all__ = ["diagnose"]
 
@@ -127,16 +128,27 @@ def diagnose(
     options = SolveOptions.of(options, changes, "diagnose")  # type: ignore[arg-type]
     if options.gauge == "auto":
         options = options.replace(gauge="none")
-    ready = prepare(problem, options, factors, priors, align, bounds, constraints)
-    start, options = ready.start, ready.options
+    prepared = prepare(
+        SolveRequest(
+            problem=problem,
+            options=options,
+            factors=factors,  # type: ignore[arg-type]
+            priors=priors,  # type: ignore[arg-type]
+            align=align,
+            bounds=bounds,
+            constraints=constraints,
+        )
+    )
+    start, layout = prepared.start, prepared.layout
+    options = layout.options
 
     tracks = TrackTable(start)
     found = _core.reduced_spectrum(
-        start, options.asdict(), tracks.pieces, ready.limits, ready.core_factors()
+        start, options.asdict(), tracks.pieces, layout.limits, layout.core_factors()
     )
     expected = int(found["expected_nullity"])
-    if ready.known is not None:
-        expected = _expected_beside_factors(start, options, ready.known.factors, tracks, found)
+    if layout.known is not None:
+        expected = _expected_beside_factors(start, options, layout.known.factors, tracks, found)
     unknowns = Unknowns(start, found)
     collapsed = collapsed_clusters(start, tracks)
     counts = EquationCounts(unknowns, tracks)

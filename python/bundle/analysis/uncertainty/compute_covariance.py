@@ -24,14 +24,15 @@ from bundle.interface.pose_graph_options import PoseGraphOptions
 from bundle.io.source import Source, as_problem
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.problem import Problem
+from bundle.solving.prepare import prepare
+from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
-from bundle.solving.solver import prepare
 
 if TYPE_CHECKING:
+    from bundle.georeference.placed_problem import Prior
     from bundle.graphs.factors.factors import Factor
     from bundle.solving.constraints.rule_list import Constraints
     from bundle.solving.constraints.rules import Rule
-    from bundle.solving.placement import Prior
 
 __all__ = ["covariance"]
 
@@ -172,17 +173,21 @@ def covariance(
     problem = as_problem(problem)  # type: ignore[arg-type]
     options = SolveOptions.of(options, changes, "covariance")  # type: ignore[arg-type]
     gauge = one_of("gauge", "inner" if gauge is None else gauge, GAUGES)
-    recipe = _Recipe(
-        given=problem,
+    request = SolveRequest(
+        problem=problem,
         options=options.replace(gauge="none" if gauge == "inner" else gauge),
+        factors=factors,  # type: ignore[arg-type]
+        priors=priors,  # type: ignore[arg-type]
+        align=None,
+        bounds=bounds,
+        constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),
+    )
+    recipe = _Recipe(
+        request=request if not request.priors else replace(request, align=False),
         of=parts_of("of", of),
         gauge=gauge,
         scale=one_of("scale", scale, SCALES),
         robust=one_of("robust", robust, ROBUST),
-        factors=tuple(factors),
-        priors=tuple(priors),
-        bounds=bounds,
-        constraints=constraints if not isinstance(constraints, Iterable) else tuple(constraints),
     )
     if recipe.robust == "sandwich" and recipe.scale == "sigma0":
         raise InputError("scale: expected unit with the sandwich, whose scale is that of residuals")
@@ -206,40 +211,38 @@ def _is_given(values: Iterable[Any]) -> bool:
 class _Recipe:
     """All that a covariance is computed from; it pickles."""
 
-    given: Problem
-    options: SolveOptions
+    request: SolveRequest
     of: tuple[str, ...]
     gauge: str
     scale: str
     robust: str
-    factors: tuple[Any, ...]
-    priors: tuple[Any, ...]
-    bounds: Any
-    constraints: Any
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        if "request" not in state:  # a pickle of before there were requests
+            align = False if state["priors"] else None
+            names = ("options", "factors", "priors", "bounds", "constraints")
+            known = {name: state[name] for name in names}
+            state = {name: state[name] for name in ("of", "gauge", "scale", "robust")} | {
+                "request": SolveRequest(problem=state["given"], align=align, **known)
+            }
+        vars(self).update(state)
 
     def compute(self, pairs: list[tuple[int, int]]) -> Covariance:
         """Return the covariance, with the relative poses of these pairs of image ids."""
-        rows = _rows_of(self.given, pairs)
-        if not self.given.num_observations:
+        given = self.request.problem
+        rows = _rows_of(given, pairs)
+        if not given.num_observations:
             raise InputError("problem: expected observations, found none")
-        _refuse_huge(self.given)
-        align = False if self.priors else None
-        ready = prepare(
-            self.given,
-            self.options,
-            self.factors,
-            self.priors,
-            align,
-            self.bounds,
-            self.constraints,
-        )
-        factors = ready.core_factors()
+        _refuse_huge(given)
+        ready = prepare(self.request)
+        layout = ready.layout
+        factors = layout.core_factors()
 
         def run(problem: Problem, options: SolveOptions) -> dict[str, Any]:
             return _core.covariance(
                 problem,
                 options.asdict(),
-                ready.limits,
+                layout.limits,
                 factors,
                 self.gauge == "inner",
                 self.robust == "sandwich",
@@ -247,7 +250,7 @@ class _Recipe:
                 rows,
             )
 
-        out = run(ready.start, ready.options)
+        out = run(ready.start, layout.options)
         dof = out["num_residuals"] - out["num_parameters"] + out["gauge_degrees"]
         if dof < 0:  # what the factor of a matrix of rounding errors says means nothing
             raise InputError(
@@ -265,7 +268,7 @@ class _Recipe:
         # Control points start where the rays of their pixels meet, not where a solve had put them.
         if ready.placed.targets is None and out["predicted_decrease"] > AT_MINIMUM * cost:
             share = 100 * out["predicted_decrease"] / cost if cost > 0 else float("inf")
-            notes.append(not_converged(share, self.options.loss == "trivial"))
+            notes.append(not_converged(share, layout.options.loss == "trivial"))
         factor = 1.0
         if self.scale == "sigma0":
             if not dof > 0:
@@ -276,7 +279,7 @@ class _Recipe:
             if factors is None:
                 factor = sigma0 * sigma0
             else:
-                out = run(*_scaled(ready.start, ready.options, sigma0))
+                out = run(*_scaled(ready.start, layout.options, sigma0))
         return self._result(out, pairs, dof, sigma0, factor, tuple(notes))
 
     def _result(
@@ -288,7 +291,7 @@ class _Recipe:
         factor: float,
         notes: tuple[str, ...],
     ) -> Covariance:
-        problem = self.given
+        problem = self.request.problem
         _refuse_rounding(problem, out)
         num_points = problem.num_points  # control points of the start come after them
 

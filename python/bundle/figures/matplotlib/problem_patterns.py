@@ -11,7 +11,7 @@ from bundle.figures.matplotlib.matrix_pattern import MatrixPattern
 from bundle.interface.option_fields import choice
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
-from bundle.solving.solver import resolve_defaults
+from bundle.solving.layout import resolve_defaults
 
 __all__ = ["ORDERINGS", "information_pattern", "order_blocks", "reduced_pattern"]
 

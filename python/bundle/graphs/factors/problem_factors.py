@@ -28,11 +28,10 @@ from bundle.graphs.factors.factor_check import FactorCheck
 from bundle.graphs.factors.factor_graph import FactorGraph
 from bundle.graphs.factors.factors import Factor
 from bundle.graphs.factors.variables import Array, Key, as_list
-from bundle.interface.solve_record import with_warnings
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import ProblemKeys, parameter_names
 
-__all__ = ["ProblemFactors", "check_factors", "checked_solve"]
+__all__ = ["ProblemFactors", "check_factors", "wrong_factor"]
 
 KINDS = ("image", "camera", "point", "frame", "sensor")
 _POSES = {"image": "cam_from_world", "frame": "rig_from_world", "sensor": "sensor_from_rig"}
@@ -60,10 +59,8 @@ def check_factors(problem: Problem, factors: Iterable[Factor], **settings: Any) 
     return ProblemFactors(problem, factors).graph.check_gradients(**settings)
 
 
-def checked_solve(
-    start: Problem, factors: Iterable[Factor], output: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return the fields of a solve's summary, with a warning if a function's Jacobian is wrong.
+def wrong_factor(start: Problem, factors: Iterable[Factor], output: Mapping[str, Any]) -> str:
+    """Return a warning about a function whose Jacobian is wrong; "" without any.
 
     Args:
         start: what was solved.
@@ -73,7 +70,7 @@ def checked_solve(
     factors = list(factors)
     known = ProblemFactors(start, [factor for factor in factors if factor.kind == "function"])
     if not known.factors:
-        return dict(output["summary"])
+        return ""
     ends = known.values_in(output)
     variables = {
         key: variable.holding(_stayed(variable.value, ends[key], variable.manifold))
@@ -82,8 +79,7 @@ def checked_solve(
     if output["summary"]["num_successful_steps"] <= 1:  # the start alone
         variables = dict(known.graph.variables)
     seconds = time_for_checks(output)
-    sentence = spot_checked(output, factors, variables, ends, seconds, ADVICE)
-    return with_warnings(output["summary"], {"wrong_factor": sentence})
+    return spot_checked(output, factors, variables, ends, seconds, ADVICE)
 
 
 def _stayed(start: Array, end: Array, manifold: str) -> NDArray[np.bool_]:

@@ -23,7 +23,7 @@ from bundle.inertial.two_loops.ring import Ring
 from bundle.inertial.two_loops.yaw_motion import Correction, YawMotion
 from bundle.model.pose_graph_arrays import PoseGraph
 from bundle.model.rigid_motions import inverse_poses, multiply_poses, unit_poses
-from bundle.solving.solver import solve
+from bundle.solving.solve import solve
 
 __all__ = ["Closure", "ClosureLoop", "Keyframe", "solved_on_one_thread"]
 

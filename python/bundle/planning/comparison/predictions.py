@@ -12,7 +12,7 @@ from bundle.planning.comparison.comparison_result import Prediction
 from bundle.planning.comparison.method import Method
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.problem_inspection import inspect
-from bundle.solving.solver import solve
+from bundle.solving.solve import solve
 
 __all__ = ["foresee", "predict", "taken_by_auto"]
 

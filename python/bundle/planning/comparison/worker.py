@@ -27,7 +27,7 @@ from bundle.interface.options import SolveOptions
 from bundle.planning.comparison import process_memory
 from bundle.planning.comparison.hand_over import restore
 from bundle.solving.result import Result
-from bundle.solving.solver import solve
+from bundle.solving.solve import solve
 
 __all__ = ["main"]
 

@@ -29,7 +29,7 @@ from bundle.planning.inspection.step_time import (
     fused_time,
     products_per_step,
 )
-from bundle.solving.solver import resolve_defaults
+from bundle.solving.layout import resolve_defaults
 
 __all__ = ["explain", "inspect", "recommend"]
 

@@ -49,8 +49,8 @@ from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
 from bundle.planning.inspection.inspection_result import Inspection, MethodInspection
 from bundle.planning.inspection.problem_pattern import BlockPattern, find_pattern
+from bundle.solving.layout import resolve_defaults
 from bundle.solving.ranks.partition import divide
-from bundle.solving.solver import resolve_defaults
 
 __all__ = [
     "NETWORK",

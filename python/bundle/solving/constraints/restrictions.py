@@ -17,7 +17,6 @@ from bundle.solving.constraints.camera_bounds import ActiveBound, CameraBounds
 
 if TYPE_CHECKING:
     from bundle.solving.constraints.applied import Applied
-    from bundle.solving.constraints.constraint_record import RuleEnd
 
 __all__ = ["Restrictions"]
 
@@ -33,7 +32,6 @@ class Restrictions:
         camera_tie: as ``Problem.camera_params``: of which number a parameter is a multiple, or -1.
         camera_tie_scale: how many times.
         num_ties: how many such numbers there are.
-        applied: the rules.
     """
 
     bounds: CameraBounds | None = None
@@ -42,7 +40,6 @@ class Restrictions:
     camera_tie: NDArray[np.int32] | None = None
     camera_tie_scale: NDArray[np.float64] | None = None
     num_ties: int = 0
-    applied: Applied | None = None
 
     @property
     def lower(self) -> NDArray[np.float64] | None:
@@ -93,7 +90,7 @@ class Restrictions:
                     scale[camera_row[key], j] = times
             parts |= {"camera_tie": freeze(tie), "camera_tie_scale": freeze(scale)}
             parts["num_ties"] = len(applied.ties)
-        return Restrictions(bounds=limits, applied=applied, **parts)
+        return Restrictions(bounds=limits, **parts)
 
     def check_start(self, problem: Problem) -> None:
         """Check a problem of the structure that the restrictions were made for.
@@ -121,11 +118,3 @@ class Restrictions:
     def active(self, problem: Problem) -> tuple[ActiveBound, ...]:
         """Return the bounds on which parameters of the problem are."""
         return () if self.bounds is None else self.bounds.active(problem)
-
-    def ends(self, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
-        """Return what became of each rule."""
-        if self.applied is None:
-            return ()
-        from bundle.solving.constraints.ends import rule_ends
-
-        return rule_ends(self.applied, before, after)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import resource
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,24 @@ from bundle.base.arrays import freeze
 from bundle.interface.process_record import ProcessPart, ProcessRecord, Traffic
 from bundle.model.problem import Problem
 from bundle.solving.constraints.restrictions import Restrictions
+from bundle.solving.ranks.one_process import reason_to_be_alone, warning
 from bundle.solving.ranks.partition import ProblemPart, divide, factors_of, part_of
 
-__all__ = ["Crew", "Job", "PartOfOutput", "Ranks", "heeding", "solve_divided", "work_on"]
+if TYPE_CHECKING:
+    from bundle.interface.solve_record import Progress
+    from bundle.solving.executors import Executor
+    from bundle.solving.prepare import Prepared
+
+__all__ = [
+    "AllProcesses",
+    "Crew",
+    "Job",
+    "PartOfOutput",
+    "Ranks",
+    "heeding",
+    "solve_divided",
+    "work_on",
+]
 
 
 class Ranks(Protocol):
@@ -59,7 +74,7 @@ class Job:
     Attributes:
         part: its points.
         options: all options, with nothing left to choose.
-        restrictions: bounds and what is held and tied, without the rules; None without any.
+        restrictions: bounds, and the parameters that are held and tied; None without any.
         factors: as ``partition.factors_of`` returns them.
         image_is_observed: (num_images,) of the whole problem.
     """
@@ -81,6 +96,24 @@ class PartOfOutput:
     process: ProcessPart
 
 
+@dataclass(frozen=True)
+class AllProcesses:
+    """Executor by all processes, or by this one alone where a solve cannot be divided."""
+
+    crew: Crew
+    alone: Executor
+
+    def run(self, prepared: Prepared, progress: Progress | None) -> dict[str, Any]:
+        """See :meth:`Executor.run`."""
+        layout = prepared.layout
+        options, factors = layout.options.asdict(), layout.core_factors()
+        reason = reason_to_be_alone(options, factors)
+        if reason:
+            output = self.alone.run(prepared, progress)
+            return output | {"alone": warning(reason, self.crew.num_ranks)}
+        return solve_divided(self.crew, prepared.start, options, progress, layout.limits, factors)
+
+
 def solve_divided(
     crew: Crew,
     problem: Problem,
@@ -99,7 +132,6 @@ def solve_divided(
     factors = [factors_of(core_factors, points) for points in points_of]
     observed = np.zeros(problem.num_images, np.uint8)
     observed[problem.observation_image] = 1
-    restrictions = None if limits is None else replace(limits, applied=None)
     fixed = np.asarray(options["fixed_point_ids"], np.int64)
     unknown = np.setdiff1d(fixed, problem.point_ids)
     if unknown.size:
@@ -108,7 +140,7 @@ def solve_divided(
     def job(rank: int) -> Job:
         part = part_of(problem, points_of[rank], division.section)
         own = {"fixed_point_ids": np.intersect1d(fixed, part.point_ids).tolist()}
-        return Job(part, options | own, restrictions, factors[rank][0], observed)
+        return Job(part, options | own, limits, factors[rank][0], observed)
 
     crew.is_solving = True
     for rank in range(1, crew.num_ranks):

@@ -10,11 +10,7 @@ from typing import Any
 
 from bundle import _core
 
-__all__ = ["KIND", "reason_in_options", "reason_to_be_alone", "with_warning"]
-
-KIND = "one_process"
-"""The kind of the warning that says so."""
-
+__all__ = ["reason_in_options", "reason_to_be_alone", "warning"]
 
 _OPEN = ("gauge", "cheirality")
 """Options that the problem may settle, and that say nothing about who solves."""
@@ -45,11 +41,7 @@ def reason_to_be_alone(options: dict[str, Any], core_factors: Any) -> str:
     return ""
 
 
-def with_warning(output: dict[str, Any], reason: str, num_ranks: int) -> dict[str, Any]:
-    """Return what ``_core.solve`` returned with the warning that others waited."""
+def warning(reason: str, num_ranks: int) -> str:
+    """Return the warning that the others waited."""
     others = "the other one" if num_ranks == 2 else f"the other {num_ranks - 1}"
-    sentence = f"One process solved, and {others} waited. {reason}"
-    summary = output["summary"]
-    warnings = (*summary["warnings"], sentence)
-    kinds = (*summary["warning_kinds"], KIND)
-    return output | {"summary": summary | {"warnings": warnings, "warning_kinds": kinds}}
+    return f"One process solved, and {others} waited. {reason}"

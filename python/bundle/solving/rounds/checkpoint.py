@@ -16,9 +16,8 @@ import dataclasses
 import json
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,16 +28,19 @@ from bundle.interface.process_record import ProcessRecord
 from bundle.interface.summary import Summary
 from bundle.io.atomic import atomic_write as atomic
 from bundle.model.problem import Problem
+from bundle.solving.prepare import STATE, Prepared
 from bundle.solving.result import Result
 from bundle.solving.round_record import Round
 from bundle.solving.rounds.filtering import subset
-from bundle.solving.rounds.input_digest import digest_of_fields
-from bundle.solving.solver import STATE
+from bundle.solving.rounds.input_digest import digest_of_fields, fingerprint_of_run
+from bundle.solving.rounds.run_state import State
+
+if TYPE_CHECKING:
+    from bundle.solving.request import RunPlan
 
 __all__ = [
-    "State",
+    "Checkpoint",
     "check_target",
-    "fingerprint_of_options",
     "read",
     "read_by",
     "result_of_record",
@@ -51,38 +53,37 @@ SCHEMA_OF_PICKLES = "bundle checkpoint 2"
 NO_FACTORS = "4a3475571dfe38659e491096b8138447bd69b242ce6511e9282ed8948c85769f"
 """Digest of the pickle of no factors and no bounds, as checkpoints of that schema have it."""
 
-NOT_DECISIVE = ("num_threads", "check_solution")
-
-_Mask = NDArray[np.bool_]
 Made = TypeVar("Made")
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class State:
-    """Where a run of rounds is.
+class Checkpoint:
+    """The checkpoint of one run.
 
-    Attributes:
-        problem: what the next solve starts from, or the end.
-        observation_mask: which observations of the first round's problem are left.
-        point_mask: which of its points are left.
-        rounds: that are over.
-        so_far: what was done of the current round, or the last one if the run has ended.
-        has_ended: whether nothing is left to do.
+    Args:
+        path: where it is written.
+        fingerprint: of the run.
+        interval: iterations from one checkpoint to the next.
+
+    Raises:
+        InputError, OSError: as :func:`check_target`.
     """
 
-    problem: Problem
-    observation_mask: _Mask
-    point_mask: _Mask
-    rounds: tuple[Round, ...] = ()
-    so_far: Result | None = None
-    has_ended: bool = False
+    def __init__(self, path: Path, fingerprint: Mapping[str, Any], interval: int) -> None:
+        check_target(path)
+        self._path, self._fingerprint, self.interval = path, fingerprint, interval
 
+    @staticmethod
+    def of(path: Path, prepared: Prepared, plan: RunPlan) -> Checkpoint:
+        """Return the checkpoint of a run of what was prepared."""
+        return Checkpoint(path, fingerprint_of_run(prepared, plan), plan.checkpoint_interval)
 
-def fingerprint_of_options(options: SolveOptions) -> dict[str, Any]:
-    """Return the options that decide the result, as JSON has them."""
-    kept = {name: value for name, value in options.asdict().items() if name not in NOT_DECISIVE}
-    plain: dict[str, Any] = json.loads(json.dumps(kept))
-    return plain
+    def write(self, state: State) -> None:
+        """Replace the file; see :func:`write`."""
+        write(self._path, state, self._fingerprint)
+
+    def read(self, path: Path, prepared: Prepared) -> State:
+        """Return the state that a file holds; see :func:`read`."""
+        return read(path, prepared.start, prepared.layout.options, self._fingerprint)
 
 
 def check_target(path: Path) -> None:
@@ -103,14 +104,15 @@ def write(path: Path, state: State, fingerprint: Mapping[str, Any]) -> None:
     Raises:
         OSError: the system refuses: no permission, disk full.
     """
+    done = state.so_far if state.end is None else state.end
     meta = {
         "schema": SCHEMA,
         "fingerprint": dict(fingerprint),
         "rounds": [dataclasses.asdict(done) for done in state.rounds],
-        "has_ended": state.has_ended,
-        "so_far": None if state.so_far is None else _record(state.so_far),
+        "has_ended": state.end is not None,
+        "so_far": None if done is None else _record(done),
     }
-    arrays: dict[str, Any] = {} if state.so_far is None else _prefixed(state.so_far.iterations)
+    arrays: dict[str, Any] = {} if done is None else _prefixed(done.iterations)
     with atomic.replace_file(path) as temporary, temporary.open("wb") as file:
         np.savez(
             file,
@@ -176,16 +178,15 @@ def _state(
         for name, size in zip(("observation_mask", "point_mask"), sizes, strict=True)
     ]
     problem = subset(start, *masks).replace(**{name: arrays[name] for name in STATE})
-    so_far = meta["so_far"]
-    if so_far is not None:
-        so_far = result_of_record(so_far, arrays, problem, options)
+    done = meta["so_far"]
+    if done is not None:
+        done = result_of_record(done, arrays, problem, options)
     return State(
         problem=problem,
         observation_mask=masks[0],
         point_mask=masks[1],
         rounds=tuple(Round(**done) for done in meta["rounds"]),
-        so_far=so_far,
-        has_ended=bool(meta["has_ended"]),
+        **{"end" if meta["has_ended"] else "so_far": done},
     )
 
 

@@ -1,4 +1,4 @@
-"""Digests of the input of a run: of its problem, and of its factors, bounds and rules.
+"""Fingerprints of runs: options, and digests of the problem, factors, bounds and rules.
 
 The digest of a problem covers its arrays and names, not its source. Points and observations are
 rows: each row is hashed, and the hashes are added modulo 2^64. So processes with slices add their
@@ -14,23 +14,83 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 import pickle
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bundle.errors import InputError, first_line
+from bundle.interface.options import SolveOptions
+from bundle.interface.round_options import RoundOptions
 from bundle.model.problem import Problem
 
-__all__ = ["digest", "digest_of_fields", "digest_of_order", "digest_of_parts", "sums_of_rows"]
+if TYPE_CHECKING:
+    from bundle.solving.prepare import Prepared
+    from bundle.solving.request import RunPlan
+
+__all__ = [
+    "digest",
+    "digest_of_fields",
+    "digest_of_order",
+    "digest_of_parts",
+    "fingerprint_of_options",
+    "fingerprint_of_run",
+    "plain_fingerprint",
+    "sums_of_rows",
+]
+
+NOT_DECISIVE = ("num_threads", "check_solution")
 
 _ROWS = ("points", "point_ids", "observation_sigma")
 _BLOCK = 1 << 18
 """Rows that are hashed at a time."""
 
 _Sums = NDArray[np.uint64]
+
+
+def fingerprint_of_options(options: SolveOptions) -> dict[str, Any]:
+    """Return the options that decide the result, as JSON has them."""
+    kept = {name: value for name, value in options.asdict().items() if name not in NOT_DECISIVE}
+    plain: dict[str, Any] = json.loads(json.dumps(kept))
+    return plain
+
+
+def plain_fingerprint(
+    input_digest: str, options: SolveOptions, checkpoint_interval: int
+) -> dict[str, Any]:
+    """Return the fingerprint of a run without rounds, parts, factors, bounds and rules."""
+    return {
+        "input": input_digest,
+        **fingerprint_of_options(options),
+        **RoundOptions().asdict(),
+        "checkpoint_interval": checkpoint_interval,
+        "only_images": None,
+        "factors and bounds": digest_of_fields(((), None)),
+    }
+
+
+def fingerprint_of_run(prepared: Prepared, plan: RunPlan) -> dict[str, Any]:
+    """Return what has to be the same in the run that goes on.
+
+    The places of the rules, such as lines of a file, do not count.
+    """
+    request, placed, part, rules = (
+        *(prepared.request, prepared.placed, prepared.part, prepared.applied),
+    )
+    rules = None if rules is None else dataclasses.replace(rules, rules=())
+    more = [known for known in (placed.targets, rules) if known is not None]
+    given = request.problem
+    plain = plain_fingerprint(digest(given), request.options, plan.checkpoint_interval)
+    return plain | {
+        **plan.rounds.asdict(),
+        "only_images": None if part is None else part.named_ids,
+        **({} if part is None or not part.is_marginal else {"rest": "marginal"}),
+        **({"order": digest_of_order(given)} if plan.rounds.num_rounds > 0 else {}),
+        "factors and bounds": digest_of_fields((placed.factors, request.bounds, *more)),
+    }
 
 
 def digest(problem: Problem) -> str:

@@ -16,16 +16,18 @@ nothing but neighbours and their cameras; other factors go into the prior.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.model.extract import Extract, with_frames
 from bundle.model.problem import Problem
+from bundle.solving.request import Bounds
 from bundle.solving.round_record import PartRecord
 from bundle.solving.rounds.filtering import subset
 
@@ -52,6 +54,7 @@ class LocalPart:
         problem: what goes to the solver.
         record: what that is, for reports.
         named_ids: of the images that are refined, in the order of the problem.
+        is_marginal: whether the rest is marginalised.
         factors: that take part.
         factors_of_rest: the others.
         named: (num_images,) mask in the whole, as all others: the images that are refined.
@@ -69,14 +72,14 @@ class LocalPart:
         *,
         marginal: bool = False,
     ) -> None:
-        self._whole, self._marginal = whole, marginal
+        self._whole, self.is_marginal, self._given = whole, marginal, tuple(factors)
         self.named = with_frames(whole, np.isin(whole.image_ids, list(image_ids)))
         self.named_ids: list[int] = whole.image_ids[self.named].tolist()
         self.seen = np.zeros(whole.num_points, bool)
         self.seen[whole.observation_point[self.named[whole.observation_image]]] = True
         refined_cameras = np.zeros(whole.num_cameras, bool)
         refined_cameras[whole.image_camera[self.named]] = True
-        self.factors: tuple[Factor, ...] = tuple(factors)
+        self.factors: tuple[Factor, ...] = self._given
         self.factors_of_rest: tuple[Factor, ...] = ()
         if marginal:
             self._split_factors()
@@ -137,10 +140,22 @@ class LocalPart:
             (there if keys <= of_rest and not keys <= of_part else here).append(factor)
         self.factors, self.factors_of_rest = tuple(here), tuple(there)
 
+    def of(self, whole: Problem) -> LocalPart:
+        """Return the same part of the whole at other values."""
+        return LocalPart(whole, self.named_ids, self._given, marginal=self.is_marginal)
+
+    def check_observed(self) -> None:
+        """Raise an InputError if the images see no points."""
+        if self.problem.num_observations == 0:
+            raise InputError(
+                f"only_images: expected images that see points, found none in "
+                f"{plural(self.record.num_images, 'image')}"
+            )
+
     def options(self, options: SolveOptions) -> SolveOptions:
         """Return the options of a solve of the part: all that does not belong to it is held."""
         part, whole = self.problem, self._whole
-        if self._marginal:
+        if self.is_marginal:
             options = self.whole_frames_fixed(options)
         refined = {
             "image": (whole.image_ids, part.image_ids, self._named),
@@ -149,7 +164,7 @@ class LocalPart:
         }
         fixed: dict[str, Any] = {}
         for kind, (known, ids, moves) in refined.items():
-            free = np.ones(len(ids), bool) if self._marginal else moves
+            free = np.ones(len(ids), bool) if self.is_marginal else moves
             name = f"fixed_{kind}_ids"
             fixed[name] = _held(name, options, known, ids, free)
         # To move a sensor on its rig is to move images of every frame.
@@ -172,7 +187,7 @@ class LocalPart:
             "point": set(part.point_ids[self._seen].tolist()),
         }
 
-    def bounds(self, bounds: Mapping[Any, Any] | None) -> Mapping[Any, Any] | None:
+    def bounds(self, bounds: Bounds | None) -> Bounds | None:
         """Return the bounds without those of cameras that are not in the part."""
         if bounds is None:
             return None
@@ -180,15 +195,21 @@ class LocalPart:
         keys = {("camera", camera_id) for camera_id in outside}
         return {key: value for key, value in bounds.items() if key not in keys}
 
-    def merge(self, refined: Problem, observation_mask: _Mask, point_mask: _Mask) -> Problem:
+    def merge(
+        self, refined: Problem, observation_mask: _Mask | None, point_mask: _Mask | None
+    ) -> Problem:
         """Return the whole problem with the values of the part that were refined.
 
         Args:
             refined: the part, or what is left of it.
-            observation_mask: which observations of the part are left.
-            point_mask: which points of the part are left.
+            observation_mask: which observations of the part are left; None: all.
+            point_mask: which points of the part are left; None: all.
         """
         whole, taken = self._whole, self.extract
+        if observation_mask is None:
+            observation_mask = np.ones(len(taken.observations), bool)
+        if point_mask is None:
+            point_mask = np.ones(len(taken.points), bool)
         pose, params = whole.cam_from_world.copy(), whole.camera_params.copy()
         xyz = whole.points.copy()
         pose[taken.images[self._named]] = refined.cam_from_world[self._named]

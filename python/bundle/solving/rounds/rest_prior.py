@@ -27,9 +27,8 @@ at the minimum nor anything that does not depend on the gauge does.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +41,8 @@ from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
 from bundle.model.extract import Extract
 from bundle.model.problem import Problem
-from bundle.solving import solver
+from bundle.solving.layout import lay_out
+from bundle.solving.request import Bounds
 from bundle.solving.result import Result
 from bundle.solving.round_record import PartRecord, RestRecord
 from bundle.solving.rounds.local_part import LocalPart, touched_ids
@@ -88,7 +88,7 @@ class RestPrior:
 
 
 def marginalize_rest(
-    whole: Problem, part: LocalPart, options: SolveOptions, bounds: Mapping[Any, Any] | None
+    whole: Problem, part: LocalPart, options: SolveOptions, bounds: Bounds | None
 ) -> RestPrior:
     """Marginalise what does not take part in a local adjustment.
 
@@ -218,7 +218,7 @@ def _add_information(
     part: LocalPart,
     whole: Problem,
     options: SolveOptions,
-    bounds: Mapping[Any, Any] | None,
+    bounds: Bounds | None,
     information: _Floats,
     eta: _Floats,
 ) -> dict[str, int]:
@@ -226,14 +226,12 @@ def _add_information(
     # A bound of a camera that takes part is that of the part.
     gone = set(rest.problem.camera_ids.tolist()) - set(part.problem.camera_ids.tolist())
     own = {key: value for key, value in (bounds or {}).items() if key[1] in gone}
-    used, known, limits = solver.settle(
-        rest.problem, _options_of(rest, options), part.factors_of_rest, own or None
-    )
+    layout = lay_out(rest.problem, _options_of(rest, options), part.factors_of_rest, own or None)
     found = _core.marginalize_rest(
         rest.problem,
-        used.asdict(),
-        limits,
-        None if known is None else known.core(),
+        layout.options.asdict(),
+        layout.limits,
+        layout.core_factors(),
         *near.rows_in(rest),
     )
     rows = near.coordinates(whole, rest)
@@ -246,19 +244,24 @@ def _hold_gauge(
     part: LocalPart,
     near: Neighbours,
     options: SolveOptions,
-    bounds: Mapping[Any, Any] | None,
+    bounds: Bounds | None,
     information: _Floats,
 ) -> int:
     """Hold what nothing holds of the world; return how many degrees of freedom that takes."""
     num_poses = int(near.images.sum() + near.frames.sum())
     if num_poses == 0:
         return 0
-    used, known, limits = solver.settle(
-        part.problem, part.options(options), part.factors, part.bounds(bounds)
-    )
+    layout = lay_out(part.problem, part.options(options), part.factors, part.bounds(bounds))
     images, frames, _ = near.rows_in(part.extract)
-    core = None if known is None else known.core()
-    found = _core.free_similarities(part.problem, used.asdict(), limits, core, images, frames, [])
+    found = _core.free_similarities(
+        part.problem,
+        layout.options.asdict(),
+        layout.limits,
+        layout.core_factors(),
+        images,
+        frames,
+        [],
+    )
     if found.shape[1] == 0:
         return 0
     poses = slice(0, 6 * num_poses)

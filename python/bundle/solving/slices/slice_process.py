@@ -14,7 +14,7 @@ from bundle import _core
 from bundle.base.arrays import freeze
 from bundle.io.colmap import colmap_files
 from bundle.model.worst_images import sums_of_images
-from bundle.solving import solver
+from bundle.solving.prepare import STATE
 from bundle.solving.ranks.divided_solve import Job, PartOfOutput, Ranks, work_on
 from bundle.solving.ranks.partition import ProblemPart
 from bundle.solving.rounds.input_digest import sums_of_rows
@@ -94,7 +94,7 @@ class Process:
         own_options = options | {"fixed_point_ids": fixed.tolist()}
         job = Job(part, own_options, None, None, self.slice.image_is_observed)
         output, given = work_on(job, ranks, progress)
-        state = {name: freeze(output[name]) for name in solver.STATE if name in output}
+        state = {name: freeze(output[name]) for name in STATE if name in output}
         self._move(state.pop("points"), state)
         return output, self._meeting.gather(given), ranks
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from bundle.base.arrays import freeze
 from bundle.interface.options import SolveOptions
 from bundle.model.problem import Problem
+from bundle.solving.prepare import STATE
 from bundle.solving.result import Result
-from bundle.solving.rounds.adjust_and_filter import plain_fingerprint
-from bundle.solving.rounds.checkpoint import State, check_target, read_by, result_of_record, write
-from bundle.solving.rounds.input_digest import digest_of_parts
+from bundle.solving.rounds.checkpoint import check_target, read_by, result_of_record, write
+from bundle.solving.rounds.input_digest import digest_of_parts, plain_fingerprint
+from bundle.solving.rounds.run_state import State
 from bundle.solving.slices.slice_reading import Survey
-from bundle.solving.solver import STATE
 
 __all__ = ["Kept", "SlicedCheckpoint"]
 
@@ -27,7 +27,7 @@ class Kept:
     """What a checkpoint holds.
 
     Attributes:
-        state: arrays of the whole model by name, as ``solver.STATE`` has them.
+        state: arrays of the whole model by name, as ``prepare.STATE`` has them.
         so_far: what was done; its problem has no points.
         has_ended: whether nothing is left to do.
     """
@@ -76,7 +76,7 @@ class SlicedCheckpoint:
             observation_mask=np.broadcast_to(True, self._found.num_observations),
             point_mask=np.broadcast_to(True, len(self._found.owner)),
             so_far=result,
-            has_ended=has_ended,
+            end=result if has_ended else None,
         )
         write(self._path, state, self._fingerprint)
 

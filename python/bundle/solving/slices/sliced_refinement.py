@@ -25,9 +25,10 @@ from bundle.io.georeference_file import remove_georeference
 from bundle.io.open import save_model
 from bundle.model.problem import Problem
 from bundle.model.worst_images import worst_of_sums
-from bundle.solving import solver
 from bundle.solving.free_degrees import gauge_freedom
+from bundle.solving.prepare import prepare
 from bundle.solving.ranks.divided_solve import Crew, heeding
+from bundle.solving.request import SolveRequest
 from bundle.solving.result import Result
 from bundle.solving.rounds.segments import solve_in_segments
 from bundle.solving.slices.slice_process import Process
@@ -113,7 +114,8 @@ class SlicedRefinement:
         Raises:
             InputError, OSError: as :func:`bundle.solve_rounds`.
         """
-        settled = solver.resolve_defaults(self._slice.cameras, options)
+        self._prepared = prepare(SolveRequest(problem=self._slice.cameras, options=options))
+        settled = self._prepared.layout.options
         self._options = settled.asdict()
         unknown = self._survey.unknown(np.asarray(settled.fixed_point_ids, np.int64))
         if unknown.size:
@@ -211,7 +213,8 @@ class SlicedRefinement:
             ),
         }
         before = self._now
-        result = solver.result_of(before, options, output | {"points": before.points})
+        prepared = self._prepared.laid_out_at(before, options)
+        result = prepared.result(output | {"points": before.points})
         self._now = result.problem
         return dataclasses.replace(
             result, problem=self._whole(self._now), initial_problem=self._whole(before)

@@ -1,8 +1,7 @@
-"""Where a solve with priors starts: the problem in their frame, with its control points."""
+"""The start of a solve with priors: the problem in their frame, with its control points."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bundle.base.arguments import as_flag
@@ -20,13 +19,13 @@ if TYPE_CHECKING:
 
     Prior = PositionPrior | GroundControlPoint
 
-__all__ = ["Start", "place_at_priors"]
+__all__ = ["PlacedProblem", "place_at_priors"]
 
 FEWEST = 3
 
 
-class Start(NamedTuple):
-    """What a solve with priors begins with.
+class PlacedProblem(NamedTuple):
+    """A problem at its priors.
 
     Attributes:
         problem: in the frame of the priors; control points are its last points.
@@ -36,7 +35,7 @@ class Start(NamedTuple):
     """
 
     problem: Problem
-    factors: Iterable[Factor]
+    factors: tuple[Factor, ...] = ()
     similarity: Similarity | None = None
     targets: TargetPriors | None = None
 
@@ -45,8 +44,8 @@ class Start(NamedTuple):
         """Ids of the control points in the problem."""
         return () if self.targets is None else self.targets.point_ids
 
-    def result(self, problem: Problem) -> Problem:
-        """Return a problem that this start became, without control points."""
+    def taken_from(self, problem: Problem) -> Problem:
+        """Return a refined or filtered problem of this one without control points."""
         return problem if self.targets is None else self.targets.taken_from(problem)
 
     def control_points(self, problem: Problem) -> tuple[ControlPointError, ...]:
@@ -56,11 +55,11 @@ class Start(NamedTuple):
 
 def place_at_priors(
     problem: Problem,
-    factors: Iterable[Factor],
-    priors: Iterable[Prior],
+    factors: tuple[Factor, ...],
+    priors: tuple[Prior, ...],
     align: bool | None,
-) -> Start:
-    """Return the start of a solve with priors.
+) -> PlacedProblem:
+    """Move a problem to its priors, and add their factors and control points.
 
     Args:
         problem: left untouched.
@@ -74,19 +73,17 @@ def place_at_priors(
     """
     if align is not None:
         align = as_flag("align", align)
-    if isinstance(priors, tuple | list) and not priors:
+    if not priors:
         if align:
             raise InputError("align: expected priors to align the problem to, found none")
-        return Start(problem, factors)
+        return PlacedProblem(problem, factors)
     from bundle.georeference.prior_alignment import ProblemPriors
     from bundle.georeference.similar_problem import moved
     from bundle.georeference.target_priors import TargetPriors
-    from bundle.graphs.factors.variables import as_list
 
-    positions, points = _sorted(as_list("priors", "PositionPriors", priors))
+    positions, points = _sorted(priors)
     known = ProblemPriors.make(problem, positions)
     targets = TargetPriors.make(problem, points) if points else None
-    factors = as_list("factors", "factors", factors)
     similarity = None
     if align or (align is None and not factors):
         try:
@@ -99,7 +96,7 @@ def place_at_priors(
     if targets is not None:
         start = targets.added_to(start, similarity)
         of_priors += targets.factors()
-    return Start(start, [*factors, *of_priors], similarity, targets)
+    return PlacedProblem(start, (*factors, *of_priors), similarity, targets)
 
 
 def _sorted(priors: tuple[Any, ...]) -> tuple[list[Any], list[Any]]:

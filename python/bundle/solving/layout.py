@@ -1,0 +1,82 @@
+"""The layout of a solve: factors by index, restrictions as arrays, options with nothing open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from bundle import _core
+from bundle.interface.options import SolveOptions
+from bundle.model.problem import Problem
+from bundle.model.reprojection import resolve_cheirality
+from bundle.solving.constraints.restrictions import Restrictions
+from bundle.solving.ranks.launch import threads_of_one_process
+
+if TYPE_CHECKING:
+    from bundle.graphs.factors.factors import Factor
+    from bundle.graphs.factors.problem_factors import ProblemFactors
+    from bundle.solving.constraints.applied import Applied
+    from bundle.solving.request import Bounds
+
+__all__ = ["Layout", "lay_out", "resolve_defaults"]
+
+
+class Layout(NamedTuple):
+    """The arguments of the core beside the problem.
+
+    Attributes:
+        options: with nothing left to choose.
+        known: the factors, those of priors and rules too; None without any.
+        limits: bounds, and the parameters that rules hold and tie; None without any.
+    """
+
+    options: SolveOptions
+    known: ProblemFactors | None
+    limits: Restrictions | None
+
+    def core_factors(self) -> Any:
+        """Return the factors as the core takes them."""
+        return None if self.known is None else self.known.core()
+
+
+def lay_out(
+    problem: Problem,
+    options: SolveOptions,
+    factors: Iterable[Factor],
+    bounds: Bounds | None = None,
+    applied: Applied | None = None,
+) -> Layout:
+    """Check factors and bounds, add those of the rules, and resolve the options.
+
+    Raises:
+        InputError: a factor or a bound does not fit the problem.
+    """
+    if applied is not None and applied.factors:
+        factors = (*factors, *applied.factors)
+    known = _problem_factors(problem, factors)
+    locate = (known is not None and known.locate) or (applied is not None and applied.locate)
+    if locate and options.gauge == "auto":
+        options = options.replace(gauge="none")
+    limits = Restrictions.make(problem, bounds, applied)
+    return Layout(resolve_defaults(problem, options), known, limits)
+
+
+def _problem_factors(problem: Problem, factors: Iterable[Factor]) -> ProblemFactors | None:
+    if not factors:
+        return None
+    from bundle.graphs.factors.problem_factors import ProblemFactors  # slow to import
+
+    return ProblemFactors(problem, factors)
+
+
+def resolve_defaults(problem: Problem, options: SolveOptions) -> SolveOptions:
+    """Resolve the options that depend on the source of the problem and on this machine."""
+    cores = _core.hardware_threads()
+    gauge = options.gauge
+    if gauge == "auto":
+        gauge = "none" if problem.format == "bal" else "two_cameras"
+    return options.replace(
+        gauge=gauge,
+        cheirality=resolve_cheirality(problem, options.cheirality),
+        num_threads=min(options.num_threads or threads_of_one_process(cores), cores),
+    )

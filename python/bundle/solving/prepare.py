@@ -1,0 +1,272 @@
+"""Preparation of a solve, from the request to the arguments of the core, and back to its result.
+
+A problem is placed at its priors, the rules are resolved there, and the part to refine is taken.
+Factors and bounds are laid out last, for the values of the start and when they are first needed: a
+run of rounds lays out anew for each round, and refuses the checkpoint of another run before that.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Set
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from bundle.errors import InputError
+from bundle.georeference.placed_problem import PlacedProblem, place_at_priors
+from bundle.interface.options import SolveOptions
+from bundle.interface.solve_record import record_fields, with_warnings
+from bundle.model.problem import Problem
+from bundle.solving.layout import Layout, lay_out
+from bundle.solving.request import Bounds, PartRequest, SolveRequest
+from bundle.solving.result import Result
+from bundle.solving.sensor_changes import weak_baseline
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from bundle.graphs.factors.factors import Factor
+    from bundle.solving.constraints.applied import Applied
+    from bundle.solving.constraints.constraint_record import RuleEnd
+    from bundle.solving.request import Rules
+    from bundle.solving.round_record import Round
+    from bundle.solving.rounds.local_part import LocalPart
+    from bundle.solving.rounds.rest_prior import RestPrior
+
+__all__ = ["STATE", "Prepared", "prepare"]
+
+# Arrays of a problem that a solve returns; those of rigs only where there are some.
+STATE = ("cam_from_world", "camera_params", "points", "rig_from_world", "sensor_from_rig")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Prepared:
+    """A request that is ready to run.
+
+    Attributes:
+        request: as given.
+        placed: the problem in the frame of its priors, with their factors and control points.
+        before: the problem that the result is compared with.
+        start: the problem that goes to the solver: `before`, parameters that are shared made equal.
+        options: of the start, its held ids included; defaults are not resolved.
+        factors: of the start, without those of rules.
+        bounds: of cameras of the start.
+        applied: the rules, resolved; None without any.
+        part: the images that are refined and what they see; None: the whole problem.
+        rest: the prior of all else; None where that is held.
+    """
+
+    request: SolveRequest
+    placed: PlacedProblem
+    before: Problem
+    start: Problem
+    options: SolveOptions
+    factors: tuple[Factor, ...]
+    bounds: Bounds | None
+    applied: Applied | None
+    part: LocalPart | None = None
+    rest: RestPrior | None = None
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Factors, restrictions and options for the values of the start.
+
+        Raises:
+            InputError: a factor or a bound does not fit the problem.
+        """
+        return lay_out(self.start, self.options, self.factors, self.bounds, self.applied)
+
+    def at(self, problem: Problem, options: SolveOptions | None = None) -> Prepared:
+        """Return the same for another start; resolved rules stay, indices are found anew."""
+        options = self.options if options is None else options
+        return dataclasses.replace(self, before=problem, start=problem, options=options)
+
+    def laid_out_at(self, problem: Problem, options: SolveOptions) -> Prepared:
+        """Return the same for other values of this layout, which is not made anew."""
+        moved = dataclasses.replace(self, before=problem, start=problem)
+        vars(moved)["layout"] = self.layout._replace(options=options)
+        return moved
+
+    def result(self, output: Mapping[str, Any]) -> Result:
+        """Return the output of an executor as a result of the start, with all warnings."""
+        options, known, limits = self.layout
+        before = self.before
+        refined = before._moved(**{name: output[name] for name in STATE if name in output})
+        warnings = {"one_process": output.get("alone", "")}
+        if known is not None and options.check_solution:
+            from bundle.graphs.factors.problem_factors import wrong_factor  # slow to import
+
+            warnings["wrong_factor"] = wrong_factor(self.start, known.factors, output)
+        warnings["weak_baseline"] = weak_baseline(options, before, refined, output["summary"])
+        output = {**output, "summary": with_warnings(output["summary"], warnings)}
+        return Result(
+            problem=refined,
+            initial_problem=before,
+            options=options,
+            factor_costs_before=output["factor_costs_before"],
+            factor_costs_after=output["factor_costs_after"],
+            active_bounds=() if limits is None else limits.active(refined),
+            constraints=_rule_ends(self.applied, before, refined),
+            **record_fields(output),
+        )
+
+    def finished(
+        self,
+        result: Result,
+        *,
+        observations: NDArray[Any] | None = None,
+        points: NDArray[Any] | None = None,
+        rounds: tuple[Round, ...] = (),
+    ) -> Result:
+        """Return the last result of the start as one of the problem given.
+
+        Args:
+            result: of the start, or of what filters have left of it.
+            observations: mask of the start's observations that are left; None: all.
+            points: likewise.
+            rounds: that led to it.
+        """
+        last, given, placed = result.problem, self.request.problem, self.placed
+        ends = _rule_ends(self.applied, placed.problem, last)
+        if self.part is not None:
+            record = self.part.record
+            if self.rest is not None:
+                from bundle.solving.rounds.rest_prior import without_prior
+
+                result, record = without_prior(result, record, self.rest)
+            return dataclasses.replace(
+                result,
+                problem=self.part.merge(last, observations, points),
+                initial_problem=given,
+                options=_as_asked(result.options, self.request.options),
+                rounds=rounds,
+                constraints=ends,
+                part=record,
+            )
+        refined = placed.taken_from(last)
+        return dataclasses.replace(
+            result,
+            problem=refined,
+            initial_problem=given,
+            rounds=rounds,
+            constraints=ends,
+            similarity=placed.similarity,
+            control_points=placed.control_points(refined),
+        )
+
+
+def prepare(request: SolveRequest) -> Prepared:
+    """Place a problem at its priors, resolve the rules there, and take the part that is refined.
+
+    Raises:
+        InputError: see :func:`bundle.solve` and :func:`bundle.solve_rounds`.
+    """
+    part, align = request.part, request.align
+    if part is not None:
+        if align:
+            raise InputError("align: expected without only_images, which leave the rest in place")
+        align = False
+    placed = place_at_priors(request.problem, request.factors, request.priors, align)
+    local = None if part is None else _local_part(request.problem, part, placed)
+    start, options, applied = _resolve_rules(
+        placed.problem,
+        request.options,
+        request.constraints,
+        None if local is None else local.refined_ids,
+    )
+    whole = Prepared(
+        request=request,
+        placed=placed,
+        before=placed.problem,
+        start=start,
+        options=options,
+        factors=placed.factors,
+        bounds=request.bounds,
+        applied=applied,
+    )
+    return whole if local is None else _within(local, whole)
+
+
+def _resolve_rules(
+    problem: Problem, options: SolveOptions, rules: Rules, part: Mapping[str, Set[int]] | None
+) -> tuple[Problem, SolveOptions, Applied | None]:
+    """Return the start, the options and the resolved rules; None without rules.
+
+    ``part``: ids of the cameras, images and points that are refined, where these are not all.
+    """
+    if isinstance(rules, tuple | list) and not rules:
+        return problem, options, None
+    from bundle.solving.constraints.applied import Applied  # without rules, nothing of them loads
+    from bundle.solving.constraints.resolve import apply
+
+    if isinstance(rules, Applied):  # by the caller, for another start
+        return problem, options, rules
+    start, applied = apply(rules, problem, options, part)
+    if applied is not None and applied.fixed_point_ids:
+        held = (*options.fixed_point_ids, *applied.fixed_point_ids)
+        options = options.replace(fixed_point_ids=held)
+    return start, options, applied
+
+
+def _local_part(problem: Problem, part: PartRequest, placed: PlacedProblem) -> LocalPart:
+    from bundle.model.image_selection import find_images
+    from bundle.solving.rounds.local_part import LocalPart  # with only_images alone
+
+    if placed.control_point_ids:
+        raise InputError(
+            "priors: expected no control points beside only_images, which leave the rest in place"
+        )
+    images = find_images("only_images", problem, part.images)
+    return LocalPart(problem, images, placed.factors, marginal=part.rest == "marginal")
+
+
+def _within(part: LocalPart, whole: Prepared) -> Prepared:
+    """Return what is prepared of the whole for its part, the rest held or marginalised.
+
+    Raises:
+        InputError: the images see no points, or rules meet a marginal rest.
+    """
+    given, options, applied = whole.request.problem, whole.options, whole.applied
+    if whole.start is not given:
+        part = part.of(whole.start)
+    part.check_observed()
+    factors, rest = part.factors, None
+    if part.is_marginal:
+        from bundle.solving.rounds.rest_prior import marginalize_rest  # with that rest alone
+
+        if applied is not None:
+            raise InputError("rest: expected fixed with constraints, found marginal")
+        rest = marginalize_rest(given, part, options, whole.bounds)
+        options = options.replace(gauge="none") if rest.holds_gauge else options
+        factors += () if rest.factor is None else (rest.factor,)
+    return dataclasses.replace(
+        whole,
+        before=part.problem,
+        start=part.problem,
+        options=part.options(options),
+        factors=factors,
+        bounds=part.bounds(whole.bounds),
+        applied=None if applied is None else applied.restricted(part.problem),
+        part=part,
+        rest=rest,
+    )
+
+
+def _rule_ends(applied: Applied | None, before: Problem, after: Problem) -> tuple[RuleEnd, ...]:
+    if applied is None:
+        return ()
+    from bundle.solving.constraints.ends import rule_ends
+
+    return rule_ends(applied, before, after)
+
+
+def _as_asked(used: SolveOptions, asked: SolveOptions) -> SolveOptions:
+    """Return the options as used, without what a part holds beyond what was asked for."""
+    return used.replace(
+        fixed_image_ids=asked.fixed_image_ids,
+        fixed_camera_ids=asked.fixed_camera_ids,
+        fixed_point_ids=asked.fixed_point_ids,
+        refine_sensor_from_rig=asked.refine_sensor_from_rig,
+        fixed_sensors=asked.fixed_sensors,
+    )

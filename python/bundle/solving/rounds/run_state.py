@@ -1,0 +1,68 @@
+"""The state of a run of rounds: what the next solve starts from, and what filters have left."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bundle.model.problem import Problem
+from bundle.solving.result import Result
+from bundle.solving.round_record import Round
+from bundle.solving.rounds.filtering import Filtered
+
+__all__ = ["State"]
+
+_Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class State:
+    """Where a run of rounds is.
+
+    Attributes:
+        problem: what the next solve starts from, or the end.
+        observation_mask: which observations of the first round's problem are left.
+        point_mask: which of its points are left.
+        rounds: that are over.
+        so_far: what was done of the current adjustment; None at its start.
+        end: the last adjustment, where nothing is left to do; None before.
+    """
+
+    problem: Problem
+    observation_mask: _Mask
+    point_mask: _Mask
+    rounds: tuple[Round, ...] = ()
+    so_far: Result | None = None
+    end: Result | None = None
+
+    @staticmethod
+    def first(problem: Problem) -> State:
+        """Return the state at the start; its masks take no memory."""
+        return State(
+            problem=problem,
+            observation_mask=np.broadcast_to(True, problem.num_observations),
+            point_mask=np.broadcast_to(True, problem.num_points),
+        )
+
+    def left(self, filtered: Filtered, done: Round) -> State:
+        """Return the state after the filter of a round."""
+        return State(
+            problem=filtered.problem,
+            observation_mask=_left_of(self.observation_mask, filtered.observation_mask),
+            point_mask=_left_of(self.point_mask, filtered.point_mask),
+            rounds=(*self.rounds, done),
+        )
+
+    def ended(self, result: Result) -> State:
+        """Return the state at the end of the run."""
+        return dataclasses.replace(self, end=result)
+
+
+def _left_of(mask: _Mask, left: _Mask) -> _Mask:
+    """Return what is left of a mask, `left` being of what it has."""
+    out = mask.copy()
+    out[mask] = left
+    return out

@@ -1,0 +1,268 @@
+"""Rounds: adjust, filter, adjust what is left, and so on (COLMAP's iterative refinement)."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from bundle.errors import InputError
+from bundle.interface.options import SolveOptions
+from bundle.interface.round_options import CHECKPOINT_INTERVAL, RoundOptions
+from bundle.interface.solve_record import Progress
+from bundle.io.source import Source, as_problem
+from bundle.model.image_selection import ImageSelection
+from bundle.solving.executors import solve_prepared
+from bundle.solving.prepare import Prepared, prepare
+from bundle.solving.request import Bounds, PartRequest, RunPlan, SolveRequest
+from bundle.solving.result import Result
+from bundle.solving.round_record import Round
+from bundle.solving.rounds.checkpoint import Checkpoint
+from bundle.solving.rounds.filtering import Filtered, filter_observations
+from bundle.solving.rounds.local_part import touched_ids
+from bundle.solving.rounds.run_state import State
+from bundle.solving.rounds.segments import num_steps, solve_in_segments
+
+if TYPE_CHECKING:
+    from bundle.georeference.placed_problem import Prior
+    from bundle.graphs.factors.factors import Factor
+    from bundle.model.problem import Problem
+    from bundle.solving.constraints.rule_list import Constraints
+    from bundle.solving.constraints.rules import Rule
+
+__all__ = ["run", "solve_rounds"]
+
+SMALLEST_CHANGE = 5e-4
+"""Share of its observations that a round has to remove for another one to follow, as in COLMAP
+(``ba_global_max_refinement_change``)."""
+
+
+def solve_rounds(
+    problem: Source,
+    options: SolveOptions | None = None,
+    *,
+    num_rounds: int = 5,
+    max_error: float = 4.0,
+    min_angle: float = 1.5,
+    min_track_length: int = 2,
+    only_images: ImageSelection | None = None,
+    rest: str = "fixed",
+    factors: Iterable[Factor] = (),
+    priors: Iterable[Prior] = (),
+    align: bool | None = None,
+    bounds: Bounds | None = None,
+    constraints: Constraints | Iterable[str | Rule] = (),
+    checkpoint: str | os.PathLike[str] | None = None,
+    checkpoint_interval: int = CHECKPOINT_INTERVAL,
+    resume: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+    **changes: Any,
+) -> Result:
+    """Adjust and filter in turns: outliers found after one adjustment do not disturb the next.
+
+    Each round is a :func:`bundle.solve` of what the round before has left, then a
+    :func:`bundle.filter_observations`, in the last round too. The rounds end before ``num_rounds``
+    when one removes less than 0.05 % of its observations (COLMAP's rule), and when an adjustment
+    has no usable solution or was interrupted; what that one adjusted is not filtered. As the filter
+    changes the objective, costs of different rounds cannot be compared, and what the last filter
+    leaves is adjusted once more: the problem returned is at a minimum.
+
+    Points that are held (``fixed_point_ids``) or that a factor names stay, whatever their track and
+    angle are; they lose observations only.
+
+    Args:
+        problem: left untouched; also the path of one, or a pycolmap.Reconstruction.
+        options: how to adjust, as in :func:`bundle.solve`.
+        num_rounds: the maximum; 0: adjust once and filter nothing.
+        max_error: as in :func:`bundle.filter_observations`, in pixels.
+        min_angle: likewise, in degrees.
+        min_track_length: likewise, in observations.
+        only_images: refine only these images, the points that they see and their cameras; hold all
+            else and leave it as it is, bit for bit. Ids and names, such as ``"1,5-9,left/*.jpg"``
+            or ``[1, 5, "left/*.jpg"]``. Only these points, with all their observations, go to the
+            solver and the filter. A camera that also took other images is refined, too, unless it
+            is in ``fixed_camera_ids`` (``part`` of the result names it).
+        rest: with ``only_images``, what all else does. "fixed": other images that see one of these
+            points take part, held. "marginal": these neighbours and their cameras move, under the
+            exact marginal prior of all that does not take part, linearised at its present values;
+            only the named images, their points and cameras are in the result, all else is left bit
+            for bit as well. Where nothing holds the world, the neighbours stay where they are on
+            average. The cost includes the prior's; ``part.rest`` of the result tells of it.
+        factors: beside the observations, as in :func:`bundle.solve`. With the rest marginal those
+            that touch neither what is refined nor neighbours alone go into the prior, and have no
+            place in ``factor_costs_before`` and ``_after``.
+        priors: measured positions of images and control points, as in :func:`bundle.solve`. No
+            filter removes a measurement of a control point; counts of points and observations in
+            ``rounds`` include control points.
+        align: as in :func:`bundle.solve`, before the first round; never with ``only_images``.
+        bounds: of camera parameters, as in :func:`bundle.solve`.
+        constraints: rules, as in :func:`bundle.solve`. What they say of the start they say of the
+            start of the first round. With ``only_images`` a parameter that is shared with a camera
+            outside of the part is held. Not with the rest marginal.
+        checkpoint: file that is replaced, whole or not at all, after each round and each
+            ``checkpoint_interval`` iterations, so that a run that was killed can go on. The solver
+            starts anew from what the file holds, whether the run is killed or not: with the option
+            ``deterministic`` a resumed run ends where the uninterrupted one does, bit for bit.
+        checkpoint_interval: iterations from one checkpoint to the next within a round.
+        resume: checkpoint to go on from, with the same problem and options (the number of threads
+            may differ); from the start if the file does not exist. Checkpoints go on to be written
+            there if ``checkpoint`` names no other file.
+        progress: as in :func:`bundle.solve`, in each round.
+        **changes: options by name, in place of those in ``options``.
+
+    Returns:
+        What the last filter has left, adjusted, beside the problem given. ``rounds`` tells of
+        each round; summary, iterations and times are those of the last adjustment.
+
+    Raises:
+        InputError: as :func:`bundle.solve` and :func:`bundle.filter_observations`; a filter
+            removed all observations; or the checkpoint is none, or one of another problem or with
+            other options.
+        KeyboardInterrupt, MemoryError: as :func:`bundle.solve`.
+        OSError: as :func:`bundle.solve`, or the checkpoint cannot be read or written.
+    """
+    options = SolveOptions.of(options, changes, "solve_rounds")
+    limits = RoundOptions(
+        num_rounds=num_rounds,
+        max_error=max_error,
+        min_angle=min_angle,
+        min_track_length=min_track_length,
+    )
+    part = PartRequest.of(only_images, rest)
+    plan = RunPlan(
+        rounds=limits,
+        checkpoint=checkpoint,  # type: ignore[arg-type]
+        resume=resume,  # type: ignore[arg-type]
+        checkpoint_interval=checkpoint_interval,
+    )
+    request = SolveRequest(
+        problem=as_problem(problem),
+        options=options,
+        factors=factors,  # type: ignore[arg-type]
+        priors=priors,  # type: ignore[arg-type]
+        align=align,
+        bounds=bounds,
+        constraints=constraints,
+        part=part,
+    )
+    return run(request, plan, progress)
+
+
+def run(request: SolveRequest, plan: RunPlan, progress: Progress | None = None) -> Result:
+    """Adjust and filter in turns; see :func:`solve_rounds`.
+
+    The filter changes the objective: what the last one has left is adjusted once more, unless it
+    removed nothing. So the end is a minimum.
+    """
+    prepared = prepare(request)
+    checkpoint = None if plan.file is None else Checkpoint.of(plan.file, prepared, plan)
+    state = State.first(prepared.start)
+    if checkpoint is not None and plan.resume is not None and plan.resume.exists():
+        state = checkpoint.read(plan.resume, prepared)
+    while state.end is None:
+        result = _adjust(prepared, state, checkpoint, progress)
+        if result.summary.interrupted or not result.summary.is_solution_usable:
+            return _finished(prepared, state, result)
+        state = _next(prepared, state, result, plan.rounds)
+        if checkpoint is not None:
+            checkpoint.write(state)
+    return _finished(prepared, state, state.end)
+
+
+def _finished(prepared: Prepared, state: State, result: Result) -> Result:
+    return prepared.finished(
+        result,
+        observations=state.observation_mask,
+        points=state.point_mask,
+        rounds=state.rounds,
+    )
+
+
+def _adjust(
+    prepared: Prepared, state: State, checkpoint: Checkpoint | None, progress: Progress | None
+) -> Result:
+    """Adjust what the filters have left, from one checkpoint to the next if there are any."""
+
+    def solve(problem: Problem, options: SolveOptions, progress: Progress | None) -> Result:
+        return solve_prepared(prepared.at(problem, options), progress)
+
+    if checkpoint is None:
+        return solve(state.problem, prepared.options, progress)
+    return solve_in_segments(
+        solve,
+        state.problem,
+        prepared.options,
+        checkpoint.interval,
+        so_far=state.so_far,
+        progress=progress,
+        save=lambda result: checkpoint.write(
+            dataclasses.replace(state, problem=result.problem, so_far=result)
+        ),
+    )
+
+
+def _next(prepared: Prepared, state: State, result: Result, limits: RoundOptions) -> State:
+    """Filter what was adjusted; the run ends if nothing is left to do."""
+    adjusted = dataclasses.replace(state, problem=result.problem, so_far=None)
+    if limits.num_rounds == 0 or _is_last(state, limits):
+        return adjusted.ended(result)
+    filtered = _filter(prepared, result.problem, limits)
+    done = _round_of(len(state.rounds) + 1, result, filtered)
+    _check_left(filtered, done, limits)
+    left = adjusted.left(filtered, done)
+    has_ended = _is_last(left, limits) and not filtered.num_observations_removed
+    return left.ended(result) if has_ended else left
+
+
+def _is_last(state: State, limits: RoundOptions) -> bool:
+    """Return whether no round follows those that are over."""
+    if not state.rounds:
+        return False
+    done = state.rounds[-1]
+    changed = done.num_observations_removed >= SMALLEST_CHANGE * done.num_observations
+    return done.round >= limits.num_rounds or not changed
+
+
+def _filter(prepared: Prepared, problem: Problem, limits: RoundOptions) -> Filtered:
+    """Filter what a round has adjusted.
+
+    Points that are known otherwise stay, and control points with all of their observations.
+    """
+    rules = prepared.applied
+    known = touched_ids((*prepared.factors, *(() if rules is None else rules.factors)))["point"]
+    return filter_observations(
+        problem,
+        limits.max_error,
+        limits.min_angle,
+        limits.min_track_length,
+        kept_point_ids=sorted({*known, *prepared.options.fixed_point_ids}),
+        kept_track_ids=prepared.placed.control_point_ids,
+        num_threads=prepared.options.num_threads,
+    )
+
+
+def _round_of(number: int, result: Result, filtered: Filtered) -> Round:
+    """Return the record of a round."""
+    summary, adjusted = result.summary, result.problem
+    return Round(
+        round=number,
+        initial_cost=summary.initial_cost,
+        cost=summary.final_cost,
+        termination_type=summary.termination_type,
+        num_iterations=num_steps(result),
+        num_points=adjusted.num_points,
+        num_observations=adjusted.num_observations,
+        num_observations_removed=filtered.num_observations_removed,
+        num_points_removed=filtered.num_points_removed,
+    )
+
+
+def _check_left(filtered: Filtered, done: Round, limits: RoundOptions) -> None:
+    """Raise an InputError if a filter has left nothing."""
+    if filtered.problem.num_observations == 0:
+        raise InputError(
+            f"num_rounds: the filter of round {done.round} removed all {done.num_observations} "
+            f"observations (max_error={limits.max_error:g} min_angle={limits.min_angle:g} "
+            f"min_track_length={limits.min_track_length})"
+        )
