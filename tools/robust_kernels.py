@@ -26,18 +26,18 @@ PAGE = """\
 <!-- Made by tools/robust_kernels.py; a test holds the two against each other. -->
 # Robust kernels
 
-A residual r costs 1/2 rho(s), s = ‖r‖². A least-squares solver knows residuals and Jacobians only,
-so Ceres hands it corrected ones. Every number below is computed by `bundle.losses`, that is by the
-core as in a solve; [loss.h](../cpp/core/factors/loss.h) derives the formulas.
+A residual r costs 1/2 rho(s), with s = ‖r‖². A least-squares solver works with residuals and
+Jacobians only, so Ceres corrects both for the loss. `bundle.losses` computes every number below with
+the code of a solve; [loss.h](../cpp/core/factors/loss.h) derives the formulas.
 
 ## The losses
 
 {losses}
 
-The weight rho' is what is left of a residual's pull on the solution. *Turns over* is the ‖r‖ from
-which on the cost as a function of ‖r‖ is concave; a loss without is convex. Ceres'
-ArctanLoss compares s itself, not √s, with its scale; it is given a², so that every loss bends at a
-pixels.
+The weight rho' scales the influence of a residual on the solution. *Turns over* is the ‖r‖ beyond
+which the cost is concave as a function of ‖r‖; without an entry the loss is convex. Ceres'
+ArctanLoss compares s, not √s, with its scale. `bundle` passes a² to it, so that every loss has its
+scale in pixels.
 
 ## The second-order block
 
@@ -46,16 +46,16 @@ Adjustment - A Modern Synthesis*, section 4.3. For a Cauchy kernel of scale 1 an
 
 {blocks}
 
-From ‖r‖ = {cauchy:.3f} on, where the kernel turns over, the block is not positive: the model of the
-cost has no minimum there, and no corrected Jacobian has that block as its square. Triggs'
-correction exists in the rows that show one; towards the turn its Jacobian vanishes and its residual
-grows without bound.
+Beyond ‖r‖ = {cauchy:.3f}, where the kernel turns over, the block is not positive: the quadratic model
+has no minimum, and no corrected Jacobian has this block as its square. Triggs' correction exists in
+the rows that show one. Towards the turning point its Jacobian vanishes and its residual grows
+without bound.
 
-Ceres leaves the second-order term out wherever rho'' <= 0, that is everywhere with every loss of
-the table. What remains is rho' JᵀJ, {clamped:+.3f} at r = {clamped_at:g}: never negative, and with
+Ceres omits the second-order term wherever rho'' <= 0, which holds everywhere for every loss of the
+table. The remaining block is rho' JᵀJ, {clamped:+.3f} at r = {clamped_at:g}: never negative, and with
 the same gradient. The price is linear convergence where the kernel bends strongly: the model is
-stiffer than the cost, so steps fall short and gain more than was predicted. `bundle` does not take
-that for a wrong Jacobian.
+stiffer than the cost, so steps are too short and reduce the cost by more than predicted. The
+convergence check of `bundle` does not report this as a wrong Jacobian.
 """
 
 
