@@ -27,8 +27,8 @@ PAGE = """\
 # Robust kernels
 
 A residual r costs 1/2 rho(s), with s = ‖r‖². A least-squares solver works with residuals and
-Jacobians only, so Ceres corrects both for the loss. `bundle.losses` computes every number below with
-the code of a solve; [loss.h](../cpp/core/factors/loss.h) derives the formulas.
+Jacobians only, so Ceres corrects both for the loss. `bundle.losses` computes every number below
+with the code of a solve; [loss.h](../cpp/core/factors/loss.h) derives the formulas.
 
 ## The losses
 
@@ -46,15 +46,15 @@ Adjustment - A Modern Synthesis*, section 4.3. For a Cauchy kernel of scale 1 an
 
 {blocks}
 
-Beyond ‖r‖ = {cauchy:.3f}, where the kernel turns over, the block is not positive: the quadratic model
-has no minimum, and no corrected Jacobian has this block as its square. Triggs' correction exists in
-the rows that show one. Towards the turning point its Jacobian vanishes and its residual grows
-without bound.
+Beyond ‖r‖ = {cauchy:.3f}, where the kernel turns over, the block is not positive: the quadratic
+model has no minimum, and no corrected Jacobian has this block as its square. Triggs' correction
+exists in the rows that show one. Towards the turning point its Jacobian vanishes and its residual
+grows without bound.
 
 Ceres omits the second-order term wherever rho'' <= 0, which holds everywhere for every loss of the
-table. The remaining block is rho' JᵀJ, {clamped:+.3f} at r = {clamped_at:g}: never negative, and with
-the same gradient. The price is linear convergence where the kernel bends strongly: the model is
-stiffer than the cost, so steps are too short and reduce the cost by more than predicted. The
+table. The remaining block is rho' JᵀJ, {clamped:+.3f} at r = {clamped_at:g}: never negative, and
+with the same gradient. The price is linear convergence where the kernel bends strongly: the model
+is stiffer than the cost, so steps are too short and reduce the cost by more than predicted. The
 convergence check of `bundle` does not report this as a wrong Jacobian.
 """
 
