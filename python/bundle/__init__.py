@@ -89,6 +89,7 @@ if TYPE_CHECKING:
     from bundle.model.pose_graph_arrays import PoseGraph
     from bundle.model.problem import Problem
     from bundle.model.reprojection import ReprojectionError
+    from bundle.model.selection import Selection
     from bundle.model.sequence.calibration import Calibration
     from bundle.model.sequence.imu_noise import ImuNoise
     from bundle.model.sequence.imu_samples import check_imu_samples
@@ -175,6 +176,7 @@ __all__ = [
     "Result",
     "ScalarPriorFactor",
     "SceneOptions",
+    "Selection",
     "Sequence",
     "SlidingWindow",
     "SolveOptions",
@@ -317,6 +319,7 @@ _DEFERRED = {
     "model.problem": ("Problem",),
     "io.source": ("reprojection_errors",),
     "model.reprojection": ("ReprojectionError",),
+    "model.selection": ("Selection",),
     "model.sequence.calibration": ("Calibration",),
     "model.sequence.imu_noise": ("ImuNoise",),
     "model.sequence.imu_samples": ("check_imu_samples",),

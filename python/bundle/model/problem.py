@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bundle import _core
 from bundle.base.arrays import filled, freeze, immutable
@@ -27,6 +27,8 @@ from bundle.model.pycolmap.deferred_source import DeferredSource
 
 if TYPE_CHECKING:
     import pycolmap
+
+    from bundle.model.selection import Selection
 
 __all__ = ["Problem"]
 
@@ -264,6 +266,37 @@ class Problem(Displayed):
         if poses is not None:
             changes["cam_from_world"] = poses
         return dataclasses.replace(self, **{"source": vars(self)["source"], **changes})
+
+    def select(
+        self,
+        *,
+        images: ArrayLike | None = None,
+        cameras: ArrayLike | None = None,
+        points: ArrayLike | None = None,
+        observations: ArrayLike | None = None,
+    ) -> Selection:
+        """Return a problem of some images, cameras, points and observations, and the way back.
+
+        An observation is selected if it, its image and its point are.
+
+        Args:
+            images: mask, or indices in any order; None: all, as for the others.
+            cameras: those of the images among them.
+            points: likewise.
+            observations: likewise.
+
+        Raises:
+            InputError: no mask and no indices, or the camera of an image is missing.
+
+        Example:
+            >>> near = problem.select(points=problem.points[:, 2] < 10)
+            >>> problem = near.put_back(problem, bundle.solve(near.problem).problem)
+        """
+        from bundle.model.selection import select  # which returns problems
+
+        return select(
+            self, images=images, cameras=cameras, points=points, observations=observations
+        )
 
     def without_rigs(self) -> Self:
         """Return a copy in which each image has a pose of its own, where it is now."""

@@ -44,6 +44,12 @@ _SHARED = (
 )
 
 
+_OWN = (
+    *("points", "point_ids", "observation_image", "observation_point"),
+    *("observation_xy", "observation_keypoint", "observation_sigma"),
+)
+
+
 @dataclass(frozen=True)
 class Division:
     """Points divided among processes.
@@ -132,21 +138,9 @@ def part_of(
     problem: Problem, points: NDArray[np.int64], section: NDArray[np.uint16]
 ) -> ProblemPart:
     """Return the part of a problem that has these points, ascending indices; sections of all."""
-    place = np.full(problem.num_points, -1, np.int32)
-    place[points] = np.arange(len(points), dtype=np.int32)
-    mine = np.flatnonzero(place[problem.observation_point] >= 0)
-    sigma = problem.observation_sigma
-    return ProblemPart(
-        points=problem.points[points],
-        point_ids=problem.point_ids[points],
-        point_section=section[points],
-        observation_image=problem.observation_image[mine],
-        observation_point=place[problem.observation_point[mine]],
-        observation_xy=problem.observation_xy[mine],
-        observation_keypoint=problem.observation_keypoint[mine],
-        observation_sigma=None if sigma is None else sigma[mine],
-        shared=shared_of(problem),
-    )
+    mine = problem.select(points=points).problem
+    own = {name: getattr(mine, name) for name in _OWN}
+    return ProblemPart(**own, point_section=section[points], shared=shared_of(problem))
 
 
 def factors_of(core: Any, points: NDArray[np.int64]) -> tuple[Any, list[int]]:

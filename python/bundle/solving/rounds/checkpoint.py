@@ -31,7 +31,6 @@ from bundle.model.problem import Problem
 from bundle.solving.prepare import STATE, Prepared
 from bundle.solving.result import Result
 from bundle.solving.round_record import Round
-from bundle.solving.rounds.filtering import subset
 from bundle.solving.rounds.input_digest import digest_of_fields, fingerprint_of_run
 from bundle.solving.rounds.run_state import State
 
@@ -177,7 +176,8 @@ def _state(
         np.unpackbits(arrays[name], count=size).astype(bool)
         for name, size in zip(("observation_mask", "point_mask"), sizes, strict=True)
     ]
-    problem = subset(start, *masks).replace(**{name: arrays[name] for name in STATE})
+    left = start.select(observations=masks[0], points=masks[1]).problem
+    problem = left.replace(**{name: arrays[name] for name in STATE})
     done = meta["so_far"]
     if done is not None:
         done = result_of_record(done, arrays, problem, options)

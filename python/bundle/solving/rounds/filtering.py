@@ -29,7 +29,7 @@ from bundle.model.problem import Problem
 from bundle.model.ray_angles import enclose_angle
 from bundle.model.reprojection import reprojection_errors
 
-__all__ = ["Filtered", "filter_observations", "subset"]
+__all__ = ["Filtered", "filter_observations"]
 
 _Mask = NDArray[np.bool_]
 
@@ -137,7 +137,7 @@ def _filtered(problem: Problem, good: _Mask, limits: RoundOptions, always: _Mask
     num_observations = int(observations.sum())
     num_points = int(stays.sum())
     return Filtered(
-        problem=subset(problem, observations, stays),
+        problem=problem.select(points=stays, observations=observations).problem,
         observation_mask=observations,
         point_mask=stays,
         num_observations_removed=problem.num_observations - num_observations,
@@ -145,24 +145,6 @@ def _filtered(problem: Problem, good: _Mask, limits: RoundOptions, always: _Mask
         num_observations_beyond_max_error=problem.num_observations - len(left),
         num_points_with_short_track=int(short.sum()),
         num_points_below_min_angle=problem.num_points - num_points - int(short.sum()),
-    )
-
-
-def subset(problem: Problem, observations: _Mask, points: _Mask) -> Problem:
-    """Return a problem with some of its observations and points; the points of those are kept."""
-    if observations.all() and points.all():
-        return problem
-    left = np.flatnonzero(observations)
-    rows = np.cumsum(points, dtype=np.int32) - np.int32(1)
-    sigma = problem.observation_sigma
-    return problem.replace(
-        points=problem.points[points],
-        point_ids=problem.point_ids[points],
-        observation_image=problem.observation_image.take(left),
-        observation_point=rows.take(problem.observation_point.take(left)),
-        observation_xy=problem.observation_xy.take(left, axis=0),
-        observation_keypoint=problem.observation_keypoint.take(left),
-        observation_sigma=None if sigma is None else sigma.take(left),
     )
 
 

@@ -25,11 +25,10 @@ from numpy.typing import NDArray
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
-from bundle.model.extract import Extract, with_frames
 from bundle.model.problem import Problem
+from bundle.model.selection import with_frames
 from bundle.solving.request import Bounds
 from bundle.solving.round_record import PartRecord
-from bundle.solving.rounds.filtering import subset
 
 if TYPE_CHECKING:
     from bundle.graphs.factors.factors import Factor
@@ -61,7 +60,7 @@ class LocalPart:
         neighbours: other images that take part.
         seen: (num_points,) points that are refined.
         cameras: (num_cameras,) cameras that take part.
-        extract: the problem of the part, with its places in the whole.
+        selection: the problem of the part, with its rows in the whole.
     """
 
     def __init__(
@@ -95,18 +94,19 @@ class LocalPart:
         self.neighbours = images & ~self.named
         self.cameras = np.isin(whole.camera_ids, touched["camera"])
         self.cameras[whole.image_camera[images]] = True
-        self.extract = Extract.take(
-            whole, images=images, cameras=self.cameras, points=points, observations=observations
+        self.selection = whole.select(
+            images=images, cameras=self.cameras, points=points, observations=observations
         )
-        self.problem = self.extract.problem
-        self._named, self._seen = self.named[self.extract.images], self.seen[self.extract.points]
-        self._refined_cameras = refined_cameras[self.extract.cameras]
+        self.problem = self.selection.problem
+        self._named = self.named[self.selection.images]
+        self._seen = self.seen[self.selection.points]
+        self._refined_cameras = refined_cameras[self.selection.cameras]
         shared = np.unique(whole.image_camera[~self.named])
         self.record = PartRecord(
             num_images=int(self.named.sum()),
             num_images_held=int(self.neighbours.sum()),
             num_points=int(self.seen.sum()),
-            num_observations=len(self.extract.observations),
+            num_observations=len(self.selection.observations),
             shared_camera_ids=tuple(whole.camera_ids[shared[refined_cameras[shared]]].tolist()),
         )
 
@@ -205,34 +205,21 @@ class LocalPart:
             observation_mask: which observations of the part are left; None: all.
             point_mask: which points of the part are left; None: all.
         """
-        whole, taken = self._whole, self.extract
-        if observation_mask is None:
-            observation_mask = np.ones(len(taken.observations), bool)
-        if point_mask is None:
-            point_mask = np.ones(len(taken.points), bool)
-        pose, params = whole.cam_from_world.copy(), whole.camera_params.copy()
-        xyz = whole.points.copy()
-        pose[taken.images[self._named]] = refined.cam_from_world[self._named]
-        rigs: dict[str, Any] = {}
-        moving = _frames_of(whole, self.named)[taken.frames] if len(taken.frames) else ()
-        if np.any(moving):
-            frames = whole.rig_from_world.copy()
-            frames[taken.frames[moving]] = refined.rig_from_world[moving]
-            rigs = {"rig_from_world": frames, "sensor_from_rig": whole.sensor_from_rig}
-        width = refined.camera_params.shape[1]
-        params[taken.cameras[self._refined_cameras], :width] = refined.camera_params[
-            self._refined_cameras
-        ]
-        moved = self._seen[point_mask]
-        xyz[taken.points[point_mask][moved]] = refined.points[moved]
-        values = whole.replace(cam_from_world=pose, camera_params=params, points=xyz, **rigs)
+        whole, part = self._whole, self.selection
         left = np.ones(whole.num_observations, bool)
-        left[taken.observations] = False
-        left[taken.observations[observation_mask]] = True
         stays = np.ones(whole.num_points, bool)
-        stays[taken.points] = False
-        stays[taken.points[point_mask]] = True
-        return subset(values, left, stays)
+        if observation_mask is not None and point_mask is not None:
+            left[part.observations], stays[part.points] = observation_mask, point_mask
+            part = part.restricted(observation_mask, point_mask)
+        values = part.put_back(
+            whole,
+            refined,
+            images=self._named,
+            frames=_frames_of(whole, self.named)[part.frames] if len(part.frames) else None,
+            cameras=self._refined_cameras,
+            points=self.seen[part.points],
+        )
+        return values.select(points=stays, observations=left).problem
 
 
 def _frames_of(problem: Problem, images: _Mask) -> _Mask:

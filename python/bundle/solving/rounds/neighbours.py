@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bundle.interface.options import SolveOptions
-from bundle.model.extract import Extract
 from bundle.model.problem import Problem
 from bundle.model.problem_keys import parameter_names
+from bundle.model.selection import Selection
 from bundle.solving.rounds.local_part import LocalPart
 
 __all__ = ["Neighbours"]
@@ -39,12 +39,12 @@ class Neighbours:
         cameras = part.cameras & ~np.isin(whole.camera_ids, options.fixed_camera_ids)
         return Neighbours(free, frames, cameras)
 
-    def rows_in(self, extract: Extract) -> tuple[list[int], list[int], list[int]]:
-        """Return those that an extract has, by their places in it."""
-        masks = (self.images, extract.images), (self.frames, extract.frames)
+    def rows_in(self, selection: Selection) -> tuple[list[int], list[int], list[int]]:
+        """Return those that a selection has, by their places in it."""
+        masks = (self.images, selection.images), (self.frames, selection.frames)
         images, frames, cameras = (
             np.flatnonzero(mask[indices]).tolist() if len(mask) else []
-            for mask, indices in (*masks, (self.cameras, extract.cameras))
+            for mask, indices in (*masks, (self.cameras, selection.cameras))
         )
         return images, frames, cameras
 
@@ -61,10 +61,10 @@ class Neighbours:
         """Return how many tangent coordinates they have."""
         return sum(size for _, size in self.variables(whole))
 
-    def coordinates(self, whole: Problem, extract: Extract) -> NDArray[np.int64]:
-        """Return which tangent coordinates those in an extract are, in its order."""
-        images, frames, cameras = self.rows_in(extract)
-        problem = extract.problem
+    def coordinates(self, whole: Problem, selection: Selection) -> NDArray[np.int64]:
+        """Return which tangent coordinates those in a selection are, in its order."""
+        images, frames, cameras = self.rows_in(selection)
+        problem = selection.problem
         there = {("image", int(problem.image_ids[row])) for row in images}
         there |= {("frame", int(problem.frame_ids[row])) for row in frames}
         there |= {("camera", int(problem.camera_ids[row])) for row in cameras}

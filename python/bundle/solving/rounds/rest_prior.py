@@ -39,8 +39,8 @@ from bundle.base.memory_sizes import SHARE_OF_FREE_MEMORY, format_size
 from bundle.base.words import plural
 from bundle.errors import InputError
 from bundle.interface.options import SolveOptions
-from bundle.model.extract import Extract
 from bundle.model.problem import Problem
+from bundle.model.selection import Selection
 from bundle.solving.layout import lay_out
 from bundle.solving.request import Bounds
 from bundle.solving.result import Result
@@ -175,7 +175,7 @@ def _refuse_too_much(size: int, num_neighbours: int) -> None:
         )
 
 
-def _rest_of(whole: Problem, part: LocalPart, options: SolveOptions) -> Extract | None:
+def _rest_of(whole: Problem, part: LocalPart, options: SolveOptions) -> Selection | None:
     """Return what is not in the part and can say something; None if nothing is."""
     touched = touched_ids(part.factors_of_rest)
     length = np.bincount(whole.observation_point, minlength=whole.num_points)
@@ -193,14 +193,12 @@ def _rest_of(whole: Problem, part: LocalPart, options: SolveOptions) -> Extract 
     cameras[whole.image_camera[images]] = True
     if not observations.any() and not part.factors_of_rest:
         return None
-    return Extract.take(
-        whole, images=images, cameras=cameras, points=points, observations=observations
-    )
+    return whole.select(images=images, cameras=cameras, points=points, observations=observations)
 
 
-def _options_of(extract: Extract, options: SolveOptions) -> SolveOptions:
-    """Return the options with the ids that an extract has."""
-    problem = extract.problem
+def _options_of(selection: Selection, options: SolveOptions) -> SolveOptions:
+    """Return the options with the ids that a selection has."""
+    problem = selection.problem
     fixed = {}
     for kind, ids in (
         ("image", problem.image_ids),
@@ -213,7 +211,7 @@ def _options_of(extract: Extract, options: SolveOptions) -> SolveOptions:
 
 
 def _add_information(
-    rest: Extract,
+    rest: Selection,
     near: Neighbours,
     part: LocalPart,
     whole: Problem,
@@ -252,7 +250,7 @@ def _hold_gauge(
     if num_poses == 0:
         return 0
     layout = lay_out(part.problem, part.options(options), part.factors, part.bounds(bounds))
-    images, frames, _ = near.rows_in(part.extract)
+    images, frames, _ = near.rows_in(part.selection)
     found = _core.free_similarities(
         part.problem,
         layout.options.asdict(),

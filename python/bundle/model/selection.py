@@ -1,0 +1,220 @@
+"""A selection of a problem: some of its images, cameras, points and observations, and the way back.
+
+The rows that are selected keep their order and their ids; indices are those of the selection. An
+observation is selected if it, its image and its point are. With images come the frames that have
+one of them, and all sensors of the rigs of these frames.
+
+No value is checked again: it was when the problem was made. Where images or cameras are left out, a
+selection is no longer what a file had: it has no source, and its observations are no keypoints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from bundle.base.arrays import filled, freeze
+from bundle.errors import InputError, brief
+
+if TYPE_CHECKING:
+    from bundle.model.problem import Problem
+
+__all__ = ["Selection", "select", "with_frames"]
+
+_Indices = NDArray[np.int64]
+_Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A problem of its own, and the rows of the whole that it consists of.
+
+    Attributes:
+        problem: with the ids of the whole; the whole itself if all is selected.
+        images: indices in the whole, ascending, as all others.
+        cameras: likewise.
+        points: likewise.
+        observations: likewise.
+        frames: likewise.
+        sensors: likewise.
+    """
+
+    problem: Problem
+    images: _Indices
+    cameras: _Indices
+    points: _Indices
+    observations: _Indices
+    frames: _Indices
+    sensors: _Indices
+
+    def restricted(self, observations: _Mask, points: _Mask) -> Selection:
+        """Return what masks of this selection leave of its observations and points."""
+        left = select(self.problem, points=points, observations=observations)
+        return replace(
+            self,
+            problem=left.problem,
+            points=self.points[left.points],
+            observations=self.observations[left.observations],
+        )
+
+    def put_back(
+        self,
+        whole: Problem,
+        refined: Problem,
+        *,
+        images: _Mask | None = None,
+        frames: _Mask | None = None,
+        cameras: _Mask | None = None,
+        points: _Mask | None = None,
+    ) -> Problem:
+        """Return the whole with the values that a selection of it has now.
+
+        Args:
+            whole: what was selected from.
+            refined: the selection's problem at other values.
+            images: mask of the selection's images whose poses are put back; None: all.
+            frames: likewise.
+            cameras: likewise.
+            points: likewise.
+        """
+
+        def put(name: str, rows: _Indices, chosen: _Mask | None) -> NDArray[Any]:
+            """Return values of the whole, those of some rows replaced."""
+            mask = np.ones(len(rows), bool) if chosen is None else chosen
+            values: NDArray[Any] = getattr(whole, name).copy()
+            values[rows[mask]] = getattr(refined, name)[mask]
+            return values
+
+        values = {
+            "cam_from_world": put("cam_from_world", self.images, images),
+            "camera_params": put("camera_params", self.cameras, cameras),
+            "points": put("points", self.points, points),
+        }
+        if len(self.frames):
+            values["rig_from_world"] = put("rig_from_world", self.frames, frames)
+        return whole.replace(**values)
+
+
+def select(
+    whole: Problem,
+    *,
+    images: ArrayLike | None = None,
+    cameras: ArrayLike | None = None,
+    points: ArrayLike | None = None,
+    observations: ArrayLike | None = None,
+) -> Selection:
+    """Select rows of a problem; see :meth:`bundle.Problem.select`."""
+    of_images = _mask("images", images, whole.num_images)
+    of_cameras = _mask("cameras", cameras, whole.num_cameras)
+    of_points = _mask("points", points, whole.num_points)
+    seen = _mask("observations", observations, whole.num_observations)
+    for mask, of in ((of_images, whole.observation_image), (of_points, whole.observation_point)):
+        if mask is not None:
+            seen = mask.take(of) if seen is None else seen & mask.take(of)
+    state: dict[str, Any] = {}
+    chosen: dict[str, _Indices] = {
+        "images": _rows(of_images, whole.num_images),
+        "cameras": _rows(of_cameras, whole.num_cameras),
+        "points": _rows(of_points, whole.num_points),
+        "observations": _rows(seen, whole.num_observations),
+        "frames": np.arange(whole.num_frames),
+        "sensors": np.arange(whole.num_sensors),
+    }
+
+    def take(rows: _Indices, *names: str) -> None:
+        for name in names:
+            state[name] = freeze(getattr(whole, name).take(rows, axis=0))
+
+    def renumber(name: str, rows: _Indices, count: int) -> None:
+        """Replace indices in the whole by those in the selection; -1 stays."""
+        place = np.full(count + 1, -1, np.int32)
+        place[rows] = np.arange(len(rows), dtype=np.int32)
+        state[name] = freeze(place.take(state.get(name, getattr(whole, name))))
+
+    if seen is not None:
+        rows = chosen["observations"]
+        take(rows, *(f"observation_{name}" for name in ("image", "point", "xy", "keypoint")))
+        if whole.observation_sigma is not None:
+            sigma = whole.observation_sigma.take(rows)
+            state["observation_sigma"] = freeze(sigma) if len(rows) else None
+    if of_points is not None:
+        take(chosen["points"], "points", "point_ids")
+        renumber("observation_point", chosen["points"], whole.num_points)
+    if of_images is not None:
+        rows = chosen["images"]
+        take(rows, "cam_from_world", "image_ids", "image_camera")
+        state["image_names"] = tuple(whole.image_names[row] for row in rows.tolist())
+        renumber("observation_image", rows, whole.num_images)
+        if whole.num_frames:
+            take(rows, "image_frame", "image_sensor")
+            frames, sensors = _rigs_of(whole, rows)
+            chosen |= {"frames": frames, "sensors": sensors}
+            take(frames, "rig_from_world", "frame_ids", "frame_rig_ids")
+            take(sensors, "sensor_from_rig", "sensor_rig_ids", "sensor_camera_ids")
+            renumber("image_frame", frames, whole.num_frames)
+            renumber("image_sensor", sensors, whole.num_sensors)
+            if not len(frames):
+                nothing = filled((0,), 0, np.int32)
+                state |= {"image_frame": nothing, "image_sensor": nothing}
+    if of_cameras is not None:
+        rows = chosen["cameras"]
+        take(rows, "camera_ids", "camera_params", "camera_sizes")
+        state["camera_models"] = tuple(whole.camera_models[row] for row in rows.tolist())
+        renumber("image_camera", rows, whole.num_cameras)
+        if (state["image_camera"] < 0).any():
+            bad = chosen["images"][int(np.argmax(state["image_camera"] < 0))]
+            raise InputError(
+                f"cameras: expected those of the images, found none of image {whole.image_ids[bad]}"
+            )
+    if of_images is not None or of_cameras is not None:
+        count = len(chosen["observations"])
+        state |= {"source": None, "observation_keypoint": filled((count,), -1, np.int32)}
+    return Selection(whole._moved(**state) if state else whole, **chosen)
+
+
+def with_frames(problem: Problem, images: _Mask) -> _Mask:
+    """Return the images, and those that share a frame with one of them."""
+    if not problem.num_frames:
+        return images
+    frames = problem.image_frame[images]
+    return images | np.isin(problem.image_frame, frames[frames >= 0])
+
+
+def _mask(name: str, given: ArrayLike | None, count: int) -> _Mask | None:
+    """Return rows as a mask; None: all of them.
+
+    Raises:
+        InputError: a mask of another length, or an index out of range.
+    """
+    if given is None:
+        return None
+    rows = np.asarray(given)
+    if rows.dtype == bool:
+        if rows.shape != (count,):
+            raise InputError(f"{name}: expected a mask of shape ({count},), found {rows.shape}")
+        mask = rows
+    else:
+        if rows.size and not (rows.ndim == 1 and np.issubdtype(rows.dtype, np.integer)):
+            raise InputError(f"{name}: expected a mask or indices, found {brief(given)}")
+        rows = rows.astype(np.int64)
+        if rows.size and not (rows.min() >= 0 and rows.max() < count):
+            bad = rows[(rows < 0) | (rows >= count)][0]
+            raise InputError(f"{name}: expected indices from 0 to {count - 1}, found {bad}")
+        mask = np.zeros(count, bool)
+        mask[rows] = True
+    return None if mask.all() else mask
+
+
+def _rows(mask: _Mask | None, count: int) -> _Indices:
+    return np.arange(count) if mask is None else np.flatnonzero(mask)
+
+
+def _rigs_of(whole: Problem, images: _Indices) -> tuple[_Indices, _Indices]:
+    """Return the frames of images, and the sensors of rigs that have one of them."""
+    frames = whole.image_frame[images]
+    of_images = np.unique(frames[frames >= 0]).astype(np.int64)
+    rigs = whole.frame_rig_ids[of_images]
+    return of_images, np.flatnonzero(np.isin(whole.sensor_rig_ids, rigs))
